@@ -1,0 +1,99 @@
+"""Encoder configuration: profiles and quantisation depths (paper, Table 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal
+
+from gs_codec.errors import InvalidInput
+
+#: Depth groups in stream order. ``sh-ac`` is accepted as shorthand for the three SH bands.
+DEPTH_GROUPS = ("geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
+
+#: Most bits a group may have: three 21-bit axes fill a Morton code, 12 bits fill a table.
+MAX_DEPTH = {group: 21 if group == "geometry" else 12 for group in DEPTH_GROUPS}
+
+
+def _depths(*bits: int) -> Mapping[str, int]:
+    return MappingProxyType(dict(zip(DEPTH_GROUPS, bits, strict=True)))
+
+
+#: Bits per group. The paper's Table 1 gives a range for SH-AC (4-5 / 3-4 / 2-4) and for the
+#: geometry of S (15-16); ranges are read as "the first band finest", and 15 bits.
+PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
+    {
+        "paper-l": _depths(17, 8, 8, 8, 8, 5, 4, 4),
+        "paper-m": _depths(16, 8, 8, 8, 8, 4, 3, 3),
+        "paper-s": _depths(15, 8, 7, 7, 7, 4, 3, 2),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Config:
+    """How to encode. Nothing here is needed to decode.
+
+    Parameters
+    ----------
+    profile : {"paper-l", "paper-m", "paper-s"}
+        Quantisation depths of the paper's Table 1. Default ``paper-m``.
+    depths : mapping of str to int
+        Bits per group that override the profile (the paper's rate control, Section 4.4).
+        Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``, ``rotation``,
+        ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
+    nonfinite : {"error", "drop"}
+        What to do with Gaussians that hold NaN or infinity. Default ``error``.
+    extra : {"error", "keep", "drop"}
+        What to do with properties beyond the INRIA layout and with normals that are not
+        all zero. ``keep`` stores them bit-exactly. Default ``error``.
+    threads : int or None
+        Worker threads, 1-256; None is one for each available processor. Never changes the bytes.
+    block_size : int
+        Most Gaussians in an independently decodable block, 1024-65536. Default 65536.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is outside its range.
+    """
+
+    profile: str = "paper-m"
+    depths: Mapping[str, int] = field(default_factory=dict)
+    nonfinite: Literal["error", "drop"] = "error"
+    extra: Literal["error", "keep", "drop"] = "error"
+    threads: int | None = None
+    block_size: int = 1 << 16
+
+    def __post_init__(self) -> None:
+        if self.profile not in PROFILES:
+            raise InvalidInput(f"profile '{self.profile}': expected one of {', '.join(PROFILES)}")
+        _check_choice("nonfinite", self.nonfinite, ("error", "drop"))
+        _check_choice("extra", self.extra, ("error", "keep", "drop"))
+        _check_range("threads", 1 if self.threads is None else self.threads, 1, 256)
+        _check_range("block_size", self.block_size, 1 << 10, 1 << 16)
+        self.resolved_depths()
+
+    def resolved_depths(self) -> dict[str, int]:
+        """Bits of every group in `DEPTH_GROUPS`, overrides applied."""
+        depths = dict(PROFILES[self.profile])
+        for group, bits in self.depths.items():
+            members = ("sh1", "sh2", "sh3") if group == "sh-ac" else (group,)
+            for member in members:
+                if member not in depths:
+                    known = ", ".join((*DEPTH_GROUPS, "sh-ac"))
+                    raise InvalidInput(f"depth group '{group}': expected one of {known}")
+                _check_range(f"depth of {group}", bits, 1, MAX_DEPTH[member])
+                depths[member] = bits
+        return depths
+
+
+def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise InvalidInput(f"{name} '{value}': expected one of {', '.join(choices)}")
+
+
+def _check_range(name: str, value: int, low: int, high: int) -> None:
+    if not isinstance(value, int) or not low <= value <= high:
+        raise InvalidInput(f"{name} {value}: expected an integer from {low} to {high}")

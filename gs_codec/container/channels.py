@@ -1,0 +1,187 @@
+"""The ``channels`` section: quantiser and model of every channel. FORMAT.md, "Channels"."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gs_codec.config import MAX_DEPTH
+from gs_codec.container.bytes import ByteReader
+from gs_codec.entropy.tables import decode_tables, encode_tables
+from gs_codec.errors import CorruptStream
+from gs_codec.model.laplace import LaplaceModel
+from gs_codec.model.mixture import MAX_COMPONENTS, Component, MixtureModel
+from gs_codec.model.select import Model
+from gs_codec.model.sent import MAX_MANTISSA, SentModel
+from gs_codec.model.table import MAX_PRECISION, MIN_PRECISION
+from gs_codec.quantise import CentredQuantiser, ConstantQuantiser, Quantiser, RangeQuantiser
+
+_QUANTISERS = (ConstantQuantiser, RangeQuantiser, CentredQuantiser)
+_MODELS = (LaplaceModel, MixtureModel, SentModel)
+_WHERE = "section 'channels'"
+
+#: Streams whose channels are coded by rANS, in the order they share its states.
+RANS_STREAMS = ("opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """How one channel is quantised and, if its symbols are rANS-coded, modelled."""
+
+    group: str
+    index: int
+    stream: str
+    quantiser: Quantiser
+    model: Model | None = None
+
+    @property
+    def alphabet(self) -> int:
+        """Number of symbols."""
+        return 1 << self.quantiser.depth
+
+    @property
+    def name(self) -> str:
+        """Property name in the PLY."""
+        if self.group == "positions":
+            return "xyz"[self.index]
+        prefix = {"log_scale": "scale"}.get(self.group, self.group)
+        return prefix if self.group == "opacity" else f"{prefix}_{self.index}"
+
+
+def channel_places(coefficients: int) -> list[tuple[str, int, str]]:
+    """Group, index in the group, and stream of each channel, in stream order.
+
+    `coefficients` is the number of SH-AC coefficients of a colour; streams are named as in
+    `DEPTH_GROUPS`.
+    """
+    places = [("positions", i, "geometry") for i in range(3)]
+    places += [("f_dc", i, "sh-dc") for i in range(3)]
+    places += [("opacity", 0, "opacity")]
+    places += [("log_scale", i, "scaling") for i in range(3)]
+    places += [("rot", i, "rotation") for i in range(4)]
+    for band, (first, last) in enumerate(((0, 3), (3, 8), (8, 15)), start=1):
+        if last <= coefficients:
+            places += [
+                ("f_rest", colour * coefficients + i, f"sh{band}")
+                for colour in range(3)
+                for i in range(first, last)
+            ]
+    return places
+
+
+def write_channels(channels: Iterable[Channel]) -> bytes:
+    """Serialise channels given in stream order."""
+    out = bytearray()
+    sent: list[SentModel] = []
+    for channel in channels:
+        out += _pack_quantiser(channel.quantiser)
+        if channel.model is None:
+            continue
+        out += struct.pack("<BB", _MODELS.index(type(channel.model)), channel.model.precision)
+        out += _pack_parameters(channel.model)
+        if isinstance(channel.model, SentModel):
+            sent.append(channel.model)
+    return bytes(out) + encode_tables([m.weights for m in sent], [m.mantissa for m in sent])
+
+
+def sent_table_bytes(model: SentModel) -> int:
+    """Bytes one sent table takes, if it were alone."""
+    return 1 + len(encode_tables([model.weights], [model.mantissa]))
+
+
+def read_channels(data: memoryview, coefficients: int) -> list[Channel]:
+    """The inverse of `write_channels` for a scene of so many SH-AC coefficients a colour.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    """
+    reader = ByteReader(data, _WHERE)
+    channels = []
+    for group, index, stream in channel_places(coefficients):
+        channel = Channel(group, index, stream, _unpack_quantiser(reader, stream))
+        if stream in RANS_STREAMS and channel.quantiser.depth:
+            channel = replace(channel, model=_unpack_model(reader, channel))
+        channels.append(channel)
+    return _fill_tables(channels, reader.rest())
+
+
+def _fill_tables(channels: list[Channel], data: memoryview) -> list[Channel]:
+    sent = [c for c in channels if isinstance(c.model, SentModel)]
+    alphabets, mantissas = [c.alphabet for c in sent], [c.model.mantissa for c in sent]
+    tables = iter(decode_tables(data, alphabets, mantissas, _WHERE))
+    filled = []
+    for channel in channels:
+        if isinstance(channel.model, SentModel):
+            model = replace(channel.model, weights=next(tables))
+            if np.count_nonzero(model.weights) > 1 << model.precision:
+                raise CorruptStream(f"{_WHERE}: more symbols than slots in '{channel.name}'")
+            channel = replace(channel, model=model)
+        filled.append(channel)
+    return filled
+
+
+def _pack_quantiser(quantiser: Quantiser) -> bytes:
+    kind = _QUANTISERS.index(type(quantiser))
+    if isinstance(quantiser, ConstantQuantiser):
+        return struct.pack("<Bf", kind, quantiser.value)
+    if isinstance(quantiser, RangeQuantiser):
+        return struct.pack("<BBff", kind, quantiser.depth, quantiser.low, quantiser.high)
+    return struct.pack("<BBff", kind, quantiser.depth, quantiser.centre, quantiser.half_range)
+
+
+def _unpack_quantiser(reader: ByteReader, stream: str) -> Quantiser:
+    kind = reader.unpack("B")[0]
+    if kind >= len(_QUANTISERS):
+        raise CorruptStream(f"{_WHERE}: quantiser {kind}, expected 0-{len(_QUANTISERS) - 1}")
+    if kind == 0:
+        value = reader.unpack("f")[0]
+        if not math.isfinite(value):
+            raise CorruptStream(f"{_WHERE}: constant {value}, expected a finite number")
+        return ConstantQuantiser(value)
+    depth, first, second = reader.unpack("Bff")
+    limit = MAX_DEPTH[stream]
+    if not 1 <= depth <= limit:
+        raise CorruptStream(f"{_WHERE}: depth {depth}, expected 1-{limit}")
+    ordered = first < second if kind == 1 else second > 0
+    if not (math.isfinite(first) and math.isfinite(second) and ordered):
+        raise CorruptStream(f"{_WHERE}: quantiser of range {first}, {second}")
+    return RangeQuantiser(depth, first, second) if kind == 1 else CentredQuantiser(
+        depth, first, second
+    )
+
+
+def _pack_parameters(model: Model) -> bytes:
+    if isinstance(model, LaplaceModel):
+        return struct.pack("<H", model.decay)
+    if isinstance(model, MixtureModel):
+        packed = [struct.pack("<HII", c.weight, c.mean, c.sigma) for c in model.components]
+        return struct.pack("<B", len(packed)) + b"".join(packed)
+    return struct.pack("<B", model.mantissa)
+
+
+def _unpack_model(reader: ByteReader, channel: Channel) -> Model:
+    kind, precision = reader.unpack("BB")
+    lowest = max(MIN_PRECISION, channel.quantiser.depth)
+    if kind >= len(_MODELS) or not lowest <= precision <= MAX_PRECISION:
+        raise CorruptStream(f"{_WHERE}: model {kind} of precision {precision} in '{channel.name}'")
+    if kind == 0:
+        decay = reader.unpack("H")[0]
+        if decay == 0:
+            raise CorruptStream(f"{_WHERE}: Laplace decay 0 in '{channel.name}'")
+        return LaplaceModel(decay, precision)
+    number = reader.unpack("B")[0]
+    if kind == 1:
+        if not 1 <= number <= MAX_COMPONENTS:
+            raise CorruptStream(f"{_WHERE}: {number} components in '{channel.name}'")
+        components = tuple(Component(*reader.unpack("HII")) for _ in range(number))
+        if any(c.weight == 0 or c.sigma == 0 for c in components):
+            raise CorruptStream(f"{_WHERE}: a component of weight or sigma 0 in '{channel.name}'")
+        return MixtureModel(components, precision)
+    if number > MAX_MANTISSA:
+        raise CorruptStream(f"{_WHERE}: mantissa of {number} bits in '{channel.name}'")
+    return SentModel(np.zeros(0, np.int64), number, precision)

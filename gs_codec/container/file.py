@@ -1,0 +1,199 @@
+"""Header and section table of an `.egs` file. FORMAT.md, sections "File" and "Sections"."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from crc32c import crc32c
+
+from gs_codec.container.bytes import ByteReader
+from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
+from gs_codec.scene import SH_COEFFICIENTS
+
+MAGIC = b"\x89EGS\r\n\x1a\n"
+VERSION = 1
+MAX_BLOCK_SIZE = 1 << 16
+_FIXED = "<8sHHIQBBHII"
+_ENTRY = "<HHIQI"
+_NORMALS_FLAG = 1
+_OPTIONAL_FLAG = 1
+
+
+class SectionId(IntEnum):
+    """What a section holds."""
+
+    CHANNELS = 1
+    GEOMETRY = 2
+    SH_DC = 3
+    STATES = 4
+    OPACITY = 5
+    SCALING = 6
+    ROTATION = 7
+    SH1 = 8
+    SH2 = 9
+    SH3 = 10
+    COMMENTS = 11
+    EXTRA = 12
+
+    @property
+    def label(self) -> str:
+        """Name in messages and reports."""
+        return self.name.lower().replace("_", "-")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What is known of a scene before anything of it is decoded."""
+
+    count: int
+    sh_degree: int
+    profile: str
+    block_size: int
+    has_normals: bool = False
+
+    @property
+    def block_count(self) -> int:
+        """Number of independently decodable blocks."""
+        return -(-self.count // self.block_size)
+
+    def block_range(self, block: int) -> tuple[int, int]:
+        """First Gaussian of a block and the one after its last."""
+        start = block * self.block_size
+        return start, min(start + self.block_size, self.count)
+
+
+@dataclass(frozen=True)
+class Section:
+    """Bytes of one section; `block` is 0 for those of the whole scene."""
+
+    id: int
+    block: int
+    data: bytes | memoryview
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class EgsFile:
+    """A parsed file: header, and sections whose checksums hold."""
+
+    header: Header
+    sections: dict[tuple[int, int], memoryview]
+    header_size: int
+    sizes: dict[tuple[int, int], int] = field(default_factory=dict)
+
+    def section(self, section_id: SectionId, block: int = 0) -> memoryview:
+        """Bytes of a section that must be there."""
+        try:
+            return self.sections[section_id, block]
+        except KeyError:
+            raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
+
+
+#: Profile numbers in the header; they inform, the decoder does not need them.
+PROFILE_NAMES = ("paper-l", "paper-m", "paper-s")
+
+
+def write_file(header: Header, sections: Iterable[Section]) -> bytes:
+    """Assemble a file; sections are stored in the order given."""
+    sections = list(sections)
+    header_size = struct.calcsize(_FIXED) + len(sections) * struct.calcsize(_ENTRY) + 4
+    head = struct.pack(
+        _FIXED,
+        MAGIC,
+        VERSION,
+        _NORMALS_FLAG if header.has_normals else 0,
+        header_size,
+        header.count,
+        header.sh_degree,
+        PROFILE_NAMES.index(header.profile),
+        0,
+        header.block_size,
+        len(sections),
+    )
+    for section in sections:
+        flags = _OPTIONAL_FLAG if section.optional else 0
+        size, checksum = len(section.data), crc32c(section.data)
+        head += struct.pack(_ENTRY, section.id, flags, section.block, size, checksum)
+    head += struct.pack("<I", crc32c(head))
+    return b"".join([head, *(section.data for section in sections)])
+
+
+def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
+    """Parse a file and check it.
+
+    Parameters
+    ----------
+    data : bytes
+    header_only : bool
+        Check and return, of the sections, ``CHANNELS`` alone; `data` may end after it.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream, UnsupportedVersion
+    """
+    view = memoryview(data)
+    if len(view) >= len(MAGIC) and view[: len(MAGIC)] != MAGIC:
+        raise CorruptStream("not an .egs file (it does not begin with the EGS signature)")
+    reader = ByteReader(view, "header")
+    _, version, flags, header_size, count, degree, profile, reserved, block_size, entries = (
+        reader.unpack(_FIXED[1:])
+    )
+    if version > VERSION or version == 0:
+        raise UnsupportedVersion(f"version {version} of the format, this reader knows 1")
+    expected = reader.position + entries * struct.calcsize(_ENTRY) + 4
+    if header_size != expected:
+        raise CorruptStream(f"header: size {header_size}, expected {expected}")
+    table = [reader.unpack(_ENTRY[1:]) for _ in range(_available(reader, view, entries))]
+    checksum = crc32c(view[: reader.position])
+    if reader.unpack("I")[0] != checksum:
+        raise CorruptStream("header: checksum does not match")
+    if flags & ~_NORMALS_FLAG or reserved or profile >= len(PROFILE_NAMES):
+        raise CorruptStream("header: a reserved field is not 0")
+    if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
+        raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
+    header = Header(count, degree, PROFILE_NAMES[profile], block_size, bool(flags))
+    return _read_sections(view, reader.position, header, table, header_only)
+
+
+def _available(reader: ByteReader, view: memoryview, entries: int) -> int:
+    """The number of entries, once it is known that the file is long enough for them."""
+    needed = entries * struct.calcsize(_ENTRY) + 4
+    if len(view) - reader.position < needed:
+        left = len(view) - reader.position
+        raise TruncatedStream(f"header: {left} bytes of section table, expected {needed}")
+    return entries
+
+
+def _read_sections(
+    view: memoryview, position: int, header: Header, table: list[tuple], header_only: bool
+) -> EgsFile:
+    sections: dict[tuple[int, int], memoryview] = {}
+    sizes: dict[tuple[int, int], int] = {}
+    header_size = position
+    end = position + sum(entry[3] for entry in table)
+    if not header_only and len(view) != end:
+        kind = TruncatedStream if len(view) < end else CorruptStream
+        raise kind(f"file: {len(view)} bytes, expected {end}")
+    known = set(SectionId)
+    for section_id, flags, block, size, checksum in table:
+        where = f"section {section_id} of block {block}"
+        if flags & ~_OPTIONAL_FLAG:
+            raise CorruptStream(f"{where}: a reserved flag is not 0")
+        if section_id not in known and not flags & _OPTIONAL_FLAG:
+            raise CorruptStream(f"{where}: unknown, and not optional")
+        if (section_id, block) in sizes or block > max(header.block_count - 1, 0):
+            raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
+        sizes[section_id, block] = size
+        if not header_only or section_id == SectionId.CHANNELS:
+            data = view[position : position + size]
+            if len(data) < size:
+                raise TruncatedStream(f"{where}: {len(data)} bytes, expected {size}")
+            if crc32c(data) != checksum:
+                raise CorruptStream(f"{where}: checksum does not match")
+            if section_id in known:
+                sections[section_id, block] = data
+        position += size
+    return EgsFile(header, sections, header_size, sizes)

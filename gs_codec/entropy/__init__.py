@@ -1,0 +1,1 @@
+"""Entropy coders: static interleaved rANS, adaptive binary coder, torchac as reference."""

@@ -1,0 +1,180 @@
+"""Static rANS, 32 interleaved lanes, 32-bit states, 16-bit renormalisation.
+
+The symbol of row r and lane l of a channel is symbol ``32 r + l`` of that channel; a
+decoder reads the 16-bit words of a row in lane order, as a GPU warp would with a ballot.
+FORMAT.md, section "rANS".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import CorruptStream
+from gs_codec.kernels import kernel
+from gs_codec.model.table import FrequencyTable
+
+LANES = 32
+_LOWEST = 1 << 16
+
+
+@dataclass(frozen=True)
+class TableSet:
+    """Tables of the channels of one stream, packed for the kernels."""
+
+    precisions: NDArray[np.int64]
+    spans: NDArray[np.uint32]  # (C, A): start << 16 | frequency (2**16 is held as 0)
+    slots: NDArray[np.uint16]  # symbol of each slot, channel after channel
+    offsets: NDArray[np.int64]  # where a channel's slots begin
+
+    @classmethod
+    def pack(cls, tables: list[FrequencyTable]) -> TableSet:
+        """Pack `tables`; None where there are none."""
+        precisions = np.array([t.precision for t in tables], np.int64)
+        alphabet = max((t.frequencies.size for t in tables), default=0)
+        spans = np.zeros((len(tables), alphabet), np.uint32)
+        slots = []
+        for row, table in zip(spans, tables, strict=True):
+            size = table.frequencies.size
+            row[:size] = (table.starts << np.uint32(16)) | (table.frequencies & np.uint32(0xFFFF))
+            slots.append(np.repeat(np.arange(size, dtype=np.uint16), table.frequencies))
+        offsets = np.cumsum([0] + [s.size for s in slots])[:-1].astype(np.int64)
+        packed = np.concatenate(slots) if slots else np.zeros(0, np.uint16)
+        return cls(precisions, spans, packed, offsets)
+
+
+@kernel
+def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
+    """Code symbols[:, start:stop] backwards into the end of `words`; fills each channel's first."""
+    position = words.size
+    for channel in range(symbols.shape[0] - 1, -1, -1):
+        precision = np.uint64(precisions[channel])
+        total = np.uint64(1) << precision
+        shift = np.uint64(32) - precision
+        for i in range(stop - start - 1, -1, -1):
+            lane = i & (LANES - 1)
+            span = spans[channel, symbols[channel, start + i]]
+            frequency = np.uint64(span & np.uint32(0xFFFF))
+            if frequency == 0:
+                frequency = total
+            state = states[lane]
+            if state >= frequency << shift:
+                position -= 1
+                words[position] = state & np.uint64(0xFFFF)
+                state >>= np.uint64(16)
+            quotient = np.uint64(np.float64(state) / np.float64(frequency))
+            rest = state - quotient * frequency
+            states[lane] = (quotient << precision) + rest + np.uint64(span >> np.uint32(16))
+        firsts[channel] = position
+
+
+@kernel
+def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, symbols):
+    """Fill `symbols` (C, n); returns the first channel that does not end at its bound, or C.
+
+    `words` is padded by a row of zeros, so that a row needs no check of its own.
+    """
+    position = 0
+    count = symbols.shape[1]
+    for channel in range(symbols.shape[0]):
+        precision = np.uint64(precisions[channel])
+        total = np.uint64(1) << precision
+        mask = total - np.uint64(1)
+        slot_of = slots[offsets[channel] :]
+        row = spans[channel]
+        out = symbols[channel]
+        for first in range(0, count, LANES):
+            if position > bounds[channel]:
+                return channel
+            for i in range(first, min(first + LANES, count)):
+                state = states[i & (LANES - 1)]
+                slot = state & mask
+                symbol = slot_of[slot]
+                span = row[symbol]
+                frequency = np.uint64(span & np.uint32(0xFFFF))
+                if frequency == 0:
+                    frequency = total
+                state = frequency * (state >> precision) + slot - np.uint64(span >> np.uint32(16))
+                refilled = (state << np.uint64(16)) | np.uint64(words[position])
+                short = state < _LOWEST
+                states[i & (LANES - 1)] = refilled if short else state
+                position += 1 if short else 0
+                out[i] = symbol
+        if position > bounds[channel] or (closed[channel] and position != bounds[channel]):
+            return channel
+    return symbols.shape[0]
+
+
+def encode_symbols(
+    symbols: NDArray[np.uint16], start: int, stop: int, tables: TableSet
+) -> tuple[bytes, list[bytes]]:
+    """Code ``symbols[:, start:stop]``, channel after channel.
+
+    Every symbol must have a frequency above 0 in its channel's table.
+
+    Returns
+    -------
+    states : bytes
+        States the decoder begins with, uint32, one for each lane in use.
+    words : list of bytes
+        16-bit words each channel reads.
+    """
+    channels, count = len(symbols), stop - start
+    states = np.full(LANES, _LOWEST, np.uint64)
+    words = np.empty(channels * count, np.uint16)
+    firsts = np.full(channels + 1, words.size, np.int64)
+    _encode(symbols, start, stop, tables.precisions, tables.spans, states, words, firsts)
+    words = words.astype("<u2")
+    parts = [words[a:b].tobytes() for a, b in zip(firsts[:-1], firsts[1:], strict=True)]
+    return states[: min(LANES, count)].astype("<u4").tobytes(), parts
+
+
+def decode_symbols(
+    states: memoryview, groups: list[tuple[int, memoryview]], count: int, tables: TableSet,
+    where: str,
+) -> NDArray[np.uint16]:
+    """Symbols ``(C, count)`` of consecutive groups of channels.
+
+    Parameters
+    ----------
+    states : memoryview
+        Initial states, as `encode_symbols` gives them.
+    groups : list of (int, memoryview)
+        Number of channels of a group, and the words they read together.
+    count : int
+        Symbols of each channel.
+    tables : TableSet
+        Tables of all channels.
+    where : str
+        Name of the block in errors.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+        If a group's words are not exactly what its symbols need, or the states do not end
+        as the encoder began.
+    """
+    lanes = min(LANES, count)
+    if len(states) != 4 * lanes:
+        raise CorruptStream(f"{where}: {len(states)} bytes of states, expected {4 * lanes}")
+    if any(len(data) % 2 for _, data in groups):
+        raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
+    lane_states = np.full(LANES, _LOWEST, np.uint64)
+    lane_states[:lanes] = np.frombuffer(states, "<u4")
+    sizes = [len(data) // 2 for _, data in groups]
+    words = np.zeros(sum(sizes) + LANES, np.uint16)
+    words[: sum(sizes)] = np.frombuffer(b"".join(data for _, data in groups), "<u2")
+    members = [channels for channels, _ in groups]
+    bounds = np.repeat(np.cumsum(sizes), members)
+    closed = np.zeros(bounds.size, np.bool_)
+    closed[np.cumsum(members) - 1] = True
+    symbols = np.empty((bounds.size, count), np.uint16)
+    packed = (tables.precisions, tables.spans, tables.slots, tables.offsets)
+    decoded = _decode(words, bounds, closed, lane_states, *packed, symbols)
+    if decoded < bounds.size:
+        raise CorruptStream(f"{where}: channel {decoded} does not end where its words do")
+    if np.any(lane_states != _LOWEST):
+        raise CorruptStream(f"{where}: the rANS states do not end where they must")
+    return symbols

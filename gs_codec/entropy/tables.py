@@ -1,0 +1,108 @@
+"""Sent frequency tables, coded one after the other by the adaptive binary coder.
+
+A weight is its bit length, coded as the difference from the length before, and up to
+`mantissa` bits below its leading one. FORMAT.md, section "Sent tables".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.entropy.binary import code_bit, decode_binary, encode_binary, new_contexts
+from gs_codec.errors import CorruptStream
+from gs_codec.kernels import inlined, kernel
+from gs_codec.model.sent import MAX_EXPONENT, MAX_MANTISSA
+
+_STEPS = MAX_EXPONENT + 1
+_SAME = 0  # contexts: is the length unchanged; by whether it was, and by alphabet
+_SIGN = 6
+_SIZE = 12
+_MANTISSA = _SIZE + 2 * _STEPS
+_CONTEXTS = _MANTISSA + MAX_MANTISSA + 1
+
+
+@inlined
+def _weight_length(weight):
+    length = 0
+    while weight > 0:
+        weight >>= 1
+        length += 1
+    return length
+
+
+@kernel
+def _walk(weights, mantissa, state, data, contexts, hits, encoding):
+    """Code the weights of one table; False if a length leaves 0..MAX_EXPONENT."""
+    before = 0
+    changed = 1
+    large = 1 if weights.size > 32 else 0
+    for symbol in range(weights.size):
+        weight = weights[symbol]
+        length = _weight_length(weight) if encoding else 0
+        kind = 3 * large + (2 if before == 0 else changed)
+        if code_bit(state, data, contexts, hits, _SAME + kind, length == before):
+            length = before
+            changed = 0
+        else:
+            shrinks = code_bit(state, data, contexts, hits, _SIGN + kind, length < before)
+            size = abs(length - before)
+            known = 1
+            while known < _STEPS:
+                context = _SIZE + _STEPS * large + known - 1
+                if not code_bit(state, data, contexts, hits, context, size > known):
+                    break
+                known += 1
+            length = before - known if shrinks else before + known
+            changed = 1
+        if length < 0 or length > MAX_EXPONENT:
+            return False
+        before = length
+        if length == 0:
+            weights[symbol] = 0
+            continue
+        value = 1
+        for place in range(length - 2, -1, -1):
+            rank = length - 2 - place
+            bit = 0
+            if rank < mantissa:
+                given = (weight >> place) & 1
+                bit = 1 if code_bit(state, data, contexts, hits, _MANTISSA + rank, given) else 0
+            value = 2 * value + bit
+        weights[symbol] = value
+    return True
+
+
+def encode_tables(weights: list[NDArray[np.int64]], mantissas: list[int]) -> bytes:
+    """Code the weights of several tables into one stream."""
+
+    def model(state: NDArray, data: NDArray) -> None:
+        contexts, hits = new_contexts(_CONTEXTS)
+        for table, mantissa in zip(weights, mantissas, strict=True):
+            _walk(table.copy(), mantissa, state, data, contexts, hits, True)
+
+    return encode_binary(model, 0)
+
+
+def decode_tables(
+    data: memoryview, alphabets: list[int], mantissas: list[int], where: str
+) -> list[NDArray[np.int64]]:
+    """The inverse of `encode_tables`.
+
+    Raises
+    ------
+    CorruptStream
+        If the stream is not exactly these tables, or one has no symbol.
+    """
+    weights = [np.zeros(alphabet, np.int64) for alphabet in alphabets]
+
+    def model(state: NDArray, stream: NDArray) -> None:
+        contexts, hits = new_contexts(_CONTEXTS)
+        for table, mantissa in zip(weights, mantissas, strict=True):
+            if not _walk(table, mantissa, state, stream, contexts, hits, False):
+                raise CorruptStream(f"{where}: a weight of more than {MAX_EXPONENT} bits")
+            if not table.any():
+                raise CorruptStream(f"{where}: a table without symbols")
+
+    decode_binary(model, data, where)
+    return weights

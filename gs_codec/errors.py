@@ -1,0 +1,25 @@
+"""Everything that can go wrong, as one small family of exceptions."""
+
+
+class GsCodecError(Exception):
+    """Base of every error gs_codec raises on purpose; its text is one line."""
+
+
+class InvalidInput(GsCodecError):
+    """A scene, file, or option that cannot be used as given."""
+
+
+class CorruptStream(GsCodecError):
+    """A `.egs` stream whose bytes contradict themselves or their checksums."""
+
+
+class TruncatedStream(GsCodecError):
+    """A `.egs` stream that ends before its header says it does."""
+
+
+class UnsupportedVersion(GsCodecError):
+    """A `.egs` stream written by a later version of the format."""
+
+
+class MissingTool(GsCodecError):
+    """An optional program or package that the request needs is not installed."""

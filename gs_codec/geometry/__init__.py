@@ -1,0 +1,1 @@
+"""Geometry and SH-DC as a coloured point cloud."""

@@ -1,0 +1,184 @@
+"""Lossless coder of sorted Morton codes: a binary tree of point counts.
+
+Every node holds the number of points that share a Morton prefix. A node of two or more
+points codes how many go to its low half; a node of one point codes its remaining bits raw;
+a node at the last bit holds duplicates. FORMAT.md, section "Geometry".
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.entropy.binary import (
+    code_bit,
+    code_raw,
+    decode_binary,
+    encode_binary,
+    new_contexts,
+)
+from gs_codec.errors import CorruptStream, TruncatedStream
+from gs_codec.kernels import inlined, kernel
+
+_CLASSES = 24
+_SPLIT_CONTEXTS = 4 * _CLASSES
+_BISECT_NODES = 32
+_CONTEXTS = _SPLIT_CONTEXTS + _CLASSES * _BISECT_NODES
+
+
+@inlined
+def _count_class(count):
+    """2..9 apart, then one class for each doubling: 0..23."""
+    if count < 10:
+        return count - 2
+    size = 0
+    while count > 15:
+        count >>= 1
+        size += 1
+    return 8 + size
+
+
+@inlined
+def _code_split(state, data, contexts, hits, count, onesided, low):
+    """Code how many of `count` points lie in the low half; returns it."""
+    size = _count_class(count)
+    base = 4 * size + 2 * onesided
+    if code_bit(state, data, contexts, hits, base, low == 0):
+        return 0
+    if code_bit(state, data, contexts, hits, base + 1, low == count):
+        return count
+    first = 1
+    last = count - 1
+    node = 1
+    while first < last:
+        middle = (first + last) >> 1
+        context = _SPLIT_CONTEXTS + _BISECT_NODES * size + min(node, _BISECT_NODES - 1)
+        above = code_bit(state, data, contexts, hits, context, low > middle)
+        if above:
+            first = middle + 1
+            node = 2 * node + 1
+        else:
+            last = middle
+            node = 2 * node
+    return first
+
+
+@inlined
+def _low_half(codes, start, stop, bit):
+    """Number of codes in [start, stop) whose `bit` is 0; they come first."""
+    first = start
+    last = stop
+    while first < last:
+        middle = (first + last) >> 1
+        if (codes[middle] >> bit) & np.uint64(1):
+            last = middle
+        else:
+            first = middle + 1
+    return first - start
+
+
+@kernel
+def _walk(codes, total_bits, state, data, contexts, hits, bits, encoding):
+    """Code all of `codes`, depth first, low half first; returns the raw bits used."""
+    depth = total_bits + 2
+    starts = np.zeros(depth, np.int64)
+    counts = np.zeros(depth, np.int64)
+    lefts = np.zeros(depth, np.int64)
+    sides = np.zeros(depth, np.int64)
+    prefixes = np.zeros(depth, np.uint64)
+    counts[0] = codes.size
+    lefts[0] = total_bits
+    top = 1 if codes.size > 0 else 0
+    raw = 0
+    one = np.uint64(1)
+    while top > 0:
+        top -= 1
+        start = starts[top]
+        count = counts[top]
+        left = lefts[top]
+        prefix = prefixes[top]
+        if count == 1:
+            value = codes[start] if encoding else np.uint64(0)
+            low_bits = code_raw(bits, raw, left, value, encoding)
+            raw += left
+            if not encoding:
+                codes[start] = (prefix << np.uint64(left)) | low_bits
+            continue
+        if left == 0:
+            if not encoding:
+                codes[start : start + count] = prefix
+            continue
+        left -= 1
+        low = 0
+        if encoding:
+            low = _low_half(codes, start, start + count, np.uint64(left))
+        low = _code_split(state, data, contexts, hits, count, sides[top], low)
+        onesided = 1 if low == 0 or low == count else 0
+        if low < count:
+            starts[top] = start + low
+            counts[top] = count - low
+            lefts[top] = left
+            sides[top] = onesided
+            prefixes[top] = (prefix << one) | one
+            top += 1
+        if low > 0:
+            starts[top] = start
+            counts[top] = low
+            lefts[top] = left
+            sides[top] = onesided
+            prefixes[top] = prefix << one
+            top += 1
+    return raw
+
+
+def encode_geometry(codes: NDArray[np.uint64], total_bits: int) -> bytes:
+    """Code sorted Morton codes.
+
+    Parameters
+    ----------
+    codes : ndarray, shape (N,), uint64
+        Ascending; duplicates allowed.
+    total_bits : int
+        Bits of a code, 0-63.
+    """
+    bits = np.zeros((codes.size * total_bits + 7) // 8, np.uint8)
+    used = 0
+
+    def model(state: NDArray, data: NDArray) -> None:
+        nonlocal used
+        bits[:] = 0
+        used = _walk(codes, total_bits, state, data, *new_contexts(_CONTEXTS), bits, True)
+
+    coded = encode_binary(model, codes.size)
+    return struct.pack("<I", len(coded)) + coded + bits[: (used + 7) // 8].tobytes()
+
+
+def decode_geometry(
+    data: memoryview, count: int, total_bits: int, where: str
+) -> NDArray[np.uint64]:
+    """The inverse of `encode_geometry` for `count` codes.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+        If the section is not exactly what `count` codes need.
+    """
+    if len(data) < 4:
+        raise TruncatedStream(f"{where}: {len(data)} bytes, expected at least 4")
+    size = struct.unpack_from("<I", data)[0]
+    if size > len(data) - 4:
+        raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
+    bits = np.frombuffer(data[4 + size :], np.uint8).copy()
+    codes = np.zeros(count, np.uint64)
+    used = 0
+
+    def model(state: NDArray, stream: NDArray) -> None:
+        nonlocal used
+        used = _walk(codes, total_bits, state, stream, *new_contexts(_CONTEXTS), bits, False)
+
+    decode_binary(model, data[4 : 4 + size], where)
+    if bits.size != (used + 7) // 8:
+        raise CorruptStream(f"{where}: {bits.size} raw bytes, expected {(used + 7) // 8}")
+    return codes

@@ -1,0 +1,1 @@
+"""Distributions of quantised symbols, as integer frequency tables any machine derives alike."""

@@ -1,0 +1,146 @@
+"""Gaussian mixtures of rotation, scaling and opacity symbols (paper, Section 4.3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import kernel
+from gs_codec.model.table import FrequencyTable, normalise
+
+MAX_COMPONENTS = 4
+_ITERATIONS = 200
+_TOLERANCE = 1e-8
+_SMALLEST_SIGMA = 0.25
+
+#: floor(2**60 exp(-1/8192)), from which the normal distribution's table follows.
+_STEP_DECAY = 1152780775708076725
+_TABLE_SIZE = 512  # 8 sigma in steps of 1/64
+
+
+@cache
+def normal_table() -> NDArray[np.int64]:
+    """Normal CDF at ``i / 64``, i = 0..512, in 1/2**30: 2**29 at 0, 2**30 at 8 sigma.
+
+    Integer trapezoid sums of ``exp(-z**2 / 2)``; FORMAT.md, section "Mixture".
+    """
+    density, decay = 1 << 60, _STEP_DECAY
+    ratio = decay * decay >> 60
+    sums = [0]
+    for _ in range(_TABLE_SIZE):
+        following = density * decay >> 60
+        sums.append(sums[-1] + density + following)
+        density, decay = following, decay * ratio >> 60
+    return np.array([(1 << 29) + (s << 29) // sums[-1] for s in sums], np.int64)
+
+
+@dataclass(frozen=True)
+class Component:
+    """One Gaussian: weight 1-65535; mean and sigma in 1/65536 symbol, sigma at least 1."""
+
+    weight: int
+    mean: int
+    sigma: int
+
+
+@dataclass(frozen=True)
+class MixtureModel:
+    """Mixture of 1-4 Gaussians over symbols, edge bins open."""
+
+    kind: ClassVar[str] = "mixture"
+    components: tuple[Component, ...]
+    precision: int
+
+    def frequencies(self, alphabet: int) -> FrequencyTable:
+        """Table of ``alphabet`` symbols, by integer arithmetic alone (FORMAT.md, "Mixture")."""
+        table = normal_table()
+        edges = (np.arange(1, alphabet, dtype=np.int64) << 16) - (1 << 15)
+        inner = np.zeros(alphabet - 1, np.int64)
+        for component in self.components:
+            offset = edges - component.mean
+            z = np.minimum((np.abs(offset) << 16) // component.sigma, (8 << 16) - 1)
+            index, part = z >> 10, z & 1023
+            upper = table[index] + ((table[index + 1] - table[index]) * part >> 10)
+            inner += component.weight * np.where(offset < 0, (1 << 30) - upper, upper)
+        whole = sum(component.weight for component in self.components) << 30
+        cumulative = np.concatenate([[0], inner >> 16, [whole >> 16]])
+        return normalise(np.maximum(np.diff(cumulative), 1), self.precision)
+
+    def describe(self) -> dict[str, list[float]]:
+        """Weights (sum 1), means and sigmas in symbols, for reports."""
+        total = sum(c.weight for c in self.components)
+        return {
+            "weights": [c.weight / total for c in self.components],
+            "means": [c.mean / 65536 for c in self.components],
+            "sigmas": [c.sigma / 65536 for c in self.components],
+        }
+
+
+@kernel
+def _expectation_maximisation(histogram, weights, means, sigmas, spread):
+    """EM on bin centres, in place; components that die are left with weight 0."""
+    count = weights.size
+    mass = np.zeros(count)
+    first = np.zeros(count)
+    second = np.zeros(count)
+    density = np.zeros(count)
+    total = histogram.sum()
+    before = -np.inf
+    for _ in range(_ITERATIONS):
+        mass[:] = 0.0
+        first[:] = 0.0
+        second[:] = 0.0
+        likelihood = 0.0
+        for symbol in range(histogram.size):
+            if histogram[symbol] == 0:
+                continue
+            whole = 0.0
+            for k in range(count):
+                z = (symbol - means[k]) / sigmas[k]
+                density[k] = weights[k] / sigmas[k] * math.exp(-0.5 * z * z)
+                whole += density[k]
+            if whole <= 1e-300:
+                continue
+            likelihood += histogram[symbol] * math.log(whole)
+            for k in range(count):
+                share = histogram[symbol] * density[k] / whole
+                offset = symbol - means[k]
+                mass[k] += share
+                first[k] += share * offset
+                second[k] += share * offset * offset
+        for k in range(count):
+            weights[k] = mass[k] / total
+            if mass[k] < 1e-6:
+                sigmas[k] = spread
+                continue
+            shift = first[k] / mass[k]
+            variance = second[k] / mass[k] - shift * shift
+            means[k] += shift
+            sigmas[k] = math.sqrt(max(variance, _SMALLEST_SIGMA * _SMALLEST_SIGMA))
+        if likelihood - before < _TOLERANCE * total:
+            break
+        before = likelihood
+
+
+def fit_mixture(histogram: NDArray[np.int64], count: int, precision: int) -> MixtureModel:
+    """Mixture of `count` Gaussians by expectation maximisation on the histogram."""
+    symbols = np.arange(histogram.size)
+    total = histogram.sum()
+    mean = float(histogram @ symbols) / total
+    spread = math.sqrt(max(float(histogram @ (symbols - mean) ** 2) / total, _SMALLEST_SIGMA**2))
+    cumulative = np.cumsum(histogram)
+    quantiles = [(2 * k + 1) * total / (2 * count) for k in range(count)]
+    means = np.searchsorted(cumulative, quantiles).astype(np.float64)
+    weights = np.full(count, 1.0 / count)
+    sigmas = np.full(count, max(spread / count, _SMALLEST_SIGMA))
+    _expectation_maximisation(histogram, weights, means, sigmas, spread)
+    components = tuple(
+        Component(max(round(65535 * w), 1), round(65536 * m), max(round(65536 * s), 1))
+        for w, m, s in zip(weights, means, sigmas, strict=True)
+    )
+    return MixtureModel(components, precision)

@@ -1,0 +1,66 @@
+"""Integer frequency tables: from weights, and what coding under them costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+MIN_PRECISION, MAX_PRECISION = 8, 16
+
+
+@dataclass(frozen=True)
+class FrequencyTable:
+    """Integer frequencies ``(A,)`` that sum to ``2**precision``; 0 is a symbol that cannot occur."""
+
+    frequencies: NDArray[np.uint32]
+    precision: int
+
+    @property
+    def starts(self) -> NDArray[np.uint32]:
+        """Cumulative frequency before each symbol, shape (A,)."""
+        return (np.cumsum(self.frequencies) - self.frequencies).astype(np.uint32)
+
+    def code_length(self, histogram: NDArray[np.int64]) -> float:
+        """Bits that symbols with this histogram take; infinite where one has frequency 0."""
+        occurring = histogram > 0
+        if np.any(self.frequencies[occurring] == 0):
+            return np.inf
+        bits = self.precision - np.log2(self.frequencies[occurring])
+        return float(histogram[occurring] @ bits)
+
+
+def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
+    """Frequencies proportional to `weights`, at least 1 where the weight is above 0.
+
+    Shares are rounded down, what is missing goes to the largest remainders (ties: the lower
+    symbol), what is too much is taken one by one from the largest frequency (ties: the lower
+    symbol). FORMAT.md, section "Frequency tables".
+
+    Parameters
+    ----------
+    weights : ndarray, shape (A,), int64
+        0 to 2**46, not all 0; at most ``2**precision`` of them above 0.
+    precision : int
+        Base-2 logarithm of the sum of the frequencies, 8-16.
+    """
+    total = int(weights.sum())
+    scaled = weights << precision
+    shares = scaled // total
+    frequencies = np.where(weights > 0, np.maximum(shares, 1), 0)
+    missing = (1 << precision) - int(frequencies.sum())
+    if missing > 0:
+        remainders = scaled - shares * total
+        remainders[shares == 0] = -1
+        largest = np.argsort(-remainders, kind="stable")[:missing]
+        frequencies[largest] += 1
+    for _ in range(-missing):
+        frequencies[np.argmax(frequencies)] -= 1
+    return FrequencyTable(frequencies.astype(np.uint32), precision)
+
+
+def shannon_bits(histogram: NDArray[np.int64]) -> float:
+    """Entropy of a histogram, in bits for all its symbols together."""
+    counts = histogram[histogram > 0].astype(np.float64)
+    return float(counts @ np.log2(counts.sum() / counts)) if counts.size else 0.0

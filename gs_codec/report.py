@@ -1,0 +1,78 @@
+"""What encoding did: sizes, models, entropy, times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+#: Called with a stage's name, steps done, and steps in all.
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass
+class StageTimes:
+    """Seconds by stage, in the order the stages ran."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time of the block to stage `name`."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+@dataclass(frozen=True)
+class ChannelCost:
+    """Bits of one rANS-coded channel, all Gaussians together."""
+
+    name: str
+    stream: str
+    model: str
+    coded_bits: float
+    parametric_bits: float
+    shannon_bits: float
+
+
+@dataclass(frozen=True)
+class EncodeReport:
+    """What `encode` did to a scene.
+
+    Attributes
+    ----------
+    count : int
+        Gaussians coded.
+    raw_bytes : int
+        Size of their float32 attributes.
+    section_bytes : dict of str to int
+        Bytes of the file by section, header and section table included.
+    costs : list of ChannelCost
+        Code lengths of the rANS-coded channels beside their entropy.
+    rectified : int
+        SH-AC values moved to the edge of their Laplace range.
+    zero_quaternions : int
+        Quaternions of norm 0, coded as the identity.
+    dropped : int
+        Gaussians left out because they held NaN or infinity.
+    seconds : dict of str to float
+        Wall time of each stage; of the threads together where it says so in its name.
+    """
+
+    count: int
+    raw_bytes: int
+    section_bytes: dict[str, int]
+    costs: list[ChannelCost]
+    rectified: int
+    zero_quaternions: int
+    dropped: int
+    seconds: dict[str, float]
+
+    @property
+    def file_bytes(self) -> int:
+        """Size of the file."""
+        return sum(self.section_bytes.values())

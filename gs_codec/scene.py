@@ -1,0 +1,98 @@
+"""A 3DGS scene in memory: planar float32 arrays, one row per channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+
+#: SH-AC coefficients of one colour for each SH degree.
+SH_COEFFICIENTS = (0, 3, 8, 15)
+
+#: Attribute groups of a scene, in the order reports list them.
+GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Gaussians as planes, in the parameterisation of the INRIA trainer.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (3, N), float32
+        Centres in scene units.
+    f_dc : ndarray, shape (3, N), float32
+        Degree-0 SH coefficient of R, G, B.
+    f_rest : ndarray, shape (3 * K, N), float32
+        SH-AC, colour-major as in the PLY: K coefficients of R, then G, then B;
+        K = 0, 3, 8, 15 for SH degree 0-3.
+    opacity : ndarray, shape (1, N), float32
+        Logit of the opacity.
+    log_scale : ndarray, shape (3, N), float32
+        Natural logarithm of the standard deviation along each axis.
+    rot : ndarray, shape (4, N), float32
+        Quaternion wxyz as stored, of any norm.
+    has_normals : bool
+        Whether the file had (all-zero) normals, to be written back.
+    comments : tuple of str
+        Comment lines of the PLY header.
+    extra : mapping of str to ndarray, each shape (N,)
+        Further per-Gaussian properties in their own dtype.
+
+    Raises
+    ------
+    InvalidInput
+        If shapes or dtypes disagree.
+    """
+
+    positions: NDArray[np.float32]
+    f_dc: NDArray[np.float32]
+    f_rest: NDArray[np.float32]
+    opacity: NDArray[np.float32]
+    log_scale: NDArray[np.float32]
+    rot: NDArray[np.float32]
+    has_normals: bool = False
+    comments: tuple[str, ...] = ()
+    extra: Mapping[str, NDArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        rows = {"positions": 3, "f_dc": 3, "opacity": 1, "log_scale": 3, "rot": 4}
+        for group in GROUPS:
+            plane = getattr(self, group)
+            if plane.dtype != np.float32 or plane.ndim != 2:
+                raise InvalidInput(
+                    f"{group}: {plane.dtype} of {plane.ndim} dimensions, expected planar float32"
+                )
+            expected = (rows.get(group, len(self.f_rest)), self.count)
+            if plane.shape != expected:
+                raise InvalidInput(f"{group}: shape {plane.shape}, expected {expected}")
+        if len(self.f_rest) not in [3 * k for k in SH_COEFFICIENTS]:
+            raise InvalidInput(f"f_rest: {len(self.f_rest)} channels, expected 0, 9, 24 or 45")
+        for name, column in self.extra.items():
+            if column.shape != (self.count,):
+                raise InvalidInput(f"{name}: shape {column.shape}, expected ({self.count},)")
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians."""
+        return self.positions.shape[1]
+
+    @property
+    def sh_degree(self) -> int:
+        """SH degree, 0-3."""
+        return SH_COEFFICIENTS.index(len(self.f_rest) // 3)
+
+    @property
+    def float_bytes(self) -> int:
+        """Size of the raw float32 attributes."""
+        return 4 * self.count * (14 + len(self.f_rest))
+
+    def take(self, index: NDArray) -> Scene:
+        """The Gaussians that `index` (positions or mask) selects, in that order."""
+        planes = {group: np.ascontiguousarray(getattr(self, group)[:, index]) for group in GROUPS}
+        extra = {name: column[index] for name, column in self.extra.items()}
+        return replace(self, extra=extra, **planes)

@@ -1,0 +1,1 @@
+"""Reordering of data without loss: interleaved to planar, Morton order."""

@@ -1,0 +1,105 @@
+"""Morton codes over axes of unequal depth, and the canonical order of a scene."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import kernel
+
+
+def bit_layout(depths: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Axis of each code bit, most significant first.
+
+    At level ``max(depths) - 1`` down to 0 the axes deeper than the level give one bit each,
+    x before y before z; an axis of depth 0 (constant) gives none.
+    """
+    levels = range(max(depths) - 1, -1, -1)
+    axes = [axis for level in levels for axis in range(3) if depths[axis] > level]
+    return np.array(axes, np.int64)
+
+
+def _byte_tables(depths: tuple[int, int, int]) -> NDArray[np.uint64]:
+    """Code contribution of each value of each byte of each axis, shape (3, 3, 256)."""
+    layout = bit_layout(depths)
+    tables = np.zeros((3, 3, 256), np.uint64)
+    values = np.arange(256)
+    left = list(depths)
+    for position, axis in enumerate(layout):
+        left[axis] -= 1
+        byte, bit = divmod(left[axis], 8)
+        shift = np.uint64(len(layout) - 1 - position)
+        tables[axis, byte] |= ((values >> bit) & 1).astype(np.uint64) << shift
+    return tables
+
+
+@kernel
+def _encode(cells, tables, codes):
+    for i in range(codes.size):
+        code = np.uint64(0)
+        for axis in range(3):
+            cell = cells[axis, i]
+            code |= tables[axis, 0, cell & 255]
+            code |= tables[axis, 1, (cell >> 8) & 255]
+            code |= tables[axis, 2, (cell >> 16) & 255]
+        codes[i] = code
+
+
+@kernel
+def _decode(codes, layout, cells):
+    for i in range(codes.size):
+        x = np.uint64(0)
+        y = np.uint64(0)
+        z = np.uint64(0)
+        code = codes[i]
+        for position in range(layout.size):
+            bit = (code >> np.uint64(layout.size - 1 - position)) & np.uint64(1)
+            axis = layout[position]
+            if axis == 0:
+                x = (x << np.uint64(1)) | bit
+            elif axis == 1:
+                y = (y << np.uint64(1)) | bit
+            else:
+                z = (z << np.uint64(1)) | bit
+        cells[0, i] = x
+        cells[1, i] = y
+        cells[2, i] = z
+
+
+def encode_morton(
+    cells: NDArray[np.uint32], depths: tuple[int, int, int]
+) -> NDArray[np.uint64]:
+    """Morton codes ``(N,)`` of quantised positions ``(3, N)``."""
+    codes = np.empty(cells.shape[1], np.uint64)
+    _encode(cells, _byte_tables(depths), codes)
+    return codes
+
+
+def decode_morton(
+    codes: NDArray[np.uint64], depths: tuple[int, int, int]
+) -> NDArray[np.uint32]:
+    """Quantised positions ``(3, N)`` of Morton codes ``(N,)``."""
+    cells = np.empty((3, codes.size), np.uint32)
+    _decode(codes, bit_layout(depths), cells)
+    return cells
+
+
+def canonical_order(codes: NDArray[np.uint64], colours: NDArray[np.uint16]) -> NDArray[np.int64]:
+    """Permutation that sorts by (Morton code, R, G, B of SH-DC, original index).
+
+    Parameters
+    ----------
+    codes : ndarray, shape (N,), uint64
+    colours : ndarray, shape (3, N), uint16
+        Quantised SH-DC, which orders Gaussians that share a cell.
+    """
+    order = np.argsort(codes)
+    ordered = codes[order]
+    same = ordered[1:] == ordered[:-1]
+    tied = np.zeros(codes.size, bool)
+    tied[1:] |= same
+    tied[:-1] |= same
+    ties = order[tied]
+    red, green, blue = colours[:, ties]
+    order[tied] = ties[np.lexsort((ties, blue, green, red, codes[ties]))]
+    return order

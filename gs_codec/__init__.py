@@ -1,3 +1,36 @@
-"""Entropy coding of 3D Gaussian Splatting scenes (EntropyGS, arXiv 2508.10227)."""
+"""Entropy coding of 3D Gaussian Splatting scenes (EntropyGS, arXiv 2508.10227).
+
+Names are loaded when first used, so that ``import gs_codec`` stays cheap.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Config": "gs_codec.config",
+    "GsCodecError": "gs_codec.errors",
+    "read": "gs_codec.api",
+    "write": "gs_codec.api",
+    "encode": "gs_codec.api",
+    "decode": "gs_codec.api",
+    "inspect": "gs_codec.api",
+    "compare": "gs_codec.api",
+    "encode_file": "gs_codec.files",
+    "decode_file": "gs_codec.files",
+}
+
+__all__ = ["__version__", *_HOMES]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gs_codec' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

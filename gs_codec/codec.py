@@ -32,7 +32,8 @@ from gs_codec.entropy.rans import TableSet, decode_symbols, encode_symbols
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.geometry.colour import decode_colour, encode_colour
 from gs_codec.geometry.count_tree import decode_geometry, encode_geometry
-from gs_codec.model.select import choose_model
+from gs_codec.model.select import Choice, choose_model
+from gs_codec.model.table import FrequencyTable
 from gs_codec.quantise import (
     Quantiser,
     count_nonfinite,
@@ -66,12 +67,30 @@ class _Ordered:
 
 
 @dataclass(frozen=True)
-class _Coded:
-    """Symbols of the rANS-coded channels that are not constant, and their tables."""
+class Coded:
+    """The rANS-coded channels of a scene, in canonical order.
+
+    Attributes
+    ----------
+    channels : list of Channel
+        Those that are not constant, in stream order.
+    symbols : ndarray, shape (C, N), uint16
+    histograms : list of ndarray, shape (2**depth,), int64
+    tables : list of FrequencyTable
+    costs : list of ChannelCost
+    constants : list of Channel
+        Those that are.
+    rectified : int
+        SH-AC values moved to the edge of their Laplace range.
+    """
 
     channels: list[Channel]
     symbols: NDArray[np.uint16]
-    tables: TableSet
+    histograms: list[NDArray[np.int64]]
+    tables: list[FrequencyTable]
+    costs: list[ChannelCost]
+    constants: list[Channel]
+    rectified: int
 
 
 def encode_scene(
@@ -105,14 +124,12 @@ def encode_scene(
         depths = config.resolved_depths()
         ordered = _order(scene, depths["geometry"], depths["sh-dc"])
     with times.stage("quantise and model"):
-        coded, costs, rectified, constants = _quantise_and_model(
-            scene, ordered.order, depths, config.threads, progress
-        )
+        coded = _quantise_and_model(scene, ordered.order, config, progress)
     with times.stage("code"):
         header = _header(scene, config)
         block_sections = _encode_blocks(header, ordered, coded, config.threads, progress)
     with times.stage("container"):
-        by_place = {(c.group, c.index): c for c in (*ordered.channels, *constants, *coded.channels)}
+        by_place = {(c.group, c.index): c for c in (*ordered.channels, *coded.constants, *coded.channels)}
         places = channel_places(len(scene.f_rest) // 3)
         channels = write_channels(by_place[group, index] for group, index, _ in places)
         sections = [Section(SectionId.CHANNELS, 0, channels), *block_sections]
@@ -129,8 +146,8 @@ def encode_scene(
         count=scene.count,
         raw_bytes=scene.float_bytes,
         section_bytes=dict(sizes),
-        costs=costs,
-        rectified=rectified,
+        costs=coded.costs,
+        rectified=coded.rectified,
         zero_quaternions=zero_quaternions,
         dropped=dropped,
         seconds=times.seconds,
@@ -212,19 +229,24 @@ def _depths(quantisers: list[Quantiser]) -> tuple[int, int, int]:
     return x, y, z
 
 
+def quantise_and_model(
+    scene: Scene, config: Config, progress: Progress | None = None
+) -> Coded:
+    """Symbols, models and tables of the rANS-coded channels, as `encode_scene` makes them."""
+    depths = config.resolved_depths()
+    ordered = _order(scene, depths["geometry"], depths["sh-dc"])
+    return _quantise_and_model(scene, ordered.order, config, progress)
+
+
 def _quantise_and_model(
-    scene: Scene,
-    order: NDArray[np.int64],
-    depths: dict[str, int],
-    threads: int | None,
-    progress: Progress | None,
-) -> tuple[_Coded, list[ChannelCost], int, list[Channel]]:
-    """Symbols, tables, costs, rectified values, and the constant channels."""
+    scene: Scene, order: NDArray[np.int64], config: Config, progress: Progress | None
+) -> Coded:
+    depths = config.resolved_depths()
     places = [p for p in channel_places(len(scene.f_rest) // 3) if p[2] in RANS_STREAMS]
     symbols = np.empty((len(places), scene.count), np.uint16)
 
-    def work(item: tuple[int, tuple[str, int, str]]):
-        row, (group, index, stream) = item
+    def work(row: int):
+        group, index, stream = places[row]
         values = getattr(scene, group)[index]
         scale = None
         if group == "f_rest":
@@ -232,43 +254,51 @@ def _quantise_and_model(
         else:
             quantiser = fit_range(values, depths[stream])
         symbols[row], histogram, clamped = quantise(values, quantiser, order)
-        choice = choose_model(histogram, scale, sent_table_bytes) if quantiser.depth else None
-        model = choice.model if choice else None
-        return Channel(group, index, stream, quantiser, model), choice, clamped
+        channel = Channel(group, index, stream, quantiser)
+        if not quantiser.depth:
+            return channel, histogram, None, clamped
+        choice = choose_model(histogram, scale, sent_table_bytes)
+        return replace(channel, model=choice.model), histogram, choice, clamped
 
     advance = _counter(progress, "quantise", len(places))
-    results = run_all(work, list(enumerate(places)), threads, advance)
-    varying = [row for row, (_, choice, _) in enumerate(results) if choice]
-    channels = [results[row][0] for row in varying]
-    choices = [results[row][1] for row in varying]
+    results = run_all(work, range(len(places)), config.threads, advance)
+    varying = [row for row, (_, _, choice, _) in enumerate(results) if choice]
     if len(varying) < len(places):
         symbols = symbols[varying]
-    coded = _Coded(channels, symbols, TableSet.pack([c.table for c in choices]))
-    costs = [
-        ChannelCost(
-            channel.name,
-            channel.stream,
-            choice.model.kind,
-            choice.bits,
-            choice.parametric_bits,
-            choice.shannon_bits,
-        )
-        for channel, choice in zip(channels, choices, strict=True)
-    ]
-    constants = [channel for channel, choice, _ in results if not choice]
-    return coded, costs, sum(clamped for *_, clamped in results), constants
+    kept = [results[row] for row in varying]
+    return Coded(
+        channels=[channel for channel, *_ in kept],
+        symbols=symbols,
+        histograms=[histogram for _, histogram, *_ in kept],
+        tables=[choice.table for _, _, choice, _ in kept],
+        costs=[_cost(channel, choice) for channel, _, choice, _ in kept],
+        constants=[channel for channel, _, choice, _ in results if not choice],
+        rectified=sum(clamped for *_, clamped in results),
+    )
+
+
+def _cost(channel: Channel, choice: Choice) -> ChannelCost:
+    return ChannelCost(
+        channel.name,
+        channel.stream,
+        choice.model.kind,
+        choice.bits,
+        choice.parametric_bits,
+        choice.shannon_bits,
+    )
 
 
 def _encode_blocks(
     header: Header,
     ordered: _Ordered,
-    coded: _Coded,
+    coded: Coded,
     threads: int | None,
     progress: Progress | None,
 ) -> list[Section]:
     """Sections of all blocks, block after block."""
     position_depths = _depths([c.quantiser for c in ordered.channels[:3]])
     colour_depths = _depths([c.quantiser for c in ordered.channels[3:]])
+    tables = TableSet.pack(coded.tables)
 
     def geometry(block: int, start: int, stop: int) -> list[Section]:
         if not sum(position_depths):
@@ -285,7 +315,7 @@ def _encode_blocks(
     def symbols(block: int, start: int, stop: int) -> list[Section]:
         if not coded.channels:
             return []
-        states, words = encode_symbols(coded.symbols, start, stop, coded.tables)
+        states, words = encode_symbols(coded.symbols, start, stop, tables)
         sections = [Section(SectionId.STATES, block, states)]
         for stream, section_id in _STREAM_SECTIONS.items():
             members = [w for w, c in zip(words, coded.channels, strict=True) if c.stream == stream]
@@ -422,10 +452,9 @@ def _decode_blocks(
     run_all(lambda job: job(), jobs, threads, _counter(progress, "decode", len(jobs)))
 
 
-def order_like(scene: Scene, channels: list[Channel]) -> NDArray[np.int64]:
-    """The order in which `scene` was coded, if `channels` are those of its stream."""
-    quantisers = [c.quantiser for c in channels]
-    return _sort(scene, quantisers[:3], quantisers[3:6])[0]
+def order_like(scene: Scene, quantisers: list[Quantiser]) -> NDArray[np.int64]:
+    """The order in which `scene` is coded under the quantisers of x, y, z and f_dc."""
+    return _sort(scene, quantisers[:3], quantisers[3:])[0]
 
 
 def _counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None] | None:

@@ -128,7 +128,7 @@ def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
     ----------
     data : bytes
     header_only : bool
-        Check and return, of the sections, ``CHANNELS`` alone; `data` may end after it.
+        Read and return, of the sections, ``CHANNELS`` alone.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def _read_sections(
     sizes: dict[tuple[int, int], int] = {}
     header_size = position
     end = position + sum(entry[3] for entry in table)
-    if not header_only and len(view) != end:
+    if len(view) != end:
         kind = TruncatedStream if len(view) < end else CorruptStream
         raise kind(f"file: {len(view)} bytes, expected {end}")
     known = set(SectionId)
@@ -189,8 +189,6 @@ def _read_sections(
         sizes[section_id, block] = size
         if not header_only or section_id == SectionId.CHANNELS:
             data = view[position : position + size]
-            if len(data) < size:
-                raise TruncatedStream(f"{where}: {len(data)} bytes, expected {size}")
             if crc32c(data) != checksum:
                 raise CorruptStream(f"{where}: checksum does not match")
             if section_id in known:

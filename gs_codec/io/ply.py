@@ -147,13 +147,13 @@ def write_ply(path: str | Path, scene: Scene) -> None:
     InvalidInput
         If the file cannot be written.
     """
-    element = plyfile.PlyElement.describe(_vertex_rows(scene), "vertex")
+    element = plyfile.PlyElement.describe(vertex_rows(scene), "vertex")
     ply = plyfile.PlyData([element], byte_order="<", comments=list(scene.comments))
     with atomic_writer(path) as file:
         ply.write(file)
 
 
-def _vertex_rows(scene: Scene) -> NDArray:
+def vertex_rows(scene: Scene) -> NDArray:
     """Structured rows ``(N,)`` in the trainer's order; extra properties come last."""
     groups = _group_names(len(scene.f_rest) // 3)
     names, planes = [], []

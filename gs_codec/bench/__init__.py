@@ -1,0 +1,1 @@
+"""Measurements behind every number the documents state."""

@@ -1,0 +1,98 @@
+"""Entropy coders on the same symbols under the same tables, without the other stages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from gs_codec.codec import Coded, quantise_and_model
+from gs_codec.config import Config
+from gs_codec.container.file import MAX_BLOCK_SIZE
+from gs_codec.entropy import torchac_coder
+from gs_codec.entropy.rans import TableSet, decode_symbols, encode_symbols
+from gs_codec.model.table import shannon_bits
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+
+def measure_coders(
+    scene: Scene, name: str, config: Config, repeats: int
+) -> Iterator[dict[str, Any]]:
+    """A result line for each coder: bytes, bytes over Shannon entropy, seconds."""
+    coded = quantise_and_model(scene, config)
+    entropy = sum(shannon_bits(histogram) for histogram in coded.histograms) / 8
+    identity = {
+        "kind": "coder",
+        "scene": name,
+        "profile": config.profile,
+        "gaussians": scene.count,
+        "symbols": coded.symbols.size,
+    }
+    yield identity | {"coder": "rans", **_rans(coded, entropy, config.threads, repeats)}
+    if torchac_coder.is_available():
+        yield identity | {"coder": "torchac", **_torchac(coded, entropy)}
+    else:
+        yield identity | {"coder": "torchac", "absent": True}
+
+
+def _rans(coded: Coded, entropy: float, threads: int | None, repeats: int) -> dict[str, Any]:
+    channels, count = coded.symbols.shape
+    blocks = [(a, min(a + MAX_BLOCK_SIZE, count)) for a in range(0, count, MAX_BLOCK_SIZE)]
+
+    def encode() -> list[tuple[bytes, bytes]]:
+        tables = TableSet.pack(coded.tables)
+
+        def work(block: tuple[int, int]) -> tuple[bytes, bytes]:
+            states, words = encode_symbols(coded.symbols, *block, tables)
+            return states, b"".join(words)
+
+        return run_all(work, blocks, threads)
+
+    def decode(streams: list[tuple[bytes, bytes]]) -> None:
+        tables = TableSet.pack(coded.tables)
+
+        def work(item: tuple[tuple[int, int], tuple[bytes, bytes]]) -> None:
+            (start, stop), (states, words) = item
+            groups = [(channels, memoryview(words))]
+            decode_symbols(memoryview(states), groups, stop - start, tables, "bench")
+
+        run_all(work, list(zip(blocks, streams, strict=True)), threads)
+
+    streams = encode()
+    decode(streams)
+    size = sum(len(states) + len(words) for states, words in streams)
+    return _result(
+        size,
+        entropy,
+        min(_timed(encode)[1] for _ in range(repeats)),
+        min(_timed(lambda: decode(streams))[1] for _ in range(repeats)),
+    )
+
+
+def _torchac(coded: Coded, entropy: float) -> dict[str, Any]:
+    rows = list(zip(coded.symbols, coded.tables, strict=True))
+    chunks, encode = _timed(lambda: [torchac_coder.encode_symbols(s, t) for s, t in rows])
+
+    def decode() -> None:
+        for channel, (symbols, table) in zip(chunks, rows, strict=True):
+            torchac_coder.decode_symbols(channel, symbols.size, table)
+
+    size = sum(len(part) for channel in chunks for part in channel)
+    return _result(size, entropy, encode, _timed(decode)[1])
+
+
+def _result(size: int, entropy: float, encode: float, decode: float) -> dict[str, Any]:
+    over = 100 * (size / entropy - 1) if entropy else 0.0
+    return {
+        "bytes": size,
+        "overhead_percent": over,
+        "encode_seconds": encode,
+        "decode_seconds": decode,
+    }
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
+    start = time.perf_counter()
+    result = work()
+    return result, time.perf_counter() - start

@@ -1,0 +1,13 @@
+"""What EntropyGS publishes (arXiv 2508.10227): means over Mip-NeRF 360, other machines."""
+
+#: Overhead of the parametric models over Shannon entropy, in percent.
+OVERHEAD_PERCENT = {"rotation": 0.29, "scaling": 0.09, "opacity": 0.08, "sh-ac": 0.41}
+
+#: Entropy of one symbol, in bits (SH-AC at 4 bits).
+ENTROPY_BITS = {"rotation": 6.243, "scaling": 6.769, "opacity": 6.337, "sh-ac": 2.436}
+
+#: Seconds for its mean scene, 1.12 M Gaussians after pruning.
+SECONDS = {
+    "CPU": {"encode": 16.4, "decode": 13.8},
+    "RTX 3090": {"encode": 3.6, "decode": 0.2},
+}

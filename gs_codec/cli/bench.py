@@ -1,0 +1,100 @@
+"""``gs-codec bench``."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gs_codec.cli.encode import parse_depths
+from gs_codec.cli.output import print_table, print_text
+from gs_codec.config import PROFILES, Config
+
+#: Lines of the readable table: header, and the place of its figure in a result.
+_COLUMNS = ["scene, profile", "ratio", "bits/G", "over entropy", "encode s", "decode s", "peak MB"]
+
+
+def command(
+    scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],
+    profile: Annotated[
+        list[str] | None, typer.Option("--profile", "-p", help="Profiles; all when not given.")
+    ] = None,
+    depth: Annotated[
+        list[str] | None, typer.Option(metavar="GROUP=BITS", help="As for encode.")
+    ] = None,
+    tile: Annotated[
+        int | None,
+        typer.Option(help="Tile each scene, jittered, to this many Gaussians.", min=1),
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="Timed runs; medians are reported.", min=1)] = 5,
+    threads: Annotated[
+        int | None, typer.Option(help="Worker threads.", show_default="all processors")
+    ] = None,
+    coders: Annotated[
+        bool, typer.Option("--coders", help="Compare entropy coders too (torchac: a minute).")
+    ] = False,
+    extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
+) -> None:
+    """Measure time, size against entropy, error and memory; JSON lines on stdout."""
+    configs = [
+        Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
+        for name in profile or PROFILES
+    ]
+    rows: dict[str, list[str]] = {}
+    for line in _measure(scenes, configs, tile, repeats, coders):
+        print_text(json_module.dumps(line))
+        _add_to_rows(rows, line)
+    print_table(_COLUMNS, list(rows.values()), sys.stderr)
+
+
+def _measure(
+    scenes: list[Path], configs: list[Config], tile: int | None, repeats: int, coders: bool
+) -> Iterator[dict[str, Any]]:
+    from gs_codec.bench import paper
+    from gs_codec.bench.coders import measure_coders
+    from gs_codec.bench.measure import machine, measure_scene
+    from gs_codec.bench.tile import tile_scene
+    from gs_codec.io.ply import read_ply
+
+    yield machine()
+    for path in scenes:
+        name = path.stem if path.stem != "point_cloud" else path.parent.name
+        for config in configs:
+            scene = read_ply(path, config.extra)
+            if tile:
+                scene = tile_scene(scene, tile)
+            yield from measure_scene(scene, name, config, repeats)
+            if coders:
+                yield from measure_coders(scene, name, config, repeats)
+    for device, seconds in paper.SECONDS.items():
+        yield {"kind": "paper", "gaussians": 1_120_000, "device": device, **seconds}
+
+
+def _add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
+    """Put a result into the readable table."""
+    kind, name = line["kind"], f"{line.get('scene')}, {line.get('profile')}"
+    if kind == "codec":
+        over = line["entropy"].get("total", {}).get("coded_overhead_percent", 0.0)
+        rows[name] = [
+            name,
+            f"{line['ratio']:.2f}",
+            f"{line['bits_per_gaussian']:.1f}",
+            f"{over:.3f} %",
+            f"{line['encode_seconds']['median']:.3f}",
+            f"{line['decode_seconds']['median']:.3f}",
+            "",
+        ]
+    elif kind == "memory":
+        rows[name][-1] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
+    elif kind == "coder" and "absent" not in line:
+        over = f"{line['overhead_percent']:.3f} %"
+        times = [f"{line[f'{way}_seconds']:.3f}" for way in ("encode", "decode")]
+        label = f"{name}, {line['coder']}"
+        rows[label] = [label, "", "", over, *times, ""]
+    elif kind == "paper":
+        label = f"the paper, {line['device']}"
+        rows[label] = [label, "", "", "", str(line["encode"]), str(line["decode"]), ""]

@@ -1,0 +1,117 @@
+"""``gs-codec encode``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gs_codec.bench import paper
+from gs_codec.cli.output import print_json, print_status, print_table, print_text, progress_bar, size_text
+from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
+from gs_codec.errors import InvalidInput
+from gs_codec.report import EncodeReport
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Scene, a 3DGS .ply.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
+    profile: Annotated[
+        str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILES)}.")
+    ] = "paper-m",
+    depth: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GROUP=BITS",
+            help=f"Bits of a group ({', '.join(DEPTH_GROUPS)}, sh-ac); may be repeated.",
+        ),
+    ] = None,
+    nonfinite: Annotated[
+        str, typer.Option(help="Gaussians with NaN or infinity: error or drop.")
+    ] = "error",
+    extra: Annotated[
+        str, typer.Option(help="Properties beyond the 3DGS layout: error, keep or drop.")
+    ] = "error",
+    threads: Annotated[
+        int | None, typer.Option(help="Worker threads.", show_default="all processors")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Encode a scene to an .egs file."""
+    config = Config(profile, parse_depths(depth or []), nonfinite, extra, threads)  # type: ignore[arg-type]
+    from gs_codec.files import encode_file
+
+    with progress_bar(not json) as progress:
+        report = encode_file(source, target, config, progress)
+    _say_what_changed(report)
+    if json:
+        print_json(
+            {"input": str(source), "output": str(target), "profile": profile}
+            | asdict(report)
+            | {"input_bytes": source.stat().st_size, "file_bytes": report.file_bytes}
+        )
+    else:
+        _print_report(source, target, report)
+
+
+def parse_depths(options: list[str]) -> dict[str, int]:
+    """Depths of ``GROUP=BITS`` options."""
+    depths = {}
+    for option in options:
+        group, _, bits = option.partition("=")
+        if not bits.isdigit():
+            raise InvalidInput(f"--depth {option}: expected GROUP=BITS, for example sh-ac=4")
+        depths[group] = int(bits)
+    return depths
+
+
+def _say_what_changed(report: EncodeReport) -> None:
+    if report.dropped:
+        print_status(f"dropped {report.dropped:,} Gaussians with NaN or infinity")
+    if report.zero_quaternions:
+        print_status(f"replaced {report.zero_quaternions:,} zero quaternions by the identity")
+
+
+def _print_report(source: Path, target: Path, report: EncodeReport) -> None:
+    size, count = source.stat().st_size, max(report.count, 1)
+    print_text(
+        f"{target}: {report.count:,} Gaussians, {size_text(size)} -> "
+        f"{size_text(report.file_bytes)}, {size / report.file_bytes:.2f} times smaller, "
+        f"{8 * report.file_bytes / count:.1f} bits per Gaussian, "
+        f"{sum(report.seconds.values()):.2f} s"
+    )
+    print_table(
+        ["stream", "bytes", "bits/Gaussian", "entropy", "parametric", "paper", "models"],
+        [_stream_row(name, size, report) for name, size in report.section_bytes.items()],
+    )
+    entropy = sum(cost.shannon_bits for cost in report.costs)
+    if entropy:
+        coded = {cost.stream for cost in report.costs} | {"states", "channels"}
+        bits = 8 * sum(report.section_bytes[name] for name in coded)
+        print_text(
+            f"entropy-coded streams with states and models: {bits / entropy - 1:.3%} over Shannon "
+            "entropy (parametric: models alone, without sent tables)"
+        )
+    if report.rectified:
+        values = sum(cost.stream.startswith("sh") for cost in report.costs) * count
+        print_text(
+            f"SH-AC rectified to their Laplace range: {report.rectified:,} values"
+            f" ({report.rectified / values:.3%})"
+        )
+
+
+def _stream_row(name: str, size: int, report: EncodeReport) -> list[str]:
+    """Bytes and bits; entropy, and what the parametric models cost over it here and there."""
+    count = max(report.count, 1)
+    costs = [cost for cost in report.costs if cost.stream == name]
+    row = [name, f"{size:,}", f"{8 * size / count:.3f}"]
+    if not costs:
+        return [*row, "", "", "", ""]
+    entropy = sum(cost.shannon_bits for cost in costs)
+    parametric = sum(cost.parametric_bits for cost in costs) / entropy - 1
+    published = paper.OVERHEAD_PERCENT["sh-ac" if name.startswith("sh") else name]
+    kinds = [cost.model for cost in costs]
+    models = ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds)))
+    return [*row, f"{entropy / count:.3f}", f"+{parametric:.2%}", f"+{published:.2f}%", models]

@@ -1,0 +1,70 @@
+"""``gs-codec inspect``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gs_codec.cli.output import print_json, print_table, print_text, size_text
+
+
+def command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file.")],
+    channels: Annotated[
+        bool, typer.Option("--channels", help="List every channel's quantiser and model.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+) -> None:
+    """Show what an .egs file holds, from its header alone."""
+    from gs_codec.files import inspect_file
+
+    info = inspect_file(file)
+    if json:
+        print_json({"file": str(file), **info.as_dict()})
+        return
+    low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in info.bounds)
+    print_text(
+        f"{file}: version {info.version}, profile {info.profile}, {info.count:,} Gaussians, "
+        f"SH degree {info.sh_degree}, {info.blocks} blocks of at most {info.block_size:,}\n"
+        f"{size_text(info.file_bytes)}, {info.ratio:.2f} times smaller than the floats, "
+        f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian\n"
+        f"bounds {low} to {high}"
+    )
+    print_table(
+        ["stream", "bytes", "bits/Gaussian", "depth", "models"],
+        [_stream_row(stream, info) for stream in info.streams],
+    )
+    if channels:
+        print_table(
+            ["channel", "quantiser", "depth", "origin", "step", "model", "parameters"],
+            [_channel_row(channel) for channel in info.as_dict()["channels"]],
+        )
+
+
+def _stream_row(stream, info) -> list[str]:
+    members = [c for c in info.channels if c.stream == stream.name]
+    depths = "/".join(str(d) for d in sorted({c.quantiser.depth for c in members}))
+    kinds = Counter(
+        c.model.kind if c.model else "constant"
+        for c in members
+        if c.model or not c.quantiser.depth
+    )
+    models = ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items()))
+    return [stream.name, f"{stream.bytes:,}", f"{stream.bits_per_gaussian:.3f}", depths, models]
+
+
+def _channel_row(channel: dict) -> list[str]:
+    parameters = ", ".join(
+        f"{name} {_short(value)}" for name, value in channel.get("parameters", {}).items()
+    )
+    numbers = [f"{channel[key]:.6g}" for key in ("depth", "origin", "step")]
+    return [channel["name"], channel["quantiser"], *numbers, channel.get("model", ""), parameters]
+
+
+def _short(value) -> str:
+    if isinstance(value, list):
+        return "/".join(f"{item:.3g}" for item in value)
+    return f"{value:.4g}"

@@ -1,0 +1,52 @@
+"""Entry point: the commands, and one line for every error."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+import typer
+
+from gs_codec import __version__
+from gs_codec.cli import bench, compare, decode, encode, inspect
+from gs_codec.errors import GsCodecError
+
+app = typer.Typer(
+    help="Compress 3D Gaussian Splatting scenes (PLY) to small .egs files and back.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for module in (encode, decode, inspect, compare, bench):
+    app.command(module.__name__.rpartition(".")[2])(module.command)
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+) -> None:
+    if version:
+        print(f"gs-codec {__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line; errors of use and input exit with status 2."""
+    logging.basicConfig(format="gs-codec: %(levelname)s: %(message)s", level=logging.WARNING)
+    logging.addLevelName(logging.WARNING, "warning")
+    try:
+        app()
+    except (GsCodecError, OSError) as error:
+        print(f"gs-codec: error: {describe_error(error)}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("gs-codec: interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+def describe_error(error: BaseException) -> str:
+    """The error on one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(str(error).split())

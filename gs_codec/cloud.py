@@ -1,0 +1,97 @@
+"""Scenes as Open3D tensor point clouds, sharing memory where layouts allow."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.scene import SH_COEFFICIENTS, Scene
+
+if TYPE_CHECKING:
+    import open3d
+
+#: Attributes of a cloud that are not extra properties.
+_KNOWN = {"positions", "f_dc", "f_rest", "opacity", "log_scale", "scale", "rot", "normals"}
+
+
+def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
+    """A point cloud whose attributes are views of the scene's planes.
+
+    Attributes are ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)``, ``opacity (N, 1)``
+    (logit), ``log_scale (N, 3)``, ``scale (N, 3)`` (its exponential, for Open3D's shader),
+    ``rot (N, 4)`` (wxyz as stored); zero ``normals (N, 3)`` if the scene has them; and its
+    extra properties ``(N, 1)``.
+    """
+    import open3d
+
+    tensor = open3d.core.Tensor.from_numpy
+    coefficients = SH_COEFFICIENTS[scene.sh_degree]
+    attributes = {
+        "positions": scene.positions.T,
+        "f_dc": scene.f_dc.T,
+        "f_rest": scene.f_rest.reshape(3, coefficients, scene.count).transpose(2, 1, 0),
+        "opacity": scene.opacity.T,
+        "log_scale": scene.log_scale.T,
+        "scale": np.exp(scene.log_scale).T,
+        "rot": scene.rot.T,
+    }
+    if scene.has_normals:
+        attributes["normals"] = np.zeros((scene.count, 3), np.float32)
+    attributes |= {name: column[:, None] for name, column in scene.extra.items()}
+    cloud = open3d.t.geometry.PointCloud()
+    for name, array in attributes.items():
+        cloud.point[name] = tensor(array)
+    return cloud
+
+
+def from_cloud(
+    cloud: open3d.t.geometry.PointCloud, extra: Literal["error", "keep", "drop"] = "error"
+) -> Scene:
+    """The scene of a point cloud with the attributes `to_cloud` lists.
+
+    ``log_scale`` is used where it is there, else the logarithm of ``scale``. `extra` says what
+    to do with other attributes and with normals that are not all zero.
+
+    Raises
+    ------
+    InvalidInput
+        If an attribute is missing, has a wrong shape, or is not float32.
+    """
+    arrays = {name: cloud.point[name].cpu().numpy() for name in cloud.point}
+    if "log_scale" not in arrays and "scale" in arrays:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            arrays["log_scale"] = np.log(arrays["scale"])
+    arrays.setdefault("f_rest", np.zeros((len(arrays.get("positions", ())), 0, 3), np.float32))
+    shapes = {"positions": (3,), "f_dc": (3,), "opacity": (1,), "log_scale": (3,), "rot": (4,)}
+    planes = {name: _plane(arrays, name, shape) for name, shape in shapes.items()}
+    rest = arrays["f_rest"]
+    if rest.ndim != 3 or rest.shape[2] != 3 or rest.dtype != np.float32:
+        raise InvalidInput(f"f_rest: {rest.dtype} {rest.shape}, expected float32 (N, K, 3)")
+    planes["f_rest"] = np.ascontiguousarray(rest.transpose(2, 1, 0).reshape(-1, rest.shape[0]))
+    others = [name for name in arrays if name not in _KNOWN]
+    zero_normals = "normals" in arrays and not arrays["normals"].any()
+    if extra == "error" and (others or ("normals" in arrays and not zero_normals)):
+        named = ", ".join(others) or "normals that are not all zero"
+        raise InvalidInput(f"attributes beyond the layout: {named}; choose extra keep or drop")
+    kept = {name: _column(name, arrays[name]) for name in others} if extra == "keep" else {}
+    if extra == "keep" and "normals" in arrays and not zero_normals:
+        kept |= {f"n{axis}": arrays["normals"][:, i] for i, axis in enumerate("xyz")}
+    return Scene(**planes, has_normals=zero_normals, extra=kept)
+
+
+def _plane(arrays: dict[str, NDArray], name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    if name not in arrays:
+        raise InvalidInput(f"attribute '{name}': missing")
+    array = arrays[name]
+    if array.dtype != np.float32 or array.shape[1:] != shape:
+        raise InvalidInput(f"{name}: {array.dtype} {array.shape}, expected float32 (N, {shape[0]})")
+    return np.ascontiguousarray(array.T)
+
+
+def _column(name: str, array: NDArray) -> NDArray:
+    if array.ndim != 2 or array.shape[1] != 1:
+        raise InvalidInput(f"{name}: shape {array.shape}, expected (N, 1)")
+    return array[:, 0]

@@ -1,0 +1,63 @@
+"""The paper's coder: torchac, under the same integer tables (optional extra ``paper``).
+
+A reference for sizes and times; streams are never written with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import MissingTool
+from gs_codec.model.table import FrequencyTable
+
+_CHUNK = 1 << 16
+
+
+def is_available() -> bool:
+    """Whether torch and torchac are installed."""
+    return all(importlib.util.find_spec(name) for name in ("torch", "torchac"))
+
+
+def _load():
+    """Torch and torchac, which compiles itself on first import and says so on stdout."""
+    if not is_available():
+        raise MissingTool("torchac is not installed: pip install 'gs-codec[paper]'")
+    import torch
+
+    with contextlib.redirect_stdout(sys.stderr):
+        import torchac
+    return torch, torchac
+
+
+def _cdf(table: FrequencyTable, count: int):
+    """The table as the int16 CDF torchac wants, one row for each symbol to code."""
+    torch, _ = _load()
+    starts = np.append(table.starts, 1 << table.precision).astype(np.int64)
+    wrapped = (starts << (16 - table.precision)).astype(np.uint16).view(np.int16)
+    return torch.from_numpy(wrapped).expand(count, -1)
+
+
+def encode_symbols(symbols: NDArray[np.uint16], table: FrequencyTable) -> list[bytes]:
+    """Code one channel ``(N,)``, in chunks that bound the size of torchac's CDF tensor."""
+    torch, torchac = _load()
+    chunks = []
+    for start in range(0, symbols.size, _CHUNK):
+        part = torch.from_numpy(symbols[start : start + _CHUNK].astype(np.int16))
+        cdf = _cdf(table, len(part)).contiguous()
+        chunks.append(torchac.encode_int16_normalized_cdf(cdf, part))
+    return chunks
+
+
+def decode_symbols(chunks: list[bytes], count: int, table: FrequencyTable) -> NDArray[np.uint16]:
+    """The inverse of `encode_symbols`."""
+    _, torchac = _load()
+    parts = [np.zeros(0, np.uint16)]
+    for start, chunk in zip(range(0, count, _CHUNK), chunks, strict=True):
+        cdf = _cdf(table, min(_CHUNK, count - start)).contiguous()
+        parts.append(torchac.decode_int16_normalized_cdf(cdf, chunk).numpy().astype(np.uint16))
+    return np.concatenate(parts)

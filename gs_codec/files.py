@@ -1,0 +1,202 @@
+"""Scenes from and to files; the way of the command line, which never loads Open3D."""
+
+from __future__ import annotations
+
+import mmap
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from gs_codec.codec import decode_scene, encode_scene, order_like
+from gs_codec.config import Config
+from gs_codec.container.file import MAGIC
+from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.inspection import Info, inspect_bytes
+from gs_codec.io.atomic import atomic_writer
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.metrics import Comparison, compare_scenes
+from gs_codec.quantise import fit_range
+from gs_codec.report import EncodeReport, Progress
+from gs_codec.scene import Scene
+
+#: Begins the comment line that tells a decoded PLY's order: the depths it was sorted by.
+_ORDER_MARK = "gs_codec order "
+
+
+@dataclass(frozen=True)
+class DecodeReport:
+    """What decoding a file gave."""
+
+    count: int
+    sh_degree: int
+    seconds: dict[str, float]
+
+
+def encode_file(
+    source: str | Path,
+    target: str | Path,
+    config: Config | None = None,
+    progress: Progress | None = None,
+) -> EncodeReport:
+    """Encode a PLY file to an `.egs` file, which appears whole or not at all.
+
+    Raises
+    ------
+    InvalidInput
+        If the source cannot be used, or the target cannot be written.
+    """
+    config = config or Config()
+    _check_target(source, target)
+    start = time.perf_counter()
+    scene = without_order(read_ply(source, config.extra))
+    read = time.perf_counter() - start
+    with _located(source):
+        data, report = encode_scene(scene, config, progress)
+    start = time.perf_counter()
+    with atomic_writer(target) as file:
+        file.write(data)
+    seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
+    return replace(report, seconds=seconds)
+
+
+def decode_file(
+    source: str | Path,
+    target: str | Path,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+) -> DecodeReport:
+    """Decode an `.egs` file to a PLY file, which appears whole or not at all.
+
+    A comment line in the PLY says in which order the Gaussians are, so that `compare` can
+    match them with the original's.
+
+    Raises
+    ------
+    InvalidInput
+        If the source cannot be read, or the target cannot be written.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the source is not a sound `.egs` file.
+    """
+    _check_target(source, target)
+    start = time.perf_counter()
+    scene = _decode_ordered(Path(source), threads, max_bytes, progress)
+    decoded = time.perf_counter()
+    write_ply(target, scene)
+    seconds = {"decode": decoded - start, "write": time.perf_counter() - decoded}
+    return DecodeReport(scene.count, scene.sh_degree, seconds)
+
+
+def read_scene(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:
+    """The scene of a PLY or `.egs` file, told apart by content; see `read_ply` for `extra`."""
+    with opened(path) as data:
+        is_egs = data[: len(MAGIC)] == MAGIC or Path(path).suffix.lower() == ".egs"
+    return _decode_ordered(Path(path)) if is_egs else read_ply(path, extra)
+
+
+def inspect_file(path: str | Path) -> Info:
+    """See `inspect_bytes`; reads the first pages of the file alone."""
+    with opened(path) as data, _located(path):
+        return inspect_bytes(data)
+
+
+def compare_files(first: str | Path, second: str | Path) -> Comparison:
+    """Compare two scenes; one decoded from `.egs` is matched with its original."""
+    return compare_ordered(read_scene(first, "drop"), read_scene(second, "drop"))
+
+
+def compare_ordered(first: Scene, second: Scene) -> Comparison:
+    """Compare two scenes, putting an original into the order of a decoded one."""
+    orders = [_order_of(scene) for scene in (first, second)]
+    if first.count == second.count and orders[0] != orders[1]:
+        if all(orders):
+            raise InvalidInput("both scenes were reordered, differently: compare with the original")
+        if orders[1]:
+            first = first.take(_order_by(first, second, orders[1]))
+        else:
+            second = second.take(_order_by(second, first, orders[0]))
+        return compare_scenes(first, second, "stored order")
+    return compare_scenes(first, second, "index")
+
+
+def without_order(scene: Scene) -> Scene:
+    """The scene without the comment that tells its order."""
+    kept = tuple(line for line in scene.comments if not line.startswith(_ORDER_MARK))
+    return replace(scene, comments=kept)
+
+
+@contextmanager
+def opened(path: str | Path) -> Iterator[memoryview]:
+    """The bytes of a file, memory-mapped.
+
+    Raises
+    ------
+    InvalidInput
+        If it is missing, empty, a directory, or not readable.
+    """
+    try:
+        with open(path, "rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except ValueError:
+        raise InvalidInput(f"{path}: empty file") from None
+    except OSError as error:
+        raise InvalidInput(f"{path}: {error.strerror}") from error
+    with mapped, memoryview(mapped) as view:
+        yield view
+
+
+@contextmanager
+def _located(path: str | Path) -> Iterator[None]:
+    """Put the file's name before the errors of reading it."""
+    try:
+        yield
+    except GsCodecError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def _check_target(source: str | Path, target: str | Path) -> None:
+    """Refuse a target that could not be written, before the work is done."""
+    source, target = Path(source), Path(target)
+    if target.is_dir():
+        raise InvalidInput(f"{target}: a directory, expected a file name")
+    if not target.parent.is_dir():
+        raise InvalidInput(f"{target}: no directory '{target.parent}'")
+    if source.exists() and target.exists() and source.samefile(target):
+        raise InvalidInput(f"{target}: the source itself")
+
+
+def _decode_ordered(
+    path: Path,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+) -> Scene:
+    with opened(path) as view, _located(path):
+        data = bytes(view)
+        scene = decode_scene(data, threads, max_bytes, progress)
+        depths = [str(channel.quantiser.depth) for channel in inspect_bytes(data).channels[:6]]
+    mark = _ORDER_MARK + " ".join(depths)
+    return replace(scene, comments=(*scene.comments, mark))
+
+
+def _order_of(scene: Scene) -> tuple[int, ...]:
+    """Depths of x, y, z and f_dc a decoded scene was sorted by; empty if it is an original."""
+    marks = [line for line in scene.comments if line.startswith(_ORDER_MARK)]
+    if not marks:
+        return ()
+    fields = marks[-1].removeprefix(_ORDER_MARK).split()
+    if len(fields) != 6 or not all(field.isdigit() and int(field) <= 21 for field in fields):
+        raise InvalidInput(f"comment '{marks[-1]}': expected six depths")
+    return tuple(int(field) for field in fields)
+
+
+def _order_by(original: Scene, decoded: Scene, depths: tuple[int, ...]):
+    """Order of the original's Gaussians in the stream `decoded` came from.
+
+    Min-max quantisers keep the extremes, so the decoded scene still has the quantisers' ranges.
+    """
+    rows = (*decoded.positions, *decoded.f_dc)
+    return order_like(original, [fit_range(r, max(d, 1)) for r, d in zip(rows, depths, strict=True)])

@@ -1,0 +1,101 @@
+"""How far two versions of a scene are apart, attribute by attribute."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.scene import Scene
+
+
+@dataclass(frozen=True)
+class GroupError:
+    """Largest and root-mean-square absolute error of one attribute group, in `unit`."""
+
+    name: str
+    unit: str
+    max: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Errors of `count` Gaussians, and how they were matched: ``stored order`` or ``index``."""
+
+    count: int
+    matched_by: str
+    groups: tuple[GroupError, ...]
+
+
+def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Comparison:
+    """Compare Gaussian by Gaussian, in the order given.
+
+    Positions, f_dc, f_rest, log-scales, opacity (logit) and rotation components are compared
+    as stored; opacity also after the sigmoid, rotation also as the angle in degrees between the
+    normalised quaternions. Missing SH bands count as zero.
+
+    Raises
+    ------
+    InvalidInput
+        If the scenes differ in their number of Gaussians.
+    """
+    if first.count != second.count:
+        raise InvalidInput(
+            f"{first.count} and {second.count} Gaussians: cannot tell which belong together"
+        )
+    coefficients = max(len(first.f_rest), len(second.f_rest)) // 3
+    with np.errstate(over="ignore"):
+        groups = (
+            _group("positions", "scene units", first.positions, second.positions),
+            _group("f_dc", "SH", first.f_dc, second.f_dc),
+            _group("f_rest", "SH", _padded(first, coefficients), _padded(second, coefficients)),
+            _group("opacity", "logit", first.opacity, second.opacity),
+            _group("opacity", "0-1", _sigmoid(first.opacity), _sigmoid(second.opacity)),
+            _group("scaling", "log", first.log_scale, second.log_scale),
+            _group("rotation", "stored", first.rot, second.rot),
+            _angles(first.rot, second.rot),
+        )
+    kept = tuple(group for group in groups if group.name != "f_rest" or coefficients)
+    return Comparison(first.count, matched_by, kept)
+
+
+def _group(name: str, unit: str, first: NDArray, second: NDArray) -> GroupError:
+    """Errors over all rows, one row at a time to bound memory."""
+    largest = total = 0.0
+    for a, b in zip(first, second, strict=True):
+        error = np.abs(a.astype(np.float64) - b)
+        largest = max(largest, float(error.max(initial=0.0)))
+        total += float(error @ error)
+    return GroupError(name, unit, largest, float(np.sqrt(total / max(first.size, 1))))
+
+
+def _padded(scene: Scene, coefficients: int) -> NDArray[np.float32]:
+    planes = scene.f_rest.reshape(3, -1, scene.count) if scene.count else scene.f_rest[:, None]
+    missing = coefficients - len(scene.f_rest) // 3
+    padded = np.pad(planes, ((0, 0), (0, missing), (0, 0))) if missing else planes
+    return padded.reshape(-1, scene.count)
+
+
+def _sigmoid(logit: NDArray) -> NDArray[np.float64]:
+    return 1.0 / (1.0 + np.exp(-logit.astype(np.float64)))
+
+
+def _angles(first: NDArray, second: NDArray) -> GroupError:
+    """Rotation angle between unit quaternions; q and -q are one rotation."""
+    a, b = _unit(first), _unit(second)
+    sign = np.where((a * b).sum(axis=0) < 0, -1.0, 1.0)
+    apart = np.linalg.norm(a - sign * b, axis=0)
+    together = np.linalg.norm(a + sign * b, axis=0)
+    degrees = np.degrees(4.0 * np.arctan2(apart, together))
+    return _group("rotation", "degrees", degrees[None], np.zeros_like(degrees)[None])
+
+
+def _unit(rot: NDArray) -> NDArray[np.float64]:
+    """Normalised quaternions; the identity where the norm is 0."""
+    rot = rot.astype(np.float64)
+    norm = np.linalg.norm(rot, axis=0)
+    identity = np.array([[1.0], [0.0], [0.0], [0.0]])
+    return np.where(norm > 0, rot / np.where(norm > 0, norm, 1.0), identity)

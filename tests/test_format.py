@@ -1,0 +1,198 @@
+"""FORMAT.md against the codec: the reference decoder written from the text gives the same bits."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reference_decoder import decode
+
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import DEPTH_GROUPS, Config
+from gs_codec.io.ply import read_ply
+from gs_codec.scene import Scene
+
+TINY = Path(__file__).parents[2] / "shared" / "scenes" / "tiny_sh3.ply"
+ROWS = {
+    "positions": ("x", "y", "z"),
+    "f_dc": ("f_dc_0", "f_dc_1", "f_dc_2"),
+    "f_rest": tuple(f"f_rest_{i}" for i in range(45)),
+    "opacity": ("opacity",),
+    "log_scale": ("scale_0", "scale_1", "scale_2"),
+    "rot": ("rot_0", "rot_1", "rot_2", "rot_3"),
+}
+
+
+def config(profile="paper-m", extra="error", **depths):
+    depths = {group.replace("_", "-"): bits for group, bits in depths.items()}
+    return Config(profile, {"rotation": 6, **depths}, extra=extra, threads=1, block_size=1024)
+
+
+def scene_of(seed, count, sh_degree=3):
+    """A scene with the shapes of a trained one: clustered centres, peaked SH-AC, skewed opacity."""
+    rng = np.random.default_rng(seed)
+    coefficients = (sh_degree + 1) ** 2 - 1
+    centres = rng.normal(size=(3, 8))[:, rng.integers(0, 8, count)]
+    grey = rng.normal(size=(1, count))
+    planes = {
+        "positions": centres + rng.normal(scale=0.1, size=(3, count)),
+        "f_dc": grey + rng.normal(scale=0.3, size=(3, count)),
+        "f_rest": rng.laplace(scale=0.05, size=(3 * coefficients, count)),
+        "opacity": rng.choice([-4.0, 6.0], size=(1, count)) + rng.normal(size=(1, count)),
+        "log_scale": rng.normal(-5.0, 1.5, size=(3, count)),
+        "rot": rng.normal(size=(4, count)),
+    }
+    return Scene(**{name: plane.astype(np.float32) for name, plane in planes.items()})
+
+
+def with_rows(scene, group, values):
+    """The scene with constants in some rows of a group: {row: value}."""
+    plane = getattr(scene, group).copy()
+    for row, value in values.items():
+        plane[row] = value
+    return replace(scene, **{group: plane})
+
+
+def identical(seed, count):
+    return scene_of(seed, 1).take(np.zeros(count, dtype=np.intp))
+
+
+def duplicated(seed, count):
+    """Each Gaussian several times, in any order."""
+    return scene_of(seed, count // 8).take(
+        np.random.default_rng(seed).integers(0, count // 8, count)
+    )
+
+
+def one_place(seed, count):
+    return with_rows(scene_of(seed, count), "positions", {0: 0.5, 1: -2.0, 2: 7.25})
+
+
+def few_levels(seed, count):
+    """Opacities and scales of a few far-apart values, for which no parametric model is near."""
+    rng = np.random.default_rng(seed)
+    opacity = rng.choice(
+        [-5.0, -1.3, 0.2, 4.0, 9.0], size=(1, count), p=[0.4, 0.1, 0.3, 0.15, 0.05]
+    )
+    log_scale = rng.choice([-9.0, -7.0, -2.5, 0.0], size=(3, count), p=[0.5, 0.2, 0.2, 0.1])
+    scene = scene_of(seed, count)
+    return replace(
+        scene, opacity=opacity.astype(np.float32), log_scale=log_scale.astype(np.float32)
+    )
+
+
+def with_extra(seed, count):
+    rng = np.random.default_rng(seed)
+    extra = {
+        "label": rng.integers(0, 5, count).astype(np.uint8),
+        "offset": rng.integers(-128, 128, count).astype(np.int8),
+        "rank": rng.integers(-30000, 30000, count).astype(np.int16),
+        "tile": rng.integers(0, 65536, count).astype(np.uint16),
+        "delta": rng.integers(-(2**31), 2**31, count).astype(np.int32),
+        "id": rng.integers(0, 2**32, count).astype(np.uint32),
+        "error": rng.normal(size=count).astype(np.float32),
+        "time": rng.normal(size=count),
+    }
+    comments = ("trained for 30000 steps", "", "a\ttab")
+    return replace(scene_of(seed, count, 1), has_normals=True, comments=comments, extra=extra)
+
+
+def every_depth(bits):
+    return {group.replace("-", "_"): bits for group in DEPTH_GROUPS}
+
+
+CASES = {
+    **{
+        f"degree{degree}-seed{degree}": (scene_of, (degree, 200, degree), config())
+        for degree in range(4)
+    },
+    **{f"count{count}-seed5": (scene_of, (5, count), config()) for count in (0, 1, 2, 33, 1500)},
+    "count0-degree0-seed5": (scene_of, (5, 0, 0), config()),
+    "count1024-degree0-seed5": (scene_of, (5, 1024, 0), config()),
+    "count1025-degree0-seed5": (scene_of, (5, 1025, 0), config()),
+    "identical-seed6": (identical, (6, 1100), config()),
+    "duplicated-seed7": (duplicated, (7, 1500), config()),
+    "one-place-seed8": (one_place, (8, 1100), config()),
+    "few-levels-seed9": (few_levels, (9, 1500), config()),
+    "all-1-bit-seed10": (scene_of, (10, 400), config(**every_depth(1))),
+    "all-12-bits-seed11": (scene_of, (11, 400), config(**every_depth(12))),
+    "12-bits-blocks-seed12": (scene_of, (12, 1500, 0), config(**every_depth(12))),
+    "geometry21-seed13": (scene_of, (13, 1500, 0), config(geometry=21)),
+    **{
+        f"{profile}-seed14": (scene_of, (14, 300), config(profile))
+        for profile in ("paper-l", "paper-m", "paper-s")
+    },
+    "extra-seed15": (with_extra, (15, 1100), config(extra="keep")),
+}
+
+
+@cache
+def encoded(case):
+    make, arguments, settings = CASES[case]
+    return encode_scene(make(*arguments), settings)
+
+
+def assert_same(data):
+    """The reference decoder and the codec agree on every bit of a file; returns what it decodes to."""
+    ours, reference = decode_scene(data), decode(data)
+    assert (ours.count, ours.sh_degree) == (reference["count"], reference["sh_degree"])
+    assert (ours.has_normals, list(ours.comments)) == (
+        reference["has_normals"],
+        reference["comments"],
+    )
+    assert list(ours.extra) == list(reference["extra"])
+    for name, column in ours.extra.items():
+        assert column.dtype == reference["extra"][name].dtype
+        assert column.tobytes() == reference["extra"][name].tobytes(), name
+    rows = [
+        (name, row)
+        for group, names in ROWS.items()
+        for name, row in zip(names, getattr(ours, group), strict=False)
+    ]
+    assert {name for name, _ in rows} == set(reference["values"])
+    for name, row in rows:
+        np.testing.assert_array_equal(
+            row.view(np.uint32), reference["values"][name].view(np.uint32), err_msg=name
+        )
+    return reference
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_reference_decoder_gives_the_same_bits(case):
+    reference = assert_same(encoded(case)[0])
+    assert reference["count"] == CASES[case][1][1]
+
+
+@pytest.mark.parametrize("group,rows", [
+    ("positions", (0,)), ("positions", (1,)), ("positions", (2,)), ("positions", (0, 2)),
+    ("f_dc", (0,)), ("f_dc", (1,)), ("f_dc", (2,)), ("f_dc", (0, 1)), ("f_dc", (0, 1, 2)),
+    ("opacity", (0,)), ("log_scale", (0, 1, 2)), ("rot", (0, 1, 2, 3)), ("f_rest", (0, 5, 44)), ("f_rest", tuple(range(45))),
+])  # fmt: skip
+def test_constant_channels_seed20(group, rows):
+    scene = with_rows(scene_of(20, 150), group, {row: 0.25 * (row + 1) for row in rows})
+    reference = assert_same(encode_scene(scene, config())[0])
+    constant = {ROWS[group][row] for row in rows}
+    assert constant.isdisjoint(reference["symbols"])
+    if group in ("positions", "f_dc"):
+        assert all(
+            np.all(reference["values"][ROWS[group][row]] == 0.25 * (row + 1)) for row in rows
+        )
+
+
+def test_identical_gaussians_have_no_symbols():
+    assert decode(encoded("identical-seed6")[0])["symbols"] == {}
+
+
+def test_cases_cover_every_model():
+    models = {cost.model for case in CASES for cost in encoded(case)[1].costs}
+    assert {"laplace", "mixture", "table"} <= models
+
+
+def test_tiny_scene():
+    if not TINY.exists():
+        pytest.skip(f"{TINY} is not here")
+    scene = read_ply(TINY)
+    data, report = encode_scene(scene, config("paper-l"))
+    assert_same(data)
+    assert {cost.model for cost in report.costs} >= {"table"}

@@ -60,7 +60,7 @@ class _Ordered:
     """Geometry and SH-DC of a scene in canonical order, and the order itself."""
 
     order: NDArray[np.int64]
-    codes: NDArray[np.uint64]
+    codes: NDArray[np.int64]
     cells: NDArray[np.uint32]
     colours: NDArray[np.uint16]
     channels: list[Channel]
@@ -129,7 +129,9 @@ def encode_scene(
         header = _header(scene, config)
         block_sections = _encode_blocks(header, ordered, coded, config.threads, progress)
     with times.stage("container"):
-        by_place = {(c.group, c.index): c for c in (*ordered.channels, *coded.constants, *coded.channels)}
+        by_place = {
+            (c.group, c.index): c for c in (*ordered.channels, *coded.constants, *coded.channels)
+        }
         places = channel_places(len(scene.f_rest) // 3)
         channels = write_channels(by_place[group, index] for group, index, _ in places)
         sections = [Section(SectionId.CHANNELS, 0, channels), *block_sections]
@@ -213,12 +215,15 @@ def _order(scene: Scene, geometry_depth: int, colour_depth: int) -> _Ordered:
 
 def _sort(
     scene: Scene, position_quantisers: list[Quantiser], colour_quantisers: list[Quantiser]
-) -> tuple[NDArray[np.int64], NDArray[np.uint64], NDArray[np.uint32], NDArray[np.uint16]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint32], NDArray[np.uint16]]:
     """Canonical order, and what it is made of in the scene's own order."""
     cells = quantise_positions(scene.positions, position_quantisers)
     as_given = np.arange(scene.count)
     colours = np.stack(
-        [quantise(row, q, as_given)[0] for row, q in zip(scene.f_dc, colour_quantisers, strict=True)]
+        [
+            quantise(row, q, as_given)[0]
+            for row, q in zip(scene.f_dc, colour_quantisers, strict=True)
+        ]
     )
     codes = encode_morton(cells, _depths(position_quantisers))
     return canonical_order(codes, colours), codes, cells, colours
@@ -229,9 +234,7 @@ def _depths(quantisers: list[Quantiser]) -> tuple[int, int, int]:
     return x, y, z
 
 
-def quantise_and_model(
-    scene: Scene, config: Config, progress: Progress | None = None
-) -> Coded:
+def quantise_and_model(scene: Scene, config: Config, progress: Progress | None = None) -> Coded:
     """Symbols, models and tables of the rANS-coded channels, as `encode_scene` makes them."""
     depths = config.resolved_depths()
     ordered = _order(scene, depths["geometry"], depths["sh-dc"])
@@ -409,7 +412,9 @@ def _decode_blocks(
     position_depths = _depths([c.quantiser for c in channels[:3]])
     colour_depths = _depths([c.quantiser for c in channels[3:6]])
     varying = [row for row, c in enumerate(channels) if c.stream in RANS_STREAMS and c.model]
-    tables = TableSet.pack([channels[row].model.frequencies(channels[row].alphabet) for row in varying])
+    tables = TableSet.pack(
+        [channels[row].model.frequencies(channels[row].alphabet) for row in varying]
+    )
     levels = [
         dequantise(np.arange(channels[row].alphabet), channels[row].quantiser) for row in varying
     ]
@@ -418,10 +423,12 @@ def _decode_blocks(
             planes[row] = channel.quantiser.origin
 
     def cloud(block: int, start: int, stop: int) -> None:
-        codes = np.zeros(stop - start, np.uint64)
+        codes = np.zeros(stop - start, np.int64)
         if sum(position_depths):
             data = file.section(SectionId.GEOMETRY, block)
-            codes = decode_geometry(data, stop - start, sum(position_depths), f"geometry of block {block}")
+            codes = decode_geometry(
+                data, stop - start, sum(position_depths), f"geometry of block {block}"
+            )
         cells = decode_morton(codes, position_depths)
         symbols = [cells]
         if sum(colour_depths):

@@ -199,4 +199,6 @@ def _order_by(original: Scene, decoded: Scene, depths: tuple[int, ...]):
     Min-max quantisers keep the extremes, so the decoded scene still has the quantisers' ranges.
     """
     rows = (*decoded.positions, *decoded.f_dc)
-    return order_like(original, [fit_range(r, max(d, 1)) for r, d in zip(rows, depths, strict=True)])
+    return order_like(
+        original, [fit_range(r, max(d, 1)) for r, d in zip(rows, depths, strict=True)]
+    )

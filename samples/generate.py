@@ -29,6 +29,9 @@ SH_C0 = 0.28209479177387814
 FLOATER_SHARE = 0.015
 FLAT_COLOUR_SHARE = 0.15
 
+#: Most Gaussians `generate` makes: 24 GB of them at degree 3.
+MAX_COUNT = 100_000_000
+
 #: What the cameras look at: the middle of the objects on the table.
 TARGET = (0.0, 0.0, 0.15)
 
@@ -47,7 +50,7 @@ def generate(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
     Parameters
     ----------
     count : int
-        Number of Gaussians, 0 or more. Their size follows, so that surfaces stay covered.
+        Number of Gaussians, 0 to `MAX_COUNT`. Their size follows, so that surfaces stay covered.
     sh_degree : int
         SH degree, 0-3.
     seed : int
@@ -63,7 +66,7 @@ def generate(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
     InvalidInput
         If an argument is out of range.
     """
-    count = _whole("count", count, 0)
+    count = _whole("count", count, 0, MAX_COUNT)
     sh_degree = _whole("sh_degree", sh_degree, 0, len(SH_COEFFICIENTS) - 1)
     seed = _whole("seed", seed, 0)
     rows = {"positions": 3, "f_dc": 3, "opacity": 1, "log_scale": 3, "rot": 4}
@@ -164,7 +167,7 @@ def _noisy(rgb: NDArray, rng: np.random.Generator) -> NDArray:
 def _log_scales(spacing: NDArray, axis: NDArray, rng: np.random.Generator) -> NDArray:
     """Log-scales ``(3, N)`` of flat splats, the thin one in row `axis`."""
     z = rng.standard_normal((4, len(spacing)))
-    tangent = np.log(0.75 * spacing) + 0.35 * z[0]
+    tangent = np.log(0.8 * spacing) + 0.35 * z[0]
     thin = tangent - 2.2 + 0.7 * z[1]
     axes = np.array([tangent + 0.35 * z[2], tangent + 0.35 * z[3], np.minimum(thin, tangent - 0.7)])
     return np.take_along_axis(axes, _axis_order(axis), axis=0)
@@ -184,7 +187,7 @@ def _rotations(points: SurfacePoints, axis: NDArray, rng: np.random.Generator) -
     half = np.pi * rng.random(len(axis))
     spin = np.array([np.cos(half), 0 * z, 0 * z, np.sin(half)])
     # Cyclic turns of the axes: normal on x, on y, on z.
-    cycle = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5], [1, 0, 0, 0]]).T[:, axis]
+    cycle = np.array([[0.5, -0.5, -0.5, -0.5], [0.5, 0.5, 0.5, 0.5], [1, 0, 0, 0]]).T[:, axis]
     q = _multiply(_multiply(tilt, spin), cycle)
     # Training starts at the identity, so w is seldom negative.
     q *= np.where((q[0] < 0) == (rng.random(len(axis)) < 0.95), -1, 1)
@@ -208,7 +211,7 @@ def _multiply(p: NDArray, q: NDArray) -> NDArray:
 
 def _opacities(count: int, rng: np.random.Generator) -> NDArray:
     """Logits ``(N,)``: near-opaque ones, and a tail of faint ones down to the trainer's cut."""
-    opaque = rng.random(count) < 0.6
+    opaque = rng.random(count) < 0.65
     z = rng.standard_normal(count)
     # The trainer prunes below an opacity of 0.005, a logit of -5.29.
     return np.clip(np.where(opaque, 4.5 + 1.8 * z, -1.2 + 1.9 * z), -5.29, 14.0)
@@ -260,6 +263,9 @@ def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, arg
 def main(argv: Sequence[str] | None = None) -> None:
     """Write a scene, and cameras if asked; exits with status 2 and one line on bad arguments."""
     parser, args = _arguments(argv)
+    for path in filter(None, (args.out, args.cameras)):
+        if path.is_dir() or not path.parent.is_dir():
+            parser.error(f"{path}: cannot be written, expected a file in an existing folder")
     try:
         write_ply(args.out, generate(args.gaussians, args.sh_degree, args.seed))
         if args.cameras is not None:
@@ -268,7 +274,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     except InvalidInput as error:
         parser.error(str(error))
     except OSError as error:
-        parser.error(f"{error.filename2 or error.filename}: {error.strerror}")
+        # The name in the error is that of a temporary file beside the output.
+        folder = Path(error.filename or args.out).parent
+        parser.error(f"cannot write in {folder}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

@@ -159,13 +159,16 @@ def _objects() -> list[Surface]:
     block = _box((-0.53, -0.42, 0.49), (0.26, 0.20, 0.22), turn=1.1)
     can = _corners(shapes.create_cylinder(0.15, 0.56, 64, 1), (0.85, 0.42, 0.28))
     cone = _corners(shapes.create_cone(0.17, 0.40, 64, 1), (0.08, -0.55, 0.0))
-    rings = stripes(
-        lambda p: 0.28 * _angle(p, 0.68, -0.42), 0.16, (0.90, 0.84, 0.70), (0.75, 0.16, 0.14)
+    around = stripes(
+        lambda p: 0.28 * np.arctan2(p[1] + 0.42, p[0] - 0.68),
+        0.16,
+        (0.90, 0.84, 0.70),
+        (0.75, 0.16, 0.14),
     )
     label = stripes(lambda p: p[2] + 0.05 * p[0], 0.14, (0.16, 0.32, 0.66), (0.88, 0.88, 0.84))
     return [
         Surface("sphere", sphere, marble((0.86, 0.85, 0.82), (0.20, 0.34, 0.36)), gloss=1.8),
-        Surface("torus", torus, rings, gloss=1.2),
+        Surface("torus", torus, around, gloss=1.2),
         Surface("knot", _knot(), rainbow, density=6.5, gloss=2.0),
         Surface("cube", cube, checker(0.127, (0.93, 0.78, 0.22), (0.22, 0.20, 0.24), 0.4)),
         Surface("block", block, wood((0.55, 0.22, 0.10), (0.80, 0.45, 0.22)), gloss=0.7),
@@ -219,10 +222,6 @@ def _knot() -> Array:
     # Turned about x, so that the hole faces the cameras, and lifted onto the table.
     upright = np.array([a, 0.30 - c, b - b.min()])
     return np.ascontiguousarray(upright.T[np.asarray(mesh.triangles)].transpose(1, 2, 0))
-
-
-def _angle(points: Array, x: float, y: float) -> Array:
-    return np.arctan2(points[1] - y, points[0] - x)
 
 
 def _mix(a: tuple[float, ...], b: tuple[float, ...], share: Array) -> Array:
@@ -288,8 +287,7 @@ def wood(dark: tuple[float, ...], light: tuple[float, ...]) -> Texture:
 def rainbow(p: Array) -> Array:
     """Hue that turns with height and azimuth, softly banded."""
     hue = 5.0 * p[2] + 3.0 * p[0] + 0.6 * _waves(p, 5.0)
-    shift = np.array([[0.0], [2.1], [4.2]])
-    return (0.55 + 0.33 * np.cos(hue + shift)) * (1 + 0.10 * np.sin(9 * hue))
+    return (0.55 + 0.33 * np.cos(hue + [[0.0], [2.1], [4.2]])) * (1 + 0.10 * np.sin(9 * hue))
 
 
 def _contact_shade(points: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import statistics
 import subprocess
@@ -41,7 +40,9 @@ def machine() -> dict[str, Any]:
     }
 
 
-def measure_scene(scene: Scene, name: str, config: Config, repeats: int) -> Iterator[dict[str, Any]]:
+def measure_scene(
+    scene: Scene, name: str, config: Config, repeats: int
+) -> Iterator[dict[str, Any]]:
     """Result lines of one scene under one configuration.
 
     The scene is written as PLY to a temporary folder first; encoding is timed from that
@@ -128,7 +129,7 @@ def _error(ply: Path, config: Config) -> dict[str, Any]:
 
 
 def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
-    """Peak resident memory of whole processes, as the operating system counts it."""
+    """Peak resident memory of whole processes; 0 where the system does not tell."""
     stream, back = ply.with_suffix(".egs"), ply.with_name("back.ply")
     depths = [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
     encode = _peak_memory(["encode", str(ply), str(stream), "-p", config.profile, *depths])
@@ -143,10 +144,5 @@ def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
 
 
 def _peak_memory(arguments: list[str]) -> int:
-    command = [sys.executable, "-m", "gs_codec", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, command)
-    return usage.ru_maxrss * 1024
+    command = [sys.executable, "-m", "gs_codec.bench.peak", *arguments]
+    return int(subprocess.run(command, check=True, capture_output=True).stdout)

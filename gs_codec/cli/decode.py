@@ -15,7 +15,8 @@ def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply.")],
     threads: Annotated[
-        int | None, typer.Option(help="Worker threads.", min=1, max=256, show_default="all processors")
+        int | None,
+        typer.Option(help="Worker threads.", min=1, max=256, show_default="all processors"),
     ] = None,
     max_bytes: Annotated[
         int | None,
@@ -30,7 +31,9 @@ def command(
         report = decode_file(source, target, threads, max_bytes, progress)
     size = target.stat().st_size
     if json:
-        print_json({"input": str(source), "output": str(target), "output_bytes": size, **asdict(report)})
+        print_json(
+            {"input": str(source), "output": str(target), "output_bytes": size, **asdict(report)}
+        )
     else:
         print_text(
             f"{target}: {report.count:,} Gaussians, SH degree {report.sh_degree}, "

@@ -9,7 +9,14 @@ from typing import Annotated
 import typer
 
 from gs_codec.bench import paper
-from gs_codec.cli.output import print_json, print_status, print_table, print_text, progress_bar, size_text
+from gs_codec.cli.output import (
+    print_json,
+    print_status,
+    print_table,
+    print_text,
+    progress_bar,
+    size_text,
+)
 from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport

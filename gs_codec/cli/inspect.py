@@ -48,9 +48,7 @@ def _stream_row(stream, info) -> list[str]:
     members = [c for c in info.channels if c.stream == stream.name]
     depths = "/".join(str(d) for d in sorted({c.quantiser.depth for c in members}))
     kinds = Counter(
-        c.model.kind if c.model else "constant"
-        for c in members
-        if c.model or not c.quantiser.depth
+        c.model.kind if c.model else "constant" for c in members if c.model or not c.quantiser.depth
     )
     models = ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items()))
     return [stream.name, f"{stream.bytes:,}", f"{stream.bits_per_gaussian:.3f}", depths, models]

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from gs_codec.report import Progress as ProgressCallback
 
+
 def print_json(value: Any) -> None:
     """One JSON document on stdout."""
     print(json.dumps(value))

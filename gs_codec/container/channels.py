@@ -150,8 +150,10 @@ def _unpack_quantiser(reader: ByteReader, stream: str) -> Quantiser:
     ordered = first < second if kind == 1 else second > 0
     if not (math.isfinite(first) and math.isfinite(second) and ordered):
         raise CorruptStream(f"{_WHERE}: quantiser of range {first}, {second}")
-    return RangeQuantiser(depth, first, second) if kind == 1 else CentredQuantiser(
-        depth, first, second
+    return (
+        RangeQuantiser(depth, first, second)
+        if kind == 1
+        else CentredQuantiser(depth, first, second)
     )
 
 

@@ -16,50 +16,48 @@ from numpy.typing import NDArray
 from gs_codec.errors import CorruptStream
 from gs_codec.kernels import inlined
 
-# Fields of a coder's state, a uint64 array.
+# Fields of a coder's state. Signed arithmetic throughout: numba turns a mix of signed and
+# unsigned integers into floats, which made this coder five times slower.
 _LOW, _HIGH, _CODE, _POSITION, _ENCODING = range(5)
-_STATE_SIZE = 5
 
-_MASK = np.uint64(0xFFFFFFFF)
-_TOP = np.uint64(0xFF000000)
-_EIGHT = np.uint64(8)
-_SIXTEEN = np.uint64(16)
+_MASK = 0xFFFFFFFF
+_TOP = 0xFF000000
 
 #: Adaptation rate after n occurrences of a context, in 1/65536: about 1 / (n + 1.5).
-_RATES = np.array([131072 // (2 * n + 3) for n in range(256)], np.uint64)
+_RATES = np.array([131072 // (2 * n + 3) for n in range(256)], np.int64)
 _SMALLEST, _LARGEST = 32, 65536 - 32
 
 
 @inlined
-def code_bit(state, data, contexts, hits, context, bit):
+def code_bit(state, data, contexts, context, bit):
     """Code one decision under `context`; returns it."""
     low = state[_LOW]
     high = state[_HIGH]
-    chance = np.uint64(contexts[context])
-    middle = low + (((high - low) * chance) >> _SIXTEEN)
+    packed = contexts[context]
+    chance = np.int64(packed >> 8)
+    seen = packed & 255
+    middle = low + (((high - low) * chance) >> 16)
     if state[_ENCODING] == 0:
         bit = state[_CODE] <= middle
-    rate = _RATES[hits[context]]
     if bit:
         high = middle
-        chance += ((np.uint64(65536) - chance) * rate) >> _SIXTEEN
+        chance += ((65536 - chance) * _RATES[seen]) >> 16
     else:
-        low = middle + np.uint64(1)
-        chance -= (chance * rate) >> _SIXTEEN
-    contexts[context] = min(max(chance, np.uint64(_SMALLEST)), np.uint64(_LARGEST))
-    if hits[context] < 255:
-        hits[context] += 1
+        low = middle + 1
+        chance -= (chance * _RATES[seen]) >> 16
+    chance = min(max(chance, _SMALLEST), _LARGEST)
+    contexts[context] = (chance << 8) | min(seen + 1, 255)
     while (low ^ high) & _TOP == 0:
         position = state[_POSITION]
         if state[_ENCODING] != 0:
             if position < data.size:
-                data[position] = high >> np.uint64(24)
+                data[position] = high >> 24
         else:
-            byte = np.uint64(data[position]) if position < data.size else np.uint64(0)
-            state[_CODE] = ((state[_CODE] << _EIGHT) | byte) & _MASK
-        state[_POSITION] = position + np.uint64(1)
-        low = (low << _EIGHT) & _MASK
-        high = ((high << _EIGHT) | np.uint64(255)) & _MASK
+            byte = np.int64(data[position]) if position < data.size else 0
+            state[_CODE] = ((state[_CODE] << 8) | byte) & _MASK
+        state[_POSITION] = position + 1
+        low = (low << 8) & _MASK
+        high = ((high << 8) & _MASK) | 255
     state[_LOW] = low
     state[_HIGH] = high
     return bit
@@ -68,27 +66,27 @@ def code_bit(state, data, contexts, hits, context, bit):
 @inlined
 def code_raw(bits, position, width, value, encoding):
     """Code the `width` low bits of `value`, most significant first, at bit `position`."""
-    if encoding:
-        for i in range(width):
-            at = position + i
-            if (value >> np.uint64(width - 1 - i)) & np.uint64(1):
-                bits[at >> 3] |= np.uint8(128 >> (at & 7))
-        return value
-    value = np.uint64(0)
     at = position
-    end = position + width
-    while at < end:
-        take = min(8 - (at & 7), end - at)
-        byte = np.uint64(bits[at >> 3]) if (at >> 3) < bits.size else np.uint64(0)
-        field = (byte >> np.uint64(8 - (at & 7) - take)) & np.uint64((1 << take) - 1)
-        value = (value << np.uint64(take)) | field
+    left = width
+    read = 0
+    while left > 0:
+        take = min(8 - (at & 7), left)
+        shift = 8 - (at & 7) - take
+        field = (1 << take) - 1
+        if encoding:
+            bits[at >> 3] |= ((value >> (left - take)) & field) << shift
+        elif at >> 3 < bits.size:
+            read = (read << take) | ((np.int64(bits[at >> 3]) >> shift) & field)
+        else:
+            read <<= take
         at += take
-    return value
+        left -= take
+    return read
 
 
-def new_contexts(count: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Probability (of a 1, in 1/65536) and occurrence count of `count` fresh contexts."""
-    return np.full(count, 32768, np.uint16), np.zeros(count, np.uint8)
+def new_contexts(count: int) -> NDArray[np.int32]:
+    """Fresh contexts: probability of a 1 in 1/65536, shifted by 8, and number of occurrences."""
+    return np.full(count, 32768 << 8, np.int32)
 
 
 def encode_binary(model: Callable[[NDArray, NDArray], None], capacity: int) -> bytes:
@@ -99,7 +97,7 @@ def encode_binary(model: Callable[[NDArray, NDArray], None], capacity: int) -> b
     capacity += 1024
     while True:
         data = np.zeros(capacity, np.uint8)
-        state = np.array([0, _MASK, 0, 0, 1], np.uint64)
+        state = np.array([0, _MASK, 0, 0, 1], np.int64)
         model(state, data)
         position = int(state[_POSITION])
         if position + 4 <= capacity:
@@ -116,7 +114,7 @@ def decode_binary(
     """Run ``model(state, data)`` as a decoder and check that it used exactly `data`."""
     stream = np.frombuffer(data, np.uint8).copy()
     code = int.from_bytes(bytes(data[:4]).ljust(4, b"\0"), "big")
-    state = np.array([0, _MASK, code, 4, 0], np.uint64)
+    state = np.array([0, _MASK, code, 4, 0], np.int64)
     model(state, stream)
     used = int(state[_POSITION]) - 4 + _flush_length(int(state[_LOW]), int(state[_HIGH]))
     if used != stream.size:

@@ -50,23 +50,21 @@ def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
     """Code symbols[:, start:stop] backwards into the end of `words`; fills each channel's first."""
     position = words.size
     for channel in range(symbols.shape[0] - 1, -1, -1):
-        precision = np.uint64(precisions[channel])
-        total = np.uint64(1) << precision
-        shift = np.uint64(32) - precision
+        precision = precisions[channel]
         for i in range(stop - start - 1, -1, -1):
             lane = i & (LANES - 1)
-            span = spans[channel, symbols[channel, start + i]]
-            frequency = np.uint64(span & np.uint32(0xFFFF))
+            span = np.int64(spans[channel, symbols[channel, start + i]])
+            frequency = span & 0xFFFF
             if frequency == 0:
-                frequency = total
+                frequency = 1 << precision
             state = states[lane]
-            if state >= frequency << shift:
-                position -= 1
-                words[position] = state & np.uint64(0xFFFF)
-                state >>= np.uint64(16)
-            quotient = np.uint64(np.float64(state) / np.float64(frequency))
-            rest = state - quotient * frequency
-            states[lane] = (quotient << precision) + rest + np.uint64(span >> np.uint32(16))
+            full = np.int64(state >= frequency << (32 - precision))
+            words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
+            position -= full
+            state >>= full << 4
+            # Exact: both are below 2**32, so the quotient is not rounded up to an integer.
+            quotient = np.int64(np.float64(state) / np.float64(frequency))
+            states[lane] = (quotient << precision) + state - quotient * frequency + (span >> 16)
         firsts[channel] = position
 
 
@@ -79,9 +77,8 @@ def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, sy
     position = 0
     count = symbols.shape[1]
     for channel in range(symbols.shape[0]):
-        precision = np.uint64(precisions[channel])
-        total = np.uint64(1) << precision
-        mask = total - np.uint64(1)
+        precision = precisions[channel]
+        mask = (1 << precision) - 1
         slot_of = slots[offsets[channel] :]
         row = spans[channel]
         out = symbols[channel]
@@ -92,15 +89,15 @@ def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, sy
                 state = states[i & (LANES - 1)]
                 slot = state & mask
                 symbol = slot_of[slot]
-                span = row[symbol]
-                frequency = np.uint64(span & np.uint32(0xFFFF))
+                span = np.int64(row[symbol])
+                frequency = span & 0xFFFF
                 if frequency == 0:
-                    frequency = total
-                state = frequency * (state >> precision) + slot - np.uint64(span >> np.uint32(16))
-                refilled = (state << np.uint64(16)) | np.uint64(words[position])
-                short = state < _LOWEST
-                states[i & (LANES - 1)] = refilled if short else state
-                position += 1 if short else 0
+                    frequency = mask + 1
+                state = frequency * (state >> precision) + slot - (span >> 16)
+                short = np.int64(state < _LOWEST)
+                word = np.int64(words[position]) & -short  # no branch: it would often be missed
+                states[i & (LANES - 1)] = (state << (short << 4)) | word
+                position += short
                 out[i] = symbol
         if position > bounds[channel] or (closed[channel] and position != bounds[channel]):
             return channel
@@ -122,8 +119,8 @@ def encode_symbols(
         16-bit words each channel reads.
     """
     channels, count = len(symbols), stop - start
-    states = np.full(LANES, _LOWEST, np.uint64)
-    words = np.empty(channels * count, np.uint16)
+    states = np.full(LANES, _LOWEST, np.int64)
+    words = np.empty(1 + channels * count, np.uint16)
     firsts = np.full(channels + 1, words.size, np.int64)
     _encode(symbols, start, stop, tables.precisions, tables.spans, states, words, firsts)
     words = words.astype("<u2")
@@ -132,7 +129,10 @@ def encode_symbols(
 
 
 def decode_symbols(
-    states: memoryview, groups: list[tuple[int, memoryview]], count: int, tables: TableSet,
+    states: memoryview,
+    groups: list[tuple[int, memoryview]],
+    count: int,
+    tables: TableSet,
     where: str,
 ) -> NDArray[np.uint16]:
     """Symbols ``(C, count)`` of consecutive groups of channels.
@@ -161,7 +161,7 @@ def decode_symbols(
         raise CorruptStream(f"{where}: {len(states)} bytes of states, expected {4 * lanes}")
     if any(len(data) % 2 for _, data in groups):
         raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
-    lane_states = np.full(LANES, _LOWEST, np.uint64)
+    lane_states = np.full(LANES, _LOWEST, np.int64)
     lane_states[:lanes] = np.frombuffer(states, "<u4")
     sizes = [len(data) // 2 for _, data in groups]
     words = np.zeros(sum(sizes) + LANES, np.uint16)

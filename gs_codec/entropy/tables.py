@@ -32,7 +32,7 @@ def _weight_length(weight):
 
 
 @kernel
-def _walk(weights, mantissa, state, data, contexts, hits, encoding):
+def _walk(weights, mantissa, state, data, contexts, encoding):
     """Code the weights of one table; False if a length leaves 0..MAX_EXPONENT."""
     before = 0
     changed = 1
@@ -41,16 +41,16 @@ def _walk(weights, mantissa, state, data, contexts, hits, encoding):
         weight = weights[symbol]
         length = _weight_length(weight) if encoding else 0
         kind = 3 * large + (2 if before == 0 else changed)
-        if code_bit(state, data, contexts, hits, _SAME + kind, length == before):
+        if code_bit(state, data, contexts, _SAME + kind, length == before):
             length = before
             changed = 0
         else:
-            shrinks = code_bit(state, data, contexts, hits, _SIGN + kind, length < before)
+            shrinks = code_bit(state, data, contexts, _SIGN + kind, length < before)
             size = abs(length - before)
             known = 1
             while known < _STEPS:
                 context = _SIZE + _STEPS * large + known - 1
-                if not code_bit(state, data, contexts, hits, context, size > known):
+                if not code_bit(state, data, contexts, context, size > known):
                     break
                 known += 1
             length = before - known if shrinks else before + known
@@ -67,7 +67,7 @@ def _walk(weights, mantissa, state, data, contexts, hits, encoding):
             bit = 0
             if rank < mantissa:
                 given = (weight >> place) & 1
-                bit = 1 if code_bit(state, data, contexts, hits, _MANTISSA + rank, given) else 0
+                bit = 1 if code_bit(state, data, contexts, _MANTISSA + rank, given) else 0
             value = 2 * value + bit
         weights[symbol] = value
     return True
@@ -77,9 +77,9 @@ def encode_tables(weights: list[NDArray[np.int64]], mantissas: list[int]) -> byt
     """Code the weights of several tables into one stream."""
 
     def model(state: NDArray, data: NDArray) -> None:
-        contexts, hits = new_contexts(_CONTEXTS)
+        contexts = new_contexts(_CONTEXTS)
         for table, mantissa in zip(weights, mantissas, strict=True):
-            _walk(table.copy(), mantissa, state, data, contexts, hits, True)
+            _walk(table.copy(), mantissa, state, data, contexts, True)
 
     return encode_binary(model, 0)
 
@@ -97,9 +97,9 @@ def decode_tables(
     weights = [np.zeros(alphabet, np.int64) for alphabet in alphabets]
 
     def model(state: NDArray, stream: NDArray) -> None:
-        contexts, hits = new_contexts(_CONTEXTS)
+        contexts = new_contexts(_CONTEXTS)
         for table, mantissa in zip(weights, mantissas, strict=True):
-            if not _walk(table, mantissa, state, stream, contexts, hits, False):
+            if not _walk(table, mantissa, state, stream, contexts, False):
                 raise CorruptStream(f"{where}: a weight of more than {MAX_EXPONENT} bits")
             if not table.any():
                 raise CorruptStream(f"{where}: a table without symbols")

@@ -33,23 +33,23 @@ def _bit_length(value):
 
 
 @inlined
-def _code_residual(state, data, contexts, hits, base, residual):
+def _code_residual(state, data, contexts, base, residual):
     """Code a signed residual as bit length (unary), sign, then the bits below the first."""
     size = abs(residual)
     length = _bit_length(size)
     known = 0
     while known < _MAGNITUDES - 1:
-        if not code_bit(state, data, contexts, hits, base + known, length > known):
+        if not code_bit(state, data, contexts, base + known, length > known):
             break
         known += 1
     if known == 0:
         return 0
-    negative = code_bit(state, data, contexts, hits, base + _MAGNITUDES, residual < 0)
+    negative = code_bit(state, data, contexts, base + _MAGNITUDES, residual < 0)
     value = 1
     for place in range(known - 2, -1, -1):
         rank = min(known - 2 - place, 2)
         context = base + (1 + rank) * _MAGNITUDES + known
-        bit = code_bit(state, data, contexts, hits, context, (size >> place) & 1)
+        bit = code_bit(state, data, contexts, context, (size >> place) & 1)
         value = 2 * value + (1 if bit else 0)
     return -value if negative else value
 
@@ -98,7 +98,7 @@ def _predict(channel, near, weights, found, values):
 
 
 @kernel
-def _walk(cells, values, coded, state, data, contexts, hits, encoding):
+def _walk(cells, values, coded, state, data, contexts, encoding):
     """Code `values` (G, R - G, B - G) of all points; channels with coded[c] == 0 stay 0."""
     near = np.zeros(_NEIGHBOURS, np.int64)
     distances = np.zeros(_NEIGHBOURS, np.int64)
@@ -117,7 +117,7 @@ def _walk(cells, values, coded, state, data, contexts, hits, encoding):
             residual = 0
             if encoding:
                 residual = values[channel, i] - mean
-            residual = _code_residual(state, data, contexts, hits, base, residual)
+            residual = _code_residual(state, data, contexts, base, residual)
             values[channel, i] = mean + residual
             previous = abs(residual)
 
@@ -142,7 +142,7 @@ def encode_colour(
 
     def model(state: NDArray, data: NDArray) -> None:
         values = source.copy()
-        _walk(cells, values, _coded(depths), state, data, *new_contexts(_CONTEXTS), True)
+        _walk(cells, values, _coded(depths), state, data, new_contexts(_CONTEXTS), True)
 
     return encode_binary(model, 3 * colours.shape[1])
 
@@ -160,7 +160,7 @@ def decode_colour(
     values = np.zeros((3, cells.shape[1]), np.int64)
 
     def model(state: NDArray, stream: NDArray) -> None:
-        _walk(cells, values, _coded(depths), state, stream, *new_contexts(_CONTEXTS), False)
+        _walk(cells, values, _coded(depths), state, stream, new_contexts(_CONTEXTS), False)
 
     decode_binary(model, data, where)
     green, red, blue = values

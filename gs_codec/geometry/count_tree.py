@@ -41,13 +41,13 @@ def _count_class(count):
 
 
 @inlined
-def _code_split(state, data, contexts, hits, count, onesided, low):
+def _code_split(state, data, contexts, count, onesided, low):
     """Code how many of `count` points lie in the low half; returns it."""
     size = _count_class(count)
     base = 4 * size + 2 * onesided
-    if code_bit(state, data, contexts, hits, base, low == 0):
+    if code_bit(state, data, contexts, base, low == 0):
         return 0
-    if code_bit(state, data, contexts, hits, base + 1, low == count):
+    if code_bit(state, data, contexts, base + 1, low == count):
         return count
     first = 1
     last = count - 1
@@ -55,7 +55,7 @@ def _code_split(state, data, contexts, hits, count, onesided, low):
     while first < last:
         middle = (first + last) >> 1
         context = _SPLIT_CONTEXTS + _BISECT_NODES * size + min(node, _BISECT_NODES - 1)
-        above = code_bit(state, data, contexts, hits, context, low > middle)
+        above = code_bit(state, data, contexts, context, low > middle)
         if above:
             first = middle + 1
             node = 2 * node + 1
@@ -72,7 +72,7 @@ def _low_half(codes, start, stop, bit):
     last = stop
     while first < last:
         middle = (first + last) >> 1
-        if (codes[middle] >> bit) & np.uint64(1):
+        if (codes[middle] >> bit) & 1:
             last = middle
         else:
             first = middle + 1
@@ -80,19 +80,18 @@ def _low_half(codes, start, stop, bit):
 
 
 @kernel
-def _walk(codes, total_bits, state, data, contexts, hits, bits, encoding):
+def _walk(codes, total_bits, state, data, contexts, bits, encoding):
     """Code all of `codes`, depth first, low half first; returns the raw bits used."""
     depth = total_bits + 2
     starts = np.zeros(depth, np.int64)
     counts = np.zeros(depth, np.int64)
     lefts = np.zeros(depth, np.int64)
     sides = np.zeros(depth, np.int64)
-    prefixes = np.zeros(depth, np.uint64)
+    prefixes = np.zeros(depth, np.int64)
     counts[0] = codes.size
     lefts[0] = total_bits
     top = 1 if codes.size > 0 else 0
     raw = 0
-    one = np.uint64(1)
     while top > 0:
         top -= 1
         start = starts[top]
@@ -100,11 +99,11 @@ def _walk(codes, total_bits, state, data, contexts, hits, bits, encoding):
         left = lefts[top]
         prefix = prefixes[top]
         if count == 1:
-            value = codes[start] if encoding else np.uint64(0)
+            value = codes[start] if encoding else 0
             low_bits = code_raw(bits, raw, left, value, encoding)
             raw += left
             if not encoding:
-                codes[start] = (prefix << np.uint64(left)) | low_bits
+                codes[start] = (prefix << left) | low_bits
             continue
         if left == 0:
             if not encoding:
@@ -113,32 +112,32 @@ def _walk(codes, total_bits, state, data, contexts, hits, bits, encoding):
         left -= 1
         low = 0
         if encoding:
-            low = _low_half(codes, start, start + count, np.uint64(left))
-        low = _code_split(state, data, contexts, hits, count, sides[top], low)
+            low = _low_half(codes, start, start + count, left)
+        low = _code_split(state, data, contexts, count, sides[top], low)
         onesided = 1 if low == 0 or low == count else 0
         if low < count:
             starts[top] = start + low
             counts[top] = count - low
             lefts[top] = left
             sides[top] = onesided
-            prefixes[top] = (prefix << one) | one
+            prefixes[top] = (prefix << 1) | 1
             top += 1
         if low > 0:
             starts[top] = start
             counts[top] = low
             lefts[top] = left
             sides[top] = onesided
-            prefixes[top] = prefix << one
+            prefixes[top] = prefix << 1
             top += 1
     return raw
 
 
-def encode_geometry(codes: NDArray[np.uint64], total_bits: int) -> bytes:
+def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
     """Code sorted Morton codes.
 
     Parameters
     ----------
-    codes : ndarray, shape (N,), uint64
+    codes : ndarray, shape (N,), int64
         Ascending; duplicates allowed.
     total_bits : int
         Bits of a code, 0-63.
@@ -149,15 +148,13 @@ def encode_geometry(codes: NDArray[np.uint64], total_bits: int) -> bytes:
     def model(state: NDArray, data: NDArray) -> None:
         nonlocal used
         bits[:] = 0
-        used = _walk(codes, total_bits, state, data, *new_contexts(_CONTEXTS), bits, True)
+        used = _walk(codes, total_bits, state, data, new_contexts(_CONTEXTS), bits, True)
 
     coded = encode_binary(model, codes.size)
     return struct.pack("<I", len(coded)) + coded + bits[: (used + 7) // 8].tobytes()
 
 
-def decode_geometry(
-    data: memoryview, count: int, total_bits: int, where: str
-) -> NDArray[np.uint64]:
+def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -> NDArray[np.int64]:
     """The inverse of `encode_geometry` for `count` codes.
 
     Raises
@@ -171,12 +168,12 @@ def decode_geometry(
     if size > len(data) - 4:
         raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
     bits = np.frombuffer(data[4 + size :], np.uint8).copy()
-    codes = np.zeros(count, np.uint64)
+    codes = np.zeros(count, np.int64)
     used = 0
 
     def model(state: NDArray, stream: NDArray) -> None:
         nonlocal used
-        used = _walk(codes, total_bits, state, stream, *new_contexts(_CONTEXTS), bits, False)
+        used = _walk(codes, total_bits, state, stream, new_contexts(_CONTEXTS), bits, False)
 
     decode_binary(model, data[4 : 4 + size], where)
     if bits.size != (used + 7) // 8:

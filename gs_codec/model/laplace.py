@@ -49,4 +49,3 @@ class LaplaceModel:
     def describe(self) -> dict[str, float]:
         """Parameters in symbols, for reports."""
         return {"scale": -0.5 / math.log(self.decay / 65536)}
-

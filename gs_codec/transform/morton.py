@@ -19,26 +19,26 @@ def bit_layout(depths: tuple[int, int, int]) -> NDArray[np.int64]:
     return np.array(axes, np.int64)
 
 
-def _byte_tables(depths: tuple[int, int, int]) -> NDArray[np.uint64]:
+def _byte_tables(depths: tuple[int, int, int]) -> NDArray[np.int64]:
     """Code contribution of each value of each byte of each axis, shape (3, 3, 256)."""
     layout = bit_layout(depths)
-    tables = np.zeros((3, 3, 256), np.uint64)
+    tables = np.zeros((3, 3, 256), np.int64)
     values = np.arange(256)
     left = list(depths)
     for position, axis in enumerate(layout):
         left[axis] -= 1
         byte, bit = divmod(left[axis], 8)
-        shift = np.uint64(len(layout) - 1 - position)
-        tables[axis, byte] |= ((values >> bit) & 1).astype(np.uint64) << shift
+        shift = len(layout) - 1 - position
+        tables[axis, byte] |= ((values >> bit) & 1).astype(np.int64) << shift
     return tables
 
 
 @kernel
 def _encode(cells, tables, codes):
     for i in range(codes.size):
-        code = np.uint64(0)
+        code = 0
         for axis in range(3):
-            cell = cells[axis, i]
+            cell = np.int64(cells[axis, i])
             code |= tables[axis, 0, cell & 255]
             code |= tables[axis, 1, (cell >> 8) & 255]
             code |= tables[axis, 2, (cell >> 16) & 255]
@@ -47,49 +47,34 @@ def _encode(cells, tables, codes):
 
 @kernel
 def _decode(codes, layout, cells):
+    cells[:] = 0
     for i in range(codes.size):
-        x = np.uint64(0)
-        y = np.uint64(0)
-        z = np.uint64(0)
-        code = codes[i]
         for position in range(layout.size):
-            bit = (code >> np.uint64(layout.size - 1 - position)) & np.uint64(1)
+            bit = (codes[i] >> (layout.size - 1 - position)) & 1
             axis = layout[position]
-            if axis == 0:
-                x = (x << np.uint64(1)) | bit
-            elif axis == 1:
-                y = (y << np.uint64(1)) | bit
-            else:
-                z = (z << np.uint64(1)) | bit
-        cells[0, i] = x
-        cells[1, i] = y
-        cells[2, i] = z
+            cells[axis, i] = (cells[axis, i] << 1) | bit
 
 
-def encode_morton(
-    cells: NDArray[np.uint32], depths: tuple[int, int, int]
-) -> NDArray[np.uint64]:
+def encode_morton(cells: NDArray[np.uint32], depths: tuple[int, int, int]) -> NDArray[np.int64]:
     """Morton codes ``(N,)`` of quantised positions ``(3, N)``."""
-    codes = np.empty(cells.shape[1], np.uint64)
+    codes = np.empty(cells.shape[1], np.int64)
     _encode(cells, _byte_tables(depths), codes)
     return codes
 
 
-def decode_morton(
-    codes: NDArray[np.uint64], depths: tuple[int, int, int]
-) -> NDArray[np.uint32]:
+def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDArray[np.uint32]:
     """Quantised positions ``(3, N)`` of Morton codes ``(N,)``."""
     cells = np.empty((3, codes.size), np.uint32)
     _decode(codes, bit_layout(depths), cells)
     return cells
 
 
-def canonical_order(codes: NDArray[np.uint64], colours: NDArray[np.uint16]) -> NDArray[np.int64]:
+def canonical_order(codes: NDArray[np.int64], colours: NDArray[np.uint16]) -> NDArray[np.int64]:
     """Permutation that sorts by (Morton code, R, G, B of SH-DC, original index).
 
     Parameters
     ----------
-    codes : ndarray, shape (N,), uint64
+    codes : ndarray, shape (N,), int64
     colours : ndarray, shape (3, N), uint16
         Quantised SH-DC, which orders Gaussians that share a cell.
     """

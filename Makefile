@@ -1,0 +1,40 @@
+# Everything is installed into .venv; Debian/Ubuntu libraries by .ci/system-packages.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+.PHONY: demo test lint check clean
+
+demo: $(VENV)/installed
+	@mkdir -p demo
+	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3
+	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs
+	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply
+	$(BIN)/gs-codec compare demo/still_life.ply demo/decoded.ply
+
+test: $(VENV)/installed-test
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+check: lint test
+
+$(VENV)/installed: pyproject.toml .ci/system-packages
+	.ci/system-packages
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install -e .
+	@touch $@
+
+# torch 2.13.0 is pinned because other releases may bring gigabytes of CUDA.
+$(VENV)/installed-test: $(VENV)/installed
+	.ci/system-packages test
+	$(PIP) install torch==2.13.0
+	$(PIP) install -e '.[paper,test]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) demo build *.egg-info

@@ -1,0 +1,197 @@
+"""The generated scene: reproducible, of the size asked for, and distributed as promised."""
+
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gs_codec.errors import InvalidInput
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from samples import generate as module
+from samples.generate import TARGET, generate, main, orbit_cameras
+from samples.surfaces import ROOM_RADIUS, still_life
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return generate(20_000, 3, seed=5)
+
+
+def _rotation_matrices(rot: np.ndarray) -> np.ndarray:
+    """Matrices ``(3, 3, N)`` of quaternions wxyz ``(4, N)`` of any norm."""
+    w, x, y, z = rot / np.linalg.norm(rot, axis=0)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _same(a: Scene, b: Scene) -> bool:
+    return all(np.array_equal(getattr(a, group), getattr(b, group)) for group in GROUPS)
+
+
+def test_seed_decides_every_attribute(scene: Scene) -> None:
+    assert _same(scene, generate(20_000, 3, seed=5))
+    other = generate(20_000, 3, seed=6)
+    assert not any(np.array_equal(getattr(scene, g), getattr(other, g)) for g in GROUPS)
+
+
+def test_sh_degree_leaves_the_other_attributes_alone(scene: Scene) -> None:
+    plain = generate(20_000, 0, seed=5)
+    for group in set(GROUPS) - {"f_rest"}:
+        np.testing.assert_array_equal(getattr(plain, group), getattr(scene, group), group)
+
+
+def test_another_process_writes_the_same_bytes(tmp_path: Path) -> None:
+    here, there = tmp_path / "here.ply", tmp_path / "there.ply"
+    write_ply(here, generate(300, 1, seed=9))
+    command = [sys.executable, module.__file__, str(there)]
+    options = ["--gaussians", "300", "--sh-degree", "1", "--seed", "9"]
+    subprocess.run([*command, *options], check=True, cwd=tmp_path)
+    digests = {hashlib.sha256(path.read_bytes()).hexdigest() for path in (here, there)}
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("count", [0, 1, 2, 17, 5000])
+def test_exact_size_and_sane_values(count: int, degree: int) -> None:
+    scene = generate(count, degree, seed=2)
+    assert (scene.count, scene.sh_degree, scene.has_normals) == (count, degree, True)
+    assert len(scene.f_rest) == 3 * SH_COEFFICIENTS[degree]
+    assert all(np.isfinite(getattr(scene, group)).all() for group in GROUPS)
+    norms = np.linalg.norm(scene.rot, axis=0)
+    assert np.all((norms > 0.699) & (norms < 1.301))
+
+
+def test_chunks_fill_the_scene_without_gaps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_CHUNK", 64)
+    scene = generate(64 * 3 + 1, 3, seed=1)
+    assert np.all(np.linalg.norm(scene.rot, axis=0) > 0.699)
+    assert len(np.unique(scene.positions, axis=1).T) == scene.count
+
+
+def test_sh_ac_is_heavy_tailed_and_common_to_the_colours(scene: Scene) -> None:
+    ac = scene.f_rest.reshape(3, 15, -1)
+    lit = np.any(ac != 0, axis=(0, 1))
+    assert 0.1 < 1 - lit.mean() < 0.2
+    for k in range(15):
+        colours = ac[:, k, lit].astype(float)
+        assert np.corrcoef(colours)[np.triu_indices(3, 1)].min() > 0.7
+        centred = colours - colours.mean(axis=1, keepdims=True)
+        kurtosis = (centred**4).mean(axis=1) / (centred**2).mean(axis=1) ** 2
+        assert kurtosis.min() > 5
+    band = [np.abs(ac[:, a:b]).mean() for a, b in ((0, 3), (3, 8), (8, 15))]
+    assert band[0] > band[1] > band[2]
+
+
+def test_splats_on_the_sphere_lie_flat(scene: Scene) -> None:
+    centre, radius = np.array([[-0.85], [0.40], [0.28]]), 0.28
+    outward = scene.positions - centre
+    distance = np.linalg.norm(outward, axis=0)
+    on = np.flatnonzero((np.abs(distance - radius) < 0.02) & (scene.positions[2] > 0.1))
+    outward = outward[:, on] / distance[on]
+    turn, scale = _rotation_matrices(scene.rot[:, on]), np.exp(scene.log_scale[:, on])
+    covariance = np.einsum("ijn,jn,kjn->nik", turn, scale**2, turn)
+    values, vectors = np.linalg.eigh(covariance)
+    cosine = np.abs(np.einsum("ni,in->n", vectors[:, :, 0], outward))
+    assert len(on) > 500
+    assert np.quantile(cosine, 0.02) > 0.99
+    assert np.mean(values[:, 0] < 0.25 * values[:, 1]) > 0.9
+    # Each of the three axes serves as the thin one, so that all its rotations are seen.
+    assert set(scene.log_scale[:, on].argmin(axis=0)) == {0, 1, 2}
+
+
+def test_splats_shrink_as_their_number_grows() -> None:
+    few, many = (np.median(generate(n, 0).log_scale) for n in (2000, 32_000))
+    assert few - many == pytest.approx(np.log(4), abs=0.1)
+
+
+def test_floaters_are_few_far_large_and_faint(scene: Scene) -> None:
+    distance = np.linalg.norm(scene.positions, axis=0)
+    far = distance > ROOM_RADIUS
+    assert 0.01 < far.mean() < 0.02
+    assert np.median(scene.log_scale[:, far]) > np.median(scene.log_scale[:, ~far]) + 1
+    assert scene.opacity[0, far].max() < 0
+
+
+def test_opacity_has_an_opaque_majority_and_a_faint_tail(scene: Scene) -> None:
+    opacity = 1 / (1 + np.exp(-scene.opacity[0]))
+    assert np.mean(opacity > 0.9) > 0.45
+    assert np.mean(opacity < 0.1) > 0.05
+    assert opacity.min() > 0.0049
+
+
+def test_every_surface_is_inside_the_room_and_sampled() -> None:
+    life = still_life()
+    points = life.sample(20_000, np.random.default_rng(0))
+    assert np.linalg.norm(points.positions, axis=0).max() < ROOM_RADIUS
+    assert np.allclose(np.linalg.norm(points.normals, axis=0), 1)
+    assert np.bincount(points.part, minlength=len(life.surfaces)).min() > 20
+    colours = life.colours(points)
+    assert colours.min() >= 0
+    assert colours.max() <= 1.2
+
+
+def test_cameras_look_at_the_target() -> None:
+    cameras = orbit_cameras(24)
+    assert json.loads(json.dumps(cameras)) == cameras
+    assert [camera["id"] for camera in cameras] == list(range(24))
+    for camera in cameras:
+        rotation, position = np.array(camera["rotation"]), np.array(camera["position"])
+        np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1)
+        right, down, depth = rotation.T @ (np.array(TARGET) - position)
+        assert (right, down) == pytest.approx((0, 0), abs=1e-12)
+        assert depth > 1
+        assert rotation[2, 1] < 0, "the down column must point down in a z-up world"
+    assert len({camera["position"][2] for camera in cameras}) == 2
+
+
+def test_cli_writes_what_generate_makes(tmp_path: Path) -> None:
+    out, cameras = tmp_path / "scene.ply", tmp_path / "cameras.json"
+    main([str(out), "--gaussians", "123", "--sh-degree", "2", "--cameras", str(cameras)])
+    back = read_ply(out)
+    assert _same(back, generate(123, 2))
+    assert back.has_normals
+    assert json.loads(cameras.read_text()) == orbit_cameras()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--gaussians", "-1"], "count: -1, expected 0-100000000"),
+        (["--gaussians", "many"], "invalid int value: 'many'"),
+        (["--sh-degree", "4"], "sh_degree: 4, expected 0-3"),
+        (["--seed", "-1"], "seed: -1, expected 0 or more"),
+        (["--cameras", "no/such/c.json"], "no/such/c.json: cannot be written"),
+    ],
+)
+def test_cli_refuses_bad_arguments(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "scene.ply"
+    with pytest.raises(SystemExit) as stop:
+        main([str(out), *arguments])
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("bad", [{"count": 1.5}, {"count": "7"}, {"sh_degree": -1}, {"seed": None}])
+def test_generate_refuses_bad_arguments(bad: dict) -> None:
+    with pytest.raises(InvalidInput, match=next(iter(bad))):
+        generate(**{"count": 3, **bad})
+
+
+@pytest.mark.parametrize("bad", [{"count": 0}, {"width": 0}, {"height": 2.0}])
+def test_orbit_cameras_refuses_bad_arguments(bad: dict) -> None:
+    with pytest.raises(InvalidInput, match=next(iter(bad))):
+        orbit_cameras(**bad)

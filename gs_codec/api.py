@@ -11,6 +11,7 @@ from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
+from gs_codec.io.atomic import atomic_writer
 from gs_codec.io.ply import write_ply
 from gs_codec.metrics import Comparison, compare_scenes
 from gs_codec.scene import Scene
@@ -54,7 +55,7 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     if suffix == ".ply":
         write_ply(path, from_cloud(cloud, "keep"))
     elif suffix == ".egs":
-        with files.atomic_writer(path) as file:
+        with atomic_writer(path) as file:
             file.write(encode(cloud, config))
     else:
         raise InvalidInput(f"{path}: suffix '{suffix}', expected '.ply' or '.egs'")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ def from_cloud(
             arrays["log_scale"] = np.log(arrays["scale"])
     arrays.setdefault("f_rest", np.zeros((len(arrays.get("positions", ())), 0, 3), np.float32))
     shapes = {"positions": (3,), "f_dc": (3,), "opacity": (1,), "log_scale": (3,), "rot": (4,)}
-    planes = {name: _plane(arrays, name, shape) for name, shape in shapes.items()}
+    planes: dict[str, Any] = {n: _plane(arrays, n, shape) for n, shape in shapes.items()}
     rest = arrays["f_rest"]
     if rest.ndim != 3 or rest.shape[2] != 3 or rest.dtype != np.float32:
         raise InvalidInput(f"f_rest: {rest.dtype} {rest.shape}, expected float32 (N, K, 3)")

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from gs_codec.codec import decode_scene, encode_scene, order_like
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec.order import order_like
 from gs_codec.config import Config
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
-from gs_codec.io.atomic import atomic_writer
+from gs_codec.io.atomic import atomic_writer, check_writable
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.metrics import Comparison, compare_scenes
 from gs_codec.quantise import fit_range
@@ -159,12 +160,8 @@ def _located(path: str | Path) -> Iterator[None]:
 
 def _check_target(source: str | Path, target: str | Path) -> None:
     """Refuse a target that could not be written, before the work is done."""
-    source, target = Path(source), Path(target)
-    if target.is_dir():
-        raise InvalidInput(f"{target}: a directory, expected a file name")
-    if not target.parent.is_dir():
-        raise InvalidInput(f"{target}: no directory '{target.parent}'")
-    if source.exists() and target.exists() and source.samefile(target):
+    check_writable(target)
+    if Path(source).exists() and Path(target).exists() and Path(source).samefile(target):
         raise InvalidInput(f"{target}: the source itself")
 
 

@@ -80,7 +80,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         label = SectionId(section_id).label if known else f"section {section_id}"
         sizes[label] = sizes.get(label, 0) + size
     axes = [channel.quantiser for channel in channels[:3]]
-    top = [axis.high if axis.kind == "range" else axis.origin for axis in axes]
+    top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
     return Info(
         version=VERSION,
         count=header.count,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -183,7 +184,7 @@ def quantise(
 
 
 def quantise_positions(
-    positions: NDArray[np.float32], quantisers: list[Quantiser]
+    positions: NDArray[np.float32], quantisers: Sequence[Quantiser]
 ) -> NDArray[np.uint32]:
     """Cells ``(3, N)`` of positions ``(3, N)``, in the order given; depths up to 21."""
     cells = np.zeros(positions.shape, np.uint32)

@@ -76,3 +76,17 @@ class EncodeReport:
     def file_bytes(self) -> int:
         """Size of the file."""
         return sum(self.section_bytes.values())
+
+
+def step_counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None] | None:
+    """A callback that counts the steps of a stage for `progress`."""
+    if progress is None:
+        return None
+    done = 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        progress(stage, done, total)
+
+    return advance

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,8 @@ class Scene:
 
     def take(self, index: NDArray) -> Scene:
         """The Gaussians that `index` (positions or mask) selects, in that order."""
-        planes = {group: np.ascontiguousarray(getattr(self, group)[:, index]) for group in GROUPS}
-        extra = {name: column[index] for name, column in self.extra.items()}
-        return replace(self, extra=extra, **planes)
+        changes: dict[str, Any] = {
+            group: np.ascontiguousarray(getattr(self, group)[:, index]) for group in GROUPS
+        }
+        changes["extra"] = {name: column[index] for name, column in self.extra.items()}
+        return replace(self, **changes)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from gs_codec.codec import Coded, quantise_and_model
+from gs_codec.codec.symbols import Coded, quantise_scene
 from gs_codec.config import Config
 from gs_codec.container.file import MAX_BLOCK_SIZE
 from gs_codec.entropy import torchac_coder
@@ -20,7 +20,7 @@ def measure_coders(
     scene: Scene, name: str, config: Config, repeats: int
 ) -> Iterator[dict[str, Any]]:
     """A result line for each coder: bytes, bytes over Shannon entropy, seconds."""
-    coded = quantise_and_model(scene, config)
+    coded = quantise_scene(scene, config)
     entropy = sum(shannon_bits(histogram) for histogram in coded.histograms) / 8
     identity = {
         "kind": "coder",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 from pathlib import Path
 
 from gs_codec.cli.main import main
@@ -25,6 +24,5 @@ def peak_bytes() -> int:
 
 if __name__ == "__main__":
     with open(os.devnull, "w") as sink, contextlib.redirect_stdout(sink):
-        with contextlib.suppress(SystemExit):
-            main()
-    print(peak_bytes(), file=sys.stdout)
+        main()
+    print(peak_bytes())

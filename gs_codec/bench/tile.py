@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def tile_scene(scene: Scene, count: int, seed: int = 0) -> Scene:
     side = int(np.ceil(np.sqrt(copies)))
     extent = np.ptp(scene.positions, axis=1)
     rng = np.random.default_rng(seed)
-    planes = {}
+    planes: dict[str, Any] = {}
     for group in GROUPS:
         source = getattr(scene, group)
         tiled = np.tile(source, (1, copies))[:, :count]

@@ -111,8 +111,8 @@ def read_channels(data: memoryview, coefficients: int) -> list[Channel]:
 
 
 def _fill_tables(channels: list[Channel], data: memoryview) -> list[Channel]:
-    sent = [c for c in channels if isinstance(c.model, SentModel)]
-    alphabets, mantissas = [c.alphabet for c in sent], [c.model.mantissa for c in sent]
+    sent = [(c.alphabet, c.model.mantissa) for c in channels if isinstance(c.model, SentModel)]
+    alphabets, mantissas = [a for a, _ in sent], [m for _, m in sent]
     tables = iter(decode_tables(data, alphabets, mantissas, _WHERE))
     filled = []
     for channel in channels:

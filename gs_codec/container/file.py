@@ -40,8 +40,13 @@ class SectionId(IntEnum):
 
     @property
     def label(self) -> str:
-        """Name in messages and reports."""
+        """Name in messages and reports; of a stream, its depth group."""
         return self.name.lower().replace("_", "-")
+
+    @classmethod
+    def of_stream(cls, stream: str) -> SectionId:
+        """The section of a stream."""
+        return cls[stream.upper().replace("-", "_")]
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class Header:
 class Section:
     """Bytes of one section; `block` is 0 for those of the whole scene."""
 
-    id: int
+    id: SectionId
     block: int
     data: bytes | memoryview
     optional: bool = False

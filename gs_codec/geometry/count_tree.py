@@ -114,7 +114,7 @@ def _walk(codes, total_bits, state, data, contexts, bits, encoding):
         if encoding:
             low = _low_half(codes, start, start + count, left)
         low = _code_split(state, data, contexts, count, sides[top], low)
-        onesided = 1 if low == 0 or low == count else 0
+        onesided = 1 if low in (0, count) else 0
         if low < count:
             starts[top] = start + low
             counts[top] = count - low

@@ -3,33 +3,55 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from gs_codec.errors import InvalidInput
+
+
+def check_writable(path: str | Path) -> None:
+    """Refuse a path that no file can be written to.
+
+    Raises
+    ------
+    InvalidInput
+        If it is a directory or device, or its directory is missing or not writable.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise InvalidInput(f"{target}: a directory, expected a file name")
+    if target.exists() and not target.is_file():
+        raise InvalidInput(f"{target}: not a regular file")
+    if not target.parent.is_dir():
+        raise InvalidInput(f"{target}: no directory '{target.parent}'")
+    if not os.access(target.parent, os.W_OK):
+        raise InvalidInput(f"{target}: no permission to write in '{target.parent}'")
+
 
 @contextmanager
 def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a temporary file beside `path` that replaces it, fsynced, if the block succeeds."""
+    """Open a temporary file beside `path` that replaces it, fsynced, if the block succeeds.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be written; nothing is left behind then.
+    """
+    check_writable(path)
     target = Path(path)
-    handle, temporary = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(temporary, "xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, _default_mode())
         os.replace(temporary, target)
-    except BaseException:
-        with suppress(FileNotFoundError):
+    except BaseException as error:
+        with suppress(OSError):
             os.unlink(temporary)
+        if isinstance(error, OSError):
+            raise InvalidInput(f"{target}: {error.strerror or error}") from error
         raise
-
-
-def _default_mode() -> int:
-    """Permissions a plain ``open`` would have given (mkstemp gives 0600)."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask

@@ -105,7 +105,7 @@ def _find_groups(path: str | Path, names: tuple[str, ...]) -> dict[str, list[str
 
 def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[np.float32]:
     """Planes of the wanted properties, straight from the mapped rows where all are float32."""
-    names = data.dtype.names
+    names = list(data.dtype.names or ())
     packed = data.dtype.itemsize == 4 * len(names)
     if packed and all(data.dtype[name] == np.dtype("<f4") for name in names):
         rows = np.ascontiguousarray(data).view("<f4").reshape(len(data), len(names))
@@ -124,7 +124,7 @@ def _read_rest(
     path: str | Path, data: NDArray, used: set[str], extra: str
 ) -> tuple[bool, dict[str, NDArray]]:
     """Whether there are (all-zero) normals, and the properties to keep beside them."""
-    rest = [name for name in data.dtype.names if name not in used]
+    rest = [name for name in data.dtype.names or () if name not in used]
     normals = [name for name in _NORMALS if name in rest]
     has_normals = len(normals) == 3
     if has_normals and not any(np.any(data[name]) for name in normals):

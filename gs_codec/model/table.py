@@ -12,7 +12,7 @@ MIN_PRECISION, MAX_PRECISION = 8, 16
 
 @dataclass(frozen=True)
 class FrequencyTable:
-    """Integer frequencies ``(A,)`` that sum to ``2**precision``; 0 is a symbol that cannot occur."""
+    """Integer frequencies ``(A,)`` that sum to ``2**precision``; those of 0 cannot occur."""
 
     frequencies: NDArray[np.uint32]
     precision: int

@@ -1,0 +1,49 @@
+"""What is done to a scene before it is coded, because no coder could keep it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.quantise import count_nonfinite
+from gs_codec.scene import GROUPS, Scene
+from gs_codec.workers import run_all
+
+
+def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
+    """The scene without Gaussians that hold NaN or infinity, and how many there were.
+
+    Raises
+    ------
+    InvalidInput
+        If there are any and ``config.nonfinite`` is ``error``.
+    """
+    planes = [(group, row) for group in GROUPS for row in getattr(scene, group)]
+    counts = run_all(lambda item: count_nonfinite(item[1]), planes, config.threads)
+    bad: Counter[str] = Counter()
+    for (group, _), count in zip(planes, counts, strict=True):
+        bad[group] += count
+    if not bad.total():
+        return scene, 0
+    if config.nonfinite == "error":
+        listed = ", ".join(f"{n} in {group}" for group, n in bad.items() if n)
+        raise InvalidInput(f"values that are not finite: {listed}; --nonfinite drop removes them")
+    keep = np.ones(scene.count, bool)
+    for _, row in planes:
+        keep &= np.isfinite(row)
+    return scene.take(keep), int(np.count_nonzero(~keep))
+
+
+def identity_for_zero(scene: Scene) -> tuple[Scene, int]:
+    """The scene with quaternions of norm 0 made the identity, and how many there were."""
+    zero = ~scene.rot.any(axis=0)
+    count = int(np.count_nonzero(zero))
+    if count:
+        rot = scene.rot.copy()
+        rot[0, zero] = 1.0
+        scene = replace(scene, rot=rot)
+    return scene, count

@@ -1,0 +1,153 @@
+"""Scene to stream."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import partial
+
+from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
+from gs_codec.codec.order import Ordered, order_scene
+from gs_codec.codec.symbols import Coded, quantise_and_model
+from gs_codec.config import Config
+from gs_codec.container.carried import write_comments, write_extra
+from gs_codec.container.channels import RANS_STREAMS, channel_places, write_channels
+from gs_codec.container.file import Header, Section, SectionId, write_file
+from gs_codec.entropy.rans import TableSet, encode_symbols
+from gs_codec.geometry.colour import encode_colour
+from gs_codec.geometry.count_tree import encode_geometry
+from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+
+def encode_scene(
+    scene: Scene, config: Config | None = None, progress: Progress | None = None
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene as `.egs`.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config, optional
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` from the calling thread.
+
+    Returns
+    -------
+    data : bytes
+    report : EncodeReport
+
+    Raises
+    ------
+    InvalidInput
+        If values are not finite and `config` does not say to drop them.
+    """
+    config = config or Config()
+    depths = config.resolved_depths()
+    times = StageTimes()
+    with times.stage("check"):
+        scene, dropped = drop_nonfinite(scene, config)
+        scene, zero_quaternions = identity_for_zero(scene)
+    with times.stage("order"):
+        ordered = order_scene(scene, depths["geometry"], depths["sh-dc"])
+    with times.stage("quantise and model"):
+        coded = quantise_and_model(scene, ordered.order, config, progress)
+    with times.stage("code"):
+        header = _header(scene, config)
+        block_sections = _encode_blocks(header, ordered, coded, config.threads, progress)
+    with times.stage("container"):
+        sections = [_channels_section(scene, ordered, coded), *block_sections]
+        sections += _carried_sections(scene, ordered)
+        data = write_file(header, sections)
+    sizes = Counter({"header": len(data) - sum(len(section.data) for section in sections)})
+    for section in sections:
+        sizes[section.id.label] += len(section.data)
+    return data, EncodeReport(
+        count=scene.count,
+        raw_bytes=scene.float_bytes,
+        section_bytes=dict(sizes),
+        costs=coded.costs,
+        rectified=coded.rectified,
+        zero_quaternions=zero_quaternions,
+        dropped=dropped,
+        seconds=times.seconds,
+    )
+
+
+def _header(scene: Scene, config: Config) -> Header:
+    """Blocks as large as the limit allows, all of nearly the same size."""
+    blocks = max(-(-scene.count // config.block_size), 1)
+    size = max(-(-scene.count // blocks), 1)
+    return Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
+
+
+def _channels_section(scene: Scene, ordered: Ordered, coded: Coded) -> Section:
+    channels = (*ordered.channels, *coded.constants, *coded.channels)
+    by_place = {(channel.group, channel.index): channel for channel in channels}
+    places = channel_places(len(scene.f_rest) // 3)
+    data = write_channels(by_place[group, index] for group, index, _ in places)
+    return Section(SectionId.CHANNELS, 0, data)
+
+
+def _carried_sections(scene: Scene, ordered: Ordered) -> list[Section]:
+    sections = []
+    if scene.comments:
+        sections.append(Section(SectionId.COMMENTS, 0, write_comments(scene.comments)))
+    if scene.extra:
+        sections.append(Section(SectionId.EXTRA, 0, write_extra(scene.extra, ordered.order)))
+    return sections
+
+
+def _encode_blocks(
+    header: Header,
+    ordered: Ordered,
+    coded: Coded,
+    threads: int | None,
+    progress: Progress | None,
+) -> list[Section]:
+    """Sections of all blocks, block after block."""
+    tables = TableSet.pack(coded.tables)
+    stages = (
+        partial(_encode_geometry, ordered),
+        partial(_encode_colour, ordered),
+        partial(_encode_symbols, coded, tables),
+    )
+    jobs = [
+        partial(stage, block, *header.block_range(block))
+        for block in range(header.block_count)
+        for stage in stages
+    ]
+    advance = step_counter(progress, "code", len(jobs))
+    done = run_all(lambda job: job(), jobs, threads, advance)
+    return [section for sections in done for section in sections]
+
+
+def _encode_geometry(ordered: Ordered, block: int, start: int, stop: int) -> list[Section]:
+    total_bits = sum(ordered.depths[0])
+    if not total_bits:
+        return []
+    data = encode_geometry(ordered.codes[start:stop], total_bits)
+    return [Section(SectionId.GEOMETRY, block, data)]
+
+
+def _encode_colour(ordered: Ordered, block: int, start: int, stop: int) -> list[Section]:
+    depths = ordered.depths[1]
+    if not sum(depths):
+        return []
+    data = encode_colour(ordered.cells[:, start:stop], ordered.colours[:, start:stop], depths)
+    return [Section(SectionId.SH_DC, block, data)]
+
+
+def _encode_symbols(
+    coded: Coded, tables: TableSet, block: int, start: int, stop: int
+) -> list[Section]:
+    if not coded.channels:
+        return []
+    states, words = encode_symbols(coded.symbols, start, stop, tables)
+    sections = [Section(SectionId.STATES, block, states)]
+    for stream in RANS_STREAMS:
+        pairs = zip(words, coded.channels, strict=True)
+        members = [data for data, channel in pairs if channel.stream == stream]
+        if members:
+            sections.append(Section(SectionId.of_stream(stream), block, b"".join(members)))
+    return sections

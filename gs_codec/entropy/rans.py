@@ -25,7 +25,7 @@ class TableSet:
     """Tables of the channels of one stream, packed for the kernels."""
 
     precisions: NDArray[np.int64]
-    spans: NDArray[np.uint32]  # (C, A): start << 16 | frequency (2**16 is held as 0)
+    spans: NDArray[np.uint32]  # (C, A): start << 16 | frequency
     slots: NDArray[np.uint16]  # symbol of each slot, channel after channel
     offsets: NDArray[np.int64]  # where a channel's slots begin
 
@@ -38,7 +38,7 @@ class TableSet:
         slots = []
         for row, table in zip(spans, tables, strict=True):
             size = table.frequencies.size
-            row[:size] = (table.starts << np.uint32(16)) | (table.frequencies & np.uint32(0xFFFF))
+            row[:size] = (table.starts << np.uint32(16)) | table.frequencies
             slots.append(np.repeat(np.arange(size, dtype=np.uint16), table.frequencies))
         offsets = np.cumsum([0] + [s.size for s in slots])[:-1].astype(np.int64)
         packed = np.concatenate(slots) if slots else np.zeros(0, np.uint16)
@@ -55,8 +55,6 @@ def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
             lane = i & (LANES - 1)
             span = np.int64(spans[channel, symbols[channel, start + i]])
             frequency = span & 0xFFFF
-            if frequency == 0:
-                frequency = 1 << precision
             state = states[lane]
             full = np.int64(state >= frequency << (32 - precision))
             words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
@@ -90,10 +88,7 @@ def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, sy
                 slot = state & mask
                 symbol = slot_of[slot]
                 span = np.int64(row[symbol])
-                frequency = span & 0xFFFF
-                if frequency == 0:
-                    frequency = mask + 1
-                state = frequency * (state >> precision) + slot - (span >> 16)
+                state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
                 short = np.int64(state < _LOWEST)
                 word = np.int64(words[position]) & -short  # no branch: it would often be missed
                 states[i & (LANES - 1)] = (state << (short << 4)) | word

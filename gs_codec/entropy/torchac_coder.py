@@ -37,17 +37,23 @@ def _load():
 def _cdf(table: FrequencyTable, count: int):
     """The table as the int16 CDF torchac wants, one row for each symbol to code."""
     torch, _ = _load()
-    starts = np.append(table.starts, 1 << table.precision).astype(np.int64)
+    starts = np.append(table.starts[_present(table)], 1 << table.precision).astype(np.int64)
     wrapped = (starts << (16 - table.precision)).astype(np.uint16).view(np.int16)
     return torch.from_numpy(wrapped).expand(count, -1)
+
+
+def _present(table: FrequencyTable) -> NDArray[np.intp]:
+    """Symbols that can occur; torchac goes astray where two steps of a CDF are equal."""
+    return np.flatnonzero(table.frequencies)
 
 
 def encode_symbols(symbols: NDArray[np.uint16], table: FrequencyTable) -> list[bytes]:
     """Code one channel ``(N,)``, in chunks that bound the size of torchac's CDF tensor."""
     torch, torchac = _load()
     chunks = []
+    ranks = np.searchsorted(_present(table), symbols).astype(np.int16)
     for start in range(0, symbols.size, _CHUNK):
-        part = torch.from_numpy(symbols[start : start + _CHUNK].astype(np.int16))
+        part = torch.from_numpy(ranks[start : start + _CHUNK])
         cdf = _cdf(table, len(part)).contiguous()
         chunks.append(torchac.encode_int16_normalized_cdf(cdf, part))
     return chunks
@@ -56,8 +62,8 @@ def encode_symbols(symbols: NDArray[np.uint16], table: FrequencyTable) -> list[b
 def decode_symbols(chunks: list[bytes], count: int, table: FrequencyTable) -> NDArray[np.uint16]:
     """The inverse of `encode_symbols`."""
     _, torchac = _load()
-    parts = [np.zeros(0, np.uint16)]
+    parts = [np.zeros(0, np.int16)]
     for start, chunk in zip(range(0, count, _CHUNK), chunks, strict=True):
         cdf = _cdf(table, min(_CHUNK, count - start)).contiguous()
-        parts.append(torchac.decode_int16_normalized_cdf(cdf, chunk).numpy().astype(np.uint16))
-    return np.concatenate(parts)
+        parts.append(torchac.decode_int16_normalized_cdf(cdf, chunk).numpy())
+    return _present(table)[np.concatenate(parts)].astype(np.uint16)

@@ -16,7 +16,7 @@ from gs_codec.model.table import MAX_PRECISION, FrequencyTable, shannon_bits
 Model = LaplaceModel | MixtureModel | SentModel
 
 #: Sums of tables that are tried; a larger one must save this share, as it decodes slower.
-_PRECISIONS = (12, 14, MAX_PRECISION)
+_PRECISIONS = (12, 14, 15)
 _WORTHWHILE = 2e-4
 
 _MANTISSAS = (2, 3, 4, 6)

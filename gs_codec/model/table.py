@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-MIN_PRECISION, MAX_PRECISION = 8, 16
+#: Base-2 logarithm of a table's sum. With states of 16 to 32 bits, 16 would cost rANS 0.1 %.
+MIN_PRECISION, MAX_PRECISION = 8, 15
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
     weights : ndarray, shape (A,), int64
         0 to 2**46, not all 0; at most ``2**precision`` of them above 0.
     precision : int
-        Base-2 logarithm of the sum of the frequencies, 8-16.
+        Base-2 logarithm of the sum of the frequencies, 8-15.
     """
     total = int(weights.sum())
     scaled = weights << precision

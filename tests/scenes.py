@@ -1,0 +1,77 @@
+"""Scenes for the tests: small random ones, degenerate ones, and the shared real ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gs_codec.scene import SH_COEFFICIENTS, Scene
+
+SHARED = Path(__file__).parents[2] / "shared" / "scenes"
+REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", "tiny_sh3.ply")
+
+
+def random_scene(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
+    """Clustered centres, grey-ish colours, peaked SH-AC, bimodal opacity, raw quaternions."""
+    rng = np.random.default_rng(seed)
+    coefficients = SH_COEFFICIENTS[sh_degree]
+    centres = rng.normal(size=(3, 8))[:, rng.integers(0, 8, count)]
+    grey = rng.normal(size=(1, count))
+    planes = {
+        "positions": centres + rng.normal(scale=0.1, size=(3, count)),
+        "f_dc": grey + rng.normal(scale=0.3, size=(3, count)),
+        "f_rest": rng.laplace(scale=0.05, size=(3 * coefficients, count)),
+        "opacity": rng.choice([-4.0, 6.0], size=(1, count)) + rng.normal(size=(1, count)),
+        "log_scale": rng.normal(-5.0, 1.5, size=(3, count)),
+        "rot": rng.normal(size=(4, count)),
+    }
+    return Scene(**{name: plane.astype(np.float32) for name, plane in planes.items()})
+
+
+def edge_scenes() -> dict[str, Scene]:
+    """Scenes at the limits of what there can be, by name."""
+    base = random_scene(500, 3, seed=1)
+    flat = base.positions.copy()
+    flat[1] = 0.25
+    line = base.positions.copy()
+    line[:2] = 0.0
+    doubled = base.take(np.repeat(np.arange(250), 2))
+    outlier = base.f_rest.copy()
+    outlier[3, 7] = 1e30
+    tiny = (base.positions * np.float32(1e-38)).astype(np.float32)
+    huge = (base.log_scale * np.float32(1e37)).astype(np.float32)
+    two = np.where(base.opacity > 0, np.float32(5), np.float32(-5))
+    sparse = np.where(np.abs(base.f_rest) > 0.2, base.f_rest, np.float32(0))
+    return {
+        "empty": random_scene(0),
+        "one": random_scene(1),
+        "two": random_scene(2),
+        "five of degree 0": random_scene(5, 0),
+        "identical": random_scene(1).take(np.zeros(1000, np.int64)),
+        "plane": replace(base, positions=flat),
+        "line": replace(base, positions=line),
+        "one place": replace(base, positions=np.zeros_like(base.positions)),
+        "pairs": doubled,
+        "SH-AC outlier": replace(base, f_rest=outlier),
+        "denormal positions": replace(base, positions=tiny),
+        "huge range": replace(base, log_scale=huge),
+        "two opacities": replace(base, opacity=two),
+        "sparse SH-AC": replace(base, f_rest=sparse),
+        "zero SH-AC": replace(base, f_rest=np.zeros_like(base.f_rest)),
+        "constant green": replace(
+            base, f_dc=np.stack([base.f_dc[0], np.ones(500, np.float32), base.f_dc[2]])
+        ),
+        "all colours constant": replace(base, f_dc=np.ones_like(base.f_dc)),
+        "negative zero": replace(base, opacity=np.where(base.opacity > 0, -0.0, base.opacity)),
+    }
+
+
+def shared_scene_path(name: str) -> Path:
+    """Path of a real scene; skips the test where the shared scenes are not there."""
+    path = SHARED / name
+    if not path.exists():
+        pytest.skip(f"shared scene {name} is not on this machine")
+    return path

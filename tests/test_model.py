@@ -133,7 +133,7 @@ def test_few_symbols_are_coded_by_parameters_and_many_by_a_table():
 
 def test_choice_is_the_cheapest_and_its_bits_are_real():
     rng = np.random.default_rng(33)
-    histogram = histogram_of(rng.laplace(8, 1.2, 10_000), 15)
+    histogram = histogram_of(rng.laplace(8, 1.2, 10_000), 16)
     choice = choose_model(histogram, 1.2, lambda model: 1000)
     assert choice.model.kind == "laplace"
     frequencies = choice.table.frequencies / choice.table.frequencies.sum()

@@ -24,5 +24,9 @@ def peak_bytes() -> int:
 
 if __name__ == "__main__":
     with open(os.devnull, "w") as sink, contextlib.redirect_stdout(sink):
-        main()
+        try:
+            main()
+        except SystemExit as stopped:
+            if stopped.code:
+                raise
     print(peak_bytes())

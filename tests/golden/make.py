@@ -1,0 +1,68 @@
+"""Write the golden files of the present format version. Run by hand, once for each version.
+
+    python tests/golden/make.py
+
+Each `.egs` comes with the floats it decoded to when it was made; tests/test_golden.py reads both
+and never writes.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
+
+from scenes import random_scene  # noqa: E402
+
+from gs_codec.codec import decode_scene, encode_scene  # noqa: E402
+from gs_codec.config import Config  # noqa: E402
+from gs_codec.container.file import VERSION  # noqa: E402
+from gs_codec.scene import GROUPS, Scene  # noqa: E402
+
+
+def golden_scenes() -> dict[str, tuple[Scene, Config]]:
+    """Scenes and options that together use every part of the format."""
+    plain = random_scene(1500, 3, seed=100)
+    carried = replace(
+        random_scene(40, 1, seed=101),
+        has_normals=True,
+        comments=("a golden file",),
+        extra={"label": np.arange(40, dtype="<i2")},
+    )
+    flat = random_scene(300, 2, seed=102)
+    flat.positions[2] = 1.5
+    flat.f_dc[1] = 0.25
+    flat.rot[:] = np.array([[1], [0], [0], [0]], np.float32)
+    return {
+        "paper-l": (plain, Config("paper-l", block_size=1024)),
+        "paper-m": (plain, Config("paper-m", block_size=1024)),
+        "paper-s": (plain, Config("paper-s", block_size=1024)),
+        "carried": (carried, Config(extra="keep")),
+        "constant": (flat, Config()),
+        "deep": (plain.take(np.arange(200)), Config(depths={"geometry": 21, "sh-ac": 12})),
+        "empty": (random_scene(0, 3), Config()),
+    }
+
+
+def main() -> None:
+    """Encode, decode, and store both."""
+    for name, (scene, config) in golden_scenes().items():
+        stem = HERE / f"v{VERSION}-{name}"
+        if stem.with_suffix(".egs").exists():
+            print(f"{stem.name}: exists already, left as it is")
+            continue
+        data, _ = encode_scene(scene, config)
+        decoded = decode_scene(data)
+        stem.with_suffix(".egs").write_bytes(data)
+        planes = {group: getattr(decoded, group) for group in GROUPS}
+        np.savez_compressed(stem.with_suffix(".npz"), **planes)
+        print(f"{stem.name}: {len(data)} bytes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""The benchmark's lines: complete, and right where that can be checked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import random_scene
+from typer.testing import CliRunner
+
+from gs_codec.bench.tile import tile_scene
+from gs_codec.cli.main import app
+from gs_codec.entropy import torchac_coder
+from gs_codec.io.ply import write_ply
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory) -> list[dict]:
+    path = tmp_path_factory.mktemp("bench") / "scene.ply"
+    write_ply(path, random_scene(4000, 1, seed=70))
+    options = ["-p", "paper-m", "--repeats", "1", "--coders", "--tile", "5000"]
+    result = CliRunner().invoke(app, ["bench", str(path), *options])
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_every_kind_of_line_is_there(lines):
+    kinds = [line["kind"] for line in lines]
+    assert kinds == ["machine", "codec", "error", "memory", "coder", "coder", "paper", "paper"]
+
+
+def test_sizes_add_up(lines):
+    codec = lines[1]
+    assert codec["gaussians"] == 5000
+    assert sum(codec["section_bytes"].values()) == codec["file_bytes"]
+    assert codec["ratio"] == pytest.approx(codec["ply_bytes"] / codec["file_bytes"])
+    assert codec["bits_per_gaussian"] == pytest.approx(8 * codec["file_bytes"] / 5000)
+
+
+def test_stages_are_parts_of_the_whole(lines):
+    codec = lines[1]
+    assert set(codec["stages"]) >= {"read", "order", "quantise and model", "code", "decode"}
+    assert all(seconds >= 0 for seconds in codec["stages"].values())
+
+
+def test_entropy_of_each_group_stands_beside_the_paper(lines):
+    entropy = lines[1]["entropy"]
+    assert set(entropy) == {"opacity", "scaling", "rotation", "sh-ac", "total"}
+    for group, values in entropy.items():
+        assert values["coded_overhead_percent"] > -1, group
+        if group != "total":
+            assert values["parametric_overhead_percent"] > 0
+            assert values["paper_overhead_percent"] > 0
+
+
+def test_error_and_memory_are_plausible(lines):
+    error, memory = lines[2], lines[3]
+    assert error["matched_by"] == "stored order"
+    assert {group["name"] for group in error["groups"]} >= {"positions", "rotation", "f_rest"}
+    assert memory["encode_peak_bytes"] > memory["float_bytes"]
+
+
+def test_coders_are_compared_on_the_same_symbols(lines):
+    ours, theirs = lines[4], lines[5]
+    assert (ours["coder"], theirs["coder"]) == ("rans", "torchac")
+    assert ours["overhead_percent"] > -0.5
+    if torchac_coder.is_available():
+        assert theirs["bytes"] == pytest.approx(ours["bytes"], rel=0.02)
+        assert theirs["symbols"] == ours["symbols"]
+    else:
+        assert theirs["absent"] is True
+
+
+@pytest.mark.parametrize("count", [1, 999, 1000, 4500])
+def test_tiled_scene_is_like_its_source_but_equal_in_no_value(count):
+    scene = random_scene(1000, 1, seed=71)
+    scene.f_rest[:, ::7] = 0
+    tiled = tile_scene(scene, count)
+    assert tiled.count == count
+    np.testing.assert_array_equal(tiled.f_rest[:, 0], 0)
+    if count > 1000:
+        again = slice(1000, min(count, 2000))
+        source = scene.opacity[0, : again.stop - 1000]
+        assert np.all(np.abs(tiled.opacity[0, again] - source) < 0.1)
+        assert np.mean(tiled.opacity[0, again] == source) < 0.01
+    np.testing.assert_array_equal(tiled.opacity, tile_scene(scene, count).opacity)
+
+
+def test_source_scene_is_not_changed():
+    scene = random_scene(100, 1, seed=72)
+    before = scene.positions.copy()
+    tile_scene(scene, 250)
+    np.testing.assert_array_equal(scene.positions, before)
+
+
+def test_published_numbers_are_marked_as_the_papers():
+    text = (Path(__file__).parents[1] / "gs_codec" / "bench" / "paper.py").read_text()
+    assert "2508.10227" in text

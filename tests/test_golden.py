@@ -1,0 +1,45 @@
+"""Files written by earlier builds decode to the floats they decoded to then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reference_decoder import decode as reference_decode
+
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.container.file import VERSION
+from gs_codec.scene import GROUPS
+from golden.make import golden_scenes
+
+FILES = sorted((Path(__file__).parent / "golden").glob("*.egs"))
+
+
+def test_there_are_golden_files_of_this_version():
+    names = {path.stem for path in FILES}
+    assert names >= {f"v{VERSION}-{name}" for name in golden_scenes()}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_golden_file_decodes_to_the_same_floats(path):
+    decoded = decode_scene(path.read_bytes())
+    with np.load(path.with_suffix(".npz")) as expected:
+        for group in GROUPS:
+            before, after = expected[group], getattr(decoded, group)
+            np.testing.assert_array_equal(after.view(np.uint32), before.view(np.uint32))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_reference_decoder_agrees_on_golden_files(path):
+    values = reference_decode(path.read_bytes())["values"]
+    decoded = decode_scene(path.read_bytes())
+    for name, row in {"x": decoded.positions[0], "opacity": decoded.opacity[0]}.items():
+        np.testing.assert_array_equal(values[name].view(np.uint32), row.view(np.uint32))
+
+
+@pytest.mark.parametrize("name", golden_scenes())
+def test_encoder_still_writes_the_same_bytes(name):
+    scene, config = golden_scenes()[name]
+    golden = Path(__file__).parent / "golden" / f"v{VERSION}-{name}.egs"
+    assert encode_scene(scene, config)[0] == golden.read_bytes()

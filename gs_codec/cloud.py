@@ -40,6 +40,9 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     }
     if scene.has_normals:
         attributes["normals"] = np.zeros((scene.count, 3), np.float32)
+    taken = sorted(_KNOWN & set(scene.extra))
+    if taken:
+        raise InvalidInput(f"property '{taken[0]}': the name of an attribute of every cloud")
     attributes |= {name: column[:, None] for name, column in scene.extra.items()}
     cloud = open3d.t.geometry.PointCloud()
     for name, array in attributes.items():
@@ -70,7 +73,9 @@ def from_cloud(
     rest = arrays["f_rest"]
     if rest.ndim != 3 or rest.shape[2] != 3 or rest.dtype != np.float32:
         raise InvalidInput(f"f_rest: {rest.dtype} {rest.shape}, expected float32 (N, K, 3)")
-    planes["f_rest"] = np.ascontiguousarray(rest.transpose(2, 1, 0).reshape(-1, rest.shape[0]))
+    planes["f_rest"] = np.ascontiguousarray(
+        rest.transpose(2, 1, 0).reshape(3 * rest.shape[1], rest.shape[0])
+    )
     others = [name for name in arrays if name not in _KNOWN]
     zero_normals = "normals" in arrays and not arrays["normals"].any()
     if extra == "error" and (others or ("normals" in arrays and not zero_normals)):

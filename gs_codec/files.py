@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import mmap
+import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.order import order_like
@@ -106,19 +109,23 @@ def inspect_file(path: str | Path) -> Info:
 
 def compare_files(first: str | Path, second: str | Path) -> Comparison:
     """Compare two scenes; one decoded from `.egs` is matched with its original."""
-    return compare_ordered(read_scene(first, "drop"), read_scene(second, "drop"))
+    scenes, orders = [], []
+    for path in (first, second):
+        scenes.append(read_scene(path, "drop"))
+        with _located(path):
+            orders.append(_order_of(scenes[-1]))
+    return compare_ordered(scenes[0], scenes[1], orders)
 
 
-def compare_ordered(first: Scene, second: Scene) -> Comparison:
+def compare_ordered(first: Scene, second: Scene, orders: Sequence[tuple[int, ...]]) -> Comparison:
     """Compare two scenes, putting an original into the order of a decoded one."""
-    orders = [_order_of(scene) for scene in (first, second)]
     if first.count == second.count and orders[0] != orders[1]:
         if all(orders):
             raise InvalidInput("both scenes were reordered, differently: compare with the original")
         if orders[1]:
-            first = first.take(_order_by(first, second, orders[1]))
+            first = _put_in_order(first, second, orders[1])
         else:
-            second = second.take(_order_by(second, first, orders[0]))
+            second = _put_in_order(second, first, orders[0])
         return compare_scenes(first, second, "stored order")
     return compare_scenes(first, second, "index")
 
@@ -145,8 +152,14 @@ def opened(path: str | Path) -> Iterator[memoryview]:
         raise InvalidInput(f"{path}: empty file") from None
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror}") from error
-    with mapped, memoryview(mapped) as view:
+    view = memoryview(mapped)
+    try:
         yield view
+    finally:
+        # An error on its way may still hold parts of the view; they go with it.
+        with suppress(BufferError):
+            view.release()
+            mapped.close()
 
 
 @contextmanager
@@ -161,7 +174,7 @@ def _located(path: str | Path) -> Iterator[None]:
 def _check_target(source: str | Path, target: str | Path) -> None:
     """Refuse a target that could not be written, before the work is done."""
     check_writable(target)
-    if Path(source).exists() and Path(target).exists() and Path(source).samefile(target):
+    if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
         raise InvalidInput(f"{target}: the source itself")
 
 
@@ -190,12 +203,18 @@ def _order_of(scene: Scene) -> tuple[int, ...]:
     return tuple(int(field) for field in fields)
 
 
-def _order_by(original: Scene, decoded: Scene, depths: tuple[int, ...]):
-    """Order of the original's Gaussians in the stream `decoded` came from.
+def _put_in_order(original: Scene, decoded: Scene, depths: tuple[int, ...]) -> Scene:
+    """The original's Gaussians in the order of the stream `decoded` came from.
 
     Min-max quantisers keep the extremes, so the decoded scene still has the quantisers' ranges.
     """
     rows = (*decoded.positions, *decoded.f_dc)
-    return order_like(
-        original, [fit_range(r, max(d, 1)) for r, d in zip(rows, depths, strict=True)]
-    )
+    quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, depths, strict=True)]
+    ordered = original.take(order_like(original, quantisers))
+    for a, b, quantiser in zip(ordered.positions, decoded.positions, quantisers[:3], strict=True):
+        bound = 0.51 * quantiser.step + np.spacing(np.abs(b).max(initial=0.0))
+        if (np.abs(a.astype(np.float64) - b) > bound).any():
+            raise InvalidInput(
+                "neither scene was decoded from the other: compare with the original"
+            )
+    return ordered

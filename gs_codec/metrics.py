@@ -66,17 +66,18 @@ def _group(name: str, unit: str, first: NDArray, second: NDArray) -> GroupError:
     """Errors over all rows, one row at a time to bound memory."""
     largest = total = 0.0
     for a, b in zip(first, second, strict=True):
-        error = np.abs(a.astype(np.float64) - b)
-        largest = max(largest, float(error.max(initial=0.0)))
+        with np.errstate(invalid="ignore"):
+            error = np.where(a == b, 0.0, np.abs(a.astype(np.float64) - b))
+        largest = float(np.maximum(largest, error.max(initial=0.0)))
         total += float(error @ error)
     return GroupError(name, unit, largest, float(np.sqrt(total / max(first.size, 1))))
 
 
 def _padded(scene: Scene, coefficients: int) -> NDArray[np.float32]:
-    planes = scene.f_rest.reshape(3, -1, scene.count) if scene.count else scene.f_rest[:, None]
-    missing = coefficients - len(scene.f_rest) // 3
+    own = len(scene.f_rest) // 3
+    planes, missing = scene.f_rest.reshape(3, own, scene.count), coefficients - own
     padded = np.pad(planes, ((0, 0), (0, missing), (0, 0))) if missing else planes
-    return padded.reshape(-1, scene.count)
+    return padded.reshape(3 * coefficients, scene.count)
 
 
 def _sigmoid(logit: NDArray) -> NDArray[np.float64]:
@@ -98,4 +99,4 @@ def _unit(rot: NDArray) -> NDArray[np.float64]:
     rot = rot.astype(np.float64)
     norm = np.linalg.norm(rot, axis=0)
     identity = np.array([[1.0], [0.0], [0.0], [0.0]])
-    return np.where(norm > 0, rot / np.where(norm > 0, norm, 1.0), identity)
+    return np.where(norm == 0, identity, rot / np.where(norm == 0, 1.0, norm))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,6 +17,16 @@ SH_COEFFICIENTS = (0, 3, 8, 15)
 
 #: Attribute groups of a scene, in the order reports list them.
 GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
+
+#: What an extra property may be: printable, without spaces, of a scalar type of PLY.
+_NAME = re.compile("[!-~]{1,255}")
+_LAYOUT = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]")
+_TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+
+
+def is_extra_name(name: str) -> bool:
+    """Whether a property beyond the layout may have this name."""
+    return bool(_NAME.fullmatch(name)) and not _LAYOUT.fullmatch(name)
 
 
 @dataclass(frozen=True)
@@ -74,6 +85,10 @@ class Scene:
         if len(self.f_rest) not in [3 * k for k in SH_COEFFICIENTS]:
             raise InvalidInput(f"f_rest: {len(self.f_rest)} channels, expected 0, 9, 24 or 45")
         for name, column in self.extra.items():
+            if not is_extra_name(name):
+                raise InvalidInput(f"property '{name}': not a name beside the layout")
+            if column.dtype.name not in _TYPES:
+                raise InvalidInput(f"property '{name}': {column.dtype} is not a type of PLY")
             if column.shape != (self.count,):
                 raise InvalidInput(f"{name}: shape {column.shape}, expected ({self.count},)")
 

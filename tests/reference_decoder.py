@@ -1,7 +1,8 @@
 """Slow decoder of `.egs` files in plain Python, written from ``gs_codec/FORMAT.md`` alone.
 
-It shares no code with ``gs_codec``, so that the tests tell an error of the text from an error of the codec. Section names in
-the comments are those of the text. numpy only rounds binary64 to binary32 and holds the results.
+It shares no code with ``gs_codec``, so that the tests tell an error of the text from an error of
+the codec. The comments name the sections of the text. numpy only rounds binary64 to binary32 and
+holds the results.
 """
 
 import struct
@@ -10,6 +11,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cache
 from heapq import heapify, heapreplace
+from itertools import pairwise
 
 import numpy as np
 
@@ -82,7 +84,7 @@ def crc32c(data):
 
 
 def read_header(data):
-    """Return (flags, count, sh_degree, block_size, sections as a dict from (id, block) to bytes)."""
+    """Return flags, count, sh_degree, block_size, and sections as {(id, block): bytes}."""
     reader = Reader(data, "header")
     check(reader.bytes(8) == MAGIC, "magic: not an .egs file")
     version, flags, header_size = reader.take("HHI")
@@ -98,34 +100,37 @@ def read_header(data):
         sh_degree <= 3 and profile <= 2 and 1 <= block_size <= 65536,
         "header: SH degree, profile or block size",
     )
-    blocks, sections = -(-count // block_size), {}
-    for number, section_flags, block, size, checksum in table:
-        content = reader.bytes(size)
-        check(crc32c(content) == checksum, f"section {number} of block {block}: checksum")
-        check(section_flags <= 1, f"section {number} of block {block}: reserved bits")
-        if not CHANNELS <= number <= EXTRA:
-            check(section_flags == 1, f"section {number}: unknown and not optional")
-            continue
-        check(
-            block < blocks if number in BLOCK_SECTIONS else block == 0,
-            f"section {number}: block {block}",
-        )
-        check((number, block) not in sections, f"section {number} of block {block}: twice")
-        sections[number, block] = content
+    sections = read_sections(reader, table, -(-count // block_size))
     check(not reader.rest(), "bytes after the last section")
     return flags, count, sh_degree, block_size, sections
 
 
+def read_sections(reader, table, blocks):
+    sections, seen = {}, set()
+    for number, flags, block, size, checksum in table:
+        place, content = f"section {number} of block {block}", reader.bytes(size)
+        check(crc32c(content) == checksum, f"{place}: checksum")
+        check(flags <= 1, f"{place}: reserved bits")
+        check((number, block) not in seen, f"{place}: twice")
+        seen.add((number, block))
+        known = CHANNELS <= number <= EXTRA
+        check(known or flags == 1, f"{place}: unknown and not optional")
+        limit = blocks if number in BLOCK_SECTIONS else 1 if known else max(blocks, 1)
+        check(block < limit, f"{place}: no such block")
+        if known:
+            sections[number, block] = content
+    return sections
+
+
 def check_presence(sections, channels, blocks):
-    present = {channel.stream for channel in channels if channel.depth}
-    if present & set(RANS_STREAMS):
-        present.add(STATES)
+    needed = {channel.stream for channel in channels if channel.depth}
+    if needed & set(RANS_STREAMS):
+        needed.add(STATES)
+    found = [number for number, _ in sections]
     for number in BLOCK_SECTIONS:
-        for block in range(blocks):
-            check(
-                ((number, block) in sections) == (number in present),
-                f"section {number} of block {block}: presence",
-            )
+        expected = blocks if number in needed else 0
+        text = f"section {number}: in {found.count(number)} blocks, expected {expected}"
+        check(found.count(number) == expected, text)
 
 
 # Channels
@@ -198,7 +203,7 @@ def read_model(reader, channel):
     kind, channel.precision = reader.take("BB")
     check(kind <= 2, f"{channel.name}: model {kind}")
     check(
-        max(8, channel.depth) <= channel.precision <= 16,
+        max(8, channel.depth) <= channel.precision <= 15,
         f"{channel.name}: precision {channel.precision}",
     )
     if kind == 0:
@@ -211,7 +216,7 @@ def read_model(reader, channel):
             channel.mantissa_bits <= 15, f"{channel.name}: mantissa of {channel.mantissa_bits} bits"
         )
         return
-    channel.weights = [max(upper - lower, 1) for lower, upper in zip(cumulative, cumulative[1:])]
+    channel.weights = [max(upper - lower, 1) for lower, upper in pairwise(cumulative)]
 
 
 def laplace_cumulative(reader, size):
@@ -290,11 +295,15 @@ def set_frequencies(channel):
     used = sum(weight > 0 for weight in channel.weights)
     check(1 <= used <= scale, f"{channel.name}: {used} weights above 0")
     shares = [weight * scale // total for weight in channel.weights]
-    frequencies = [max(share, 1) if weight else 0 for share, weight in zip(shares, channel.weights)]
+    frequencies = [
+        max(share, 1) if weight else 0
+        for share, weight in zip(shares, channel.weights, strict=True)
+    ]
     missing = scale - sum(frequencies)
     if missing > 0:
         remainders = [
-            weight * scale - share * total for share, weight in zip(shares, channel.weights)
+            weight * scale - share * total
+            for share, weight in zip(shares, channel.weights, strict=True)
         ]
         order = sorted(range(len(shares)), key=lambda q: (shares[q] == 0, -remainders[q], q))
         for q in order[:missing]:
@@ -395,7 +404,8 @@ def decode_geometry(content, depths, points):
     symbols = [[0] * points for _ in range(3)]
     for shift, axis in enumerate(morton_axes(depths), start=1):
         symbols[axis] = [
-            2 * value + ((code >> (total - shift)) & 1) for value, code in zip(symbols[axis], codes)
+            2 * value + ((code >> (total - shift)) & 1)
+            for value, code in zip(symbols[axis], codes, strict=True)
         ]
     return symbols
 
@@ -439,7 +449,7 @@ def decode_sh_dc(content, depths, positions):
         [v[0] for v in values],
         [v[2] + v[0] for v in values],
     )
-    for depth, symbols in zip(depths, (red, green, blue)):
+    for depth, symbols in zip(depths, (red, green, blue), strict=True):
         check(depth == 0 or all(0 <= q < 1 << depth for q in symbols), "sh-dc: symbol out of range")
     return red, green, blue
 
@@ -481,7 +491,7 @@ def decode_residual(coder, base):
 
 
 def decode_rans(sections, block, channels, points):
-    """Return {name: symbols of the block} for the channels of the streams 5-10 that are not constant."""
+    """Return {name: symbols of the block} of the streams 5-10, constant channels left out."""
     coded = [channel for channel in channels if channel.stream in RANS_STREAMS and channel.depth]
     if not coded:
         return {}
@@ -553,8 +563,9 @@ def decode(data):
     Returns
     -------
     dict
-        count, sh_degree, has_normals, comments (list of str), extra (name -> array), symbols (PLY property -> list of int,
-        constant channels absent), values (PLY property -> float32 array), all in stream order.
+        count, sh_degree, has_normals, comments (list of str), extra (name -> array),
+        symbols (PLY property -> list of int, constant channels absent) and values
+        (PLY property -> float32 array), all in stream order.
 
     Raises
     ------
@@ -570,8 +581,7 @@ def decode(data):
     for block in range(blocks):
         points = min(block_size, count - block * block_size)
         for name, values in decode_block(sections, block, channels, points).items():
-            if name in symbols:
-                symbols[name] += values
+            symbols[name] += values
     return {
         "count": count,
         "sh_degree": sh_degree,
@@ -590,9 +600,11 @@ def decode_block(sections, block, channels, points):
         position_symbols = decode_geometry(sections[GEOMETRY, block], depths[:3], points)
     if any(depths[3:6]):
         colour_symbols = decode_sh_dc(
-            sections[SH_DC, block], depths[3:6], list(zip(*position_symbols))
+            sections[SH_DC, block], depths[3:6], list(zip(*position_symbols, strict=True))
         )
-    names = [channel.name for channel in channels[:6]]
-    return dict(zip(names, [*position_symbols, *colour_symbols])) | decode_rans(
-        sections, block, channels, points
-    )
+    columns = [*position_symbols, *colour_symbols]
+    symbols = decode_rans(sections, block, channels, points)
+    for channel, column in zip(channels[:6], columns, strict=True):
+        if channel.depth:
+            symbols[channel.name] = column
+    return symbols

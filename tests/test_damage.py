@@ -134,3 +134,21 @@ def test_unknown_sections_are_skipped_only_if_optional(stream):
         else:
             with pytest.raises(CorruptStream):
                 decode_scene(with_checksums(data))
+
+
+@pytest.mark.parametrize("section_id", [1, 2])
+def test_sections_of_blocks_that_do_not_exist_are_refused(stream, section_id):
+    data = bytearray(stream)
+    for entry in range(HEADER, HEADER + ENTRY * struct.unpack_from("<I", data, 32)[0], ENTRY):
+        if struct.unpack_from("<H", data, entry)[0] == section_id:
+            struct.pack_into("<I", data, entry + 4, 1)
+    with pytest.raises(CorruptStream, match="block that does not exist"):
+        decode_scene(with_checksums(data))
+
+
+def test_a_missing_section_is_refused(stream):
+    data = bytearray(stream)
+    sections = struct.unpack_from("<I", data, 32)[0]
+    struct.pack_into("<HH", data, HEADER + ENTRY * (sections - 1), 99, 1)
+    with pytest.raises(CorruptStream, match="sections of blocks, expected"):
+        decode_scene(with_checksums(data))

@@ -1,16 +1,19 @@
 """FORMAT.md against the codec: the reference decoder written from the text gives the same bits."""
 
+import struct
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from reference_decoder import decode
+from reference_decoder import Channel, Reader, decode, read_model, set_frequencies
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import DEPTH_GROUPS, Config
 from gs_codec.io.ply import read_ply
+from gs_codec.model.mixture import Component, MixtureModel
+from gs_codec.model.table import normalise
 from gs_codec.scene import Scene
 
 TINY = Path(__file__).parents[2] / "shared" / "scenes" / "tiny_sh3.ply"
@@ -134,7 +137,7 @@ def encoded(case):
 
 
 def assert_same(data):
-    """The reference decoder and the codec agree on every bit of a file; returns what it decodes to."""
+    """Reference decoder and codec agree on every bit of a file; returns the reference's."""
     ours, reference = decode_scene(data), decode(data)
     assert (ours.count, ours.sh_degree) == (reference["count"], reference["sh_degree"])
     assert (ours.has_normals, list(ours.comments)) == (
@@ -164,10 +167,11 @@ def test_reference_decoder_gives_the_same_bits(case):
     assert reference["count"] == CASES[case][1][1]
 
 
-@pytest.mark.parametrize("group,rows", [
+@pytest.mark.parametrize(("group", "rows"), [
     ("positions", (0,)), ("positions", (1,)), ("positions", (2,)), ("positions", (0, 2)),
     ("f_dc", (0,)), ("f_dc", (1,)), ("f_dc", (2,)), ("f_dc", (0, 1)), ("f_dc", (0, 1, 2)),
-    ("opacity", (0,)), ("log_scale", (0, 1, 2)), ("rot", (0, 1, 2, 3)), ("f_rest", (0, 5, 44)), ("f_rest", tuple(range(45))),
+    ("opacity", (0,)), ("log_scale", (0, 1, 2)), ("rot", (0, 1, 2, 3)),
+    ("f_rest", (0, 5, 44)), ("f_rest", tuple(range(45))),
 ])  # fmt: skip
 def test_constant_channels_seed20(group, rows):
     scene = with_rows(scene_of(20, 150), group, {row: 0.25 * (row + 1) for row in rows})
@@ -196,3 +200,29 @@ def test_tiny_scene():
     data, report = encode_scene(scene, config("paper-l"))
     assert_same(data)
     assert {cost.model for cost in report.costs} >= {"table"}
+
+
+@pytest.mark.parametrize("seed", range(30, 60))
+def test_random_mixture_gives_the_same_table(seed):
+    """Three and four components, and as many symbols as slots, which our encoder seldom writes."""
+    rng = np.random.default_rng(seed)
+    depth, number = int(rng.integers(1, 13)), int(rng.integers(1, 5))
+    precision = int(rng.integers(max(8, depth), 16))
+    highs = (65536, (1 << depth) + 1 << 16, 1 << int(rng.integers(2, depth + 17)))
+    components = [[int(rng.integers(1, high)) for high in highs] for _ in range(number)]
+    packed = b"".join(struct.pack("<HII", *component) for component in components)
+    channel = Channel("opacity", 5, depth)
+    read_model(Reader(struct.pack("<BBB", 1, precision, number) + packed, "model"), channel)
+    set_frequencies(channel)
+    model = MixtureModel(tuple(Component(*component) for component in components), precision)
+    assert channel.frequencies == model.frequencies(1 << depth).frequencies.tolist()
+
+
+@pytest.mark.parametrize("seed", range(60, 80))
+def test_random_weights_give_the_same_table(seed):
+    """Weights from 0 to 2^32, most of them far too small for a share of their own."""
+    rng = np.random.default_rng(seed)
+    weights = (2 ** rng.uniform(0, 32, 256)).astype(np.int64) * rng.integers(0, 2, 256)
+    channel = Channel("opacity", 5, 8, precision=8, weights=weights.tolist())
+    set_frequencies(channel)
+    assert channel.frequencies == normalise(weights, 8).frequencies.tolist()

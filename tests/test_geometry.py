@@ -47,6 +47,15 @@ def test_canonical_order_is_by_code_colour_and_index(seed):
     np.testing.assert_array_equal(canonical_order(codes, colours), expected)
 
 
+def test_count_tree_refuses_padding_that_is_not_zero():
+    codes = np.array([1, 5, 9], np.int64)  # 3 splits leave a few raw bits in the last byte
+    data = bytearray(encode_geometry(codes, 4))
+    decode_geometry(memoryview(data), 3, 4, "x")
+    data[-1] |= 1
+    with pytest.raises(CorruptStream, match="padding"):
+        decode_geometry(memoryview(data), 3, 4, "x")
+
+
 POINTS = {
     "none": ([], 48),
     "one": ([123456789], 48),
@@ -95,7 +104,7 @@ def test_count_tree_refuses_or_returns_as_many_codes(seed):
     except (CorruptStream, TruncatedStream):
         return
     assert np.all(np.diff(codes) >= 0)
-    assert 0 <= codes[0]
+    assert codes[0] >= 0
     assert codes[-1] < 1 << 30
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from golden.make import golden_scenes
 from reference_decoder import decode as reference_decode
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.container.file import VERSION
 from gs_codec.scene import GROUPS
-from golden.make import golden_scenes
 
 FILES = sorted((Path(__file__).parent / "golden").glob("*.egs"))
 

@@ -68,7 +68,7 @@ def parse_depths(options: list[str]) -> dict[str, int]:
     depths = {}
     for option in options:
         group, _, bits = option.partition("=")
-        if not bits.isdigit():
+        if not (bits.isascii() and bits.isdigit() and len(bits) < 4):
             raise InvalidInput(f"--depth {option}: expected GROUP=BITS, for example sh-ac=4")
         depths[group] = int(bits)
     return depths

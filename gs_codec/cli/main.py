@@ -35,14 +35,25 @@ def main() -> None:
     """Run the command line; errors of use and input exit with status 2."""
     logging.basicConfig(format="gs-codec: %(levelname)s: %(message)s", level=logging.WARNING)
     logging.addLevelName(logging.WARNING, "warning")
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
-        app()
+        status = app(standalone_mode=False)
     except (GsCodecError, OSError) as error:
         print(f"gs-codec: error: {describe_error(error)}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except typer.Abort:
+        status = 130
+    except Exception as error:
+        # Typer's errors of use; releases differ in where they keep the class.
+        if not hasattr(error, "format_message"):
+            raise
+        if message := " ".join(error.format_message().split()):  # none: help was shown
+            print(f"gs-codec: error: {message}", file=sys.stderr)
+        sys.exit(2)
+    if status == 130:
         print("gs-codec: interrupted", file=sys.stderr)
-        sys.exit(130)
+    sys.exit(status)
 
 
 def describe_error(error: BaseException) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.codec.order import triple_depths
 from gs_codec.container.carried import read_comments, read_extra
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
-from gs_codec.container.file import EgsFile, Header, SectionId, read_file
+from gs_codec.container.file import SCENE_SECTIONS, EgsFile, Header, SectionId, read_file
 from gs_codec.entropy.rans import TableSet, decode_symbols
 from gs_codec.errors import CorruptStream
 from gs_codec.geometry.colour import decode_colour
@@ -79,16 +79,19 @@ def _check_size(header: Header, limit: int) -> None:
 
 
 def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
-    """Refuse sections of streams that have no channel to fill."""
+    """Refuse a file whose block sections are not exactly those its channels need."""
     streams = {channel.stream for channel in channels if channel.quantiser.depth}
     expected = {SectionId.of_stream(stream) for stream in streams}
-    expected |= {SectionId.CHANNELS, SectionId.COMMENTS, SectionId.EXTRA}
     if streams & set(RANS_STREAMS):
         expected.add(SectionId.STATES)
-    for section_id, block in file.sections:
+    found = [place for place in file.sections if place[0] not in SCENE_SECTIONS]
+    for section_id, block in found:
         if section_id not in expected:
             label = SectionId(section_id).label
             raise CorruptStream(f"section '{label}' of block {block}: nothing is coded there")
+    if len(found) != len(expected) * file.header.block_count:
+        needed = len(expected) * file.header.block_count
+        raise CorruptStream(f"header: {len(found)} sections of blocks, expected {needed}")
 
 
 def _assemble(file: EgsFile, channels: list[Channel], planes: NDArray[np.float32]) -> Scene:

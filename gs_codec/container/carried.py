@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 
 from gs_codec.container.bytes import ByteReader
 from gs_codec.errors import CorruptStream, InvalidInput
+from gs_codec.scene import is_extra_name
 
 _DTYPES = tuple(np.dtype(t) for t in ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8"))
 _LEVEL = 6
-_NAME_BYTES = 255
 _COMMENT_BYTES = 1 << 20
 
 
 def write_comments(comments: Iterable[str]) -> bytes:
     """Serialise comment lines."""
     text = "\n".join(comments).encode()
+    if not _is_text(text):
+        raise InvalidInput("comments: control or non-ASCII characters, expected plain text")
     if len(text) > _COMMENT_BYTES:
         raise InvalidInput(f"comments: {len(text)} bytes, at most {_COMMENT_BYTES} can be kept")
     return text
@@ -29,12 +31,14 @@ def write_comments(comments: Iterable[str]) -> bytes:
 def read_comments(data: memoryview) -> tuple[str, ...]:
     """The inverse of `write_comments`."""
     text = bytes(data[: _COMMENT_BYTES + 1])
-    if len(text) > _COMMENT_BYTES or any(byte < 32 and byte not in (9, 10) for byte in text):
-        raise CorruptStream("section 'comments': too long, or not text")
-    try:
-        return tuple(text.decode("ascii").split("\n"))
-    except UnicodeDecodeError:
-        raise CorruptStream("section 'comments': not ASCII") from None
+    if len(text) > _COMMENT_BYTES or not _is_text(text):
+        raise CorruptStream("section 'comments': too long, or not ASCII text")
+    return tuple(text.decode("ascii").split("\n"))
+
+
+def _is_text(data: bytes) -> bool:
+    """Whether all bytes are printable ASCII, tabs, or line feeds."""
+    return all(32 <= byte < 127 or byte in (9, 10) for byte in data)
 
 
 def write_extra(extra: Mapping[str, NDArray], order: NDArray[np.int64]) -> bytes:
@@ -42,8 +46,6 @@ def write_extra(extra: Mapping[str, NDArray], order: NDArray[np.int64]) -> bytes
     out = bytearray(struct.pack("<H", len(extra)))
     for name, column in extra.items():
         label = name.encode()
-        if len(label) > _NAME_BYTES or column.dtype not in _DTYPES:
-            raise InvalidInput(f"property '{name}' of type {column.dtype} cannot be kept")
         planes = column[order].view(np.uint8).reshape(-1, column.dtype.itemsize).T
         packed = zlib.compress(planes.tobytes(), _LEVEL)
         kind = _DTYPES.index(column.dtype)
@@ -59,11 +61,12 @@ def read_extra(data: memoryview, count: int) -> dict[str, NDArray]:
     for _ in range(reader.unpack("H")[0]):
         label = bytes(reader.take(reader.unpack("B")[0]))
         kind, size = reader.unpack("BQ")
-        if not label.isascii() or not label.decode("ascii", "replace").isprintable():
-            raise CorruptStream("section 'extra': a property name is not printable ASCII")
+        name = label.decode("ascii", "replace")
+        if not is_extra_name(name) or name in extra:
+            raise CorruptStream(f"section 'extra': {name!a} is no name, or there already")
         if kind >= len(_DTYPES):
             raise CorruptStream(f"section 'extra': type {kind}, expected 0-{len(_DTYPES) - 1}")
-        extra[label.decode("ascii")] = _inflate(reader.take(size), count, _DTYPES[kind])
+        extra[name] = _inflate(reader.take(size), count, _DTYPES[kind])
     if len(reader.rest()):
         raise CorruptStream("section 'extra': bytes after the last property")
     return extra
@@ -76,7 +79,8 @@ def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
         planes = inflater.decompress(packed, expected + 1)
     except zlib.error as error:
         raise CorruptStream(f"section 'extra': {error}") from None
-    if len(planes) != expected or inflater.unused_data or inflater.unconsumed_tail:
+    surplus = inflater.unused_data or inflater.unconsumed_tail
+    if len(planes) != expected or surplus or not inflater.eof:
         raise CorruptStream(f"section 'extra': a property is not {expected} bytes")
     rows = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, count).T
-    return np.ascontiguousarray(rows).view(dtype).reshape(count)
+    return np.array(rows, order="C").view(dtype).reshape(count)

@@ -49,6 +49,10 @@ class SectionId(IntEnum):
         return cls[stream.upper().replace("-", "_")]
 
 
+#: Sections of the whole scene; the others are of a block.
+SCENE_SECTIONS = frozenset({SectionId.CHANNELS, SectionId.COMMENTS, SectionId.EXTRA})
+
+
 @dataclass(frozen=True)
 class Header:
     """What is known of a scene before anything of it is decoded."""
@@ -189,7 +193,8 @@ def _read_sections(
             raise CorruptStream(f"{where}: a reserved flag is not 0")
         if section_id not in known and not flags & _OPTIONAL_FLAG:
             raise CorruptStream(f"{where}: unknown, and not optional")
-        if (section_id, block) in sizes or block > max(header.block_count - 1, 0):
+        blocks = 1 if section_id in SCENE_SECTIONS else header.block_count
+        if (section_id, block) in sizes or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
         sizes[section_id, block] = size
         if not header_only or section_id == SectionId.CHANNELS:

@@ -25,7 +25,6 @@ _TOP = 0xFF000000
 
 #: Adaptation rate after n occurrences of a context, in 1/65536: about 1 / (n + 1.5).
 _RATES = np.array([131072 // (2 * n + 3) for n in range(256)], np.int64)
-_SMALLEST, _LARGEST = 32, 65536 - 32
 
 
 @inlined
@@ -45,7 +44,6 @@ def code_bit(state, data, contexts, context, bit):
     else:
         low = middle + 1
         chance -= (chance * _RATES[seen]) >> 16
-    chance = min(max(chance, _SMALLEST), _LARGEST)
     contexts[context] = (chance << 8) | min(seen + 1, 255)
     while (low ^ high) & _TOP == 0:
         position = state[_POSITION]

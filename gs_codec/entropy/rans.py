@@ -158,6 +158,8 @@ def decode_symbols(
         raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
     lane_states = np.full(LANES, _LOWEST, np.int64)
     lane_states[:lanes] = np.frombuffer(states, "<u4")
+    if np.any(lane_states < _LOWEST):
+        raise CorruptStream(f"{where}: a rANS state below {_LOWEST}")
     sizes = [len(data) // 2 for _, data in groups]
     words = np.zeros(sum(sizes) + LANES, np.uint16)
     words[: sum(sizes)] = np.frombuffer(b"".join(data for _, data in groups), "<u2")

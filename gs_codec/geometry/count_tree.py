@@ -178,4 +178,6 @@ def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -
     decode_binary(model, data[4 : 4 + size], where)
     if bits.size != (used + 7) // 8:
         raise CorruptStream(f"{where}: {bits.size} raw bytes, expected {(used + 7) // 8}")
+    if used % 8 and bits[-1] & (0xFF >> used % 8):
+        raise CorruptStream(f"{where}: padding bits that are not 0")
     return codes

@@ -21,9 +21,9 @@ def check_writable(path: str | Path) -> None:
         If it is a directory or device, or its directory is missing or not writable.
     """
     target = Path(path)
-    if target.is_dir():
+    if os.path.isdir(target):
         raise InvalidInput(f"{target}: a directory, expected a file name")
-    if target.exists() and not target.is_file():
+    if os.path.exists(target) and not target.is_file():
         raise InvalidInput(f"{target}: not a regular file")
     if not target.parent.is_dir():
         raise InvalidInput(f"{target}: no directory '{target.parent}'")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -65,13 +66,15 @@ def read_ply(path: str | Path, extra: Literal["error", "keep", "drop"] = "error"
 
 
 def _open_vertices(path: Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InvalidInput(f"{path}: a directory, expected a PLY file")
     try:
         ply = plyfile.PlyData.read(path, mmap="r")
     except plyfile.PlyParseError as error:
         raise InvalidInput(f"{path}: not a readable PLY file ({_one_line(error)})") from error
-    except (ValueError, OverflowError, MemoryError) as error:
+    except MemoryError as error:
+        raise InvalidInput(f"{path}: more Gaussians than memory can hold") from error
+    except (ValueError, OverflowError) as error:
         raise InvalidInput(f"{path}: not a readable PLY file ({_one_line(error)})") from error
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror or error}") from error
@@ -82,7 +85,9 @@ def _open_vertices(path: Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
     vertex = ply["vertex"]
     if ply.obj_info:
         log.warning("%s: %d obj_info lines not kept", path, len(ply.obj_info))
-    surplus = path.stat().st_size - len(ply.header) - 1 - vertex.data.nbytes
+    # Data that is mapped knows where it begins; without Gaussians nothing is.
+    size = path.stat().st_size
+    surplus = size - getattr(vertex.data, "offset", size) - vertex.data.nbytes
     if not ply.text and surplus > 0:
         log.warning("%s: %d bytes after the last vertex not read", path, surplus)
     return vertex, (*ply.comments, *vertex.comments)
@@ -135,7 +140,7 @@ def _read_rest(
         raise InvalidInput(f"{path}: {what} ({why}); choose --extra keep or --extra drop")
     if extra == "drop":
         return has_normals, {}
-    kept = {name: np.array(data[name], data.dtype[name].newbyteorder("<")) for name in rest}
+    kept = {name: np.array(data[name], data.dtype[name].newbyteorder("=")) for name in rest}
     return has_normals and not set(normals) & set(rest), kept
 
 

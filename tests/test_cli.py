@@ -1,0 +1,600 @@
+"""The command line: results on stdout, one line for every error, nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from crc32c import crc32c
+from scenes import random_scene
+
+from gs_codec import __version__
+from gs_codec.cli import main as cli
+from gs_codec.config import PROFILES
+from gs_codec.container.carried import write_extra
+from gs_codec.container.file import Section, SectionId, read_file, write_file
+from gs_codec.files import encode_file
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.scene import GROUPS
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = ("encode", "decode", "inspect", "compare", "bench")
+
+
+class Result(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+class Folder:
+    """A working folder with `scene.ply`, `scene.egs`, `decoded.ply`, and a way to run commands."""
+
+    def __init__(self, path: Path, monkeypatch, capsys) -> None:
+        self.path, self.monkeypatch, self.capsys = path, monkeypatch, capsys
+
+    def run(self, *arguments: str) -> Result:
+        """Run the entry point in this process."""
+        self.capsys.readouterr()
+        self.monkeypatch.setattr(sys, "argv", ["gs-codec", *arguments])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as stop:
+            status = stop.code or 0
+        return Result(status, *self.capsys.readouterr())
+
+    def contents(self) -> dict[str, bytes | None]:
+        """Every file with its bytes, hidden ones and folders too."""
+        return {
+            str(path.relative_to(self.path)): path.read_bytes() if path.is_file() else None
+            for path in self.path.rglob("*")
+        }
+
+    def refuse(self, *arguments: str) -> str:
+        """Run what must fail; check the one line, the status and the folder; return the line."""
+        before = self.contents()
+        status, out, err = self.run(*arguments)
+        assert (status, out) == (2, "")
+        assert_one_error_line(err)
+        assert self.contents() == before
+        return err
+
+
+def assert_one_error_line(err: str) -> None:
+    assert err.startswith("gs-codec: error: ")
+    assert err.endswith("\n")
+    assert len(err.splitlines()) == 1
+
+
+def strict_json(text: str) -> dict:
+    """The one JSON document on stdout; NaN and Infinity are not JSON."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture
+def folder(trio, tmp_path, monkeypatch, capsys) -> Folder:
+    for path in trio:
+        shutil.copy(path, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return Folder(tmp_path, monkeypatch, capsys)
+
+
+def python(*arguments: str, cwd: Path = ROOT) -> Result:
+    """Run Python in another process that finds gs_codec."""
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return Result(done.returncode, done.stdout, done.stderr)
+
+
+# What works
+
+
+def test_encode_and_decode_write_what_the_library_does(folder, trio):
+    status, out, err = folder.run("encode", "scene.ply", "out.egs")
+    assert (status, err) == (0, "")
+    assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
+    assert out.startswith("out.egs: 1,500 Gaussians, 355.48 kB -> ")
+    assert {"geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3"} <= {
+        line.split()[0] for line in out.splitlines()
+    }
+    status, out, err = folder.run("decode", "out.egs", "out.ply")
+    assert (status, err) == (0, "")
+    assert (folder.path / "out.ply").read_bytes() == trio.decoded.read_bytes()
+    assert out.startswith("out.ply: 1,500 Gaussians, SH degree 3, 355.")
+
+
+def test_encode_reports_as_json(folder):
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "--json")
+    report = strict_json(out)
+    assert (status, err) == (0, "")
+    size = (folder.path / "out.egs").stat().st_size
+    assert sum(report["section_bytes"].values()) == report["file_bytes"] == size
+    assert report["input_bytes"] == (folder.path / "scene.ply").stat().st_size
+    expected = {"count": 1500, "raw_bytes": 1500 * 59 * 4, "profile": "paper-m", "dropped": 0}
+    assert expected.items() <= report.items()
+    assert len(report["costs"]) == 1 + 3 + 4 + 45
+
+
+def test_decode_reports_as_json(folder):
+    status, out, err = folder.run("decode", "scene.egs", "out.ply", "--json", "--threads", "2")
+    size = (folder.path / "out.ply").stat().st_size
+    assert (status, err) == (0, "")
+    expected = {"count": 1500, "sh_degree": 3, "output": "out.ply", "output_bytes": size}
+    assert expected.items() <= strict_json(out).items()
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_profile_decides_the_depths(folder, profile):
+    assert folder.run("encode", "scene.ply", "out.egs", "-p", profile).status == 0
+    info = strict_json(folder.run("inspect", "out.egs", "--json").out)
+    assert info["profile"] == profile
+    assert {c["stream"]: c["depth"] for c in info["channels"]} == PROFILES[profile]
+
+
+def test_depth_may_be_given_several_times(folder):
+    depths = ["--depth", "sh-ac=5", "--depth", "sh3=2", "--depth", "geometry=12"]
+    assert folder.run("encode", "scene.ply", "out.egs", *depths).status == 0
+    info = strict_json(folder.run("inspect", "out.egs", "--json").out)
+    used = {channel["stream"]: channel["depth"] for channel in info["channels"]}
+    expected = dict(PROFILES["paper-m"]) | {"sh1": 5, "sh2": 5, "sh3": 2, "geometry": 12}
+    assert used == expected
+
+
+def test_inspect_says_what_the_file_holds(folder, trio):
+    scene = read_ply(trio.ply)
+    status, out, err = folder.run("inspect", "scene.egs", "--json")
+    info = strict_json(out)
+    assert (status, err) == (0, "")
+    size = trio.egs.stat().st_size
+    assert (info["count"], info["sh_degree"], info["blocks"]) == (1500, 3, 1)
+    assert info["file_bytes"] == size == sum(stream["bytes"] for stream in info["streams"])
+    assert info["ratio"] == pytest.approx(1500 * 59 * 4 / size)
+    np.testing.assert_allclose(
+        info["bounds"], [scene.positions.min(axis=1), scene.positions.max(axis=1)]
+    )
+    plain = folder.run("inspect", "scene.egs").out
+    listed = folder.run("inspect", "scene.egs", "--channels").out
+    assert plain.startswith("scene.egs: version 1, profile paper-m, 1,500 Gaussians, SH degree 3")
+    assert listed.startswith(plain)
+    rows = {line.split()[0] for line in listed[len(plain) :].splitlines()}
+    assert {"x", "f_dc_2", "opacity", "scale_1", "rot_3", "f_rest_44"} <= rows
+
+
+def test_compare_prints_the_errors(folder):
+    status, out, err = folder.run("compare", "scene.ply", "decoded.ply", "--json")
+    result = strict_json(out)
+    assert (status, err) == (0, "")
+    assert (result["a"], result["b"], result["count"]) == ("scene.ply", "decoded.ply", 1500)
+    assert result["matched_by"] == "stored order"
+    errors = {(group["name"], group["unit"]): group["max"] for group in result["groups"]}
+    assert 0 < errors["positions", "scene units"] < 1e-4
+    lines = folder.run("compare", "scene.ply", "decoded.ply").out.splitlines()
+    assert lines[0] == "1,500 Gaussians, matched by stored order"
+    assert len(lines) == 2 + len(result["groups"])
+    assert f"{errors['opacity', 'logit']:.6g}" in lines[5].split()
+
+
+def test_identical_files_have_no_error(folder):
+    result = strict_json(folder.run("compare", "scene.egs", "decoded.ply", "--json").out)
+    assert result["matched_by"] == "index"
+    assert {group["max"] for group in result["groups"]} == {0}
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_smallest_scenes_go_all_the_way(folder, count):
+    write_ply("small.ply", random_scene(count, 3))
+    for arguments in (
+        ["encode", "small.ply", "small.egs"],
+        ["inspect", "small.egs", "--channels"],
+        ["decode", "small.egs", "back.ply"],
+        ["compare", "small.ply", "back.ply"],
+    ):
+        status, out, err = folder.run(*arguments)
+        assert (status, err) == (0, "")
+        assert out
+    for arguments in (["inspect", "small.egs"], ["compare", "small.ply", "back.ply"]):
+        assert strict_json(folder.run(*arguments, "--json").out)["count"] == count
+
+
+def test_extra_properties_are_refused_kept_or_dropped(folder):
+    label = np.arange(1500, dtype="<u2")
+    write_ply("labels.ply", replace(read_ply("scene.ply"), extra={"label": label}))
+    assert "--extra keep or --extra drop" in folder.refuse("encode", "labels.ply", "out.egs")
+    for choice, names in (("keep", ["label"]), ("drop", [])):
+        assert folder.run("encode", "labels.ply", "out.egs", "--extra", choice).status == 0
+        assert folder.run("decode", "out.egs", "out.ply").status == 0
+        assert list(read_ply("out.ply", "keep").extra) == names
+
+
+def test_nonfinite_gaussians_are_refused_or_dropped(folder):
+    scene = read_ply("scene.ply")
+    scene.opacity[0, [4, 5]] = np.nan
+    scene.rot[2, 5] = np.inf
+    scene.f_rest[44, 9] = -np.inf
+    write_ply("holes.ply", scene)
+    message = folder.refuse("encode", "holes.ply", "out.egs")
+    assert "holes.ply: " in message
+    assert "1 in f_rest, 2 in opacity, 1 in rot" in message
+    status, out, err = folder.run("encode", "holes.ply", "out.egs", "--nonfinite", "drop")
+    assert (status, err) == (0, "dropped 3 Gaussians with NaN or infinity\n")
+    assert "1,497 Gaussians" in out
+    out = folder.run("encode", "holes.ply", "out.egs", "--nonfinite", "drop", "--json").out
+    assert strict_json(out)["dropped"] == 3
+
+
+def test_zero_quaternions_are_reported(folder):
+    scene = read_ply("scene.ply")
+    scene.rot[:, [1, 2]] = 0
+    write_ply("zero.ply", scene)
+    status, _, err = folder.run("encode", "zero.ply", "out.egs")
+    assert (status, err) == (0, "replaced 2 zero quaternions by the identity\n")
+    out = folder.run("encode", "zero.ply", "out.egs", "--json").out
+    assert strict_json(out)["zero_quaternions"] == 2
+
+
+def test_an_existing_file_is_replaced(folder, trio):
+    for name in ("out.egs", "out.ply"):
+        (folder.path / name).write_bytes(b"old" * 1_000_000)
+    assert folder.run("encode", "scene.ply", "out.egs").status == 0
+    assert folder.run("decode", "out.egs", "out.ply").status == 0
+    assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
+    assert (folder.path / "out.ply").read_bytes() == trio.decoded.read_bytes()
+
+
+@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)], ids=" ".join)
+@pytest.mark.parametrize("flag", ["--help", "-h"])
+def test_help(folder, command, flag):
+    status, out, err = folder.run(*command, flag)
+    assert (status, err) == (0, "")
+    assert all(name in out for name in COMMANDS) if not command else "--" in out
+
+
+def test_no_command_shows_the_help(folder):
+    _, out, err = folder.run()
+    assert all(name in out for name in COMMANDS)
+    assert err == ""
+
+
+def test_version(folder):
+    assert folder.run("--version") == (0, f"gs-codec {__version__}\n", "")
+
+
+def test_name_that_is_not_text_can_be_printed(folder, trio):
+    name = os.fsdecode(b"out\xff.egs")
+    assert folder.run("encode", "scene.ply", name, "--json").status == 0
+    assert folder.run("encode", "scene.ply", name).status == 0
+    assert (folder.path / name).read_bytes() == trio.egs.read_bytes()
+
+
+# What is refused
+
+
+def resealed(data: bytes, position: int, patch: bytes) -> bytes:
+    """The stream with other header bytes and a header checksum that fits."""
+    size = struct.unpack_from("<I", data, 12)[0]
+    head = data[:position] + patch + data[position + len(patch) : size - 4]
+    return head + struct.pack("<I", crc32c(head)) + data[size:]
+
+
+def flipped(data: bytes, position: int) -> bytes:
+    position %= len(data)
+    return data[:position] + bytes([data[position] ^ 16]) + data[position + 1 :]
+
+
+def without(name: str) -> Callable[[bytes], bytes]:
+    return lambda good: good.replace(f"property float {name}\n".encode(), b"", 1)
+
+
+BAD_PLY = {
+    "empty": (lambda good: b"", "expected 'ply'"),
+    "text": (lambda good: b"these are\nno Gaussians\n", "expected 'ply'"),
+    "truncated": (lambda good: good[:-100], "end-of-file"),
+    "truncated header": (lambda good: good[:300], "end-of-file"),
+    "missing property": (without("opacity"), "missing property 'opacity'"),
+    "wrong f_rest": (without("f_rest_7"), "44 f_rest"),
+}
+BAD_EGS = {
+    "empty": (lambda good: b"", "empty file"),
+    "text": (lambda good: b"these are\nno Gaussians\n", "not an .egs file"),
+    "signature alone": (lambda good: good[:8], "header"),
+    "version 2": (lambda good: resealed(good, 8, b"\2\0"), "version 2 .*knows 1"),
+    "version 0": (lambda good: resealed(good, 8, b"\0\0"), "version 0"),
+    "reserved flag": (lambda good: resealed(good, 10, b"\2"), "flag|reserved"),
+    "bit of the count": (lambda good: flipped(good, 16), "header"),
+    "bit of the section table": (lambda good: flipped(good, 40), "header"),
+    "bit of the channels": (lambda good: flipped(good, 400), "section 1 .*checksum"),
+    "one byte short": (lambda good: good[:-1], "bytes, expected"),
+    "half": (lambda good: good[: len(good) // 2], "bytes, expected"),
+    "one byte more": (lambda good: good + b"\0", "bytes, expected"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_PLY)
+def test_bad_ply_is_refused(folder, name):
+    make, message = BAD_PLY[name]
+    Path("bad.ply").write_bytes(make(Path("scene.ply").read_bytes()))
+    for arguments in (["encode", "bad.ply", "out.egs"], ["compare", "scene.ply", "bad.ply"]):
+        if name == "empty" and arguments[0] == "compare":
+            message = "empty file"
+        line = folder.refuse(*arguments)
+        assert "bad.ply: " in line
+        assert re.search(message, line)
+
+
+@pytest.mark.parametrize("name", BAD_EGS)
+def test_bad_egs_is_refused(folder, name):
+    make, message = BAD_EGS[name]
+    Path("bad.egs").write_bytes(make(Path("scene.egs").read_bytes()))
+    for arguments in (
+        ["decode", "bad.egs", "out.ply"],
+        ["inspect", "bad.egs"],
+        ["compare", "scene.ply", "bad.egs"],
+    ):
+        line = folder.refuse(*arguments)
+        assert "bad.egs: " in line
+        assert re.search(message, line)
+
+
+def test_bit_of_the_last_section_is_refused(folder):
+    Path("bad.egs").write_bytes(flipped(Path("scene.egs").read_bytes(), -1))
+    assert "section 10 of block 0: checksum" in folder.refuse("decode", "bad.egs", "out.ply")
+    assert folder.run("inspect", "bad.egs").status == 0
+
+
+@pytest.mark.parametrize(
+    "names", [["x"], ["two words"], [""], ["rot_3"], ["label", "label"]], ids=str
+)
+def test_egs_whose_properties_no_ply_can_have_is_refused(folder, names):
+    """The checksums of such a file hold: only its content is wrong."""
+    good = read_file(Path("scene.egs").read_bytes())
+    one = write_extra({"?": np.zeros(1500, np.uint8)}, np.arange(1500))[4:]
+    columns = [bytes([len(name)]) + name.encode() + one for name in names]
+    extra = struct.pack("<H", len(names)) + b"".join(columns)
+    sections = [Section(SectionId(i), block, data) for (i, block), data in good.sections.items()]
+    sections.append(Section(SectionId.EXTRA, 0, extra))
+    Path("bad.egs").write_bytes(write_file(good.header, sections))
+    assert "bad.egs: " in folder.refuse("decode", "bad.egs", "out.ply")
+
+
+REFUSED = {
+    "encode missing": ("encode missing.ply out.egs", "missing.ply: No such file"),
+    "encode directory": ("encode some.dir out.egs", "some.dir: .*directory"),
+    "encode .egs": ("encode scene.egs out.egs", "scene.egs: not a readable PLY"),
+    "decode missing": ("decode missing.egs out.ply", "missing.egs: No such file"),
+    "decode directory": ("decode some.dir out.ply", "some.dir: .*directory"),
+    "decode .ply": ("decode scene.ply out.ply", "scene.ply: not an .egs file"),
+    "inspect missing": ("inspect missing.egs", "missing.egs: No such file"),
+    "inspect directory": ("inspect some.dir", "some.dir: .*directory"),
+    "inspect .ply": ("inspect scene.ply", "scene.ply: not an .egs file"),
+    "compare missing": ("compare scene.ply missing.ply", "missing.ply: No such file"),
+    "compare directory": ("compare some.dir scene.ply", "some.dir: .*directory"),
+    "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians"),
+    "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of paper-l"),
+    "depth group": ("encode scene.ply out.egs --depth colour=3", "'colour': expected one of"),
+    "depth 0": ("encode scene.ply out.egs --depth opacity=0", "integer from 1 to 12"),
+    "depth 13": ("encode scene.ply out.egs --depth sh-ac=13", "integer from 1 to 12"),
+    "depth 22": ("encode scene.ply out.egs --depth geometry=22", "integer from 1 to 21"),
+    "depth word": ("encode scene.ply out.egs --depth sh-ac=x", "expected GROUP=BITS"),
+    "depth empty": ("encode scene.ply out.egs --depth sh-ac=", "expected GROUP=BITS"),
+    "depth negative": ("encode scene.ply out.egs --depth sh-ac=-1", "expected GROUP=BITS"),
+    "depth no number": ("encode scene.ply out.egs --depth sh-ac", "expected GROUP=BITS"),
+    "depth superscript": ("encode scene.ply out.egs --depth sh-ac=²", "expected GROUP=BITS"),
+    "depth of 5000 digits": (f"encode scene.ply out.egs --depth sh-ac={'9' * 5000}", "expected"),
+    "nonfinite": ("encode scene.ply out.egs --nonfinite keep", "nonfinite 'keep'"),
+    "extra": ("encode scene.ply out.egs --extra maybe", "extra 'maybe'"),
+    "threads of encode": ("encode scene.ply out.egs --threads 0", "1"),
+    "threads of decode": ("decode scene.egs out.ply --threads 0", "1"),
+    "too large": ("decode scene.egs out.ply --max-bytes 9", "354000 bytes, the limit is 9"),
+    "encode to no folder": ("encode scene.ply no/out.egs", "no directory 'no'"),
+    "decode to no folder": ("decode scene.egs no/out.ply", "no directory 'no'"),
+    "encode to directory": ("encode scene.ply some.dir", "some.dir: a directory"),
+    "decode to directory": ("decode scene.egs some.dir", "some.dir: a directory"),
+    "encode to device": ("encode scene.ply /dev/null", "not a regular file"),
+    "encode to source": ("encode scene.ply scene.ply", "the source itself"),
+    "encode to link": ("encode scene.ply link.ply", "the source itself"),
+    "decode to source": ("decode scene.egs ./scene.egs", "the source itself"),
+    "encode to long name": (f"encode scene.ply {'x' * 300}", "name too long"),
+    "no such option": ("encode scene.ply out.egs --best", "--best"),
+    "no such command": ("squeeze scene.ply", "squeeze"),
+    "missing argument": ("encode scene.ply", "OUT"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_use_is_refused(folder, name):
+    command, message = REFUSED[name]
+    Path("some.dir").mkdir()
+    Path("link.ply").symlink_to("scene.ply")
+    write_ply("other.ply", random_scene(7))
+    assert re.search(message, folder.refuse(*command.split(" ")))
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
+def test_folder_without_permission_is_refused(folder):
+    Path("locked").mkdir(mode=0o500)
+    line = folder.refuse("encode", "scene.ply", "locked/out.egs")
+    assert "no permission to write in 'locked'" in line
+
+
+@pytest.mark.parametrize("existing", [False, True])
+@pytest.mark.parametrize("command", ["encode scene.ply out", "decode scene.egs out"])
+def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    if existing:
+        Path("out").write_bytes(b"precious")
+    folder.monkeypatch.setattr(os, "fsync", full)
+    assert folder.refuse(*command.split()) == "gs-codec: error: out: No space left on device\n"
+
+
+def test_scenes_in_different_orders_are_refused(folder):
+    assert folder.run("encode", "scene.ply", "out.egs", "--depth", "geometry=9").status == 0
+    assert "differently" in folder.refuse("compare", "out.egs", "scene.egs")
+
+
+# What only another process shows
+
+HOOK = """
+import importlib, os, signal, sys
+from gs_codec.cli.main import main
+module = importlib.import_module(sys.argv.pop(1))
+name = sys.argv.pop(1)
+original = getattr(module, name)
+def interrupt(*arguments):
+    os.kill(os.getpid(), signal.SIGINT)
+    return original(*arguments)
+setattr(module, name, interrupt)
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "place"),
+    [
+        ("encode scene.ply out.egs", "gs_codec.codec.encode encode_colour"),
+        ("encode scene.ply out.egs", "os fsync"),
+        ("decode scene.egs out.ply", "gs_codec.codec.decode decode_colour"),
+        ("decode scene.egs out.ply", "os fsync"),
+    ],
+)
+def test_interrupt_leaves_nothing(folder, command, place):
+    before = folder.contents()
+    status, out, err = python("-c", HOOK, *place.split(), *command.split(), cwd=folder.path)
+    assert folder.contents() == before
+    assert (status, out, err) == (130, "", "gs-codec: interrupted\n")
+
+
+SMALL_DISK = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+from gs_codec.cli.main import main
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits of file size")
+@pytest.mark.parametrize("command", ["encode scene.ply out.egs", "decode scene.egs out.ply"])
+def test_file_too_large_for_the_disk_leaves_nothing(folder, command):
+    before = folder.contents()
+    status, out, err = python("-c", SMALL_DISK, *command.split(), cwd=folder.path)
+    assert folder.contents() == before
+    assert (status, out) == (2, "")
+    assert_one_error_line(err)
+    assert "File too large" in err
+
+
+def test_module_is_the_command(folder):
+    status, out, err = python("-m", "gs_codec", "decode", "missing.egs", "out.ply", cwd=folder.path)
+    assert (status, out) == (2, "")
+    assert err == "gs-codec: error: missing.egs: No such file or directory\n"
+
+
+def test_warnings_are_lines_on_stderr(folder):
+    with open("scene.ply", "ab") as file:
+        file.write(b"more")
+    status, out, err = python(
+        "-m", "gs_codec", "encode", "scene.ply", "o.egs", "--json", cwd=folder.path
+    )
+    assert (status, strict_json(out)["count"]) == (0, 1500)
+    assert err == "gs-codec: warning: scene.ply: 4 bytes after the last vertex not read\n"
+
+
+def test_progress_on_a_terminal_ends_in_a_clean_line(folder):
+    pty = pytest.importorskip("pty")
+    control, terminal = pty.openpty()
+    command = [sys.executable, "-m", "gs_codec", "encode", "scene.ply", "out.egs"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "80"}
+    done = subprocess.run(
+        command, env=environment, stdout=subprocess.PIPE, stderr=terminal, check=False
+    )
+    os.close(terminal)
+    shown = os.read(control, 1 << 16).decode()
+    os.close(control)
+    assert done.returncode == 0
+    assert done.stdout.startswith(b"out.egs: 1,500 Gaussians")
+    assert "code" in shown
+    assert "\x1b[?25h" in shown, "the cursor must be visible again"
+
+
+LOADED = """
+import sys
+{run}
+print(*sorted(sys.modules), file=sys.stderr)
+"""
+RUN_ALL = """
+from gs_codec.cli.main import main
+for line in {commands}:
+    sys.argv = ["gs-codec", *line.split()]
+    try:
+        main()
+    except SystemExit as stop:
+        assert not stop.code
+"""
+
+
+@pytest.mark.parametrize(
+    ("run", "loaded", "absent"),
+    [
+        ("import gs_codec", {"gs_codec"}, {"numpy", "numba", "open3d", "torch", "typer", "rich"}),
+        (
+            RUN_ALL.format(commands=["--help", "encode --help", "bench --help"]),
+            {"typer"},
+            {"numpy", "numba", "open3d", "torch", "plyfile", "matplotlib"},
+        ),
+        (
+            RUN_ALL.format(
+                commands=[
+                    "encode scene.ply out.egs",
+                    "decode out.egs out.ply",
+                    "inspect out.egs",
+                    "compare scene.ply out.egs",
+                ]
+            ),
+            {"numpy", "numba", "plyfile"},
+            {"open3d", "torch", "torchac", "matplotlib"},
+        ),
+    ],
+    ids=["import", "help", "files"],
+)
+def test_heavy_packages_load_where_they_are_used(folder, run, loaded, absent):
+    status, _, err = python("-c", LOADED.format(run=run), cwd=folder.path)
+    modules = set(err.split())
+    assert status == 0
+    assert loaded <= modules
+    assert absent & modules == set()
+
+
+def test_decoded_file_can_be_encoded_again(folder, trio):
+    scene = read_ply("scene.ply")
+    assert folder.run("encode", "decoded.ply", "again.egs").status == 0
+    assert folder.run("decode", "again.egs", "again.ply").status == 0
+    again, decoded = read_ply("again.ply"), read_ply("decoded.ply")
+    assert again.comments == decoded.comments
+    for group in set(GROUPS) - {"f_rest"}:
+        np.testing.assert_array_equal(getattr(again, group), getattr(decoded, group))
+    assert again.count == scene.count
+    encode_file("decoded.ply", "by_library.egs")
+    assert Path("again.egs").read_bytes() == Path("by_library.egs").read_bytes()

@@ -1,0 +1,335 @@
+"""Errors between scenes: known differences, and matching through the stored order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
+
+from gs_codec.config import PROFILES, Config
+from gs_codec.errors import InvalidInput
+from gs_codec.files import compare_files, decode_file, encode_file
+from gs_codec.inspection import inspect_bytes
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.metrics import Comparison, GroupError, compare_scenes
+from gs_codec.scene import Scene
+
+UNITS = {
+    "positions": ["scene units"],
+    "f_dc": ["SH"],
+    "f_rest": ["SH"],
+    "opacity": ["logit", "0-1"],
+    "scaling": ["log"],
+    "rotation": ["stored", "degrees"],
+}
+EDGES = edge_scenes()
+
+
+def error_of(comparison: Comparison, name: str, unit: str) -> GroupError:
+    [group] = [g for g in comparison.groups if (g.name, g.unit) == (name, unit)]
+    return group
+
+
+def changed(scene: Scene, group: str, place, value: float) -> Scene:
+    plane = getattr(scene, group).copy()
+    plane[place] = value
+    return replace(scene, **{group: plane})
+
+
+def both_ways(first: Scene, second: Scene) -> Comparison:
+    """The comparison, which must be the same the other way round."""
+    comparison = compare_scenes(first, second)
+    assert comparison == compare_scenes(second, first)
+    return comparison
+
+
+# Known differences
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_a_scene_has_no_error_against_itself(name):
+    scene = EDGES[name]
+    comparison = compare_scenes(scene, scene)
+    assert (comparison.count, comparison.matched_by) == (scene.count, "index")
+    names = [(name, unit) for name in UNITS for unit in UNITS[name]]
+    if scene.sh_degree == 0:
+        names.remove(("f_rest", "SH"))
+    assert [(g.name, g.unit) for g in comparison.groups] == names
+    assert {(g.max, g.rms) for g in comparison.groups} == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("group", "place", "name", "unit"),
+    [
+        ("positions", (1, 5), "positions", "scene units"),
+        ("f_dc", (2, 0), "f_dc", "SH"),
+        ("f_rest", (44, 9), "f_rest", "SH"),
+        ("opacity", (0, 3), "opacity", "logit"),
+        ("log_scale", (0, 7), "scaling", "log"),
+        ("rot", (3, 2), "rotation", "stored"),
+    ],
+)
+def test_one_difference_is_measured_where_it_is(group, place, name, unit):
+    scene = changed(random_scene(10, 3), group, place, 1.0)
+    comparison = both_ways(scene, changed(scene, group, place, 1.75))
+    size = getattr(scene, group).size
+    error = error_of(comparison, name, unit)
+    assert (error.max, error.rms) == (0.75, pytest.approx(0.75 / np.sqrt(size)))
+    others = [g for g in comparison.groups if g.name != name]
+    assert {(g.max, g.rms) for g in others} == {(0.0, 0.0)}
+
+
+def test_largest_and_mean_of_several_differences():
+    scene = replace(random_scene(4, 0), positions=np.zeros((3, 4), np.float32))
+    moved = np.zeros((3, 4), np.float32)
+    moved[0, 1], moved[2, 3] = 3.0, -4.0
+    error = error_of(both_ways(scene, replace(scene, positions=moved)), "positions", "scene units")
+    assert (error.max, error.rms) == (4.0, pytest.approx(np.sqrt(25 / 12)))
+
+
+def test_opacity_is_also_compared_after_the_sigmoid():
+    scene = replace(random_scene(2, 0), opacity=np.zeros((1, 2), np.float32))
+    other = changed(scene, "opacity", (0, 1), np.log(3))
+    comparison = both_ways(scene, other)
+    assert error_of(comparison, "opacity", "0-1").max == pytest.approx(0.25)
+    assert error_of(comparison, "opacity", "0-1").rms == pytest.approx(0.25 / np.sqrt(2))
+    assert error_of(comparison, "opacity", "logit").max == pytest.approx(np.log(3))
+
+
+def turned(axis: tuple[float, float, float], degrees: float) -> np.ndarray:
+    half = np.radians(degrees) / 2
+    unit = np.array(axis) / np.linalg.norm(axis)
+    return np.array([np.cos(half), *(np.sin(half) * unit)])[:, None]
+
+
+def product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    (w, x, y, z), (a, b, c, d) = first, second
+    return np.array(
+        [
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ]
+    )
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> float:
+    scene = random_scene(1, 0)
+    first, second = (replace(scene, rot=q.astype(np.float32)) for q in (first, second))
+    return error_of(both_ways(first, second), "rotation", "degrees").max
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, 0.3, -20.0])
+@pytest.mark.parametrize("degrees", [0.0, 0.01, 1.0, 30.0, 90.0, 179.0, 180.0])
+def test_rotation_by_a_known_angle(degrees, factor):
+    """Neither the sign of a quaternion nor its norm is a rotation."""
+    start = turned((1, -2, 0.5), 71)
+    other = factor * product(start, turned((0.2, 1, -3), degrees))
+    assert angle_between(start, other) == pytest.approx(degrees, abs=2e-5)
+
+
+@pytest.mark.parametrize("degrees", [190.0, 270.0, 359.0])
+def test_the_short_way_round_counts(degrees):
+    identity = turned((1, 0, 0), 0)
+    assert angle_between(identity, turned((0, 1, 0), degrees)) == pytest.approx(
+        360 - degrees, abs=2e-5
+    )
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0])
+def test_zero_quaternion_is_the_identity(value):
+    zero = np.full((4, 1), value)
+    assert angle_between(zero, turned((1, 0, 0), 0)) == 0
+    assert angle_between(zero, zero) == 0
+    assert angle_between(zero, turned((1, 0, 0), 40)) == pytest.approx(40, abs=2e-5)
+
+
+@pytest.mark.parametrize("degrees", [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)], ids=str)
+def test_missing_bands_count_as_zero(degrees):
+    low, high = degrees
+    few, many = ((low + 1) ** 2 - 1, (high + 1) ** 2 - 1)
+    scene = random_scene(20, high, seed=3)
+    rest = scene.f_rest.reshape(3, many, 20).copy()
+    cut = replace(scene, f_rest=rest[:, :few].reshape(-1, 20))
+    padded = rest.copy()
+    padded[:, few:] = 0
+    padded = replace(scene, f_rest=padded.reshape(-1, 20))
+    assert {g.max for g in both_ways(cut, padded).groups} == {0.0}
+    error = error_of(both_ways(cut, scene), "f_rest", "SH")
+    assert error.max == np.abs(rest[:, few:]).max()
+    expected = np.sqrt((rest[:, few:].astype(np.float64) ** 2).sum() / rest.size)
+    assert error.rms == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("sh_degree", [(0, 0), (0, 3), (3, 3)], ids=str)
+def test_empty_scenes_have_no_error(sh_degree):
+    first, second = (random_scene(0, degree) for degree in sh_degree)
+    comparison = both_ways(first, second)
+    assert comparison.count == 0
+    assert {(g.max, g.rms) for g in comparison.groups} == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize("counts", [(0, 1), (5, 6), (6, 5)], ids=str)
+def test_different_counts_are_refused(counts):
+    first, second = (random_scene(count, 0) for count in counts)
+    with pytest.raises(InvalidInput, match=f"{counts[0]} and {counts[1]} Gaussians"):
+        compare_scenes(first, second)
+
+
+def test_largest_floats_give_finite_errors():
+    scene, largest = random_scene(5, 1), np.finfo(np.float32).max
+    first, second = scene, scene
+    for group in ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot"):
+        first = changed(first, group, (0, 1), largest)
+        second = changed(second, group, (0, 1), -largest)
+    comparison = both_ways(first, second)
+    assert np.isfinite([(g.max, g.rms) for g in comparison.groups]).all()
+    assert error_of(comparison, "opacity", "0-1").max == 1.0
+    assert error_of(comparison, "positions", "scene units").max == 2 * float(largest)
+
+
+@pytest.mark.parametrize("group", ["positions", "f_dc", "f_rest", "opacity", "log_scale", "rot"])
+def test_nan_is_never_reported_as_no_error(group):
+    scene = random_scene(5, 1)
+    broken = changed(scene, group, (0, 1), np.nan)
+    comparison = compare_scenes(scene, broken)
+    name = {"log_scale": "scaling", "rot": "rotation"}.get(group, group)
+    for unit in UNITS[name]:
+        error = error_of(comparison, name, unit)
+        assert np.isnan([error.max, error.rms]).all(), unit
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+@pytest.mark.parametrize("group", ["positions", "f_rest", "opacity"])
+def test_the_same_infinity_is_no_error(group, value):
+    scene = changed(random_scene(5, 1), group, (0, 1), value)
+    assert {g.max for g in compare_scenes(scene, scene).groups} == {0.0}
+
+
+# Matching through the stored order
+
+
+def repeated(seed: int, share_colours: bool) -> Scene:
+    """Every position four times, with different other attributes, shuffled."""
+    rng = np.random.default_rng(seed)
+    scene = random_scene(2000, 1, seed)
+    source = rng.permutation(np.repeat(np.arange(500), 4))
+    scene = replace(scene, positions=scene.positions[:, source])
+    return replace(scene, f_dc=scene.f_dc[:, source]) if share_colours else scene
+
+
+def on_ties(seed: int) -> Scene:
+    """Positions halfway between the levels of 16 bits."""
+    rng = np.random.default_rng(seed)
+    positions = rng.integers(0, 65535, (3, 2000)).astype(np.float32) + np.float32(0.5)
+    positions[:, 0], positions[:, 1] = 0, 65535
+    return replace(random_scene(2000, 1, seed), positions=positions)
+
+
+SCENES = {
+    "plain-seed20": lambda: random_scene(3000, 3, seed=20),
+    "positions-four-times-seed21": lambda: repeated(21, share_colours=False),
+    "positions-and-colours-four-times-seed22": lambda: repeated(22, share_colours=True),
+    "ties-seed23": lambda: on_ties(23),
+    **{f"edge {name}": scene for name, scene in EDGES.items()},
+}
+CONFIGS = {
+    "paper-m": Config(),
+    "paper-s": Config("paper-s", block_size=1024),
+    "coarse": Config(depths={"geometry": 3, "sh-dc": 1}),
+    "fine": Config(depths={"geometry": 21, "sh-dc": 12}),
+}
+
+
+def half_step(path, group: str) -> float:
+    """Half the largest step of a group, and float32's rounding of its largest value."""
+    channels = [c for c in inspect_bytes(path.read_bytes()).channels if c.group == group]
+    steps = [c.quantiser.step for c in channels]
+    ends = [c.quantiser.origin + c.quantiser.step * 2**c.quantiser.depth for c in channels]
+    return 0.5000001 * max(steps) + np.spacing(np.float32(np.abs(ends).max()))
+
+
+def assert_matched(comparison: Comparison, egs) -> None:
+    assert comparison.matched_by == "stored order"
+    for group, name, unit in (
+        ("positions", "positions", "scene units"),
+        ("f_dc", "f_dc", "SH"),
+        ("opacity", "opacity", "logit"),
+        ("log_scale", "scaling", "log"),
+        ("rot", "rotation", "stored"),
+    ):
+        assert error_of(comparison, name, unit).max <= half_step(egs, group), name
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("name", SCENES)
+def test_original_is_matched_with_its_decoded_version(name, config, tmp_path):
+    scene = SCENES[name]() if callable(SCENES[name]) else SCENES[name]
+    ply, egs, decoded = (tmp_path / n for n in ("scene.ply", "scene.egs", "decoded.ply"))
+    write_ply(ply, scene)
+    encode_file(ply, egs, CONFIGS[config])
+    decode_file(egs, decoded)
+    with_egs = compare_files(ply, egs)
+    assert_matched(with_egs, egs)
+    for pair in ((egs, ply), (ply, decoded), (decoded, ply)):
+        assert compare_files(*pair) == with_egs
+
+
+@pytest.mark.parametrize("name", REAL_SCENES)
+def test_real_scene_is_matched_with_its_encoded_version(name, tmp_path):
+    ply, egs = shared_scene_path(name), tmp_path / "scene.egs"
+    encode_file(ply, egs)
+    assert_matched(compare_files(ply, egs), egs)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("first", ["ply", "decoded", "egs"])
+def test_what_was_coded_twice_is_never_matched_wrongly(trio, first, profile, tmp_path):
+    """Refusing is right where the order cannot be known; errors of a wrong order are not."""
+    again = tmp_path / "again.egs"
+    encode_file(trio.decoded, again, Config(profile))
+    try:
+        comparison = compare_files(getattr(trio, first), again)
+    except InvalidInput:
+        return
+    bound = half_step(trio.egs, "positions") + half_step(again, "positions")
+    assert error_of(comparison, "positions", "scene units").max <= bound
+
+
+def test_versions_in_the_same_order_are_matched_by_index(trio):
+    comparison = compare_files(trio.decoded, trio.egs)
+    assert comparison.matched_by == "index"
+    assert {g.max for g in comparison.groups} == {0.0}
+
+
+def test_originals_are_matched_by_index(trio, tmp_path):
+    scene = read_ply(trio.ply)
+    moved = replace(scene, positions=scene.positions + np.float32(1))
+    write_ply(tmp_path / "moved.ply", moved)
+    comparison = compare_files(trio.ply, tmp_path / "moved.ply")
+    assert comparison.matched_by == "index"
+    assert error_of(comparison, "positions", "scene units").max == pytest.approx(1, abs=1e-6)
+    assert error_of(comparison, "rotation", "degrees").max == 0
+    order = np.random.default_rng(24).permutation(scene.count)
+    write_ply(tmp_path / "shuffled.ply", scene.take(order))
+    shuffled = compare_files(trio.ply, tmp_path / "shuffled.ply")
+    expected = np.abs(scene.positions.astype(float) - scene.positions[:, order]).max()
+    assert error_of(shuffled, "positions", "scene units").max == expected
+
+
+def test_versions_in_different_orders_are_refused(trio, tmp_path):
+    coarse = tmp_path / "coarse.egs"
+    encode_file(trio.ply, coarse, Config(depths={"geometry": 9}))
+    with pytest.raises(InvalidInput, match="compare with the original"):
+        compare_files(trio.egs, coarse)
+
+
+@pytest.mark.parametrize("depths", ["16 16 16", "16 16 16 8 8 x", "16 16 16 8 8 22", "-1 " * 6])
+def test_order_that_makes_no_sense_is_refused(trio, depths, tmp_path):
+    path = tmp_path / "odd.ply"
+    write_ply(path, replace(read_ply(trio.ply), comments=(f"gs_codec order {depths}",)))
+    with pytest.raises(InvalidInput, match=r"odd\.ply: .*expected six depths"):
+        compare_files(trio.ply, path)

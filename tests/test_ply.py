@@ -1,0 +1,393 @@
+"""PLY files: every layout read bit-exactly, one layout written, bad files refused in one line."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import plyfile
+import pytest
+from scenes import random_scene, shared_scene_path
+
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.io.ply import read_ply, vertex_rows, write_ply
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+
+#: Every scalar type of the PLY format.
+PLY_TYPES = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
+NORMALS = ["nx", "ny", "nz"]
+
+
+def inria_properties(sh_degree: int, normals: bool) -> list[str]:
+    """The order of the INRIA trainer's ``construct_list_of_attributes``."""
+    rest = 3 * SH_COEFFICIENTS[sh_degree]
+    return [
+        *("x", "y", "z"),
+        *(NORMALS if normals else ()),
+        *("f_dc_0", "f_dc_1", "f_dc_2"),
+        *(f"f_rest_{i}" for i in range(rest)),
+        *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+    ]
+
+
+def write_rows(path: Path, rows: np.ndarray, comments: tuple[str, ...] = (), **options) -> Path:
+    """Write structured rows by plyfile alone, independently of `write_ply`."""
+    element = plyfile.PlyElement.describe(rows, "vertex")
+    plyfile.PlyData([element], comments=list(comments), **options).write(str(path))
+    return path
+
+
+def with_columns(rows: np.ndarray, columns: dict[str, np.ndarray]) -> np.ndarray:
+    """The rows with columns changed in type, or added at the end."""
+    types = {name: rows.dtype[name] for name in rows.dtype.names}
+    types |= {name: column.dtype for name, column in columns.items()}
+    result = np.empty(len(rows), list(types.items()))
+    for name in types:
+        result[name] = columns[name] if name in columns else rows[name]
+    return result
+
+
+def random_bits(dtype: str, count: int, seed: int) -> np.ndarray:
+    """Values of every bit pattern: NaN payloads, infinities and denormals too."""
+    data = np.random.default_rng(seed).bytes(count * np.dtype(dtype).itemsize)
+    return np.frombuffer(data, dtype)
+
+
+def assert_same_bits(first: Scene, second: Scene) -> None:
+    for group in GROUPS:
+        a, b = (getattr(scene, group) for scene in (first, second))
+        np.testing.assert_array_equal(a.view(np.uint32), b.view(np.uint32), err_msg=group)
+    assert (first.has_normals, first.comments) == (second.has_normals, second.comments)
+    assert list(first.extra) == list(second.extra)
+    for name, column in first.extra.items():
+        assert (column.dtype, column.tobytes()) == (
+            second.extra[name].dtype,
+            second.extra[name].tobytes(),
+        ), name
+
+
+def nonfinite_scene(count: int, sh_degree: int, seed: int) -> Scene:
+    """Values of any bits, so that a copy through another type would show."""
+    scene = random_scene(count, sh_degree, seed)
+    planes = {
+        group: random_bits("<f4", getattr(scene, group).size, seed + i).reshape(-1, count)
+        for i, group in enumerate(GROUPS)
+        if getattr(scene, group).size
+    }
+    return replace(scene, **planes)
+
+
+@pytest.mark.parametrize("normals", [False, True])
+@pytest.mark.parametrize("sh_degree", range(4))
+def test_round_trip_keeps_every_bit_seed1(sh_degree, normals, tmp_path):
+    scene = nonfinite_scene(100, sh_degree, seed=1)
+    scene = replace(scene, has_normals=normals, comments=("one", "", "  two\twords"))
+    write_ply(tmp_path / "a.ply", scene)
+    back = read_ply(tmp_path / "a.ply")
+    assert_same_bits(scene, back)
+    assert back.sh_degree == sh_degree
+
+
+@pytest.mark.parametrize("normals", [False, True])
+@pytest.mark.parametrize("sh_degree", range(4))
+def test_written_properties_are_the_trainers(sh_degree, normals, tmp_path):
+    scene = replace(random_scene(3, sh_degree), has_normals=normals, comments=("made by a test",))
+    write_ply(tmp_path / "a.ply", scene)
+    header, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")
+    names = inria_properties(sh_degree, normals)
+    assert header.decode().splitlines() == [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment made by a test",
+        "element vertex 3",
+        *(f"property float {name}" for name in names),
+    ]
+    rows = np.frombuffer(body, "<f4").reshape(3, len(names))
+    for name, plane in (("x", scene.positions[0]), ("rot_3", scene.rot[3])):
+        np.testing.assert_array_equal(rows[:, names.index(name)], plane)
+    assert not normals or not rows[:, 3:6].any()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 4097])
+@pytest.mark.parametrize("sh_degree", [0, 3])
+@pytest.mark.parametrize("form", [{}, {"text": True}, {"byte_order": ">"}], ids=str)
+def test_forms_and_counts_seed2(form, sh_degree, count, tmp_path):
+    if form.get("text"):
+        count = min(count, 50)
+    scene = replace(random_scene(count, sh_degree, seed=2), has_normals=True)
+    assert_same_bits(scene, read_ply(write_rows(tmp_path / "a.ply", vertex_rows(scene), **form)))
+
+
+@pytest.mark.parametrize("form", [{}, {"text": True}, {"byte_order": ">"}], ids=str)
+@pytest.mark.parametrize("seed", range(3))
+def test_order_of_properties_does_not_matter(seed, form, tmp_path):
+    scene = replace(random_scene(20, 3, seed), has_normals=True)
+    rows = vertex_rows(scene)
+    names = np.random.default_rng(seed).permutation(rows.dtype.names).tolist()
+    shuffled = np.empty(20, [(name, "<f4") for name in names])
+    for name in names:
+        shuffled[name] = rows[name]
+    assert_same_bits(scene, read_ply(write_rows(tmp_path / "a.ply", shuffled, **form)))
+
+
+@pytest.mark.parametrize("name", ["x", "f_rest_44", "rot_0"])
+def test_exact_doubles_are_read_in_silence_seed3(name, tmp_path, caplog):
+    scene = random_scene(20, 3, seed=3)
+    rows = vertex_rows(scene)
+    doubles = with_columns(rows, {name: rows[name].astype("<f8")})
+    assert_same_bits(scene, read_ply(write_rows(tmp_path / "a.ply", doubles)))
+    assert caplog.text == ""
+
+
+def test_rounded_doubles_are_reported_seed4(tmp_path, caplog):
+    scene = random_scene(20, 1, seed=4)
+    rows = vertex_rows(scene)
+    values = rows["opacity"].astype("<f8")
+    values[[3, 7, 11]] += 1e-9
+    path = write_rows(tmp_path / "a.ply", with_columns(rows, {"opacity": values}))
+    with caplog.at_level(logging.WARNING):
+        assert_same_bits(scene, read_ply(path))
+    assert caplog.messages == [f"{path}: opacity rounded to float32 in 3 Gaussians"]
+
+
+@pytest.mark.parametrize("name", ["tiny_sh3.ply", "bonsai/point_cloud.ply"])
+def test_real_files_are_written_back_byte_for_byte(name, tmp_path):
+    path = shared_scene_path(name)
+    write_ply(tmp_path / "a.ply", read_ply(path))
+    assert (tmp_path / "a.ply").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("newline", [b"\r\n", b"\n"])
+def test_line_ends_of_the_header_are_no_surplus(newline, tmp_path, caplog):
+    path = tmp_path / "a.ply"
+    scene = random_scene(5, 0)
+    write_ply(path, scene)
+    header, body = path.read_bytes().split(b"end_header\n")
+    path.write_bytes(header.replace(b"\n", newline) + b"end_header" + newline + body)
+    assert_same_bits(scene, read_ply(path))
+    assert caplog.text == ""
+
+
+def test_what_is_not_read_is_reported(tmp_path, caplog):
+    path = tmp_path / "a.ply"
+    write_ply(path, random_scene(5, 0))
+    data = path.read_bytes().replace(b"element", b"obj_info from a scanner\nelement")
+    path.write_bytes(data + bytes(17))
+    assert read_ply(path).count == 5
+    assert caplog.messages == [
+        f"{path}: 1 obj_info lines not kept",
+        f"{path}: 17 bytes after the last vertex not read",
+    ]
+
+
+def test_extra_properties_are_refused_kept_or_dropped(tmp_path):
+    scene = random_scene(30, 1, seed=5)
+    extra = {"label": np.arange(30, dtype="<i4"), "weight": np.linspace(0, 1, 30)}
+    path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), extra))
+    with pytest.raises(InvalidInput, match=r"label, weight .*--extra keep or --extra drop"):
+        read_ply(path)
+    assert_same_bits(replace(scene, extra=extra), read_ply(path, "keep"))
+    assert_same_bits(scene, read_ply(path, "drop"))
+
+
+def test_normals_that_are_not_zero_are_refused_kept_or_dropped(tmp_path):
+    scene = replace(random_scene(30, 1, seed=6), has_normals=True)
+    nz = np.zeros(30, "<f4")
+    nz[17] = 1
+    path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), {"nz": nz}))
+    with pytest.raises(InvalidInput, match="normals are not all zero"):
+        read_ply(path)
+    zero = np.zeros(30, "<f4")
+    kept = read_ply(path, "keep")
+    assert_same_bits(
+        replace(scene, has_normals=False, extra={"nx": zero, "ny": zero, "nz": nz}), kept
+    )
+    write_ply(tmp_path / "b.ply", kept)
+    assert_same_bits(kept, read_ply(tmp_path / "b.ply", "keep"))
+    assert_same_bits(scene, read_ply(path, "drop"))
+
+
+@pytest.mark.parametrize("names", [["nx"], ["ny", "nz"]], ids="-".join)
+def test_some_normals_are_extra_properties(names, tmp_path):
+    rows = with_columns(
+        vertex_rows(random_scene(5, 0)), {n: np.arange(5, dtype="<f4") for n in names}
+    )
+    path = write_rows(tmp_path / "a.ply", rows)
+    with pytest.raises(InvalidInput, match=", ".join(names)):
+        read_ply(path)
+    kept = read_ply(path, "keep")
+    assert (kept.has_normals, list(kept.extra)) == (False, names)
+
+
+@pytest.mark.parametrize("byte_order", ["<", ">"])
+def test_extra_of_every_type_stays_with_its_gaussian_bit_for_bit_seed7(byte_order, tmp_path):
+    count = 3000
+    scene = random_scene(count, 1, seed=7)
+    extra = {f"p{i}": random_bits(t, count, 70 + i) for i, t in enumerate(PLY_TYPES)}
+    extra["id"] = np.arange(count, dtype="<u4")
+    rows = with_columns(vertex_rows(scene), extra)
+    path = write_rows(tmp_path / "a.ply", rows, ("a comment",), byte_order=byte_order)
+    data, _ = encode_scene(read_ply(path, "keep"), Config(block_size=1024))
+    write_ply(tmp_path / "b.ply", decode_scene(data))
+    back = read_ply(tmp_path / "b.ply", "keep")
+    assert back.comments == ("a comment",)
+    order = back.extra["id"]
+    assert sorted(order) == list(range(count))
+    for name, column in extra.items():
+        assert back.extra[name].dtype == column.dtype
+        assert back.extra[name].tobytes() == column[order].tobytes(), name
+    # 16 bits over a range below 8: half a step is 6e-5.
+    np.testing.assert_allclose(back.positions, scene.positions[:, order], atol=1e-4)
+
+
+@pytest.mark.parametrize("comment", ["bell\x07", "form\x0cfeed", "\x1cseparator", "delete\x7f"])
+def test_odd_comment_is_refused_or_decodes(comment, tmp_path):
+    path = write_rows(tmp_path / "a.ply", vertex_rows(random_scene(5, 0)), (comment,))
+    try:
+        data, _ = encode_scene(read_ply(path))
+    except InvalidInput:
+        return
+    assert decode_scene(data).count == 5
+
+
+@pytest.mark.parametrize("name", ["bell\x07", "n" * 300], ids=["control", "long"])
+def test_odd_name_is_refused_or_decodes(name, tmp_path):
+    extra = {name: np.arange(5, dtype="<f4")}
+    path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(random_scene(5, 0)), extra))
+    try:
+        data, _ = encode_scene(read_ply(path, "keep"))
+    except InvalidInput:
+        return
+    assert list(decode_scene(data).extra) == [name]
+
+
+@pytest.mark.parametrize("name", ["two words", "é", "x", "f_dc_0", ""])
+def test_names_no_ply_can_have_are_refused(name, tmp_path):
+    scene, extra = random_scene(5, 0), {name: np.arange(5, dtype="<f4")}
+    with pytest.raises(InvalidInput, match=f"'{name}'"):
+        write_ply(tmp_path / "a.ply", replace(scene, extra=extra))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("dtype", ["i8", "u8", "f2", "c8"])
+def test_types_no_ply_can_have_are_refused(dtype, tmp_path):
+    scene, extra = random_scene(5, 0), {"label": np.arange(5).astype(dtype)}
+    with pytest.raises(InvalidInput, match="label"):
+        write_ply(tmp_path / "a.ply", replace(scene, extra=extra))
+    assert list(tmp_path.iterdir()) == []
+
+
+def rewritten(old: str, new: str, form: str = "binary_little_endian"):
+    """A maker of files: a good PLY whose header has `new` for the first `old`."""
+
+    def make(good: bytes) -> bytes:
+        header, body = good.split(b"end_header\n")
+        assert old.encode() in header
+        header = header.replace(b"binary_little_endian", form.encode())
+        return header.replace(old.encode(), new.encode("latin-1"), 1) + b"end_header\n" + body
+
+    return make
+
+
+LIST = "property list uchar float "
+BAD_FILES = {
+    "empty": (lambda good: b"", "expected 'ply'"),
+    "text": (lambda good: b"hello\nworld\n", "expected 'ply'"),
+    "UTF-8 text": (lambda good: "hällo".encode(), "ascii"),
+    "binary": (lambda good: bytes(range(256)), "PLY"),
+    "signature alone": (lambda good: b"ply\n", "end-of-file"),
+    "truncated header": (lambda good: good[:100], "end-of-file"),
+    "no data": (lambda good: good.split(b"end_header\n")[0] + b"end_header\n", "row 0"),
+    "truncated data": (lambda good: good[:-1], "row 4"),
+    "truncated ASCII": (
+        lambda good: rewritten("", "", "ascii")(good).split(b"end_header")[0] + b"end_header\n1 2",
+        "row 0",
+    ),
+    "not a number": (
+        lambda good: rewritten("", "", "ascii")(good).split(b"end_header")[0] + b"end_header\nx y",
+        "row 0",
+    ),
+    "missing property": (rewritten("property float opacity\n", ""), "'opacity'"),
+    "8 of f_rest": (rewritten("property float f_rest_8\n", ""), "8 f_rest .*9, 24 or 45"),
+    "10 of f_rest": (rewritten("opacity", "f_rest_9"), "10 f_rest .*9, 24 or 45"),
+    "gap in f_rest": (rewritten("f_rest_8", "f_rest_80"), "'f_rest_8'"),
+    "list property": (rewritten("property float rot_3", LIST + "rot_3"), "rot_3"),
+    "list beside the layout": (rewritten("property float x", LIST + "a\nproperty float x"), "'a'"),
+    "extra element": (
+        rewritten("element vertex", "element face 0\nproperty int i\nelement vertex"),
+        "elements 'face', 'vertex', expected 'vertex' alone",
+    ),
+    "no element": (lambda good: b"ply\nformat ascii 1.0\nend_header\n", "elements none"),
+    "other element": (rewritten("element vertex", "element point"), "'point'"),
+    "duplicate property": (rewritten("property float y", "property float x"), "same name"),
+    "unknown type": (rewritten("property float y", "property quad y"), "quad"),
+    "unknown format": (rewritten("1.0", "1.0", "binary_middle_endian"), "format"),
+    "10^18 Gaussians": (rewritten("vertex 5", f"vertex {10**18}"), "row 5"),
+    "10^11 Gaussians in ASCII": (rewritten("vertex 5", f"vertex {10**11}", "ascii"), "."),
+    "10^30 Gaussians": (rewritten("vertex 5", f"vertex {10**30}"), "."),
+    "negative count": (rewritten("vertex 5", "vertex -5"), "negative"),
+    "negative count in ASCII": (rewritten("vertex 5", "vertex -5", "ascii"), "negative"),
+    "fractional count": (rewritten("vertex 5", "vertex 5.0"), "count"),
+    "non-ASCII comment": (rewritten("element", "comment \xff\xfe\nelement"), "ascii"),
+    "non-ASCII name": (rewritten("opacity", "opacit\xe9"), "ascii"),
+}
+
+
+def assert_one_line(error: BaseException, path: Path | str) -> None:
+    """The message is one line that begins with the file and is short enough to be read."""
+    assert str(error).startswith(f"{path}: ")
+    assert len(str(error).splitlines()) == 1
+    assert len(str(error)) - len(str(path)) < 400
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+@pytest.mark.parametrize("extra", ["error", "keep", "drop"])
+def test_bad_file_is_refused_in_one_line(name, extra, tmp_path):
+    make, message = BAD_FILES[name]
+    path = tmp_path / "bad.ply"
+    write_ply(path, random_scene(5, 1))
+    path.write_bytes(make(path.read_bytes()))
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_ply(path, extra)
+    assert_one_line(caught.value, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("missing.ply", "No such file"), (".", "directory"), ("x" * 300, "name too long")],
+    ids=["missing", "directory", "long name"],
+)
+def test_path_that_is_no_file_is_refused_in_one_line(name, message, tmp_path):
+    path = tmp_path / name
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_ply(path)
+    assert_one_line(caught.value, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("no/such/a.ply", "no directory"),
+        (".", "directory"),
+        ("x" * 300 + ".ply", "name too long"),
+    ],
+    ids=["no folder", "directory", "long name"],
+)
+def test_path_that_cannot_be_written_is_refused_in_one_line(name, message, tmp_path):
+    path = tmp_path / name
+    with pytest.raises(InvalidInput, match=message) as caught:
+        write_ply(path, random_scene(5, 0))
+    assert_one_line(caught.value, path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_writing_replaces_a_file_whole(tmp_path):
+    path = tmp_path / "a.ply"
+    write_ply(path, random_scene(500, 3))
+    write_ply(path, random_scene(5, 0))
+    assert read_ply(path).count == 5
+    assert list(tmp_path.iterdir()) == [path]

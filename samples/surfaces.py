@@ -287,7 +287,9 @@ def wood(dark: tuple[float, ...], light: tuple[float, ...]) -> Texture:
 def rainbow(p: Array) -> Array:
     """Hue that turns with height and azimuth, softly banded."""
     hue = 5.0 * p[2] + 3.0 * p[0] + 0.6 * _waves(p, 5.0)
-    return (0.55 + 0.33 * np.cos(hue + [[0.0], [2.1], [4.2]])) * (1 + 0.10 * np.sin(9 * hue))
+    return (0.55 + 0.33 * np.cos(hue + np.array([[0.0], [2.1], [4.2]]))) * (
+        1 + 0.10 * np.sin(9 * hue)
+    )
 
 
 def _contact_shade(points: Array) -> Array:

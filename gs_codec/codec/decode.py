@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 
@@ -67,7 +68,7 @@ def decode_scene(
         for stage in (blocks.decode_points, blocks.decode_attributes)
     ]
     run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
-    return _assemble(file, channels, blocks.planes)
+    return _assemble(file, blocks.groups)
 
 
 def _check_size(header: Header, limit: int) -> None:
@@ -94,15 +95,12 @@ def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
         raise CorruptStream(f"header: {len(found)} sections of blocks, expected {needed}")
 
 
-def _assemble(file: EgsFile, channels: list[Channel], planes: NDArray[np.float32]) -> Scene:
-    """The scene of the decoded planes, and what the file carries beside them."""
-    rows: dict[str, list[int]] = {group: [] for group in GROUPS}
-    for row, channel in sorted(enumerate(channels), key=lambda item: item[1].index):
-        rows[channel.group].append(row)
+def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]]) -> Scene:
+    """The scene of the decoded groups, and what the file carries beside them."""
     comments = file.sections.get((SectionId.COMMENTS, 0))
     extra = file.sections.get((SectionId.EXTRA, 0))
     return Scene(
-        **{group: planes[rows[group]] for group in GROUPS},
+        **groups,
         has_normals=file.header.has_normals,
         comments=() if comments is None else read_comments(comments),
         extra={} if extra is None else read_extra(extra, file.header.count),
@@ -111,11 +109,16 @@ def _assemble(file: EgsFile, channels: list[Channel], planes: NDArray[np.float32
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Decoder of single blocks into planes ``(C, N)``, rows in the order of the channels."""
+    """Decoder of single blocks into the planes of a scene.
+
+    ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``;
+    ``varying``, ``tables`` and ``levels`` are of the channels that rANS codes.
+    """
 
     file: EgsFile
     channels: list[Channel]
-    planes: NDArray[np.float32]
+    groups: dict[str, NDArray[np.float32]]
+    planes: list[NDArray[np.float32]]
     varying: list[int]
     tables: TableSet
     levels: list[NDArray[np.float32]]
@@ -123,16 +126,18 @@ class _Blocks:
     @classmethod
     def of(cls, file: EgsFile, channels: list[Channel]) -> _Blocks:
         """Set up tables and constant planes."""
-        planes = np.empty((len(channels), file.header.count), np.float32)
+        members = Counter(channel.group for channel in channels)
+        groups = {g: np.empty((members[g], file.header.count), np.float32) for g in GROUPS}
+        planes = [groups[channel.group][channel.index] for channel in channels]
         varying, tables, levels = [], [], []
         for row, channel in enumerate(channels):
             if not channel.quantiser.depth:
-                planes[row] = channel.quantiser.origin
+                planes[row][:] = channel.quantiser.origin
             elif channel.model is not None:
                 varying.append(row)
                 tables.append(channel.model.frequencies(channel.alphabet))
                 levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
-        return cls(file, channels, planes, varying, TableSet.pack(tables), levels)
+        return cls(file, channels, groups, planes, varying, TableSet.pack(tables), levels)
 
     def decode_points(self, block: int, start: int, stop: int) -> None:
         """Fill positions and f_dc of a block."""
@@ -150,7 +155,7 @@ class _Blocks:
             symbols += [*decode_colour(data, cells, colour_depths, f"sh-dc of block {block}")]
         for row, plane in enumerate(symbols):
             if quantisers[row].depth:
-                self.planes[row, start:stop] = dequantise(plane, quantisers[row])
+                self.planes[row][start:stop] = dequantise(plane, quantisers[row])
 
     def decode_attributes(self, block: int, start: int, stop: int) -> None:
         """Fill everything else of a block."""
@@ -165,4 +170,4 @@ class _Blocks:
         states = self.file.section(SectionId.STATES, block)
         symbols = decode_symbols(states, groups, stop - start, self.tables, f"block {block}")
         for plane, levels, row in zip(symbols, self.levels, self.varying, strict=True):
-            np.take(levels, plane, out=self.planes[row, start:stop], mode="clip")
+            np.take(levels, plane, out=self.planes[row][start:stop], mode="clip")

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 import sys
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +31,23 @@ def _load():
         raise MissingTool("torchac is not installed: pip install 'gs-codec[paper]'")
     import torch
 
-    with contextlib.redirect_stdout(sys.stderr):
+    with _output_on_stderr():
         import torchac
     return torch, torchac
+
+
+@contextlib.contextmanager
+def _output_on_stderr() -> Iterator[None]:
+    """Send what this process and its compilers write to stdout to stderr."""
+    sys.stdout.flush()
+    saved = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
 
 
 def _cdf(table: FrequencyTable, count: int):

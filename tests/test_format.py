@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference_decoder import Channel, Reader, decode, read_model, set_frequencies
+from scenes import random_scene
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import DEPTH_GROUPS, Config
 from gs_codec.io.ply import read_ply
 from gs_codec.model.mixture import Component, MixtureModel
 from gs_codec.model.table import normalise
-from gs_codec.scene import Scene
 
 TINY = Path(__file__).parents[2] / "shared" / "scenes" / "tiny_sh3.ply"
 ROWS = {
@@ -33,20 +33,7 @@ def config(profile="paper-m", extra="error", **depths):
 
 
 def scene_of(seed, count, sh_degree=3):
-    """A scene with the shapes of a trained one: clustered centres, peaked SH-AC, skewed opacity."""
-    rng = np.random.default_rng(seed)
-    coefficients = (sh_degree + 1) ** 2 - 1
-    centres = rng.normal(size=(3, 8))[:, rng.integers(0, 8, count)]
-    grey = rng.normal(size=(1, count))
-    planes = {
-        "positions": centres + rng.normal(scale=0.1, size=(3, count)),
-        "f_dc": grey + rng.normal(scale=0.3, size=(3, count)),
-        "f_rest": rng.laplace(scale=0.05, size=(3 * coefficients, count)),
-        "opacity": rng.choice([-4.0, 6.0], size=(1, count)) + rng.normal(size=(1, count)),
-        "log_scale": rng.normal(-5.0, 1.5, size=(3, count)),
-        "rot": rng.normal(size=(4, count)),
-    }
-    return Scene(**{name: plane.astype(np.float32) for name, plane in planes.items()})
+    return random_scene(count, sh_degree, seed)
 
 
 def with_rows(scene, group, values):
@@ -58,18 +45,18 @@ def with_rows(scene, group, values):
 
 
 def identical(seed, count):
-    return scene_of(seed, 1).take(np.zeros(count, dtype=np.intp))
+    return random_scene(1, seed=seed).take(np.zeros(count, dtype=np.intp))
 
 
 def duplicated(seed, count):
     """Each Gaussian several times, in any order."""
-    return scene_of(seed, count // 8).take(
+    return random_scene(count // 8, seed=seed).take(
         np.random.default_rng(seed).integers(0, count // 8, count)
     )
 
 
 def one_place(seed, count):
-    return with_rows(scene_of(seed, count), "positions", {0: 0.5, 1: -2.0, 2: 7.25})
+    return with_rows(random_scene(count, seed=seed), "positions", {0: 0.5, 1: -2.0, 2: 7.25})
 
 
 def few_levels(seed, count):
@@ -79,7 +66,7 @@ def few_levels(seed, count):
         [-5.0, -1.3, 0.2, 4.0, 9.0], size=(1, count), p=[0.4, 0.1, 0.3, 0.15, 0.05]
     )
     log_scale = rng.choice([-9.0, -7.0, -2.5, 0.0], size=(3, count), p=[0.5, 0.2, 0.2, 0.1])
-    scene = scene_of(seed, count)
+    scene = random_scene(count, seed=seed)
     return replace(
         scene, opacity=opacity.astype(np.float32), log_scale=log_scale.astype(np.float32)
     )
@@ -98,7 +85,7 @@ def with_extra(seed, count):
         "time": rng.normal(size=count),
     }
     comments = ("trained for 30000 steps", "", "a\ttab")
-    return replace(scene_of(seed, count, 1), has_normals=True, comments=comments, extra=extra)
+    return replace(random_scene(count, 1, seed), has_normals=True, comments=comments, extra=extra)
 
 
 def every_depth(bits):
@@ -174,7 +161,7 @@ def test_reference_decoder_gives_the_same_bits(case):
     ("f_rest", (0, 5, 44)), ("f_rest", tuple(range(45))),
 ])  # fmt: skip
 def test_constant_channels_seed20(group, rows):
-    scene = with_rows(scene_of(20, 150), group, {row: 0.25 * (row + 1) for row in rows})
+    scene = with_rows(random_scene(150, seed=20), group, {row: 0.25 * (row + 1) for row in rows})
     reference = assert_same(encode_scene(scene, config())[0])
     constant = {ROWS[group][row] for row in rows}
     assert constant.isdisjoint(reference["symbols"])

@@ -11,6 +11,7 @@ from gs_codec.config import Config
 from gs_codec.container.file import MAX_BLOCK_SIZE
 from gs_codec.entropy import torchac_coder
 from gs_codec.entropy.rans import TableSet, decode_symbols, encode_symbols
+from gs_codec.errors import MissingTool
 from gs_codec.model.table import shannon_bits
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
@@ -30,10 +31,11 @@ def measure_coders(
         "symbols": coded.symbols.size,
     }
     yield identity | {"coder": "rans", **_rans(coded, entropy, config.threads, repeats)}
-    if torchac_coder.is_available():
-        yield identity | {"coder": "torchac", **_torchac(coded, entropy)}
-    else:
-        yield identity | {"coder": "torchac", "absent": True}
+    try:
+        theirs = _torchac(coded, entropy)
+    except MissingTool as error:
+        theirs = {"absent": str(error)}
+    yield identity | {"coder": "torchac", **theirs}
 
 
 def _rans(coded: Coded, entropy: float, threads: int | None, repeats: int) -> dict[str, Any]:

@@ -82,6 +82,16 @@ def code_raw(bits, position, width, value, encoding):
     return read
 
 
+@inlined
+def bit_length(value):
+    """Bits of a number that is not negative; 0 has none."""
+    length = 0
+    while value > 0:
+        value >>= 1
+        length += 1
+    return length
+
+
 def new_contexts(count: int) -> NDArray[np.int32]:
     """Fresh contexts: probability of a 1 in 1/65536, shifted by 8, and number of occurrences."""
     return np.full(count, 32768 << 8, np.int32)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.entropy.binary import code_bit, decode_binary, encode_binary, new_contexts
+from gs_codec.entropy.binary import bit_length, code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.errors import CorruptStream
-from gs_codec.kernels import inlined, kernel
+from gs_codec.kernels import kernel
 from gs_codec.model.sent import MAX_EXPONENT, MAX_MANTISSA
 
 _STEPS = MAX_EXPONENT + 1
@@ -22,15 +22,6 @@ _MANTISSA = _SIZE + 2 * _STEPS
 _CONTEXTS = _MANTISSA + MAX_MANTISSA + 1
 
 
-@inlined
-def _weight_length(weight):
-    length = 0
-    while weight > 0:
-        weight >>= 1
-        length += 1
-    return length
-
-
 @kernel
 def _walk(weights, mantissa, state, data, contexts, encoding):
     """Code the weights of one table; False if a length leaves 0..MAX_EXPONENT."""
@@ -39,7 +30,7 @@ def _walk(weights, mantissa, state, data, contexts, encoding):
     large = 1 if weights.size > 32 else 0
     for symbol in range(weights.size):
         weight = weights[symbol]
-        length = _weight_length(weight) if encoding else 0
+        length = bit_length(weight) if encoding else 0
         kind = 3 * large + (2 if before == 0 else changed)
         if code_bit(state, data, contexts, _SAME + kind, length == before):
             length = before

@@ -9,6 +9,7 @@ import contextlib
 import importlib.util
 import os
 import sys
+import sysconfig
 from collections.abc import Iterator
 
 import numpy as np
@@ -26,14 +27,35 @@ def is_available() -> bool:
 
 
 def _load():
-    """Torch and torchac, which compiles itself on first import and says so on stdout."""
+    """Torch and torchac, which compiles itself on first import and says so on stdout.
+
+    Raises
+    ------
+    MissingTool
+        If they are not installed, or torchac cannot be compiled.
+    """
     if not is_available():
         raise MissingTool("torchac is not installed: pip install 'gs-codec[paper]'")
     import torch
 
-    with _output_on_stderr():
-        import torchac
+    try:
+        with _output_on_stderr(), _own_programs_first():
+            import torchac
+    except (RuntimeError, OSError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise MissingTool(f"torchac cannot be compiled here: {reason}") from error
     return torch, torchac
+
+
+@contextlib.contextmanager
+def _own_programs_first() -> Iterator[None]:
+    """Let torch find the ninja of this environment even when the shell has not activated it."""
+    path = os.environ.get("PATH", "")
+    os.environ["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), path])
+    try:
+        yield
+    finally:
+        os.environ["PATH"] = path
 
 
 @contextlib.contextmanager

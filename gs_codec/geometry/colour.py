@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.entropy.binary import code_bit, decode_binary, encode_binary, new_contexts
+from gs_codec.entropy.binary import bit_length, code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.errors import CorruptStream
 from gs_codec.kernels import inlined, kernel
 
@@ -24,19 +24,10 @@ _CONTEXTS = 3 * _ACTIVITIES * _PREVIOUS * _PER_CLASS
 
 
 @inlined
-def _bit_length(value):
-    length = 0
-    while value > 0:
-        value >>= 1
-        length += 1
-    return length
-
-
-@inlined
 def _code_residual(state, data, contexts, base, residual):
     """Code a signed residual as bit length (unary), sign, then the bits below the first."""
     size = abs(residual)
-    length = _bit_length(size)
+    length = bit_length(size)
     known = 0
     while known < _MAGNITUDES - 1:
         if not code_bit(state, data, contexts, base + known, length > known):
@@ -94,7 +85,7 @@ def _predict(channel, near, weights, found, values):
     spread = 0
     for k in range(found):
         spread += weights[k] * abs(values[channel, near[k]] - mean)
-    return mean, min(_bit_length(4 * spread // mass), _ACTIVITIES - 1)
+    return mean, min(bit_length(4 * spread // mass), _ACTIVITIES - 1)
 
 
 @kernel
@@ -112,7 +103,7 @@ def _walk(cells, values, coded, state, data, contexts, encoding):
             if coded[channel] == 0:
                 continue
             mean, activity = _predict(channel, near, weights, found, values)
-            before = min(_bit_length(previous) >> 1, _PREVIOUS - 1)
+            before = min(bit_length(previous) >> 1, _PREVIOUS - 1)
             base = ((channel * _ACTIVITIES + activity) * _PREVIOUS + before) * _PER_CLASS
             residual = 0
             if encoding:

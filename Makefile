@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 demo: $(VENV)/installed
 	@mkdir -p demo
-	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3
+	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3 --cameras demo/cameras.json
 	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs
 	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply
 	$(BIN)/gs-codec compare demo/still_life.ply demo/decoded.ply

@@ -297,7 +297,7 @@ LIST = "property list uchar float "
 BAD_FILES = {
     "empty": (lambda good: b"", "expected 'ply'"),
     "text": (lambda good: b"hello\nworld\n", "expected 'ply'"),
-    "UTF-8 text": (lambda good: "hällo".encode(), "ascii"),
+    "UTF-8 text": (lambda good: "hällo".encode(), "ASCII"),
     "binary": (lambda good: bytes(range(256)), "PLY"),
     "signature alone": (lambda good: b"ply\n", "end-of-file"),
     "truncated header": (lambda good: good[:100], "end-of-file"),
@@ -332,8 +332,8 @@ BAD_FILES = {
     "negative count": (rewritten("vertex 5", "vertex -5"), "negative"),
     "negative count in ASCII": (rewritten("vertex 5", "vertex -5", "ascii"), "negative"),
     "fractional count": (rewritten("vertex 5", "vertex 5.0"), "count"),
-    "non-ASCII comment": (rewritten("element", "comment \xff\xfe\nelement"), "ascii"),
-    "non-ASCII name": (rewritten("opacity", "opacit\xe9"), "ascii"),
+    "non-ASCII comment": (rewritten("element", "comment \xff\xfe\nelement"), "ASCII"),
+    "non-ASCII name": (rewritten("opacity", "opacit\xe9"), "ASCII"),
 }
 
 

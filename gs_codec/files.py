@@ -55,7 +55,7 @@ def encode_file(
     config = config or Config()
     _check_target(source, target)
     start = time.perf_counter()
-    scene = without_order(read_ply(source, config.extra))
+    scene = _without_order(read_ply(source, config.extra))
     read = time.perf_counter() - start
     with _located(source):
         data, report = encode_scene(scene, config, progress)
@@ -130,7 +130,7 @@ def compare_ordered(first: Scene, second: Scene, orders: Sequence[tuple[int, ...
     return compare_scenes(first, second, "index")
 
 
-def without_order(scene: Scene) -> Scene:
+def _without_order(scene: Scene) -> Scene:
     """The scene without the comment that tells its order."""
     kept = tuple(line for line in scene.comments if not line.startswith(_ORDER_MARK))
     return replace(scene, comments=kept)

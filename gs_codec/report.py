@@ -60,7 +60,7 @@ class EncodeReport:
     dropped : int
         Gaussians left out because they held NaN or infinity.
     seconds : dict of str to float
-        Wall time of each stage; of the threads together where it says so in its name.
+        Wall time of each stage.
     """
 
     count: int

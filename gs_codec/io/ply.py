@@ -75,7 +75,9 @@ def _open_vertices(path: Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
     except MemoryError as error:
         raise InvalidInput(f"{path}: more Gaussians than memory can hold") from error
     except UnicodeDecodeError as error:
-        raise InvalidInput(f"{path}: not a readable PLY file (its header is not ASCII text)") from error
+        raise InvalidInput(
+            f"{path}: not a readable PLY file (its header is not ASCII text)"
+        ) from error
     except (ValueError, OverflowError) as error:
         raise InvalidInput(f"{path}: not a readable PLY file ({_one_line(error)})") from error
     except OSError as error:

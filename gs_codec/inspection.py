@@ -91,7 +91,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         has_normals=header.has_normals,
         bounds=(tuple(axis.origin for axis in axes), tuple(top)),
         file_bytes=len(data),
-        raw_bytes=4 * header.count * (14 + 3 * coefficients),
+        raw_bytes=header.float_bytes,
         streams=tuple(
             StreamInfo(name, size, 8 * size / max(header.count, 1)) for name, size in sizes.items()
         ),

@@ -77,6 +77,14 @@ class EncodeReport:
         """Size of the file."""
         return sum(self.section_bytes.values())
 
+    @property
+    def entropy_overhead(self) -> float:
+        """Size of words, states, models and quantisers over Shannon entropy, less 1."""
+        entropy = sum(cost.shannon_bits for cost in self.costs)
+        coded = {cost.stream for cost in self.costs} | {"states", "channels"}
+        bits = 8 * sum(self.section_bytes.get(name, 0) for name in coded)
+        return bits / entropy - 1 if entropy else 0.0
+
 
 def step_counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None] | None:
     """A callback that counts the steps of a stage for `progress`."""

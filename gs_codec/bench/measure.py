@@ -19,7 +19,7 @@ from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.files import compare_files, decode_file, encode_file
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
-from gs_codec.report import ChannelCost
+from gs_codec.report import ChannelCost, EncodeReport
 from gs_codec.scene import Scene
 from gs_codec.workers import available_threads
 
@@ -83,7 +83,7 @@ def _codec(ply: Path, config: Config, repeats: int) -> dict[str, Any]:
         "stages": {name: _spread([s[name] for s in stages[1:]])["median"] for name in stages[0]},
         "section_bytes": report.section_bytes,
         "rectified": report.rectified,
-        "entropy": entropy_by_group(report.costs, report.section_bytes, scene.count),
+        "entropy": entropy_by_group(report),
     }
 
 
@@ -91,33 +91,28 @@ def _spread(values: list[float]) -> dict[str, float]:
     return {"median": statistics.median(values), "min": min(values), "max": max(values)}
 
 
-def entropy_by_group(
-    costs: list[ChannelCost], section_bytes: dict[str, int], count: int
-) -> dict[str, dict[str, Any]]:
+def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
     """Bits of each rANS-coded group beside Shannon entropy and the paper's figures.
 
     ``total`` counts everything it takes to decode: words, states, models and quantisers.
     """
     groups: dict[str, list[ChannelCost]] = {}
-    for cost in costs:
+    for cost in report.costs:
         groups.setdefault("sh-ac" if cost.stream.startswith("sh") else cost.stream, []).append(cost)
     result: dict[str, dict[str, Any]] = {}
     for group, members in groups.items():
         entropy = sum(cost.shannon_bits for cost in members)
-        size = 8 * sum(section_bytes[stream] for stream in {cost.stream for cost in members})
+        size = 8 * sum(report.section_bytes[stream] for stream in {cost.stream for cost in members})
         parametric = sum(cost.parametric_bits for cost in members)
         result[group] = {
-            "bits_per_symbol": entropy / (count * len(members)),
+            "bits_per_symbol": entropy / (report.count * len(members)),
             "coded_overhead_percent": 100 * (size / entropy - 1),
             "parametric_overhead_percent": 100 * (parametric / entropy - 1),
             "paper_overhead_percent": paper.OVERHEAD_PERCENT[group],
             "paper_bits_per_symbol": paper.ENTROPY_BITS[group],
         }
-    entropy = sum(cost.shannon_bits for cost in costs)
-    used = {cost.stream for cost in costs} | {"states", "channels"}
-    size = 8 * sum(section_bytes.get(name, 0) for name in used)
-    if entropy:
-        result["total"] = {"coded_overhead_percent": 100 * (size / entropy - 1)}
+    if report.costs:
+        result["total"] = {"coded_overhead_percent": 100 * report.entropy_overhead}
     return result
 
 

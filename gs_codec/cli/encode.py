@@ -93,13 +93,10 @@ def _print_report(source: Path, target: Path, report: EncodeReport) -> None:
         ["stream", "bytes", "bits/Gaussian", "entropy", "parametric", "paper", "models"],
         [_stream_row(name, size, report) for name, size in report.section_bytes.items()],
     )
-    entropy = sum(cost.shannon_bits for cost in report.costs)
-    if entropy:
-        coded = {cost.stream for cost in report.costs} | {"states", "channels"}
-        bits = 8 * sum(report.section_bytes[name] for name in coded)
+    if report.costs:
         print_text(
-            f"entropy-coded streams with states and models: {bits / entropy - 1:.3%} over Shannon "
-            "entropy (parametric: models alone, without sent tables)"
+            f"entropy-coded streams with states and models: {report.entropy_overhead:.3%} over "
+            "Shannon entropy (parametric: models alone, without sent tables)"
         )
     if report.rectified:
         values = sum(cost.stream.startswith("sh") for cost in report.costs) * count

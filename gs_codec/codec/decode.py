@@ -72,10 +72,9 @@ def decode_scene(
 
 
 def _check_size(header: Header, limit: int) -> None:
-    needed = 4 * header.count * (14 + 3 * SH_COEFFICIENTS[header.sh_degree])
-    if needed > limit:
+    if header.float_bytes > limit:
         raise CorruptStream(
-            f"header: {header.count} Gaussians are {needed} bytes, the limit is {limit}"
+            f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
         )
 
 

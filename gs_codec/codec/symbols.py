@@ -86,15 +86,15 @@ def _collect(
     results: list[tuple[Channel, NDArray[np.int64], Choice | None, int]],
     symbols: NDArray[np.uint16],
 ) -> Coded:
-    kept = [(row, result) for row, result in enumerate(results) if result[2]]
-    if len(kept) < len(results):
-        symbols = symbols[[row for row, _ in kept]]
-    channels, histograms, choices = [], [], []
-    for _, (channel, histogram, choice, _) in kept:
+    rows, channels, histograms, choices = [], [], [], []
+    for row, (channel, histogram, choice, _) in enumerate(results):
         if choice is not None:
+            rows.append(row)
             channels.append(channel)
             histograms.append(histogram)
             choices.append(choice)
+    if len(rows) < len(results):
+        symbols = symbols[rows]
     return Coded(
         channels=channels,
         symbols=symbols,

@@ -68,6 +68,11 @@ class Header:
         """Number of independently decodable blocks."""
         return -(-self.count // self.block_size)
 
+    @property
+    def float_bytes(self) -> int:
+        """Size of the decoded float32 attributes."""
+        return 4 * self.count * (14 + 3 * SH_COEFFICIENTS[self.sh_degree])
+
     def block_range(self, block: int) -> tuple[int, int]:
         """First Gaussian of a block and the one after its last."""
         start = block * self.block_size

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +59,16 @@ def choose_model(
     """
     precisions = [p for p in _PRECISIONS if 1 << p >= 2 * histogram.size]
     parametric = _parametric_models(histogram, laplace_scale, precisions)
-    sent = [SentModel.fit(histogram, m, p) for m in _MANTISSAS for p in precisions]
+    candidates: list[tuple[Model, int]] = [(model, _parameter_bytes(model)) for model in parametric]
+    for mantissa in _MANTISSAS:
+        fitted = SentModel.fit(histogram, mantissa, MAX_PRECISION)
+        size = sent_bytes(fitted)  # the same for every precision
+        candidates += [(replace(fitted, precision=p), size) for p in precisions]
     priced = []
-    for model in (*parametric, *sent):
+    for model, size in candidates:
         table = model.frequencies(histogram.size)
         bits = table.code_length(histogram)
-        priced.append((bits + 8 * _parameter_bytes(model, sent_bytes), bits, model, table))
+        priced.append((bits + 8 * size, bits, model, table))
     enough = min(cost for cost, *_ in priced) * (1 + _WORTHWHILE)
     _, bits, model, table = min(
         (item for item in priced if item[0] <= enough),
@@ -76,16 +80,14 @@ def choose_model(
 
 def _parametric_models(
     histogram: NDArray[np.int64], laplace_scale: float | None, precisions: list[int]
-) -> list[Model]:
+) -> list[LaplaceModel | MixtureModel]:
     if laplace_scale is not None:
         return [LaplaceModel.fit(laplace_scale, p) for p in precisions]
     fitted = [fit_mixture(histogram, k + 1, MAX_PRECISION) for k in range(MAX_COMPONENTS)]
     return [MixtureModel(m.components, p) for m in fitted for p in precisions]
 
 
-def _parameter_bytes(model: Model, sent_bytes: Callable[[SentModel], int]) -> int:
+def _parameter_bytes(model: LaplaceModel | MixtureModel) -> int:
     if isinstance(model, LaplaceModel):
         return _LAPLACE_BYTES
-    if isinstance(model, MixtureModel):
-        return 1 + _COMPONENT_BYTES * len(model.components)
-    return sent_bytes(model)
+    return 1 + _COMPONENT_BYTES * len(model.components)

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from gs_codec.kernels import kernel
 
-#: SH-AC is rectified to this many Laplace scales on either side of the median. The paper
-#: leaves the number to its supplement; with 7, 4-bit SH-AC of three scenes take 2.24-2.49
-#: bits around the 2.436 it reports. Squared error alone would ask for less (RESULTS.md).
-LAPLACE_SCALES = 7.0
+#: SH-AC is rectified to this many Laplace scales on either side of the median, for each bit of
+#: depth. The paper leaves the number to its supplement. What is cut off is what one sees, and
+#: entropy coding makes rare levels cheap: rendered views of three scenes ask for a range this
+#: wide, where squared error alone would ask for half of it (RESULTS.md).
+LAPLACE_SCALES_PER_BIT = 3.0
 
 
 @dataclass(frozen=True)
@@ -124,10 +125,10 @@ def fit_centred(
 ) -> tuple[ConstantQuantiser | CentredQuantiser, float]:
     """Quantiser of an SH-AC channel ``(N,)`` after rectification to its Laplace range.
 
-    The half range is `LAPLACE_SCALES` times the mean absolute deviation of the values that
-    differ from the median, but never more than the largest deviation. Values equal to the
-    median are left out of the mean because trained scenes hold many exact zeros, which say
-    nothing of how far the others reach.
+    The half range is `LAPLACE_SCALES_PER_BIT` times the depth times the mean absolute deviation
+    of the values that differ from the median, but never more than the largest deviation. Values
+    equal to the median are left out of the mean because trained scenes hold many exact zeros,
+    which say nothing of how far the others reach.
 
     Returns
     -------
@@ -143,7 +144,8 @@ def fit_centred(
     centre = float(np.partition(values, middle)[middle])
     deviation, off_centre = _deviation(values, centre)
     reach = max(high - centre, centre - low)
-    half_range = float(np.float32(min(LAPLACE_SCALES * deviation / off_centre, reach)))
+    scales = LAPLACE_SCALES_PER_BIT * depth
+    half_range = float(np.float32(min(scales * deviation / off_centre, reach)))
     if half_range == 0.0:
         half_range = float(np.finfo(np.float32).smallest_subnormal)
     quantiser = CentredQuantiser(depth, centre, half_range)

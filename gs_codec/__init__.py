@@ -19,6 +19,7 @@ _HOMES = {
     "decode": "gs_codec.api",
     "inspect": "gs_codec.api",
     "compare": "gs_codec.api",
+    "render": "gs_codec.api",
     "encode_file": "gs_codec.files",
     "decode_file": "gs_codec.files",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -13,7 +14,13 @@ from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.atomic import atomic_writer
 from gs_codec.io.ply import write_ply
-from gs_codec.metrics import Comparison, compare_scenes
+from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.metrics.views import RenderedComparison, compare_views
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.renderer import Rendering
+from gs_codec.rendering.renderer import render as render_view
+from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
@@ -105,24 +112,108 @@ def inspect(source: bytes | str | Path) -> Info:
     return inspect_bytes(source) if isinstance(source, bytes) else files.inspect_file(source)
 
 
-def compare(first: PointCloud | str | Path, second: PointCloud | str | Path) -> Comparison:
-    """Errors of one scene against another, by attribute.
+def render(
+    source: PointCloud | str | Path,
+    cameras: str | Path | Sequence[Camera] = "auto",
+    *,
+    split: str = "all",
+    width: int | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool | None = None,
+    accumulate: bool = False,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+) -> Iterator[tuple[Camera, Rendering]]:
+    """Draw a scene as the 3DGS rasteriser does, view after view.
 
-    Files are matched through their stored order: of a scene and its decoded version, the
-    first is put in the order of the second. Clouds are compared index by index.
+    Parameters
+    ----------
+    source : open3d.t.geometry.PointCloud, or path of a PLY or `.egs` file
+    cameras : path, "auto", or sequence of Camera
+        ``cameras.json`` of the INRIA trainer, the folder of a COLMAP model, or cameras chosen
+        from the scene itself.
+    split : {"all", "held-out", "test", "train"}
+        Which of the cameras; ``held-out`` is ``test`` where cameras are marked, else ``all``.
+    width : int, optional
+        Width of the images, pixels; the height follows.
+    background : sequence of three float
+        RGB behind everything.
+    antialiased : bool, optional
+        Opacity compensation for the low-pass; by default as the file's comments say.
+    accumulate : bool
+        Keep sums of weights for each Gaussian.
+    device : {"auto", "cpu", "cuda"}
+        ``cuda`` draws with gsplat, ``auto`` does where that is possible.
+    progress : callable, optional
+
+    Yields
+    ------
+    Camera, Rendering
+        The view, and its ``colour (H, W, 3)``, ``alpha (H, W)`` and ``depth (H, W)``, float32.
 
     Raises
     ------
-    InvalidInput
-        If the numbers of Gaussians differ, or a source cannot be read.
+    InvalidInput, MissingTool
     """
-    paths = [isinstance(source, str | Path) for source in (first, second)]
-    if all(paths):
+    scene = _scene_of(source)
+    views = find_cameras(cameras, scene, split, width)
+    advance = step_counter(progress, "views", len(views))
+    for camera in views:
+        yield (
+            camera,
+            render_view(scene, camera, background, antialiased, accumulate, device=device),
+        )
+        if advance is not None:
+            advance()
+
+
+def compare(
+    first: PointCloud | str | Path,
+    second: PointCloud | str | Path,
+    cameras: str | Path | Sequence[Camera] | None = None,
+    *,
+    split: str = "held-out",
+    width: int | None = None,
+    truth: str | Path | None = None,
+    images: str | Path | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+) -> Comparison | RenderedComparison:
+    """Errors of one scene against another: by attribute, or in what cameras see.
+
+    Without cameras, files are matched through their stored order: of a scene and its decoded
+    version, the first is put in the order of the second. Clouds are compared index by index.
+
+    Parameters
+    ----------
+    first, second : open3d.t.geometry.PointCloud, or paths of PLY or `.egs` files
+    cameras, split, width, background, device, progress
+        As for `render`; ``auto`` cameras are chosen from the first scene.
+    truth : path, optional
+        Folder of ground-truth images, found by the cameras' names; views take their size.
+    images : path, optional
+        Folder to write both images and their amplified difference to, for each view.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If a source cannot be read; without cameras, if the numbers of Gaussians differ.
+    """
+    if cameras is not None:
+        if truth is not None and width is not None:
+            raise InvalidInput("width: given by the ground-truth images, expected one of the two")
+        scenes = _scene_of(first), _scene_of(second)
+        views = find_cameras(cameras, scenes[0], split, width)
+        return compare_views(*scenes, views, truth, images, background, device, progress)
+    if isinstance(first, str | Path) and isinstance(second, str | Path):
         return files.compare_files(first, second)
-    if any(paths):
+    if isinstance(first, str | Path) or isinstance(second, str | Path):
         raise InvalidInput("compare: one file and one cloud, expected two of a kind")
-    return compare_scenes(_any_scene(first), _any_scene(second))
+    return compare_scenes(_scene_of(first), _scene_of(second))
 
 
-def _any_scene(cloud: PointCloud) -> Scene:
-    return from_cloud(cloud, "drop")
+def _scene_of(source: PointCloud | str | Path) -> Scene:
+    if isinstance(source, str | Path):
+        return files.read_scene(source, "drop")
+    return from_cloud(source, "drop")

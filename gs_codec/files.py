@@ -21,7 +21,7 @@ from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
 from gs_codec.io.ply import read_ply, write_ply
-from gs_codec.metrics import Comparison, compare_scenes
+from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.quantise import fit_range
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene

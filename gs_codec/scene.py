@@ -21,6 +21,7 @@ GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
 #: What an extra property may be: printable, without spaces, of a scalar type of PLY.
 _NAME = re.compile("[!-~]{1,255}")
 _LAYOUT = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]")
+_RENDER_MODE = re.compile(r"\s*(?:SplatRenderMode:|antialiased\s)\s*(\w+)\s*", re.IGNORECASE)
 _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 
 
@@ -101,6 +102,15 @@ class Scene:
     def sh_degree(self) -> int:
         """SH degree, 0-3."""
         return SH_COEFFICIENTS.index(len(self.f_rest) // 3)
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether it was trained with opacity compensation, as the last such comment says.
+
+        Brush and splat-transform write ``SplatRenderMode: mip``, Postshot ``antialiased 1``.
+        """
+        modes = [_RENDER_MODE.fullmatch(line) for line in self.comments]
+        return next((m[1].lower() in ("mip", "1") for m in reversed(modes) if m), False)
 
     @property
     def float_bytes(self) -> int:

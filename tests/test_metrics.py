@@ -13,7 +13,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files import compare_files, decode_file, encode_file
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
-from gs_codec.metrics import Comparison, GroupError, compare_scenes
+from gs_codec.metrics.attributes import Comparison, GroupError, compare_scenes
 from gs_codec.scene import Scene
 
 UNITS = {

@@ -78,16 +78,17 @@ def _codec(ply: Path, config: Config, repeats: int) -> dict[str, Any]:
         "file_bytes": len(data),
         "ratio": ply.stat().st_size / len(data),
         "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
-        "encode_seconds": _spread(encode_seconds[1:]),
-        "decode_seconds": _spread(decode_seconds[1:]),
-        "stages": {name: _spread([s[name] for s in stages[1:]])["median"] for name in stages[0]},
+        "encode_seconds": spread(encode_seconds[1:]),
+        "decode_seconds": spread(decode_seconds[1:]),
+        "stages": {name: spread([s[name] for s in stages[1:]])["median"] for name in stages[0]},
         "section_bytes": report.section_bytes,
         "rectified": report.rectified,
         "entropy": entropy_by_group(report),
     }
 
 
-def _spread(values: list[float]) -> dict[str, float]:
+def spread(values: list[float]) -> dict[str, float]:
+    """Median, least and largest value."""
     return {"median": statistics.median(values), "min": min(values), "max": max(values)}
 
 

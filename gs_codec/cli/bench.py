@@ -12,10 +12,15 @@ import typer
 
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_table, print_text
+from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import PROFILES, Config
+from gs_codec.errors import InvalidInput
 
 #: Lines of the readable table: header, and the place of its figure in a result.
-_COLUMNS = ["scene, profile", "ratio", "bits/G", "over entropy", "encode s", "decode s", "peak MB"]
+_COLUMNS = [
+    "scene, profile", "ratio", "bits/G", "over entropy", "encode s", "decode s", "peak MB",
+    "PSNR dB", "delta-PSNR", "s/view",
+]  # fmt: skip
 
 
 def command(
@@ -34,42 +39,67 @@ def command(
     threads: Annotated[
         int | None, typer.Option(help="Worker threads.", show_default="all processors")
     ] = None,
+    cameras: Annotated[
+        str | None, typer.Option(metavar="C", help=f"Measure rendered quality too: {CAMERAS}")
+    ] = None,
+    against_gt: Annotated[
+        Path | None,
+        typer.Option(metavar="IMAGES", help="Ground-truth images of these cameras."),
+    ] = None,
+    width: Width = None,
     coders: Annotated[
         bool, typer.Option("--coders", help="Compare entropy coders too (torchac: a minute).")
     ] = False,
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
-    """Measure time, size against entropy, error and memory; JSON lines on stdout."""
+    """Measure time, size, error, memory and rendered quality; JSON lines on stdout."""
+    if (against_gt or width) and not cameras:
+        raise InvalidInput("--against-gt and --width need --cameras")
     configs = [
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
         for name in profile or PROFILES
     ]
     rows: dict[str, list[str]] = {}
-    for line in _measure(scenes, configs, tile, repeats, coders):
+    views = (cameras, against_gt, width)
+    for line in _measure(scenes, configs, tile, repeats, coders, threads, views):
         print_text(json_module.dumps(line))
         _add_to_rows(rows, line)
     print_table(_COLUMNS, list(rows.values()), sys.stderr)
 
 
 def _measure(
-    scenes: list[Path], configs: list[Config], tile: int | None, repeats: int, coders: bool
+    scenes: list[Path],
+    configs: list[Config],
+    tile: int | None,
+    repeats: int,
+    coders: bool,
+    threads: int | None,
+    views: tuple[str | None, Path | None, int | None],
 ) -> Iterator[dict[str, Any]]:
     from gs_codec.bench import paper
     from gs_codec.bench.coders import measure_coders
     from gs_codec.bench.measure import machine, measure_scene
+    from gs_codec.bench.rendered import measure_quality, measure_speed
     from gs_codec.bench.tile import tile_scene
     from gs_codec.io.ply import read_ply
+    from gs_codec.rendering.cameras import find_cameras
 
     yield machine()
+    source, truth, width = views
     for path in scenes:
         name = path.stem if path.stem != "point_cloud" else path.parent.name
+        scene = read_ply(path, configs[0].extra)
+        if tile:
+            scene = tile_scene(scene, tile)
+        cameras = find_cameras(source, scene, "held-out", width) if source else []
         for config in configs:
-            scene = read_ply(path, config.extra)
-            if tile:
-                scene = tile_scene(scene, tile)
             yield from measure_scene(scene, name, config, repeats)
             if coders:
                 yield from measure_coders(scene, name, config, repeats)
+            if cameras:
+                yield measure_quality(scene, name, cameras, truth, config)
+        if cameras:
+            yield measure_speed(scene, name, cameras, threads, repeats)
     for device, seconds in paper.SECONDS.items():
         yield {"kind": "paper", "gaussians": 1_120_000, "device": device, **seconds}
 
@@ -86,15 +116,21 @@ def _add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
             f"{over:.3f} %",
             f"{line['encode_seconds']['median']:.3f}",
             f"{line['decode_seconds']['median']:.3f}",
-            "",
+            *[""] * 4,
         ]
     elif kind == "memory":
-        rows[name][-1] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
+        rows[name][6] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
+    elif kind == "rendered":
+        rows[name][7] = f"{line['mean']['psnr']:.2f}"
+        rows[name][8] = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
+    elif kind == "render":
+        label = f"{line['scene']}, views of {line['width']}x{line['height']}"
+        rows[label] = [label, *[""] * 8, f"{line['seconds']['median']:.3f}"]
     elif kind == "coder" and "absent" not in line:
         over = f"{line['overhead_percent']:.3f} %"
         times = [f"{line[f'{way}_seconds']:.3f}" for way in ("encode", "decode")]
         label = f"{name}, {line['coder']}"
-        rows[label] = [label, "", "", over, *times, ""]
+        rows[label] = [label, "", "", over, *times, *[""] * 4]
     elif kind == "paper":
         label = f"the paper, {line['device']}"
-        rows[label] = [label, "", "", "", str(line["encode"]), str(line["decode"]), ""]
+        rows[label] = [label, "", "", "", str(line["encode"]), str(line["decode"]), *[""] * 4]

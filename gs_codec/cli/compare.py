@@ -2,21 +2,65 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gs_codec.cli.output import print_json, print_table, print_text
+from gs_codec.cli.output import print_json, print_table, print_text, progress_bar
+from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
+from gs_codec.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from gs_codec.metrics.images import Quality
+    from gs_codec.metrics.views import RenderedComparison, View
 
 
 def command(
     first: Annotated[Path, typer.Argument(metavar="A", help="A scene, .ply or .egs.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another version of it.")],
-    json: Annotated[bool, typer.Option("--json", help="Print the errors as JSON.")] = False,
+    cameras: Annotated[
+        str | None, typer.Option(metavar="C", help=f"Compare what these see: {CAMERAS}")
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Write each view's two images, and 10 x their difference."
+        ),
+    ] = None,
+    against_gt: Annotated[
+        Path | None,
+        typer.Option(metavar="IMAGES", help="Ground-truth images to measure both scenes against."),
+    ] = None,
+    width: Width = None,
+    split: Annotated[str, typer.Option(help=SPLIT)] = "held-out",
+    background: Background = "black",
+    device: Device = "auto",
+    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Show how far two versions of a scene are apart, by attribute."""
+    """Show how far two versions of a scene are apart: by attribute, or in rendered views."""
+    options = drawing_options(background, device)
+    if cameras is None:
+        if images or against_gt or width:
+            raise InvalidInput("--images, --against-gt and --width need --cameras")
+        _compare_attributes(first, second, json)
+        return
+    from gs_codec.api import compare
+
+    with progress_bar(not json) as progress:
+        comparison: Any = compare(
+            first, second, cameras, split=split, width=width, truth=against_gt, images=images,
+            progress=progress, **options,
+        )  # fmt: skip
+    if json:
+        print_json({"a": str(first), "b": str(second), **_plain(comparison)})
+    else:
+        _print_views(comparison)
+
+
+def _compare_attributes(first: Path, second: Path, json: bool) -> None:
     from gs_codec.files import compare_files
 
     comparison = compare_files(first, second)
@@ -28,3 +72,46 @@ def command(
         ["attribute", "unit", "max error", "rms error"],
         [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
     )
+
+
+def _print_views(comparison: RenderedComparison) -> None:
+    mean, worst = comparison.mean, comparison.worst
+    with_truth, with_lpips = mean.delta is not None, mean.between.lpips is not None
+    columns = ["view", "PSNR dB", "SSIM"] + ["LPIPS"] * with_lpips
+    if with_truth:
+        columns += ["A to truth", "B to truth", "delta-PSNR", "delta-SSIM"]
+        columns += ["delta-LPIPS"] * with_lpips
+    rows = [_row(view.name, view) for view in comparison.views]
+    rows += [_row("mean", mean), _row(f"worst: {worst.name}", worst)]
+    print_text("Gaussians: {:,} in A, {:,} in B".format(*comparison.counts))
+    print_table(columns, rows)
+
+
+def _row(name: str, view: View) -> list[str]:
+    row = [name, *_numbers(view.between, "")]
+    if view.first and view.second and view.delta:
+        row += [f"{view.first.psnr:.3f}", f"{view.second.psnr:.3f}", *_numbers(view.delta, "+")]
+    return row
+
+
+def _numbers(quality: Quality, sign: str) -> list[str]:
+    values = [f"{quality.psnr:{sign}.3f}", f"{quality.ssim:{sign}.5f}"]
+    return values if quality.lpips is None else [*values, f"{quality.lpips:{sign}.5f}"]
+
+
+def _plain(comparison: RenderedComparison) -> dict:
+    """For JSON, which knows no infinity: PSNR is null where images are equal."""
+
+    def plain(view: View) -> dict:
+        pairs = {"between": view.between, "a": view.first, "b": view.second, "delta": view.delta}
+        qualities = {name: asdict(quality) for name, quality in pairs.items() if quality}
+        for quality in qualities.values():
+            quality["psnr"] = quality["psnr"] if math.isfinite(quality["psnr"]) else None
+        return {"view": view.name, **qualities}
+
+    return {
+        "gaussians": comparison.counts,
+        "views": [plain(view) for view in comparison.views],
+        "mean": plain(comparison.mean),
+        "worst": plain(comparison.worst),
+    }

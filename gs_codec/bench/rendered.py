@@ -1,0 +1,68 @@
+"""What coding costs in rendered views, and how long drawing them takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from gs_codec.bench.measure import spread
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import Config
+from gs_codec.metrics.views import compare_views
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import Scene
+
+
+def measure_quality(
+    scene: Scene, name: str, cameras: Sequence[Camera], truth: Path | None, config: Config
+) -> dict[str, Any]:
+    """PSNR and SSIM of the decoded scene's views against the scene's own, and the paper's deltas.
+
+    `truth` is the folder of the ground-truth images, without which there are no deltas.
+    """
+    data, _ = encode_scene(scene, config)
+    comparison = compare_views(scene, decode_scene(data), cameras, truth, device="cpu")
+    mean = comparison.mean
+    result: dict[str, Any] = {
+        "kind": "rendered",
+        "scene": name,
+        "profile": config.profile,
+        "gaussians": scene.count,
+        "views": len(comparison.views),
+        "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
+        "mean": asdict(mean.between),
+        "worst_psnr": comparison.worst.between.psnr,
+    }
+    if mean.first and mean.delta:
+        result |= {"truth": asdict(mean.first), "delta": asdict(mean.delta)}
+    return result
+
+
+def measure_speed(
+    scene: Scene, name: str, cameras: Sequence[Camera], threads: int | None, repeats: int
+) -> dict[str, Any]:
+    """Seconds to draw a view on the CPU: the median of each view's `repeats`, over the views."""
+    render(scene, cameras[0], threads=threads, device="cpu")  # compiles
+    medians, pairs = [], []
+    for camera in cameras:
+        seconds = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            drawn = render(scene, camera, threads=threads, device="cpu")
+            seconds.append(time.perf_counter() - start)
+        medians.append(spread(seconds)["median"])
+        pairs.append(float(drawn.pairs))
+    return {
+        "kind": "render",
+        "scene": name,
+        "gaussians": scene.count,
+        "views": len(cameras),
+        "width": cameras[0].width,
+        "height": cameras[0].height,
+        "seconds": spread(medians),
+        "pairs": spread(pairs),
+    }

@@ -1,0 +1,43 @@
+"""``gs-codec render``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gs_codec.cli.output import print_text, progress_bar
+from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
+
+
+def command(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A scene, .ply or .egs.")],
+    cameras: Annotated[str, typer.Option(metavar="C", help=CAMERAS)],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the images, PNG.")],
+    width: Width = None,
+    split: Annotated[str, typer.Option(help=SPLIT)] = "all",
+    background: Background = "black",
+    antialiased: Annotated[
+        bool | None,
+        typer.Option(
+            "--antialiased/--plain",
+            help="With or without Mip-Splatting's opacity compensation.",
+            show_default="as the file says",
+        ),
+    ] = None,
+    device: Device = "auto",
+) -> None:
+    """Draw a scene from each camera, as the 3DGS rasteriser does."""
+    options = drawing_options(background, device)
+    from gs_codec.files import read_scene
+    from gs_codec.rendering.cameras import find_cameras
+    from gs_codec.rendering.views import write_views
+
+    loaded = read_scene(scene, "drop")
+    views = find_cameras(cameras, loaded, split, width)
+    start = time.perf_counter()
+    with progress_bar() as progress:
+        write_views(loaded, views, out, antialiased=antialiased, progress=progress, **options)
+    print_text(f"{out}: {len(views)} images, {time.perf_counter() - start:.2f} s")

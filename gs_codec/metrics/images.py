@@ -1,0 +1,126 @@
+"""How far two images are apart: PSNR, SSIM, and LPIPS where it is installed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+
+#: Side of the window of SSIM, pixels.
+_SSIM_WINDOW = 11
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Likeness of two images, or the mean over pairs, or a difference of such.
+
+    Attributes
+    ----------
+    psnr : float
+        dB; infinite for equal images.
+    ssim : float
+        At most 1 (Wang et al. 2004): Gaussian window of sigma 1.5, 11 pixels wide, mean over
+        the pixels whose window lies within the image.
+    lpips : float or None
+        0 for equal images (Zhang et al. 2018, VGG as in the 3DGS paper); None where the package
+        or its weights are missing.
+    """
+
+    psnr: float
+    ssim: float
+    lpips: float | None = None
+
+    def over(self, other: Quality) -> Quality:
+        """The difference to `other`; 0 for equal values, infinite ones too."""
+
+        def less(a: float, b: float) -> float:
+            return 0.0 if a == b else a - b
+
+        both = self.lpips is not None and other.lpips is not None
+        return Quality(
+            less(self.psnr, other.psnr),
+            less(self.ssim, other.ssim),
+            less(self.lpips, other.lpips) if both else None,  # type: ignore[arg-type]
+        )
+
+
+def mean_quality(qualities: Sequence[Quality]) -> Quality:
+    """Means of PSNR, SSIM, and LPIPS if every pair has it."""
+    lpips = [q.lpips for q in qualities if q.lpips is not None]
+    return Quality(
+        float(np.mean([q.psnr for q in qualities])),
+        float(np.mean([q.ssim for q in qualities])),
+        float(np.mean(lpips)) if len(lpips) == len(qualities) else None,
+    )
+
+
+def compare_images(first: NDArray, second: NDArray) -> Quality:
+    """Compare images ``(H, W, 3)``, clipped to 0-1.
+
+    Raises
+    ------
+    InvalidInput
+        If the sizes differ, or an image is narrower than the window of SSIM.
+    """
+    from skimage.metrics import structural_similarity
+
+    if first.shape != second.shape:
+        raise InvalidInput(f"images of {_size(first)} and {_size(second)} pixels")
+    if min(first.shape[:2]) < _SSIM_WINDOW:
+        raise InvalidInput(
+            f"images of {_size(first)} pixels, expected at least {_SSIM_WINDOW} each way for SSIM"
+        )
+    a, b = (np.clip(image, 0, 1).astype(np.float64) for image in (first, second))
+    ssim = structural_similarity(
+        a,
+        b,
+        data_range=1,
+        channel_axis=2,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    return Quality(_psnr(a, b), float(ssim), _lpips(a, b))
+
+
+def _psnr(a: NDArray, b: NDArray) -> float:
+    error = float(np.mean((a - b) ** 2))
+    return -10 * float(np.log10(error)) if error else float("inf")
+
+
+def _size(image: NDArray) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"
+
+
+def _lpips(a: NDArray, b: NDArray) -> float | None:
+    network = _lpips_network()
+    if network is None:
+        return None
+    import torch
+
+    first, second = (torch.from_numpy(x.transpose(2, 0, 1)[None]).float() for x in (a, b))
+    with torch.no_grad():
+        return float(network(first, second, normalize=True))
+
+
+@cache
+def _lpips_network() -> Any:
+    """The network, or None: nothing is ever downloaded."""
+    if find_spec("lpips") is None:
+        return None
+    import torch
+
+    folder = os.path.join(torch.hub.get_dir(), "checkpoints")
+    if not os.path.isdir(folder) or not any(n.startswith("vgg16-") for n in os.listdir(folder)):
+        return None
+    import lpips
+
+    return lpips.LPIPS(net="vgg", verbose=False).eval()

@@ -1,0 +1,152 @@
+"""How far two versions of a scene are apart in what cameras see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.metrics.images import Quality, compare_images, mean_quality
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.images import (
+    find_image,
+    make_folder,
+    output_names,
+    read_image,
+    write_png,
+)
+from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+#: By how much difference images are amplified.
+DIFFERENCE_GAIN = 10
+
+
+@dataclass(frozen=True)
+class View:
+    """One view of two scenes.
+
+    Attributes
+    ----------
+    name : str
+    between : Quality
+        Of the second scene's image against the first's.
+    first, second : Quality or None
+        Of each against the ground truth, where that is given.
+    """
+
+    name: str
+    between: Quality
+    first: Quality | None = None
+    second: Quality | None = None
+
+    @property
+    def delta(self) -> Quality | None:
+        """What the second scene has over the first against ground truth; the paper's deltas."""
+        if self.first is None or self.second is None:
+            return None
+        return self.second.over(self.first)
+
+
+@dataclass(frozen=True)
+class RenderedComparison:
+    """Views of two scenes of `counts` Gaussians."""
+
+    counts: tuple[int, int]
+    views: tuple[View, ...]
+
+    @property
+    def mean(self) -> View:
+        """Means over the views."""
+        between = mean_quality([view.between for view in self.views])
+        first = [view.first for view in self.views if view.first]
+        second = [view.second for view in self.views if view.second]
+        if not (first and second):
+            return View("mean", between)
+        return View("mean", between, mean_quality(first), mean_quality(second))
+
+    @property
+    def worst(self) -> View:
+        """The view of the lowest PSNR between the scenes; the first such."""
+        return min(self.views, key=lambda view: view.between.psnr)
+
+
+def compare_views(
+    first: Scene,
+    second: Scene,
+    cameras: Sequence[Camera],
+    truth: str | Path | None = None,
+    images: str | Path | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+) -> RenderedComparison:
+    """Draw both scenes for every camera and compare the images.
+
+    Parameters
+    ----------
+    first, second : Scene
+        They need not have the same number of Gaussians.
+    cameras : sequence of Camera
+    truth : path, optional
+        Folder of ground-truth images, found by the cameras' names; views take their size.
+    images : path, optional
+        Folder for ``NAME_a.png``, ``NAME_b.png``, and ``NAME_difference.png``, the absolute
+        difference amplified by `DIFFERENCE_GAIN`.
+    background : sequence of three float
+        RGB behind the scenes.
+    device : {"auto", "cpu", "cuda"}
+        As for `render`.
+    progress : callable, optional
+
+    Raises
+    ------
+    InvalidInput
+        If a ground-truth image is missing or of another shape, or an image cannot be written.
+    """
+    names = output_names(cameras)
+    paths = [find_image(truth, camera.name) for camera in cameras] if truth else []
+    folder = make_folder(images) if images else None
+    advance = step_counter(progress, "views", len(cameras))
+    # A thread for each view costs less than several for one.
+    threads = 1 if len(cameras) > 1 else None
+
+    def compare_view(i: int) -> View:
+        camera = cameras[i]
+        target = read_image(paths[i]) if truth else None
+        if target is not None:
+            camera = _fitted(camera, target, paths[i])
+        a, b = (
+            render(scene, camera, background, threads=threads, device=device).colour
+            for scene in (first, second)
+        )
+        if folder is not None:
+            _write_images(folder / names[i], a, b)
+        against = [compare_images(image, target) for image in (a, b) if target is not None]
+        return View(camera.name, compare_images(a, b), *against)
+
+    views = run_all(compare_view, range(len(cameras)), advance=advance)
+    return RenderedComparison((first.count, second.count), tuple(views))
+
+
+def _fitted(camera: Camera, target: NDArray, path: Path) -> Camera:
+    """The camera at the size of its ground-truth image, which must have its shape."""
+    height, width = target.shape[:2]
+    if abs(width * camera.height / camera.width - height) > 1:
+        raise InvalidInput(
+            f"{path}: {width}x{height} pixels, expected the shape of {camera.width}x{camera.height}"
+        )
+    return camera.resized(width, height)
+
+
+def _write_images(stem: Path, a: NDArray, b: NDArray) -> None:
+    difference = DIFFERENCE_GAIN * np.abs(np.clip(a, 0, 1) - np.clip(b, 0, 1))
+    for suffix, image in (("a", a), ("b", b), ("difference", difference)):
+        write_png(stem.with_name(f"{stem.name}_{suffix}.png"), image)

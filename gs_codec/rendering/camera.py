@@ -1,0 +1,103 @@
+"""A pinhole camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+
+#: Largest side of an image, pixels.
+MAX_SIDE = 1 << 14
+
+#: How far R R^T may be from the identity; files hold rotations to about six digits.
+_ORTHONORMAL_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera without distortion; camera axes are right, down, forward (OpenCV).
+
+    A point p of the world is at ``c = rotation @ (p - position)`` before the camera and at
+    ``(fx c_x / c_z + cx, fy c_y / c_z + cy)`` in the image, whose upper left corner is (0, 0)
+    and whose first pixel has its centre at (0.5, 0.5), as in COLMAP.
+
+    Parameters
+    ----------
+    name : str
+        The image's name; images are found and written by it.
+    width, height : int
+        Pixels, 1 to `MAX_SIDE`.
+    fx, fy : float
+        Focal lengths, pixels, above 0.
+    cx, cy : float
+        Principal point, pixels.
+    rotation : ndarray, shape (3, 3), float64
+        World to camera; made exactly orthonormal.
+    position : ndarray, shape (3,), float64
+        The camera's centre in the world.
+    split : {"train", "test"} or None
+        What the image was used for, where that is known.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is out of range or not finite, or the rotation is none.
+    """
+
+    name: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    rotation: NDArray[np.float64]
+    position: NDArray[np.float64]
+    split: Literal["train", "test"] | None = None
+
+    def __post_init__(self) -> None:
+        where = f"camera '{self.name}'"
+        for side in ("width", "height"):
+            value = getattr(self, side)
+            if not 1 <= value <= MAX_SIDE:
+                raise InvalidInput(f"{where}: {side} {value}, expected 1 to {MAX_SIDE} pixels")
+        for axis in ("fx", "fy"):
+            value = getattr(self, axis)
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidInput(f"{where}: {axis} {value}, expected a focal length above 0")
+        if np.shape(self.position) != (3,) or not np.isfinite(self.position).all():
+            raise InvalidInput(f"{where}: position is not three finite numbers")
+        if not np.isfinite([self.cx, self.cy]).all():
+            raise InvalidInput(f"{where}: principal point {self.cx}, {self.cy} is not finite")
+        object.__setattr__(self, "rotation", _nearest_rotation(where, self.rotation))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view on an image of another size."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * x,
+            fy=self.fy * y,
+            cx=self.cx * x,
+            cy=self.cy * y,
+        )
+
+
+def _nearest_rotation(where: str, matrix: NDArray) -> NDArray[np.float64]:
+    """The rotation nearest to `matrix`, which must nearly be one."""
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise InvalidInput(f"{where}: rotation is not a finite 3x3 matrix")
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    if not error <= _ORTHONORMAL_TOLERANCE:  # NaN too
+        raise InvalidInput(f"{where}: rotation is singular or scaled, expected R R^T = 1")
+    if np.linalg.det(matrix) < 0:
+        raise InvalidInput(f"{where}: rotation is a reflection (determinant -1)")
+    u, _, v = np.linalg.svd(matrix)
+    return u @ v

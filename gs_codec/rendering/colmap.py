@@ -1,0 +1,298 @@
+"""COLMAP sparse models, binary and text.
+
+Of a model only its cameras and images are read: the poses in the images files are whole, with
+and without the rigs and frames files that COLMAP has written beside them since version 3.12.
+Layouts: https://colmap.github.io/format.html.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import reprlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.container.bytes import ByteReader
+from gs_codec.errors import InvalidInput, TruncatedStream
+from gs_codec.files import opened
+
+log = logging.getLogger(__name__)
+
+#: Camera models by their number in binary files.
+_MODELS = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"),
+    *("FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE"),
+    *("RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE"),
+    *("EUCM", "EQUIRECTANGULAR"),
+)
+
+#: Numbers of parameters of the models that are read.
+_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4}
+
+#: Every `_HOLDOUT`-th image is for testing, as the INRIA trainer's ``--eval`` has it.
+_HOLDOUT = 8
+
+#: Longest name in a file, and longest line but those of points, bytes.
+_MAX_NAME = 1 << 12
+_MAX_LINE = 1 << 13
+
+T = TypeVar("T")
+
+
+class _Intrinsics(NamedTuple):
+    """A COLMAP camera: sides in pixels, and the parameters of its model."""
+
+    camera_id: int
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+class _Image(NamedTuple):
+    """A COLMAP image; the pose is world to camera, quaternion (wxyz) and translation."""
+
+    where: str
+    pose: tuple[float, ...]
+    camera_id: int
+    name: str
+
+
+def find_model(folder: Path) -> Path | None:
+    """The folder of the model that `folder` is or has in ``sparse/0`` or ``sparse``, if any."""
+    for model in (folder, folder / "sparse" / "0", folder / "sparse"):
+        if any(_is_model(model, suffix) for suffix in (".bin", ".txt")):
+            return model
+    return None
+
+
+def _is_model(folder: Path, suffix: str) -> bool:
+    return all(os.path.isfile(folder / (stem + suffix)) for stem in ("cameras", "images"))
+
+
+def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Read the cameras of a sparse model, by image name; the binary files if there are both.
+
+    Yields
+    ------
+    tuple of str and dict
+        Where the image is, and the fields of its `Camera`, whose ranges are not yet checked.
+
+    Raises
+    ------
+    InvalidInput
+        If a file is broken, or a camera's model has more than a pinhole and one radial term.
+    """
+    if _is_model(folder, ".bin"):
+        cameras_path, images_path = folder / "cameras.bin", folder / "images.bin"
+        cameras = _read_binary(cameras_path, _binary_camera, 24)
+        images = _read_binary(images_path, _binary_image, 73)
+    else:
+        cameras_path, images_path = folder / "cameras.txt", folder / "images.txt"
+        cameras = _read_text(cameras_path, _text_camera)
+        images = _read_text(images_path, _text_image)
+    views = _views(cameras_path, cameras)
+    for index, image in enumerate(sorted(images, key=lambda image: image.name)):
+        if image.camera_id not in views:
+            raise InvalidInput(
+                f"{image.where}: camera {image.camera_id}, which {cameras_path.name} does not have"
+            )
+        rotation, position = _pose(image)
+        yield (
+            image.where,
+            {
+                "name": image.name,
+                **views[image.camera_id],
+                "rotation": rotation,
+                "position": position,
+                "split": "train" if index % _HOLDOUT else "test",
+            },
+        )
+
+
+def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, float]]:
+    """The part of a `Camera` that its intrinsics make, by camera id."""
+    views: dict[int, dict[str, float]] = {}
+    distortions = []
+    for camera in cameras:
+        where = f"{path}: camera {camera.camera_id}"
+        if camera.camera_id in views:
+            raise InvalidInput(f"{where} for the second time")
+        wanted = _parameter_count(where, camera.model)
+        if len(camera.parameters) != wanted:
+            raise InvalidInput(
+                f"{where}: {len(camera.parameters)} parameters, expected {wanted} of {camera.model}"
+            )
+        if not all(map(math.isfinite, camera.parameters)):
+            raise InvalidInput(f"{where}: parameters {camera.parameters}, expected finite numbers")
+        # All but PINHOLE have one focal length, and SIMPLE_RADIAL has k in the end.
+        one = camera.model != "PINHOLE"
+        fx, fy, cx, cy = (camera.parameters[:1] * one + camera.parameters)[:4]
+        if camera.model == "SIMPLE_RADIAL" and camera.parameters[3] != 0:
+            distortions.append(f"{camera.parameters[3]:g}")
+        sides = {"width": camera.width, "height": camera.height}
+        views[camera.camera_id] = {**sides, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    if distortions:
+        values = ", ".join(distortions[:4]) + (", ..." if len(distortions) > 4 else "")
+        log.warning("%s: radial distortion k = %s ignored (SIMPLE_RADIAL)", path, values)
+    return views
+
+
+def _parameter_count(where: str, model: str) -> int:
+    if model not in _PARAMETERS:
+        expected = "SIMPLE_PINHOLE, PINHOLE or SIMPLE_RADIAL (undistort the images with COLMAP)"
+        raise InvalidInput(f"{where}: model {reprlib.repr(model)}, expected {expected}")
+    return _PARAMETERS[model]
+
+
+def _pose(image: _Image) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """World-to-camera rotation, and the camera's centre in the world."""
+    quaternion, translation = np.array(image.pose[:4]), np.array(image.pose[4:])
+    largest = np.abs(quaternion).max()
+    if not (np.isfinite(largest) and largest > 0 and np.isfinite(translation).all()):
+        raise InvalidInput(
+            f"{image.where}: pose {image.pose}, expected a finite rotation and place"
+        )
+    # Divided twice: squares of the largest or smallest floats would overflow or vanish.
+    quaternion = quaternion / largest
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        return rotation, -rotation.T @ translation
+
+
+def _name(where: str, raw: bytes) -> str:
+    try:
+        return raw.decode()
+    except UnicodeDecodeError as error:
+        raise InvalidInput(f"{where}: name {reprlib.repr(raw)}, expected UTF-8 text") from error
+
+
+def _read_binary(
+    path: Path, parse: Callable[[Path, memoryview, ByteReader], T], smallest: int
+) -> list[T]:
+    """All entries of a file, each of `smallest` bytes or more."""
+    with opened(path) as data:
+        reader = ByteReader(data, str(path))
+        try:
+            (count,) = reader.unpack("Q")
+            if count > (len(data) - reader.position) // smallest:
+                raise InvalidInput(f"{path}: {count} entries, too many for {len(data)} bytes")
+            entries = [parse(path, data, reader) for _ in range(count)]
+        except TruncatedStream as error:
+            raise InvalidInput(str(error)) from error
+        if reader.position < len(data):
+            surplus = len(data) - reader.position
+            raise InvalidInput(f"{path}: {surplus} bytes after the last entry, expected none")
+    return entries
+
+
+def _binary_camera(path: Path, _: memoryview, reader: ByteReader) -> _Intrinsics:
+    camera_id, number, width, height = reader.unpack("IiQQ")
+    model = _MODELS[number] if 0 <= number < len(_MODELS) else f"number {number}"
+    # How many parameters to read is known of the models that are read alone.
+    count = _parameter_count(f"{path}: camera {camera_id}", model)
+    return _Intrinsics(camera_id, model, width, height, reader.unpack(f"{count}d"))
+
+
+def _binary_image(path: Path, data: memoryview, reader: ByteReader) -> _Image:
+    image_id, *pose, camera_id = reader.unpack("I7dI")
+    where = f"{path}: image {image_id}"
+    name = bytes(data[reader.position : reader.position + _MAX_NAME + 1])
+    if b"\0" not in name:
+        raise InvalidInput(f"{where}: no end of its name in {len(name)} bytes")
+    name = name[: name.index(b"\0")]
+    reader.take(len(name) + 1)
+    (points,) = reader.unpack("Q")
+    reader.take(24 * points)
+    return _Image(where, tuple(pose), camera_id, _name(where, name))
+
+
+class _Lines:
+    """The lines of a text file, of which none but short ones are held."""
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path = path
+        self._file = file
+        self._number = 0
+
+    @property
+    def where(self) -> str:
+        return f"{self._path}: line {self._number}"
+
+    def entry(self) -> bytes:
+        """The next line that is neither blank nor a comment; empty at the end of the file."""
+        while line := self._file.readline(_MAX_LINE):
+            self._number += 1
+            if len(line) == _MAX_LINE:
+                raise InvalidInput(f"{self.where}: expected less than {_MAX_LINE} bytes")
+            line = line.strip()
+            if line and not line.startswith(b"#"):
+                return line
+        return b""
+
+    def skip_points(self) -> None:
+        """Pass an image's line of 2D points, which may be empty or, at the end, missing."""
+        self._number += 1
+        end = b""
+        while part := self._file.readline(1 << 16):
+            end = (end + part)[-64:]
+            if part.endswith(b"\n"):
+                break
+        # Where the empty lines were lost, this would pass over an image, which ends in a name.
+        for word in end.split()[-1:]:
+            if not word.removeprefix(b"-").isdigit():
+                raise InvalidInput(f"{self.where}: {word!r} at its end, expected 2D points or none")
+
+
+def _read_text(path: Path, parse: Callable[[_Lines, bytes], T]) -> list[T]:
+    try:
+        with open(path, "rb") as file:
+            lines = _Lines(path, file)
+            return [parse(lines, line) for line in iter(lines.entry, b"")]
+    except OSError as error:
+        raise InvalidInput(f"{path}: {error.strerror}") from error
+
+
+def _text_camera(lines: _Lines, line: bytes) -> _Intrinsics:
+    fields = line.split()
+    if len(fields) < 4:
+        raise InvalidInput(f"{lines.where}: {len(fields)} fields, expected at least 4 of a camera")
+    camera_id, width, height = (_parse(lines.where, int, fields[i]) for i in (0, 2, 3))
+    parameters = tuple(_parse(lines.where, float, field) for field in fields[4:])
+    return _Intrinsics(camera_id, fields[1].decode("latin-1"), width, height, parameters)
+
+
+def _text_image(lines: _Lines, line: bytes) -> _Image:
+    # The name comes last and may hold spaces.
+    fields = line.split(maxsplit=9)
+    where = lines.where
+    if len(fields) < 10:
+        raise InvalidInput(f"{where}: {len(fields)} fields, expected 10 of an image")
+    _parse(where, int, fields[0])
+    pose = tuple(_parse(where, float, field) for field in fields[1:8])
+    lines.skip_points()
+    return _Image(where, pose, _parse(where, int, fields[8]), _name(where, fields[9]))
+
+
+def _parse(where: str, kind: Callable[[bytes], T], field: bytes) -> T:
+    try:
+        # Python alone takes 1_000 for a number, and may take long ones for ever.
+        if b"_" not in field and len(field) <= 64:
+            return kind(field)
+    except ValueError:
+        pass
+    expected = "an integer" if kind is int else "a number"
+    raise InvalidInput(f"{where}: {reprlib.repr(field)}, expected {expected}")

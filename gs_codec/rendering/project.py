@@ -1,0 +1,217 @@
+"""Gaussians to splats: EWA projection as the 3DGS rasteriser does it, and view-dependent colour.
+
+All in float64: what is drawn is decided by thresholds, and a Gaussian on the wrong side of one
+is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import inlined, kernel
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.harmonics import SH_C0, sh_basis
+from gs_codec.scene import Scene
+
+#: Gaussians nearer than this before the camera are not drawn, scene units.
+NEAR = 0.2
+
+#: Added to the variance of a splat along both axes, square pixels.
+LOW_PASS = 0.3
+
+#: A splat is not seen in a pixel where its alpha is lower.
+MIN_ALPHA = 1.0 / 255.0
+
+#: Side of a tile, pixels.
+TILE = 16
+
+#: Fields of a splat: centre (pixel index), conic as a triangular factor, largest exponent q,
+#: opacity, colour, depth.
+CENTRE_X, CENTRE_Y, FACTOR_XX, FACTOR_XY, FACTOR_YY, REACH, OPACITY, RED, GREEN, BLUE, DEPTH = (
+    range(11)
+)
+
+
+class Splats(NamedTuple):
+    """V projected Gaussians, V <= N.
+
+    ``fields (V, 11)`` float64 as listed above: ``q = (FACTOR_XX dx + FACTOR_XY dy)^2 +
+    (FACTOR_YY dy)^2``, alpha = OPACITY exp(-q / 2), which is below `MIN_ALPHA` where
+    q > REACH. ``tiles (V, 4)`` int32: first and end tile column, first and end tile row.
+    ``gaussians (V,)`` int64: which of the scene's they are.
+    """
+
+    fields: NDArray[np.float64]
+    tiles: NDArray[np.int32]
+    gaussians: NDArray[np.int64]
+
+
+def project(scene: Scene, camera: Camera, antialiased: bool, start: int, stop: int) -> Splats:
+    """The splats of Gaussians `start` to `stop`, those that cannot be seen left out."""
+    count = stop - start
+    fields = np.empty((count, DEPTH + 1))
+    tiles = np.empty((count, 4), np.int32)
+    gaussians = np.empty(count, np.int64)
+    planes = (scene.positions, scene.f_dc, scene.f_rest, scene.opacity, scene.log_scale, scene.rot)
+    seen = _project(
+        *(np.asarray(plane) for plane in planes),
+        camera.rotation,
+        camera.position,
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        camera.width,
+        camera.height,
+        antialiased,
+        start,
+        stop,
+        fields,
+        tiles,
+        gaussians,
+    )
+    return Splats(fields[:seen], tiles[:seen], gaussians[:seen])
+
+
+@kernel
+def _project(
+    positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
+    width, height, antialiased, start, stop, fields, tiles, gaussians,
+):  # fmt: skip
+    fx, fy, cx, cy = intrinsics
+    columns = (width + TILE - 1) // TILE
+    rows = (height + TILE - 1) // TILE
+    basis = np.zeros(15)
+    seen = 0
+    for i in range(start, stop):
+        dx = positions[0, i] - position[0]
+        dy = positions[1, i] - position[1]
+        dz = positions[2, i] - position[2]
+        z = rotation[2, 0] * dx + rotation[2, 1] * dy + rotation[2, 2] * dz
+        if not NEAR < z < np.inf or not _are_finite(opacity, log_scale, i):
+            continue
+        alpha = 1.0 / (1.0 + math.exp(-np.float64(opacity[0, i])))
+        x = (rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz) / z
+        y = (rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz) / z
+        xx, xy, yy = _screen_covariance(
+            log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height
+        )
+        sharp = xx * yy - xy * xy
+        xx += LOW_PASS
+        yy += LOW_PASS
+        determinant = xx * yy - xy * xy
+        if not 0.0 < determinant < np.inf:
+            continue
+        if antialiased:
+            alpha *= math.sqrt(max(0.000025, sharp / determinant))
+        if not alpha >= MIN_ALPHA:
+            continue
+        u = fx * x + cx - 0.5
+        v = fy * y + cy - 0.5
+        reach = 2.0 * math.log(alpha / MIN_ALPHA)
+        box = tiles[seen]
+        if not _cover(u, v, xx, yy, determinant, reach, columns, rows, box):
+            continue
+        field = fields[seen]
+        field[CENTRE_X] = u
+        field[CENTRE_Y] = v
+        field[FACTOR_XX] = math.sqrt(yy / determinant)
+        field[FACTOR_XY] = -xy / math.sqrt(yy * determinant)
+        field[FACTOR_YY] = 1.0 / math.sqrt(yy)
+        field[REACH] = reach
+        field[OPACITY] = alpha
+        field[DEPTH] = z
+        if not _colour(f_dc, f_rest, i, dx, dy, dz, basis, field):
+            continue
+        gaussians[seen] = i
+        seen += 1
+    return seen
+
+
+@inlined
+def _are_finite(opacity, log_scale, i):
+    """Whether the logarithms are; what else is not shows in what is made of it."""
+    largest = max(abs(log_scale[0, i]), abs(log_scale[1, i]), abs(log_scale[2, i]))
+    return abs(opacity[0, i]) < np.inf and largest < np.inf
+
+
+@inlined
+def _screen_covariance(
+    log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height
+):  # fmt: skip
+    """Covariance in the image, square pixels, before the low-pass (EWA splatting)."""
+    # Beyond 1.3 of the field of view the Jacobian is that of its edge.
+    margin_x = 0.15 * width / fx
+    margin_y = 0.15 * height / fy
+    x = min((width - cx) / fx + margin_x, max(-cx / fx - margin_x, x))
+    y = min((height - cy) / fy + margin_y, max(-cy / fy - margin_y, y))
+    a, b, c, d = (
+        np.float64(rot[0, i]), np.float64(rot[1, i]), np.float64(rot[2, i]), np.float64(rot[3, i]),
+    )  # fmt: skip
+    norm = math.sqrt(a * a + b * b + c * c + d * d)
+    if norm == 0.0:
+        a = norm = 1.0
+    a /= norm
+    b /= norm
+    c /= norm
+    d /= norm
+    turn = (
+        (1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)),
+        (2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)),
+        (2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)),
+    )
+    xx = 0.0
+    xy = 0.0
+    yy = 0.0
+    for axis in range(3):
+        scale = math.exp(np.float64(log_scale[axis, i]))
+        px = turn[0][axis]
+        py = turn[1][axis]
+        pz = turn[2][axis]
+        qz = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
+        qx = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
+        qy = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
+        along_x = scale * fx * (qx - x * qz) / z
+        along_y = scale * fy * (qy - y * qz) / z
+        xx += along_x * along_x
+        xy += along_x * along_y
+        yy += along_y * along_y
+    return xx, xy, yy
+
+
+@inlined
+def _cover(u, v, xx, yy, determinant, reach, columns, rows, box):
+    """Tiles the splat may be seen in: 3DGS' 3-sigma square, less where alpha is too low."""
+    mid = 0.5 * (xx + yy)
+    radius = np.ceil(3.0 * math.sqrt(mid + math.sqrt(max(0.1, mid * mid - determinant))))
+    # A pixel more than needed, so that rounding never decides.
+    wide = math.sqrt(reach * xx) + 1.0
+    high = math.sqrt(reach * yy) + 1.0
+    box[0] = max(to_tile(u - radius, columns), to_tile(u - wide, columns))
+    box[1] = min(to_tile(u + radius + TILE - 1, columns), to_tile(u + wide + TILE, columns))
+    box[2] = max(to_tile(v - radius, rows), to_tile(v - high, rows))
+    box[3] = min(to_tile(v + radius + TILE - 1, rows), to_tile(v + high + TILE, rows))
+    return box[0] < box[1] and box[2] < box[3]
+
+
+@inlined
+def to_tile(pixel, tiles):
+    """Tile of a pixel, 0 to `tiles`; of NaN, 0."""
+    return np.int64(min(np.float64(tiles), max(0.0, pixel / TILE)))
+
+
+@inlined
+def _colour(f_dc, f_rest, i, dx, dy, dz, basis, field):
+    """Fill in the colour seen from the camera; whether it is finite."""
+    coefficients = len(f_rest) // 3
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    sh_basis(dx / distance, dy / distance, dz / distance, coefficients, basis)
+    finite = True
+    for channel in range(3):
+        value = 0.5 + SH_C0 * f_dc[channel, i]
+        for k in range(coefficients):
+            value += basis[k] * f_rest[channel * coefficients + k, i]
+        finite = finite and abs(value) < np.inf
+        field[RED + channel] = max(0.0, value)
+    return finite

@@ -1,0 +1,509 @@
+"""Rendered comparisons: image metrics, which views are taken, and the files that are written."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import edge_scenes, random_scene, shared_scene_path
+from typer.testing import CliRunner
+
+import gs_codec
+from gs_codec.cli.main import app
+from gs_codec.errors import InvalidInput
+from gs_codec.files import read_scene
+from gs_codec.io.ply import write_ply
+from gs_codec.metrics.images import Quality, compare_images, mean_quality
+from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
+from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.images import find_image, output_names, read_image, write_png
+from gs_codec.rendering.renderer import render
+from gs_codec.rendering.views import write_views
+from samples.generate import generate, orbit_cameras
+
+
+def camera(name="view", width=40, height=30, position=(0.0, 0.0, -5.0), split=None) -> Camera:
+    return Camera(
+        name, width, height, 40.0, 40.0, width / 2, height / 2, np.eye(3), np.array(position), split
+    )
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """A scene, and the same with other colours."""
+    scene = random_scene(300, 1, seed=90)
+    return scene, replace(scene, f_dc=scene.f_dc + np.float32(0.1))
+
+
+# Image metrics
+
+
+def test_psnr_of_a_known_difference():
+    image = np.full((20, 30, 3), 0.25)
+    assert compare_images(image, image + 0.1).psnr == pytest.approx(20)
+    assert compare_images(image, image + 0.01).psnr == pytest.approx(40)
+
+
+def test_equal_images_are_equal_whatever_lies_beyond_white():
+    image = np.random.default_rng(91).random((16, 16, 3))
+    assert compare_images(image, image) == Quality(math.inf, pytest.approx(1.0))
+    assert compare_images(image + 1.5, image + 1).psnr == math.inf
+
+
+def test_ssim_follows_its_definition():
+    rng = np.random.default_rng(92)
+    a, b = rng.random((2, 14, 17, 3))
+    offsets = np.arange(-5, 6)
+    line = np.exp(-(offsets**2) / (2 * 1.5**2))
+    window = np.outer(line, line)[..., None] / line.sum() ** 2
+    values = []
+    for y in range(5, 9):
+        for x in range(5, 12):
+            p, q = (i[y - 5 : y + 6, x - 5 : x + 6] for i in (a, b))
+            mp, mq = ((window * i).sum((0, 1)) for i in (p, q))
+            vp, vq = (window * p * p).sum((0, 1)) - mp**2, (window * q * q).sum((0, 1)) - mq**2
+            cov = (window * p * q).sum((0, 1)) - mp * mq
+            luminance = (2 * mp * mq + 1e-4) / (mp**2 + mq**2 + 1e-4)
+            values.append(luminance * (2 * cov + 9e-4) / (vp + vq + 9e-4))
+    assert compare_images(a, b).ssim == pytest.approx(np.mean(values), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "message"),
+    [((20, 20), (20, 21), "20x20 and 21x20"), ((10, 30), (10, 30), "30x10 pixels, expected")],
+)
+def test_images_that_cannot_be_compared(first, second, message):
+    with pytest.raises(InvalidInput, match=message):
+        compare_images(np.zeros((*first, 3)), np.zeros((*second, 3)))
+
+
+def test_lpips_is_measured_where_package_and_weights_are(monkeypatch, tmp_path):
+    torch = pytest.importorskip("torch")
+    from gs_codec.metrics import images
+
+    class Network:
+        def __init__(self, net, verbose):
+            assert (net, verbose) == ("vgg", False)
+
+        def eval(self):
+            return self
+
+        def __call__(self, a, b, normalize):
+            assert a.shape == b.shape == (1, 3, 12, 15)
+            assert normalize
+            return (a - b).abs().mean()
+
+    package = type("lpips", (), {"LPIPS": Network})
+    monkeypatch.setitem(__import__("sys").modules, "lpips", package)
+    monkeypatch.setattr(images, "find_spec", lambda name: package)
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    image = np.zeros((12, 15, 3))
+    for weights, expected in ((False, None), (True, 0.25)):
+        if weights:
+            (tmp_path / "checkpoints").mkdir()
+            (tmp_path / "checkpoints" / "vgg16-397923af.pth").touch()
+        images._lpips_network.cache_clear()
+        assert compare_images(image, image + 0.25).lpips == expected
+    images._lpips_network.cache_clear()
+
+
+def test_means_and_differences_of_qualities():
+    a, b = Quality(30.0, 0.9, 0.2), Quality(20.0, 0.7, 0.5)
+    assert mean_quality([a, b]) == Quality(25.0, pytest.approx(0.8), pytest.approx(0.35))
+    assert mean_quality([a, Quality(10.0, 0.5)]).lpips is None
+    assert b.over(a) == Quality(-10.0, pytest.approx(-0.2), pytest.approx(0.3))
+    same = Quality(math.inf, 1.0)
+    assert same.over(same) == Quality(0.0, 0.0)
+    assert mean_quality([same, a]).psnr == math.inf
+
+
+# Comparing what cameras see
+
+
+def test_views_are_those_of_the_renderer(pair):
+    views = compare_views(*pair, [camera("a"), camera("b", position=(1.0, 0.0, -4.0))]).views
+    assert [view.name for view in views] == ["a", "b"]
+    images = [render(scene, camera("a")).colour for scene in pair]
+    assert views[0].between == compare_images(*images)
+    assert views[0].between.psnr < 50
+
+
+def test_a_scene_is_identical_to_itself(pair):
+    result = compare_views(pair[0], pair[0], [camera()])
+    assert result.mean.between.psnr == math.inf
+    assert result.mean.between.ssim == pytest.approx(1.0)
+
+
+def test_scenes_of_other_numbers_of_gaussians_are_compared(pair):
+    result = compare_views(pair[0], pair[0].take(np.arange(200)), [camera()])
+    assert result.counts == (300, 200)
+    assert result.mean.between.psnr < 60
+
+
+def test_worst_and_mean_view():
+    views = [View(n, Quality(p, p / 100)) for n, p in (("a", 30.0), ("b", 20.0), ("c", 20.0))]
+    result = compare_views(random_scene(1), random_scene(1), [camera()])
+    result = replace(result, views=tuple(views))
+    assert result.worst.name == "b"
+    assert result.mean.between.psnr == pytest.approx(70 / 3)
+    assert result.mean.delta is None
+
+
+def test_ground_truth_gives_the_papers_deltas(pair, tmp_path):
+    truth = render(pair[0], camera().resized(20, 15)).colour
+    write_png(tmp_path / "view.png", truth)
+    [view] = compare_views(*pair, [camera("view.jpg")], truth=tmp_path).views
+    stored = read_image(tmp_path / "view.png")
+    for scene, quality in zip(pair, (view.first, view.second), strict=True):
+        image = render(scene, camera().resized(20, 15)).colour
+        assert quality == compare_images(image, stored)
+    assert view.first.psnr > 50  # but for 8 bits the truth itself
+    assert view.delta.psnr == view.second.psnr - view.first.psnr < 0
+    assert view.delta.ssim == view.second.ssim - view.first.ssim
+
+
+def test_ground_truth_of_another_shape_is_refused(pair, tmp_path):
+    write_png(tmp_path / "view.png", np.zeros((40, 30, 3)))
+    with pytest.raises(InvalidInput, match=r"view.png: 30x40 pixels, expected the shape of 40x30"):
+        compare_views(*pair, [camera()], truth=tmp_path)
+
+
+def test_images_of_a_comparison(pair, tmp_path):
+    compare_views(*pair, [camera("left/one.jpg")], images=tmp_path / "new" / "folder")
+    folder = tmp_path / "new" / "folder"
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["left_one_a.png", "left_one_b.png", "left_one_difference.png"]
+    a, b, difference = (255 * read_image(folder / name).astype(np.float64) for name in names)
+    np.testing.assert_allclose(difference, np.clip(DIFFERENCE_GAIN * abs(a - b), 0, 255), atol=11)
+    assert difference.max() > 20
+    expected = 255 * np.clip(render(pair[0], camera()).colour, 0, 1)
+    np.testing.assert_allclose(a, expected, atol=0.501)
+
+
+def test_metadata_switches_compensation_on(pair):
+    small = replace(pair[0], log_scale=pair[0].log_scale - 2)
+    marked = replace(small, comments=("SplatRenderMode: mip",))
+    assert compare_views(small, marked, [camera()]).mean.between.psnr < 50
+    plain = render(marked, camera(), antialiased=False).colour
+    np.testing.assert_array_equal(plain, render(small, camera()).colour)
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        ((), False),
+        (("SplatRenderMode: mip",), True),
+        (("Exported from Brush", "  splatrendermode:MIP "), True),
+        (("SplatRenderMode: default",), False),
+        (("antialiased 1",), True),
+        (("antialiased 0",), False),
+        (("antialiased 1", "SplatRenderMode: default"), False),
+        (("SplatRenderMode: default", "antialiased 1"), True),
+        (("not antialiased 1",), False),
+    ],
+)
+def test_comments_that_tell_how_a_scene_was_trained(comments, expected):
+    assert replace(random_scene(1), comments=comments).antialiased is expected
+
+
+def test_compensation_survives_the_codec(tmp_path):
+    scene = replace(random_scene(50), comments=("SplatRenderMode: mip",))
+    write_ply(tmp_path / "scene.ply", scene)
+    gs_codec.encode_file(tmp_path / "scene.ply", tmp_path / "scene.egs")
+    assert read_scene(tmp_path / "scene.egs").antialiased
+
+
+# Which cameras
+
+
+def test_splits():
+    views = [camera("a", split="train"), camera("b", split="test"), camera("c")]
+    scene = random_scene(1)
+
+    def names(split, cameras=views):
+        return [view.name for view in find_cameras(cameras, scene, split)]
+
+    assert names("all") == ["a", "b", "c"]
+    assert names("test") == names("held-out") == ["b"]
+    assert names("train") == ["a"]
+    assert names("held-out", views[::2]) == ["a", "c"]
+    with pytest.raises(InvalidInput, match="none of the 1 is marked 'test'"):
+        names("test", views[2:])
+    with pytest.raises(InvalidInput, match="split 'best': expected one of held-out"):
+        names("best")
+
+
+def test_width_scales_the_whole_camera():
+    [view] = find_cameras([camera(width=400, height=266)], random_scene(1), width=200)
+    assert (view.width, view.height) == (200, 133)
+    assert (view.fx, view.cx, view.fy, view.cy) == (20.0, 100.0, 20.0, 66.5)
+    for width in (0, -3, 1 << 20):
+        with pytest.raises(InvalidInput, match="width"):
+            find_cameras([camera()], random_scene(1), width=width)
+
+
+# Virtual cameras
+
+
+@pytest.fixture(scope="module")
+def still_life():
+    return generate(20_000, 1, 3)
+
+
+def test_auto_cameras_are_the_same_every_time(still_life):
+    first, second = auto_cameras(still_life, 6), auto_cameras(still_life, 6)
+    assert [view.name for view in first] == [f"auto_{i:02d}" for i in range(6)]
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+        np.testing.assert_array_equal(a.position, b.position)
+        assert (a.width, a.height) == (WIDTH, HEIGHT)
+
+
+def test_auto_cameras_are_inside_a_room_and_see_it(still_life):
+    views = auto_cameras(still_life, 12)
+    for view in views:
+        assert np.linalg.norm(view.position) < 4  # walls are 5 away
+        assert render(still_life, view.resized(90, 60)).alpha.mean() > 0.8
+    upright = np.mean([-view.rotation[1, 2] for view in views])
+    assert upright > 0.5
+
+
+def test_auto_cameras_together_see_what_given_ones_see(still_life):
+    def seen(cameras):
+        weights = [
+            render(still_life, view.resized(150, 100), accumulate=True).accumulations.weight
+            for view in cameras
+        ]
+        return np.sum(weights, axis=0) > 0.5
+
+    given = [
+        Camera(
+            f"{i}", 400, 266, c["fx"], c["fy"], 200, 133,
+            np.array(c["rotation"]).T, np.array(c["position"]),
+        )
+        for i, c in enumerate(orbit_cameras(24))
+    ]  # fmt: skip
+    wanted = seen(given)
+    assert (seen(auto_cameras(still_life)) & wanted).sum() > 0.6 * wanted.sum()
+
+
+def test_auto_cameras_go_around_an_object():
+    rng = np.random.default_rng(93)
+    normal = rng.standard_normal((3, 5000))
+    normal /= np.linalg.norm(normal, axis=0)
+    ball = replace(
+        random_scene(5000, 0, seed=94),
+        positions=(normal + np.array([[7.0], [0.0], [0.0]])).astype(np.float32),
+        log_scale=np.full((3, 5000), -3.5, np.float32),
+        opacity=np.full((1, 5000), 4.0, np.float32),
+    )
+    views = auto_cameras(ball, 12)
+    offsets = np.array([view.position for view in views]) - [7, 0, 0]
+    outside = np.linalg.norm(offsets, axis=1) > 1.2
+    assert outside.sum() >= 8
+    directions = offsets[outside] / np.linalg.norm(offsets[outside], axis=1)[:, None]
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.6  # not all from one side
+
+
+@pytest.mark.parametrize("name", [name for name in edge_scenes() if name != "empty"])
+def test_auto_cameras_see_something_of_edge_scenes(name):
+    scene = edge_scenes()[name]
+    views = auto_cameras(scene, 4)
+    assert len(views) == 4
+    assert render(scene, views[0].resized(60, 40)).alpha.max() > 0
+
+
+def test_nothing_cannot_be_looked_at():
+    with pytest.raises(InvalidInput, match="cameras 'auto': no view shows anything of the scene"):
+        auto_cameras(random_scene(0))
+
+
+def test_auto_cameras_skip_what_is_not_finite(still_life):
+    positions = still_life.positions.copy()
+    positions[:, ::3] = np.nan
+    views = auto_cameras(replace(still_life, positions=positions), 4)
+    assert len(views) == 4
+
+
+# Images in files
+
+
+def test_images_are_found_by_name_with_any_suffix(tmp_path):
+    (tmp_path / "sub").mkdir()
+    for name in ("a.png", "sub/b.JPG", "c.v1.png"):
+        Image.new("RGB", (2, 2)).save(tmp_path / name)
+    assert find_image(tmp_path, "a") == tmp_path / "a.png"
+    assert find_image(tmp_path, "a.jpg") == tmp_path / "a.png"
+    assert find_image(tmp_path, "sub/b.png") == tmp_path / "sub/b.JPG"
+    assert find_image(tmp_path, "c.v1") == tmp_path / "c.v1.png"
+    with pytest.raises(InvalidInput, match="no image 'd'"):
+        find_image(tmp_path, "d")
+    with pytest.raises(InvalidInput, match="no such folder, expected images"):
+        find_image(tmp_path / "none", "a")
+
+
+@pytest.mark.parametrize(
+    ("name", "stem"),
+    [("a.jpg", "a"), ("x/y.png", "x_y"), ("../../etc/p.png", "_.._etc_p"), ("/root/a", "_root_a"),
+     ("..", "_"), ("c:\\d.png", "c:_d"), ("v1.5", "v1.5")],
+)  # fmt: skip
+def test_output_names_stay_in_the_folder(name, stem):
+    assert output_names([camera(name)]) == [stem]
+    assert "/" not in stem
+
+
+def test_output_names_are_never_shared():
+    with pytest.raises(InvalidInput, match=r"'a/b.jpg' and 'a_b' would both be written as 'a_b"):
+        output_names([camera("a/b.jpg"), camera("a_b")])
+
+
+def test_transparent_pixels_are_black(tmp_path):
+    Image.fromarray(np.full((4, 4, 4), [200, 100, 50, 0], np.uint8), "RGBA").save(
+        tmp_path / "a.png"
+    )
+    assert not read_image(tmp_path / "a.png").any()
+
+
+@pytest.mark.parametrize("content", [b"", b"no image", b"\x89PNG\r\n\x1a\n" + bytes(40)])
+def test_broken_images_are_refused_in_one_line(tmp_path, content):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(InvalidInput, match=r"a\.png: ") as caught:
+        read_image(tmp_path / "a.png")
+    assert "\n" not in str(caught.value)
+
+
+def test_truncated_image_is_refused(tmp_path):
+    noise = np.random.default_rng(95).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    for suffix in ("png", "jpg"):
+        Image.fromarray(noise).save(tmp_path / f"a.{suffix}")
+        data = (tmp_path / f"a.{suffix}").read_bytes()
+        (tmp_path / f"a.{suffix}").write_bytes(data[: len(data) // 2])
+        with pytest.raises(InvalidInput, match=rf"a\.{suffix}: "):
+            read_image(tmp_path / f"a.{suffix}")
+
+
+def test_views_are_written_once_each(pair, tmp_path):
+    paths = write_views(pair[0], [camera("a.jpg"), camera("b.jpg")], tmp_path)
+    assert [path.name for path in paths] == ["a.png", "b.png"]
+    assert read_image(paths[0]).shape == (30, 40, 3)
+
+
+# The real scene
+
+
+def test_held_out_views_of_a_real_scene_have_the_known_psnr():
+    path = shared_scene_path("bonsai/point_cloud.ply")
+    result = gs_codec.compare(
+        path, path, path.parent / "cameras.json", truth=path.parent / "images"
+    )
+    assert len(result.views) == 37
+    assert result.mean.between.psnr == math.inf
+    assert result.mean.first.psnr == pytest.approx(29.7, abs=0.05)
+    assert result.mean.delta == Quality(0.0, 0.0)
+
+
+# The command line
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, pair):
+    path = tmp_path_factory.mktemp("views")
+    for name, scene in zip(("a.ply", "b.ply"), pair, strict=True):
+        write_ply(path / name, scene)
+    entries = [
+        {
+            "id": i, "img_name": f"v{i}", "width": 40, "height": 30, "fx": 40.0, "fy": 40.0,
+            "position": [0.2 * i, 0.0, -5.0], "rotation": np.eye(3).tolist(),
+        }
+        for i in range(3)
+    ]  # fmt: skip
+    (path / "cameras.json").write_text(json.dumps(entries))
+    (path / "truth").mkdir()
+    for i in range(3):
+        write_png(path / "truth" / f"v{i}.png", np.full((30, 40, 3), 0.5))
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_compare_prints_each_view_the_mean_and_the_worst(folder):
+    result = run("compare", folder / "a.ply", folder / "b.ply", "--cameras", folder)
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0] == "Gaussians: 300 in A, 300 in B"
+    assert [line.split()[0] for line in lines[1:]] == ["view", "v0", "v1", "v2", "mean", "worst:"]
+
+
+def test_compare_against_ground_truth_as_json(folder):
+    options = ["--cameras", folder / "cameras.json", "--against-gt", folder / "truth", "--json"]
+    result = run("compare", folder / "a.ply", folder / "b.ply", *options)
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    assert report["gaussians"] == [300, 300]
+    assert [view["view"] for view in report["views"]] == ["v0", "v1", "v2"]
+    mean = report["mean"]
+    assert mean["delta"]["psnr"] == pytest.approx(mean["b"]["psnr"] - mean["a"]["psnr"])
+    lowest = min(report["views"], key=lambda view: view["between"]["psnr"])
+    assert report["worst"] == lowest
+
+
+def test_json_knows_no_infinity(folder):
+    result = run("compare", folder / "a.ply", folder / "a.ply", "--cameras", folder, "--json")
+    report = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert report["mean"]["between"]["psnr"] is None
+
+
+def test_render_writes_an_image_for_each_camera(folder, tmp_path):
+    target = tmp_path / "out"
+    result = run(
+        "render", folder / "a.ply", "--cameras", folder, "--out", target, "--width", 20,
+        "--background", "white", "--device", "cpu",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith(f"{target}: 3 images, ")
+    assert sorted(path.name for path in target.iterdir()) == ["v0.png", "v1.png", "v2.png"]
+    image = read_image(target / "v1.png")
+    assert image.shape == (15, 20, 3)
+    assert image[0, 0].tolist() == [1, 1, 1]
+
+
+def test_render_with_auto_cameras(folder, tmp_path):
+    options = ["--cameras", "auto", "--width", 30, "--out", tmp_path]
+    result = run("render", folder / "a.ply", *options)
+    assert result.exit_code == 0, result.output
+    assert len(list(tmp_path.glob("auto_*.png"))) == 24
+
+
+REFUSALS = {
+    "no cameras": ("--cameras none.json", "none.json: no such file or folder"),
+    "images alone": ("--images out", "--images, --against-gt and --width need --cameras"),
+    "two widths": (
+        "--cameras cameras.json --against-gt truth --width 20", "width: given by the ground-truth",
+    ),
+    "no truth folder": ("--cameras cameras.json --against-gt none", "none: no such folder"),
+    "no truth image": ("--cameras cameras.json --against-gt .", "no image 'v0'"),
+    "split": ("--cameras cameras.json --split best", "split 'best'"),
+    "empty split": ("--cameras cameras.json --split train", "none of the 3 is marked 'train'"),
+    "background": ("--cameras cameras.json --background blue", "expected black or white"),
+    "device": ("--cameras cameras.json --device tpu", "expected one of auto, cpu, cuda"),
+    "images in a file": ("--cameras cameras.json --images a.ply", "a.ply: File exists"),
+    "tiny": ("--cameras cameras.json --width 5", "5x4 pixels, expected at least 11"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_refusals_are_one_line(folder, monkeypatch, name):
+    monkeypatch.chdir(folder)
+    options, message = REFUSALS[name]
+    result = run("compare", "a.ply", "b.ply", *options.split())
+    assert isinstance(result.exception, InvalidInput), result.output
+    assert message in str(result.exception)
+    assert "\n" not in str(result.exception)

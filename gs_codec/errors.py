@@ -23,3 +23,8 @@ class UnsupportedVersion(GsCodecError):
 
 class MissingTool(GsCodecError):
     """An optional program or package that the request needs is not installed."""
+
+
+def one_line(error: BaseException) -> str:
+    """What an exception says, on one line."""
+    return " ".join((getattr(error, "strerror", None) or str(error)).split())

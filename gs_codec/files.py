@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import mmap
 import os
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -17,9 +15,10 @@ from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.order import order_like
 from gs_codec.config import Config
 from gs_codec.container.file import MAGIC
-from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
+from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.quantise import fit_range
@@ -57,7 +56,7 @@ def encode_file(
     start = time.perf_counter()
     scene = _without_order(read_ply(source, config.extra))
     read = time.perf_counter() - start
-    with _located(source):
+    with located(source):
         data, report = encode_scene(scene, config, progress)
     start = time.perf_counter()
     with atomic_writer(target) as file:
@@ -103,7 +102,7 @@ def read_scene(path: str | Path, extra: Literal["error", "keep", "drop"] = "erro
 
 def inspect_file(path: str | Path) -> Info:
     """See `inspect_bytes`; reads the first pages of the file alone."""
-    with opened(path) as data, _located(path):
+    with opened(path) as data, located(path):
         return inspect_bytes(data)
 
 
@@ -112,7 +111,7 @@ def compare_files(first: str | Path, second: str | Path) -> Comparison:
     scenes, orders = [], []
     for path in (first, second):
         scenes.append(read_scene(path, "drop"))
-        with _located(path):
+        with located(path):
             orders.append(_order_of(scenes[-1]))
     return compare_ordered(scenes[0], scenes[1], orders)
 
@@ -136,41 +135,6 @@ def _without_order(scene: Scene) -> Scene:
     return replace(scene, comments=kept)
 
 
-@contextmanager
-def opened(path: str | Path) -> Iterator[memoryview]:
-    """The bytes of a file, memory-mapped.
-
-    Raises
-    ------
-    InvalidInput
-        If it is missing, empty, a directory, or not readable.
-    """
-    try:
-        with open(path, "rb") as file:
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except ValueError:
-        raise InvalidInput(f"{path}: empty file") from None
-    except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror}") from error
-    view = memoryview(mapped)
-    try:
-        yield view
-    finally:
-        # An error on its way may still hold parts of the view; they go with it.
-        with suppress(BufferError):
-            view.release()
-            mapped.close()
-
-
-@contextmanager
-def _located(path: str | Path) -> Iterator[None]:
-    """Put the file's name before the errors of reading it."""
-    try:
-        yield
-    except GsCodecError as error:
-        raise type(error)(f"{path}: {error}") from error
-
-
 def _check_target(source: str | Path, target: str | Path) -> None:
     """Refuse a target that could not be written, before the work is done."""
     check_writable(target)
@@ -184,7 +148,7 @@ def _decode_ordered(
     max_bytes: int | None = None,
     progress: Progress | None = None,
 ) -> Scene:
-    with opened(path) as view, _located(path):
+    with opened(path) as view, located(path):
         data = bytes(view)
         scene = decode_scene(data, threads, max_bytes, progress)
         depths = [str(channel.quantiser.depth) for channel in inspect_bytes(data).channels[:6]]

@@ -1,66 +1,71 @@
-"""The README's picture: splat centres before and after coding, and where the bits go.
+"""The README's picture: a rendered view before and after coding, their difference, and the bits.
 
     python samples/picture.py samples/picture.png
 
-Needs matplotlib (extra ``test``). Centres are points of their SH-DC colour, nearest on top.
+Needs matplotlib (extra ``test``).
 """
 
 from __future__ import annotations
 
+import json
 import sys
+import tempfile
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import PROFILES, Config
+from gs_codec.metrics.images import compare_images
+from gs_codec.metrics.views import DIFFERENCE_GAIN
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 from samples.generate import generate, orbit_cameras
 
-_SH_C0 = 0.28209479177387814
 _COUNT = 600_000
+_WIDTH, _HEIGHT = 420, 300
 
 
-def paint_centres(scene: Scene, camera: dict) -> NDArray[np.float32]:
-    """Image ``(H, W, 3)``, 0-1, of the centres of nearly opaque Gaussians."""
-    solid = scene.opacity[0] > 1.0
-    rotation, position = np.array(camera["rotation"]), np.array(camera["position"])
-    x, y, z = rotation.T @ (scene.positions[:, solid] - position[:, None])
-    column = np.round(camera["fx"] * x / z + camera["width"] / 2)
-    row = np.round(camera["fy"] * y / z + camera["height"] / 2)
-    seen = (z > 0.2) & (column >= 0) & (row >= 0)
-    seen &= (column < camera["width"] - 1) & (row < camera["height"] - 1)
-    colour = np.clip(0.5 + _SH_C0 * scene.f_dc[:, solid][:, seen], 0, 1).T
-    far_first = np.argsort(-z[seen])
-    colour = colour[far_first]
-    row, column = (axis[seen][far_first].astype(int) for axis in (row, column))
-    image = np.ones((camera["height"], camera["width"], 3), np.float32)
-    for down, right in ((1, 1), (1, 0), (0, 1), (0, 0)):
-        image[row + down, column + right] = colour
-    return image
+def view() -> Camera:
+    """The camera of the picture."""
+    entry = orbit_cameras(24, _WIDTH, _HEIGHT)[2]
+    entry["fx"] = entry["fy"] = 1.2 * entry["fx"]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "cameras.json"
+        path.write_text(json.dumps([entry]))
+        return read_cameras(path)[0]
 
 
 def main(target: str) -> None:
-    """Draw before, after, and the bits of each profile."""
+    """Draw before, after, difference, and the bits of each profile."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    scene, camera = generate(_COUNT, 3, 1), orbit_cameras(24, 640, 426)[2]
-    camera["fx"] = camera["fy"] = 1.3 * camera["fx"]
-    figure = plt.figure(figsize=(15, 3.7), dpi=80)
-    places = ((0.0, 0.0, 0.34, 0.92), (0.345, 0.0, 0.34, 0.92), (0.74, 0.14, 0.25, 0.66))
-    axes = [figure.add_axes(place) for place in places]
+    scene = generate(_COUNT, 3, 1)
     data, _ = encode_scene(scene, Config("paper-m"))
-    sizes = (f"{scene.float_bytes / 1e6:.0f} MB of floats", f"{len(data) / 1e6:.1f} MB, paper-m")
-    for axis, shown, size in zip(axes, (scene, decode_scene(data)), sizes, strict=False):
-        axis.imshow(paint_centres(shown, camera))
-        axis.set_title(f"{_COUNT:,} splat centres, {size}", fontsize=10)
+    before, after = (
+        np.clip(render(s, view(), device="cpu").colour, 0, 1) for s in (scene, decode_scene(data))
+    )
+    quality = compare_images(before, after)
+    panels = {
+        f"before: {_COUNT:,} splats, {scene.float_bytes / 1e6:.0f} MB of floats": before,
+        f"after: {len(data) / 1e6:.1f} MB (paper-m)": after,
+        f"difference x {DIFFERENCE_GAIN}: {quality.psnr:.1f} dB": (
+            DIFFERENCE_GAIN * np.abs(before - after)
+        ),
+    }
+    figure = plt.figure(figsize=(18, 3.95), dpi=80)
+    for place, (title, image) in enumerate(panels.items()):
+        axis = figure.add_axes((0.25 * place, 0.0, 0.247, 0.93))
+        axis.imshow(np.clip(image, 0, 1))
+        axis.set_title(title, fontsize=11)
         axis.axis("off")
-    _draw_bits(axes[2], scene)
+    _draw_bits(figure.add_axes((0.795, 0.14, 0.2, 0.62)), scene)
     figure.savefig(target)
 
 
@@ -82,7 +87,7 @@ def _draw_bits(axis, scene: Scene) -> None:
     axis.invert_yaxis()
     axis.set_xlim(0, 260)
     axis.set_xlabel("bits per Gaussian (1888 as floats)", fontsize=9)
-    axis.legend(ncols=4, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.25), frameon=False)
+    axis.legend(ncols=4, fontsize=8, loc="upper center", bbox_to_anchor=(0.42, 1.3), frameon=False)
     axis.spines[["top", "right"]].set_visible(False)
 
 

@@ -195,7 +195,7 @@ class Canvas:
         visible &= alpha >= MIN_ALPHA * (1 - MARGIN)
         terms = 0.5 * (c * dx * dx + a * dy * dy) + np.abs(b * dx * dy)
         doubtful = ~covers(splat, self.columns, self.rows, self.camera, -MARGIN)
-        doubtful |= (np.abs(power) < 1e-9 * terms) & (terms > 0)
+        doubtful |= (np.abs(power) < MARGIN * terms) & (terms > 0)
         doubtful |= np.abs(alpha / MIN_ALPHA - 1) < MARGIN
         doubtful |= np.abs(passing / MIN_TRANSMITTANCE - 1) < MARGIN
         self.undecided |= visible & doubtful & ~self.stopped

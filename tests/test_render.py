@@ -18,7 +18,7 @@ from gs_codec.rendering import renderer
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
-TOLERANCE = 1e-4
+TOLERANCE = 1e-6
 SIZES = [(70, 45), (33, 17), (16, 16), (1, 1)]
 SUMS = ("weight", "squared_weight", "transmittance", "pixels")
 TEAL = (0.1, 0.7, 0.6)

@@ -9,7 +9,7 @@ import typer
 
 from gs_codec import __version__
 from gs_codec.cli import bench, compare, decode, encode, inspect, render
-from gs_codec.errors import GsCodecError
+from gs_codec.errors import GsCodecError, one_line
 
 app = typer.Typer(
     help="Compress 3D Gaussian Splatting scenes (PLY) to small .egs files and back.",
@@ -58,6 +58,5 @@ def main() -> None:
 
 def describe_error(error: BaseException) -> str:
     """The error on one line."""
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return " ".join(str(error).split())
+    named = isinstance(error, OSError) and error.strerror and error.filename
+    return f"{error.filename}: {one_line(error)}" if named else one_line(error)  # type: ignore[attr-defined]

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import MissingTool
+from gs_codec.errors import MissingTool, one_line
 from gs_codec.model.table import FrequencyTable
 
 _CHUNK = 1 << 16
@@ -42,7 +42,7 @@ def _load():
         with _output_on_stderr(), _own_programs_first():
             import torchac
     except (RuntimeError, OSError) as error:
-        reason = " ".join(str(error).split())[:200]
+        reason = one_line(error)[:200]
         raise MissingTool(f"torchac cannot be compiled here: {reason}") from error
     return torch, torchac
 

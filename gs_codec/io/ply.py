@@ -11,7 +11,7 @@ import numpy as np
 import plyfile
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import InvalidInput, one_line
 from gs_codec.io.atomic import atomic_writer
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from gs_codec.transform.planar import to_planes, to_rows
@@ -71,7 +71,7 @@ def _open_vertices(path: Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
     try:
         ply = plyfile.PlyData.read(path, mmap="r")
     except plyfile.PlyParseError as error:
-        raise InvalidInput(f"{path}: not a readable PLY file ({_one_line(error)})") from error
+        raise InvalidInput(f"{path}: not a readable PLY file ({one_line(error)})") from error
     except MemoryError as error:
         raise InvalidInput(f"{path}: more Gaussians than memory can hold") from error
     except UnicodeDecodeError as error:
@@ -79,9 +79,9 @@ def _open_vertices(path: Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
             f"{path}: not a readable PLY file (its header is not ASCII text)"
         ) from error
     except (ValueError, OverflowError) as error:
-        raise InvalidInput(f"{path}: not a readable PLY file ({_one_line(error)})") from error
+        raise InvalidInput(f"{path}: not a readable PLY file ({one_line(error)})") from error
     except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror or error}") from error
+        raise InvalidInput(f"{path}: {one_line(error)}") from error
     names = [element.name for element in ply.elements]
     if names != ["vertex"]:
         found = ", ".join(f"'{name}'" for name in names) or "none"
@@ -95,10 +95,6 @@ def _open_vertices(path: Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
     if not ply.text and surplus > 0:
         log.warning("%s: %d bytes after the last vertex not read", path, surplus)
     return vertex, (*ply.comments, *vertex.comments)
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
 
 
 def _find_groups(path: str | Path, names: tuple[str, ...]) -> dict[str, list[str]]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gs_codec.container.bytes import ByteReader
 from gs_codec.errors import InvalidInput, TruncatedStream
-from gs_codec.files import opened
+from gs_codec.io.mapped import opened
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import InvalidInput, one_line
 from gs_codec.io.atomic import atomic_writer
 from gs_codec.rendering.camera import MAX_SIDE, Camera
 
@@ -34,8 +34,7 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
     except UnidentifiedImageError:
         raise InvalidInput(f"{path}: not an image") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise InvalidInput(f"{path}: {reason}") from error
+        raise InvalidInput(f"{path}: {one_line(error)}") from error
     return pixels[..., :3] * pixels[..., 3:]
 
 
@@ -65,7 +64,7 @@ def make_folder(path: str | Path) -> Path:
     try:
         os.makedirs(path, exist_ok=True)
     except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror}") from error
+        raise InvalidInput(f"{path}: {one_line(error)}") from error
     return Path(path)
 
 

@@ -1,0 +1,45 @@
+"""Files as bytes in memory, and errors that name them."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gs_codec.errors import GsCodecError, InvalidInput
+
+
+@contextmanager
+def opened(path: str | Path) -> Iterator[memoryview]:
+    """The bytes of a file, memory-mapped.
+
+    Raises
+    ------
+    InvalidInput
+        If it is missing, empty, a directory, or not readable.
+    """
+    try:
+        with open(path, "rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except ValueError:
+        raise InvalidInput(f"{path}: empty file") from None
+    except OSError as error:
+        raise InvalidInput(f"{path}: {error.strerror}") from error
+    view = memoryview(mapped)
+    try:
+        yield view
+    finally:
+        # An error on its way may still hold parts of the view; they go with it.
+        with suppress(BufferError):
+            view.release()
+            mapped.close()
+
+
+@contextmanager
+def located(path: str | Path) -> Iterator[None]:
+    """Put the file's name before the errors of reading it."""
+    try:
+        yield
+    except GsCodecError as error:
+        raise type(error)(f"{path}: {error}") from error

@@ -12,6 +12,7 @@ demo: $(VENV)/installed
 	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs
 	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply
 	$(BIN)/gs-codec compare demo/still_life.ply demo/decoded.ply
+	$(BIN)/gs-codec compare demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --images demo/views
 
 test: $(VENV)/installed-test
 	$(BIN)/python -m pytest

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from gs_codec.kernels import kernel
 
 #: SH-AC is rectified to this many Laplace scales on either side of the median, for each bit of
-#: depth. The paper leaves the number to its supplement. What is cut off is what one sees, and
-#: entropy coding makes rare levels cheap: rendered views of three scenes ask for a range this
-#: wide, where squared error alone would ask for half of it (RESULTS.md).
+#: depth. The paper leaves the number to its supplement. Tails that are cut off are seen, and
+#: entropy coding makes rare levels cheap: a wide range with a bit more depth takes no more space
+#: than a narrow one, and rendered views are nearer to the original (RESULTS.md).
 LAPLACE_SCALES_PER_BIT = 3.0
 
 

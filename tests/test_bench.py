@@ -13,7 +13,11 @@ from typer.testing import CliRunner
 from gs_codec.bench.tile import tile_scene
 from gs_codec.cli.main import app
 from gs_codec.entropy import torchac_coder
+from gs_codec.errors import InvalidInput
 from gs_codec.io.ply import write_ply
+from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.rendering.images import write_png
+from gs_codec.rendering.renderer import render
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +25,7 @@ def lines(tmp_path_factory) -> list[dict]:
     path = tmp_path_factory.mktemp("bench") / "scene.ply"
     write_ply(path, random_scene(4000, 1, seed=70))
     options = ["-p", "paper-m", "--repeats", "1", "--coders", "--tile", "5000"]
+    options += ["--cameras", "auto", "--width", "48"]
     result = CliRunner().invoke(app, ["bench", str(path), *options])
     assert result.exit_code == 0, result.output
     return [json.loads(line) for line in result.stdout.splitlines()]
@@ -28,7 +33,8 @@ def lines(tmp_path_factory) -> list[dict]:
 
 def test_every_kind_of_line_is_there(lines):
     kinds = [line["kind"] for line in lines]
-    assert kinds == ["machine", "codec", "error", "memory", "coder", "coder", "paper", "paper"]
+    measured = ["codec", "error", "memory", "coder", "coder", "rendered", "render"]
+    assert kinds == ["machine", *measured, "paper", "paper"]
 
 
 def test_sizes_add_up(lines):
@@ -71,6 +77,47 @@ def test_coders_are_compared_on_the_same_symbols(lines):
         assert theirs["symbols"] == ours["symbols"]
     else:
         assert "not installed" in theirs["absent"]
+
+
+def test_rendered_quality_and_speed(lines):
+    quality, speed = lines[6], lines[7]
+    assert (quality["scene"], quality["profile"], quality["gaussians"]) == (
+        "scene", "paper-m", 5000,
+    )  # fmt: skip
+    assert quality["views"] == speed["views"] == 24
+    assert 20 < quality["worst_psnr"] <= quality["mean"]["psnr"] < 90
+    assert quality["bits_per_gaussian"] == lines[1]["bits_per_gaussian"]
+    assert "delta" not in quality
+    assert (speed["width"], speed["height"]) == (48, 32)
+    assert 0 < speed["seconds"]["min"] <= speed["seconds"]["median"] <= speed["seconds"]["max"]
+    assert speed["pairs"]["min"] > 0
+
+
+def test_deltas_against_ground_truth(tmp_path):
+    scene = random_scene(1000, 0, seed=73)
+    write_ply(tmp_path / "scene.ply", scene)
+    camera = {"img_name": "v", "width": 40, "height": 30, "fx": 40.0, "fy": 40.0}
+    camera |= {"position": [0.0, 0.0, -5.0], "rotation": np.eye(3).tolist()}
+    (tmp_path / "cameras.json").write_text(json.dumps([camera]))
+    [view] = read_cameras(tmp_path / "cameras.json")
+    write_png(tmp_path / "v.png", render(scene, view).colour)
+    options = ["--cameras", str(tmp_path), "--against-gt", str(tmp_path), "--repeats", "1"]
+    result = CliRunner().invoke(app, ["bench", str(tmp_path / "scene.ply"), *options])
+    assert result.exit_code == 0, result.output
+    found = [json.loads(line) for line in result.stdout.splitlines()]
+    rendered = [line for line in found if line["kind"] == "rendered"]
+    assert [line["profile"] for line in rendered] == ["paper-l", "paper-m", "paper-s"]
+    for line in rendered:
+        assert line["truth"]["psnr"] > 50
+        assert line["delta"]["psnr"] < 0
+    assert f"{rendered[0]['delta']['psnr']:+.3f}" in result.stderr
+
+
+@pytest.mark.parametrize("options", [["--width", "40"], ["--against-gt", "."]])
+def test_views_need_cameras(tmp_path, options):
+    result = CliRunner().invoke(app, ["bench", "scene.ply", *options])
+    assert isinstance(result.exception, InvalidInput)
+    assert "need --cameras" in str(result.exception)
 
 
 @pytest.mark.parametrize("count", [1, 999, 1000, 4500])

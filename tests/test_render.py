@@ -108,12 +108,12 @@ def crowd(camera: Camera, count: int, sh_degree: int, seed: int, pixels: float =
 # Comparisons
 
 
-def assert_matches(scene: Scene, camera: Camera, background=TEAL, antialiased=False, floor=0.95):
+def assert_matches(scene: Scene, camera: Camera, background=TEAL, antialiased=False):
     """Renders both ways; colours within `TOLERANCE` of the brightest, depth of itself."""
     result = render(scene, camera, background, antialiased=antialiased, accumulate=True)
     expected = render_reference(scene, camera, background, antialiased)
     decided = ~expected.undecided
-    assert decided.mean() >= floor
+    assert decided.mean() >= 0.95
     brightness = max(1.0, np.abs(expected.colour).max())
     for name, limit in (
         ("colour", TOLERANCE * brightness),
@@ -151,12 +151,11 @@ def assert_identical(first, second) -> None:
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("sh_degree", range(4))
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_images_match_the_reference(seed, sh_degree, size):
     camera = turned(seed, *size)
-    scene = crowd(camera, 400, sh_degree, seed + 10 * sh_degree, pixels=7)
-    # Of a single pixel, all may be undecided.
-    result, expected = assert_matches(scene, camera, floor=0.0 if size == (1, 1) else 0.95)
+    scene = crowd(camera, 400, sh_degree, seed + 10 * sh_degree, pixels=5)
+    result, expected = assert_matches(scene, camera)
     assert expected.stopped.mean() > 0.5
     assert result.alpha.min() > 0
 
@@ -264,6 +263,7 @@ def shape_edges() -> dict[str, Edge]:
     disc = [[-14.0], [0.0], [0.0]]
     sizes = {size: Edge(splats(middle, log_scale=size)) for size in (5, 20, -30, -1e30)}
     return {f"log-scale {size:g}": edge for size, edge in sizes.items()} | {
+        "log-scale 300": Edge(splats(middle, log_scale=300), False),
         "log-scale 1e30": Edge(splats(middle, log_scale=1e30), False),
         "one axis of log-scale 1e30": Edge(splats(middle, log_scale=[[-2], [1e30], [-2]]), False),
         "huge, off the axis": Edge(splats([(1, 1, 2), (-1.2, 0.3, 1)], log_scale=12.0)),

@@ -653,3 +653,16 @@ def test_a_real_scene_matches_the_reference(bonsai):
     sample = np.random.default_rng(32).permutation(bonsai.count)[:6000]
     _, expected = assert_matches(bonsai.take(np.sort(sample)), camera)
     assert expected.alpha.mean() > 0.3
+
+
+@pytest.mark.parametrize("short", [-8, -80])
+@pytest.mark.parametrize("length", [8, 14, 18, 80])
+def test_needles_of_any_length_match_the_reference(length, short):
+    needle = splats(
+        [(0, 0, 3)],
+        opacity=3.0,
+        log_scale=[[length], [short], [short]],
+        rot=[[0.9], [0.1], [0.3], [0.5]],
+    )
+    _, expected = assert_matches(needle, straight())
+    assert expected.alpha.max() > 0.9

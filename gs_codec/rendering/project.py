@@ -83,6 +83,7 @@ def _project(
     columns = (width + TILE - 1) // TILE
     rows = (height + TILE - 1) // TILE
     basis = np.zeros(15)
+    axes = np.empty((3, 2))
     seen = 0
     for i in range(start, stop):
         dx = positions[0, i] - position[0]
@@ -94,13 +95,11 @@ def _project(
         alpha = 1.0 / (1.0 + math.exp(-np.float64(opacity[0, i])))
         x = (rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz) / z
         y = (rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz) / z
-        xx, xy, yy = _screen_covariance(
-            log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height
-        )
-        sharp = xx * yy - xy * xy
+        _screen_axes(log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height, axes)
+        xx, xy, yy, sharp = _covariance(axes)
+        determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
         xx += LOW_PASS
         yy += LOW_PASS
-        determinant = xx * yy - xy * xy
         if not 0.0 < determinant < np.inf:
             continue
         if antialiased:
@@ -137,10 +136,25 @@ def _are_finite(opacity, log_scale, i):
 
 
 @inlined
-def _screen_covariance(
-    log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height
+def _covariance(axes):
+    """Variances along x and y, covariance, and determinant of a splat before the low-pass."""
+    xx = xy = yy = sharp = 0.0
+    for axis in range(3):
+        x, y = axes[axis, 0], axes[axis, 1]
+        xx += x * x
+        xy += x * y
+        yy += y * y
+        # By Cauchy and Binet: xx yy - xy xy would cancel for needles.
+        other = (axis + 1) % 3
+        sharp += (x * axes[other, 1] - y * axes[other, 0]) ** 2
+    return xx, xy, yy, sharp
+
+
+@inlined
+def _screen_axes(
+    log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height, axes
 ):  # fmt: skip
-    """Covariance in the image, square pixels, before the low-pass (EWA splatting)."""
+    """Fill ``axes (3, 2)``: the Gaussian's axes in the image, pixels (EWA splatting)."""
     # Beyond 1.3 of the field of view the Jacobian is that of its edge.
     margin_x = 0.15 * width / fx
     margin_y = 0.15 * height / fy
@@ -161,23 +175,14 @@ def _screen_covariance(
         (2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)),
         (2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)),
     )
-    xx = 0.0
-    xy = 0.0
-    yy = 0.0
     for axis in range(3):
-        scale = math.exp(np.float64(log_scale[axis, i]))
-        px = turn[0][axis]
-        py = turn[1][axis]
-        pz = turn[2][axis]
-        qz = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
+        scale = math.exp(np.float64(log_scale[axis, i])) / z
+        px, py, pz = turn[0][axis], turn[1][axis], turn[2][axis]
         qx = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
         qy = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-        along_x = scale * fx * (qx - x * qz) / z
-        along_y = scale * fy * (qy - y * qz) / z
-        xx += along_x * along_x
-        xy += along_x * along_y
-        yy += along_y * along_y
-    return xx, xy, yy
+        qz = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
+        axes[axis, 0] = fx * scale * (qx - x * qz)
+        axes[axis, 1] = fy * scale * (qy - y * qz)
 
 
 @inlined

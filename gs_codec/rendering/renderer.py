@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import MissingTool
-from gs_codec.kernels import kernel
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.project import DEPTH, TILE, Splats, project
+from gs_codec.rendering.frame import Frame, make_frame
 from gs_codec.rendering.rasterise import draw_tiles
-from gs_codec.rendering.tiles import TileLists, list_tiles
 from gs_codec.scene import Scene
-from gs_codec.workers import available_threads, run_all
-
-_CHUNK = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -114,52 +108,17 @@ def render(
     if device != "cpu" and not accumulate and gsplat_backend.is_available():
         colour, alpha, depth, pairs = gsplat_backend.draw(scene, camera, background, antialiased)
         return Rendering(colour, alpha, depth, None, pairs)
-    threads = threads or available_threads()
-    columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
-    splats = _sorted_splats(scene, camera, antialiased, threads)
-    lists = list_tiles(splats.fields, splats.tiles, columns, rows, threads)
+    frame = make_frame(scene, camera, antialiased, threads)
     shape = (camera.height, camera.width)
     colour = np.empty((*shape, 3), np.float32)
     alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    sums = np.zeros((len(lists.splats) if accumulate else 0, 4))
-    draw = partial(draw_tiles, splats.fields, *lists)
-    images = (columns, np.array(background, np.float64), colour, alpha, depth, sums)
-    run_all(lambda part: draw(*part, *images), _parts(columns * rows, 16 * threads), threads)
-    accumulations = _gather(scene.count, splats, lists, sums) if accumulate else None
-    return Rendering(colour, alpha, depth, accumulations, len(lists.splats))
+    sums = np.zeros((frame.pairs if accumulate else 0, 4))
+    behind = np.array(background, np.float64)
+    frame.over_tiles(draw_tiles, behind, colour, alpha, depth, sums)
+    accumulations = _gather(frame, scene.count, sums) if accumulate else None
+    return Rendering(colour, alpha, depth, accumulations, frame.pairs)
 
 
-def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool, threads: int) -> Splats:
-    """What the camera sees, nearest first; of equal depths, the first in the scene."""
-    starts = range(0, scene.count, _CHUNK)
-    parts = run_all(
-        lambda start: project(scene, camera, antialiased, start, min(start + _CHUNK, scene.count)),
-        starts,
-        threads,
-    )
-    parts.append(project(scene, camera, antialiased, 0, 0))
-    fields = np.concatenate([part.fields for part in parts])
-    order = np.argsort(fields[:, DEPTH], kind="stable")
-    tiles, gaussians = (np.concatenate([part[i] for part in parts])[order] for i in (1, 2))
-    return Splats(fields[order], tiles, gaussians)
-
-
-def _parts(count: int, parts: int) -> list[tuple[int, int]]:
-    """Ranges that cover 0 to `count`, about `parts` of them."""
-    size = -(-count // parts)
-    return [(start, min(start + size, count)) for start in range(0, count, size)]
-
-
-def _gather(count: int, splats: Splats, lists: TileLists, sums: NDArray) -> Accumulations:
-    totals = np.zeros((count, 4))
-    _add_pairs(splats.gaussians, lists.splats, sums, totals)
-    weight, squared, transmittance, pixels = totals.T
+def _gather(frame: Frame, count: int, sums: NDArray) -> Accumulations:
+    weight, squared, transmittance, pixels = frame.sum_pairs(count, sums).T
     return Accumulations(weight, squared, transmittance, pixels.astype(np.int64))
-
-
-@kernel
-def _add_pairs(gaussians, splats, sums, totals):
-    for pair in range(len(splats)):
-        total = totals[gaussians[splats[pair]]]
-        for k in range(4):
-            total[k] += sums[pair, k]

@@ -20,6 +20,7 @@ _HOMES = {
     "inspect": "gs_codec.api",
     "compare": "gs_codec.api",
     "render": "gs_codec.api",
+    "prepare": "gs_codec.api",
     "encode_file": "gs_codec.files",
     "decode_file": "gs_codec.files",
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from gs_codec import files
 from gs_codec.cloud import from_cloud, to_cloud
@@ -12,8 +12,6 @@ from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
-from gs_codec.io.atomic import atomic_writer
-from gs_codec.io.ply import write_ply
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.metrics.views import RenderedComparison, compare_views
 from gs_codec.rendering.camera import Camera
@@ -25,6 +23,8 @@ from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
+
+    from gs_codec.prepare.report import PrepareReport
 
 
 def read(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> PointCloud:
@@ -58,14 +58,9 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     InvalidInput
         If the suffix is neither, an attribute is missing, or the file cannot be written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix == ".ply":
-        write_ply(path, from_cloud(cloud, "keep"))
-    elif suffix == ".egs":
-        with atomic_writer(path) as file:
-            file.write(encode(cloud, config))
-    else:
-        raise InvalidInput(f"{path}: suffix '{suffix}', expected '.ply' or '.egs'")
+    config = config or Config()
+    extra = config.extra if Path(path).suffix.lower() == ".egs" else "keep"
+    files.write_scene(path, from_cloud(cloud, extra), config)
 
 
 def encode(cloud: PointCloud, config: Config | None = None) -> bytes:
@@ -110,6 +105,62 @@ def inspect(source: bytes | str | Path) -> Info:
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
     """
     return inspect_bytes(source) if isinstance(source, bytes) else files.inspect_file(source)
+
+
+def prepare(
+    source: PointCloud | str | Path,
+    cameras: str | Path | Sequence[Camera] = "auto",
+    *,
+    photographs: str | Path | None = None,
+    width: int | None = None,
+    views: int = 64,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+    **steps: Any,
+) -> tuple[PointCloud, PrepareReport]:
+    """Make a scene smaller before it is coded, and say what that cost (paper, Section 4.2).
+
+    Parameters
+    ----------
+    source : open3d.t.geometry.PointCloud, or path of a PLY or `.egs` file
+    cameras : path, "auto", or sequence of Camera
+        As for `render`. Quality is measured in those marked ``test``.
+    photographs : path, optional
+        Folder of their images, to be matched instead of renders of the input.
+    width : int, optional
+        Width of the views, pixels.
+    views : int
+        Most views to work by, evenly spaced.
+    background : tuple of three float
+        RGB behind the scene.
+    checkpoint : path, optional
+        Where ``optimise`` keeps its state, and goes on from.
+    progress : callable, optional
+    **steps
+        ``prune_geometry``, ``prune_importance``, ``prune_loo`` (percent), ``max_drop`` (dB),
+        ``optimise`` (iterations), ``compact_sh`` (strength), ``refit_colour`` (steps),
+        ``rectify`` (bool): see `gs_codec.prepare.steps.Steps`.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+    PrepareReport
+        A label for each input Gaussian, and size and quality after each step.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    from gs_codec.prepare.pipeline import Plan, prepare_scene
+    from gs_codec.prepare.steps import Steps
+
+    unknown = sorted(set(steps) - set(Steps.__dataclass_fields__))
+    if unknown:
+        raise InvalidInput(f"step '{unknown[0]}': expected {', '.join(Steps.__dataclass_fields__)}")
+    plan = Plan(Steps(**steps), cameras, photographs, width, views, background, checkpoint)
+    scene, report = prepare_scene(_scene_of(source), plan, progress)
+    return to_cloud(scene), report
 
 
 def render(

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -24,6 +24,10 @@ from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.quantise import fit_range
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.prepare.pipeline import Plan
+    from gs_codec.prepare.report import PrepareReport
 
 #: Begins the comment line that tells a decoded PLY's order: the depths it was sorted by.
 _ORDER_MARK = "gs_codec order "
@@ -43,8 +47,13 @@ def encode_file(
     target: str | Path,
     config: Config | None = None,
     progress: Progress | None = None,
+    plan: Plan | None = None,
+    report_folder: str | Path | None = None,
 ) -> EncodeReport:
     """Encode a PLY file to an `.egs` file, which appears whole or not at all.
+
+    With a `plan`, the scene is prepared first; `report_folder` receives what that did, and what
+    each stage of coding adds to it.
 
     Raises
     ------
@@ -57,12 +66,84 @@ def encode_file(
     scene = _without_order(read_ply(source, config.extra))
     read = time.perf_counter() - start
     with located(source):
+        if plan is not None:
+            scene, _ = _prepare(scene, plan, config, report_folder, progress)
         data, report = encode_scene(scene, config, progress)
     start = time.perf_counter()
     with atomic_writer(target) as file:
         file.write(data)
     seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
     return replace(report, seconds=seconds)
+
+
+def prepare_file(
+    source: str | Path,
+    target: str | Path,
+    plan: Plan,
+    report_folder: str | Path | None = None,
+    progress: Progress | None = None,
+) -> PrepareReport:
+    """Prepare the scene of a file and write it as ``.ply`` or ``.egs``.
+
+    Raises
+    ------
+    InvalidInput
+        If the source cannot be used, or the target or the report cannot be written.
+    """
+    _check_target(source, target)
+    _format_of(target)
+    scene = _without_order(read_scene(source, "keep"))
+    with located(source):
+        scene, report = _prepare(scene, plan, Config(extra="keep"), report_folder, progress)
+    write_scene(target, scene)
+    return report
+
+
+def write_scene(path: str | Path, scene: Scene, config: Config | None = None) -> None:
+    """Write a scene as ``.ply`` or, encoded, as ``.egs``.
+
+    Raises
+    ------
+    InvalidInput
+        If the suffix is neither, or the file cannot be written.
+    """
+    if _format_of(path) == ".ply":
+        write_ply(path, scene)
+    else:
+        with atomic_writer(path) as file:
+            file.write(encode_scene(scene, config or Config(extra="keep"))[0])
+
+
+def _format_of(path: str | Path) -> str:
+    """The suffix of a scene to be written, which tells its format."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".ply", ".egs"):
+        raise InvalidInput(f"{path}: suffix '{suffix}', expected '.ply' or '.egs'")
+    return suffix
+
+
+def _prepare(
+    scene: Scene,
+    plan: Plan,
+    config: Config,
+    folder: str | Path | None,
+    progress: Progress | None,
+) -> tuple[Scene, PrepareReport]:
+    """Prepare a scene and, if there is a folder, write the report with the stages of coding."""
+    # Loaded here: encoding alone does without all that draws.
+    from gs_codec.ablation import coding_steps
+    from gs_codec.prepare.pipeline import prepare_scene
+    from gs_codec.prepare.save import save_report
+    from gs_codec.rendering.images import make_folder
+
+    if folder is not None:
+        check_writable(make_folder(folder) / "report.json")
+    scene, report = prepare_scene(scene, plan, progress)
+    coding = coding_steps(scene, config, report.held_out)
+    report = replace(report, steps=(*report.steps, *coding))
+    if folder is not None:
+        save_report(folder, report)
+    return scene, report
 
 
 def decode_file(

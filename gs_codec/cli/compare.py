@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -100,14 +99,9 @@ def _numbers(quality: Quality, sign: str) -> list[str]:
 
 
 def _plain(comparison: RenderedComparison) -> dict:
-    """For JSON, which knows no infinity: PSNR is null where images are equal."""
-
     def plain(view: View) -> dict:
         pairs = {"between": view.between, "a": view.first, "b": view.second, "delta": view.delta}
-        qualities = {name: asdict(quality) for name, quality in pairs.items() if quality}
-        for quality in qualities.values():
-            quality["psnr"] = quality["psnr"] if math.isfinite(quality["psnr"]) else None
-        return {"view": view.name, **qualities}
+        return {"view": view.name} | {name: q.as_dict() for name, q in pairs.items() if q}
 
     return {
         "gaussians": comparison.counts,

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.bench import paper
+from gs_codec.cli import steps
 from gs_codec.cli.output import (
     print_json,
     print_status,
@@ -45,22 +46,38 @@ def command(
         int | None, typer.Option(help="Worker threads.", show_default="all processors")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    prune_geometry: steps.PruneGeometry = 0.0,
+    prune_importance: steps.PruneImportance = 0.0,
+    prune_loo: steps.PruneLoo = 0.0,
+    max_drop: steps.MaxDrop = None,
+    optimise: steps.Optimise = 0,
+    compact_sh: steps.CompactSh = 0.0,
+    refit_colour: steps.RefitColour = 0,
+    rectify: steps.Rectify = False,
+    cameras: steps.Cameras = "auto",
+    against_gt: steps.AgainstGt = None,
+    views: steps.Views = 64,
+    width: steps.ViewWidth = None,
+    background: steps.Backdrop = "black",
+    report: steps.Report = None,
+    checkpoint: steps.Checkpoint = None,
 ) -> None:
-    """Encode a scene to an .egs file."""
+    """Encode a scene to an .egs file, prepared or as it is."""
+    plan = steps.plan_of(locals())
     config = Config(profile, parse_depths(depth or []), nonfinite, extra, threads)  # type: ignore[arg-type]
     from gs_codec.files import encode_file
 
     with progress_bar(not json) as progress:
-        report = encode_file(source, target, config, progress)
-    _say_what_changed(report)
+        done = encode_file(source, target, config, progress, plan, report)
+    _say_what_changed(done)
     if json:
         print_json(
             {"input": str(source), "output": str(target), "profile": profile}
-            | asdict(report)
-            | {"input_bytes": source.stat().st_size, "file_bytes": report.file_bytes}
+            | asdict(done)
+            | {"input_bytes": source.stat().st_size, "file_bytes": done.file_bytes}
         )
     else:
-        _print_report(source, target, report)
+        _print_report(source, target, done)
 
 
 def parse_depths(options: list[str]) -> dict[str, int]:

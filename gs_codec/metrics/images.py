@@ -38,6 +38,11 @@ class Quality:
     ssim: float
     lpips: float | None = None
 
+    def as_dict(self) -> dict[str, float | None]:
+        """For JSON, which knows no infinity: PSNR is None where images are equal."""
+        finite = np.isfinite(self.psnr)
+        return {"psnr": self.psnr if finite else None, "ssim": self.ssim, "lpips": self.lpips}
+
     def over(self, other: Quality) -> Quality:
         """The difference to `other`; 0 for equal values, infinite ones too."""
 

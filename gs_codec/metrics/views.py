@@ -122,7 +122,7 @@ def compare_views(
         camera = cameras[i]
         target = read_image(paths[i]) if truth else None
         if target is not None:
-            camera = _fitted(camera, target, paths[i])
+            camera = fitted(camera, target, paths[i])
         a, b = (
             render(scene, camera, background, threads=threads, device=device).colour
             for scene in (first, second)
@@ -136,7 +136,7 @@ def compare_views(
     return RenderedComparison((first.count, second.count), tuple(views))
 
 
-def _fitted(camera: Camera, target: NDArray, path: Path) -> Camera:
+def fitted(camera: Camera, target: NDArray, path: Path) -> Camera:
     """The camera at the size of its ground-truth image, which must have its shape."""
     height, width = target.shape[:2]
     if abs(width * camera.height / camera.width - height) > 1:

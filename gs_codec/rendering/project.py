@@ -96,7 +96,7 @@ def _project(
         x = (rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz) / z
         y = (rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz) / z
         _screen_axes(log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height, axes)
-        xx, xy, yy, sharp = _covariance(axes)
+        xx, xy, yy, sharp = covariance(axes)
         determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
         xx += LOW_PASS
         yy += LOW_PASS
@@ -136,7 +136,7 @@ def _are_finite(opacity, log_scale, i):
 
 
 @inlined
-def _covariance(axes):
+def covariance(axes):
     """Variances along x and y, covariance, and determinant of a splat before the low-pass."""
     xx = xy = yy = sharp = 0.0
     for axis in range(3):
@@ -155,11 +155,29 @@ def _screen_axes(
     log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height, axes
 ):  # fmt: skip
     """Fill ``axes (3, 2)``: the Gaussian's axes in the image, pixels (EWA splatting)."""
-    # Beyond 1.3 of the field of view the Jacobian is that of its edge.
+    x, y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
+    _, turn = quaternion_turn(rot, i)
+    for axis in range(3):
+        scale = math.exp(np.float64(log_scale[axis, i])) / z
+        qx, qy, qz = before_camera(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
+        axes[axis, 0] = fx * scale * (qx - x * qz)
+        axes[axis, 1] = fy * scale * (qy - y * qz)
+
+
+@inlined
+def clamped_slopes(x, y, fx, fy, cx, cy, width, height):
+    """Where the Jacobian is taken: beyond 1.3 of the field of view it is that of its edge."""
     margin_x = 0.15 * width / fx
     margin_y = 0.15 * height / fy
-    x = min((width - cx) / fx + margin_x, max(-cx / fx - margin_x, x))
-    y = min((height - cy) / fy + margin_y, max(-cy / fy - margin_y, y))
+    return (
+        min((width - cx) / fx + margin_x, max(-cx / fx - margin_x, x)),
+        min((height - cy) / fy + margin_y, max(-cy / fy - margin_y, y)),
+    )
+
+
+@inlined
+def quaternion_turn(rot, i):
+    """Norm and unit quaternion wxyz, and rotation matrix by rows; of a zero quaternion, no turn."""
     a, b, c, d = (
         np.float64(rot[0, i]), np.float64(rot[1, i]), np.float64(rot[2, i]), np.float64(rot[3, i]),
     )  # fmt: skip
@@ -175,14 +193,17 @@ def _screen_axes(
         (2.0 * (b * c + a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d - a * b)),
         (2.0 * (b * d - a * c), 2.0 * (c * d + a * b), 1.0 - 2.0 * (b * b + c * c)),
     )
-    for axis in range(3):
-        scale = math.exp(np.float64(log_scale[axis, i])) / z
-        px, py, pz = turn[0][axis], turn[1][axis], turn[2][axis]
-        qx = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
-        qy = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-        qz = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-        axes[axis, 0] = fx * scale * (qx - x * qz)
-        axes[axis, 1] = fy * scale * (qy - y * qz)
+    return (norm, a, b, c, d), turn
+
+
+@inlined
+def before_camera(rotation, x, y, z):
+    """A direction of the world in the camera's axes."""
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
 
 
 @inlined

@@ -1,0 +1,50 @@
+"""What coding adds to the steps of preparation: the paper's ablation, to its end."""
+
+from __future__ import annotations
+
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import Config
+from gs_codec.prepare.report import StepReport
+from gs_codec.prepare.targets import Targets
+from gs_codec.report import EncodeReport
+from gs_codec.scene import Scene
+
+
+def coding_steps(scene: Scene, config: Config, held_out: Targets) -> list[StepReport]:
+    """Size and quality after quantisation, entropy coding, and coding of the geometry.
+
+    Quantised attributes take the bits of their depths; with entropy coding, all but positions and
+    SH-DC; with geometry coding these too, and the file is whole. Quality is lost at the first.
+    """
+    data, report = encode_scene(scene, config)
+    quality = held_out.quality(decode_scene(data))
+    quantised = _quantised_bytes(scene, config)
+    coded = report.file_bytes - sum(report.section_bytes.get(s, 0) for s in ("geometry", "sh-dc"))
+    plain = quantised["geometry"] + quantised["sh-dc"]
+    sizes = {
+        "quantisation": sum(quantised.values()),
+        "entropy coding": coded + plain,
+        "geometry coding": report.file_bytes,
+    }
+    seconds = _seconds(report)
+    return [
+        StepReport(name, report.count, size, quality, seconds[name]) for name, size in sizes.items()
+    ]
+
+
+def _quantised_bytes(scene: Scene, config: Config) -> dict[str, float]:
+    """Bytes of each depth group's symbols, packed at its depth."""
+    channels = {"geometry": 3, "sh-dc": 3, "opacity": 1, "scaling": 3, "rotation": 4}
+    bands = zip(("sh1", "sh2", "sh3"), (9, 15, 21), (9, 24, 45), strict=True)
+    channels |= {name: rows for name, rows, last in bands if last <= len(scene.f_rest)}
+    depths = config.resolved_depths()
+    return {name: depths[name] * rows * scene.count / 8 for name, rows in channels.items()}
+
+
+def _seconds(report: EncodeReport) -> dict[str, float]:
+    times = report.seconds
+    return {
+        "quantisation": times.get("quantise and model", 0.0),
+        "entropy coding": times.get("code", 0.0),
+        "geometry coding": 0.0,
+    }

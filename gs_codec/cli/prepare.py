@@ -1,0 +1,46 @@
+"""``gs-codec prepare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gs_codec.cli import steps
+from gs_codec.cli.output import print_json, progress_bar
+from gs_codec.errors import InvalidInput
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="A scene, .ply or .egs.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="Scene to write, .ply or .egs.")],
+    prune_geometry: steps.PruneGeometry = 0.0,
+    prune_importance: steps.PruneImportance = 0.0,
+    prune_loo: steps.PruneLoo = 0.0,
+    max_drop: steps.MaxDrop = None,
+    optimise: steps.Optimise = 0,
+    compact_sh: steps.CompactSh = 0.0,
+    refit_colour: steps.RefitColour = 0,
+    rectify: steps.Rectify = False,
+    cameras: steps.Cameras = "auto",
+    against_gt: steps.AgainstGt = None,
+    views: steps.Views = 64,
+    width: steps.ViewWidth = None,
+    background: steps.Backdrop = "black",
+    report: steps.Report = None,
+    checkpoint: steps.Checkpoint = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Make a scene smaller before it is coded: prune, refit, compact; and say what that cost."""
+    plan = steps.plan_of(locals())
+    if plan is None:
+        raise InvalidInput("no step of preparation asked for, for example --prune-loo 30")
+    from gs_codec.files import prepare_file
+
+    with progress_bar(not json) as progress:
+        done = prepare_file(source, target, plan, report, progress)
+    if json:
+        print_json({"input": str(source), "output": str(target), **done.as_dict()})
+    else:
+        steps.print_steps(done)

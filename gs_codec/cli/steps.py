@@ -1,0 +1,116 @@
+"""Options of preparation, which ``prepare`` and ``encode`` share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gs_codec.cli.output import print_table
+from gs_codec.cli.views import CAMERAS, drawing_options
+from gs_codec.errors import InvalidInput
+
+_PANEL = {"rich_help_panel": "Preparation"}
+
+PruneGeometry = Annotated[
+    float,
+    typer.Option(
+        metavar="THETA2", help="Prune this percentage along each axis, farthest first.", **_PANEL
+    ),
+]
+PruneImportance = Annotated[
+    float,
+    typer.Option(
+        metavar="THETA1", help="Prune this percentage, least important (LightGaussian).", **_PANEL
+    ),
+]
+PruneLoo = Annotated[
+    float,
+    typer.Option(
+        metavar="PERCENT", help="Prune this percentage, by what views lose without each.", **_PANEL
+    ),
+]
+MaxDrop = Annotated[
+    float | None,
+    typer.Option(metavar="DB", help="Prune so while views lose no more than this.", **_PANEL),
+]
+Optimise = Annotated[
+    int, typer.Option(metavar="N", help="Refit all attributes by N iterations of Adam.", **_PANEL)
+]
+CompactSh = Annotated[
+    float,
+    typer.Option(
+        metavar="STRENGTH", help="Move SH energy to fewer coefficients; 1 is usual.", **_PANEL
+    ),
+]
+RefitColour = Annotated[
+    int, typer.Option(metavar="N", help="Refit SH by N conjugate-gradient steps.", **_PANEL)
+]
+Rectify = Annotated[
+    bool, typer.Option("--rectify", help="Move SH-AC to their Laplace range.", **_PANEL)
+]
+Cameras = Annotated[str, typer.Option(metavar="C", help=f"What to prepare by: {CAMERAS}", **_PANEL)]
+AgainstGt = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="IMAGES", help="Photographs to match, instead of views of the input.", **_PANEL
+    ),
+]
+Views = Annotated[int, typer.Option(help="Most views to work by.", **_PANEL)]
+ViewWidth = Annotated[
+    int | None,
+    typer.Option(help="Width of the views, pixels.", show_default="the cameras'", **_PANEL),
+]
+Backdrop = Annotated[str, typer.Option(help="Behind the scene: black or white.", **_PANEL)]
+Report = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Write report.json, ablation.md, labels.npy.", **_PANEL),
+]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Keeps --optimise's state, to go on from.", **_PANEL),
+]
+
+
+#: Options of the steps themselves, and their values when not given.
+_STEPS = {
+    "prune_geometry": 0.0,
+    "prune_importance": 0.0,
+    "prune_loo": 0.0,
+    "max_drop": None,
+    "optimise": 0,
+    "compact_sh": 0.0,
+    "refit_colour": 0,
+    "rectify": False,
+}
+
+
+def plan_of(options: dict[str, Any]) -> Any:
+    """The plan that options of these names ask for; None if they ask for no step."""
+    chosen = {name: options[name] for name in _STEPS}
+    if chosen == _STEPS:
+        if options["report"] or options["checkpoint"]:
+            raise InvalidInput("--report and --checkpoint need a step, for example --prune-loo 30")
+        return None
+    from gs_codec.prepare.pipeline import Plan
+    from gs_codec.prepare.steps import Steps
+
+    return Plan(
+        Steps(**chosen),
+        options["cameras"],
+        options["against_gt"],
+        options["width"],
+        options["views"],
+        drawing_options(options["background"], "cpu")["background"],
+        options["checkpoint"],
+    )
+
+
+def print_steps(report: Any) -> None:
+    """What went, and the ablation table."""
+    for reason, number in report.removed.items():
+        if number:
+            print(f"pruned by {reason}: {number:,} of {report.steps[0].count:,}")
+    columns, *rows = report.table()
+    print_table(columns, rows)

@@ -1,0 +1,1 @@
+"""Making a scene smaller before it is coded: pruning, and refitting what is left."""

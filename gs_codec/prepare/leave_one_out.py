@@ -1,0 +1,105 @@
+"""What the images lose if one Gaussian goes (after POTR, arXiv 2601.14821).
+
+Without splat k the pixels it covers change by ``S alpha / (1 - alpha) - alpha T c``, S being the
+light of everything behind it: the squared error that this adds is summed over pixels and views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import kernel
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.project import RED, TILE
+from gs_codec.rendering.trace import tile_bounds, trace_down_to
+from gs_codec.scene import Scene
+
+#: Pixels are followed down to here: without an opaque splat, what it hid would be seen.
+_LEAST = 1e-6
+
+
+def leave_one_out(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    residual: Callable[[int], NDArray[np.float32]] | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    advance: Callable[[], None] | None = None,
+) -> NDArray[np.float64]:
+    """The squared error that each Gaussian keeps away from the images.
+
+    Parameters
+    ----------
+    scene : Scene
+    cameras : sequence of Camera
+    residual : callable, optional
+        Gives what view i has over its target, ``(H, W, 3)``; by default the views themselves are
+        the targets.
+    background : sequence of three float
+        RGB behind the scene.
+    advance : callable, optional
+        Called after each view.
+
+    Returns
+    -------
+    ndarray, shape (N,), float64
+        Sum over views, pixels and colours of the squared error without the Gaussian less that
+        with it; below 0 where images are nearer to their targets without it.
+    """
+    scores = np.zeros(scene.count)
+    behind = np.array(background, np.float64)
+    for i, camera in enumerate(cameras):
+        frame = make_frame(scene, camera)
+        over = np.zeros((camera.height, camera.width, 3), np.float32)
+        if residual is not None:
+            over[:] = residual(i)
+        errors = np.zeros((frame.pairs, 1))
+        frame.over_tiles(_leave_out, behind, over, errors)
+        scores += frame.sum_pairs(scene.count, errors)[:, 0]
+        if advance is not None:
+            advance()
+    return scores
+
+
+@kernel
+def _leave_out(fields, splats, starts, first, end, columns, background, residual, errors):
+    """Fill ``errors (pairs, 1)``, given residuals ``(H, W, 3)``."""
+    height, width, _ = residual.shape
+    left = np.empty(TILE * TILE)
+    pixels = np.empty(TILE * TILE, np.int64)
+    alphas = np.empty(TILE * TILE)
+    before = np.empty(TILE * TILE)
+    behind = np.empty((TILE * TILE, 3))
+    for tile in range(first, end):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        # First all light of each pixel; then front to back, taking off what is passed.
+        behind[:] = 0.0
+        left[:] = 1.0
+        for pair in range(starts[tile], starts[tile + 1]):
+            field = fields[splats[pair]]
+            count, _ = trace_down_to(_LEAST, field, x0, x1, y0, y1, left, pixels, alphas, before)
+            for i in range(count):
+                for channel in range(3):
+                    behind[pixels[i], channel] += alphas[i] * before[i] * field[RED + channel]
+        for pixel in range(TILE * TILE):
+            for channel in range(3):
+                behind[pixel, channel] += abs(left[pixel]) * background[channel]
+        left[:] = 1.0
+        for pair in range(starts[tile], starts[tile + 1]):
+            field = fields[splats[pair]]
+            count, _ = trace_down_to(_LEAST, field, x0, x1, y0, y1, left, pixels, alphas, before)
+            added = 0.0
+            for i in range(count):
+                pixel = pixels[i]
+                y = y0 + pixel // TILE
+                x = x0 + pixel % TILE
+                uncovered = alphas[i] / (1.0 - alphas[i])
+                for channel in range(3):
+                    own = alphas[i] * before[i] * field[RED + channel]
+                    behind[pixel, channel] -= own
+                    change = behind[pixel, channel] * uncovered - own
+                    added += change * (2.0 * residual[y, x, channel] + change)
+            errors[pair, 0] = added

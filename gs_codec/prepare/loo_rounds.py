@@ -1,0 +1,89 @@
+"""Pruning by leave-one-out error, a part at a time.
+
+Errors of single Gaussians do not add up where they cover each other, so scores are taken anew
+after each round, against the targets the whole scene had.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.prepare.leave_one_out import leave_one_out
+from gs_codec.prepare.prune import keep_highest, portion
+from gs_codec.prepare.targets import Targets
+from gs_codec.report import Progress, step_counter
+from gs_codec.scene import Scene
+
+#: Share of the remaining Gaussians that a round may remove.
+_ROUND = 0.2
+
+#: Bisections of the last round, where a limit of the loss lies within it.
+_BISECTIONS = 6
+
+
+def prune_leave_one_out(
+    scene: Scene,
+    targets: Targets,
+    percent: float,
+    max_drop: float | None,
+    progress: Progress | None = None,
+) -> tuple[NDArray[np.int64], dict[str, Any]]:
+    """Positions of the Gaussians that stay, and what each round left.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : Targets
+    percent : float
+        Most to remove; 0 with `max_drop` means as many as that allows.
+    max_drop : float or None
+        Most dB the views may lose; see `Targets.drop`.
+    progress : callable, optional
+    """
+    wanted = portion(scene.count, percent)
+    least = scene.count - wanted if wanted or max_drop is None else 1
+    kept = np.arange(scene.count)
+    rounds: list[dict[str, Any]] = []
+    before = targets.error(scene) if max_drop is not None else 0.0
+    while len(kept) > least:
+        current = scene.take(kept)
+        stage = f"leave-one-out, round {len(rounds) + 1}"
+        advance = step_counter(progress, stage, len(targets.cameras))
+        scores = leave_one_out(current, targets.cameras, None, targets.background, advance)
+        rounds.append({"gaussians": len(kept)})
+        asked = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
+        if max_drop is not None:
+            removed = _allowed(current, scores, asked, targets, before, max_drop)
+        kept = kept[keep_highest(scores, removed)]
+        if removed < asked:
+            break
+    return kept, {"rounds": rounds}
+
+
+def _allowed(
+    scene: Scene,
+    scores: NDArray[np.float64],
+    most: int,
+    targets: Targets,
+    before: float,
+    max_drop: float,
+) -> int:
+    """The most, up to `most`, of the lowest scores that can go within the loss allowed."""
+
+    def fits(number: int) -> bool:
+        left = scene.take(keep_highest(scores, number))
+        return targets.drop(targets.error(left), before) <= max_drop
+
+    if fits(most):
+        return most
+    low, high = 0, most
+    for _ in range(_BISECTIONS):
+        middle = (low + high) // 2
+        if fits(middle):
+            low = middle
+        else:
+            high = middle
+    return low

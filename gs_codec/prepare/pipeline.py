@@ -1,0 +1,182 @@
+"""The order of the steps of preparation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.config import PROFILES
+from gs_codec.errors import InvalidInput
+from gs_codec.prepare.loo_rounds import prune_leave_one_out
+from gs_codec.prepare.prune import importance, keep_highest, keep_near, portion
+from gs_codec.prepare.rectify import rectify
+from gs_codec.prepare.report import LABELS, PrepareReport, StepReport
+from gs_codec.prepare.steps import Steps
+from gs_codec.prepare.targets import Targets, evenly, make_targets, photographed
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.report import Progress, step_counter
+from gs_codec.scene import Scene
+
+#: What a step returns: the positions of the Gaussians that stay (None: all), the scene they
+#: make, and what it says of itself.
+_Outcome = tuple[NDArray[np.int64] | None, Scene, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class _Context:
+    """What steps look at, and how they tell their progress."""
+
+    steps: Steps
+    targets: Targets
+    checkpoint: Path | None
+    progress: Progress | None
+
+    def counter(self, stage: str, total: int) -> Callable[[], None] | None:
+        """See `step_counter`."""
+        return step_counter(self.progress, stage, total)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Steps, and what they look at.
+
+    Parameters
+    ----------
+    steps : Steps
+    cameras : path, "auto", or sequence of Camera
+        Quality is measured in those marked ``test``, and at most `views` of the others, evenly
+        spaced, are worked by; where none is marked, the same do for both.
+    photographs : path, optional
+        Folder of the cameras' images. They are the targets then, of the cameras that have one;
+        else renders of the input are.
+    width : int, optional
+        Width of the views, pixels; not with photographs, which have their own.
+    views : int
+    background : tuple of three float
+        RGB behind the scene.
+    checkpoint : path, optional
+        Where `optimise` keeps what it has, and goes on from.
+    """
+
+    steps: Steps
+    cameras: str | Path | Sequence[Camera] = "auto"
+    photographs: str | Path | None = None
+    width: int | None = None
+    views: int = 64
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    checkpoint: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.photographs is not None and self.width is not None:
+            raise InvalidInput("width: given by the photographs, expected one of the two")
+        if self.views < 1:
+            raise InvalidInput(f"views {self.views}: expected at least 1")
+
+
+def prepare_scene(
+    scene: Scene, plan: Plan, progress: Progress | None = None
+) -> tuple[Scene, PrepareReport]:
+    """Run the steps of a plan on a scene.
+
+    Raises
+    ------
+    InvalidInput
+        If there are no cameras, nothing would be left, or an image is broken.
+    """
+    steps = plan.steps
+    working, held_out = _targets(scene, plan, progress)
+    context = _Context(steps, working, plan.checkpoint, progress)
+    kept = np.arange(scene.count)
+    labels = np.zeros(scene.count, np.uint8)
+    reports = [_report("original", scene, held_out, 0.0, {})]
+    for step in _STEPS:
+        if not step.is_asked(steps):
+            continue
+        start = time.perf_counter()
+        stay, scene, details = step.run(scene, context)
+        seconds = time.perf_counter() - start
+        if stay is not None:
+            gone = np.ones(len(kept), bool)
+            gone[stay] = False
+            labels[kept[gone]] = LABELS.index(step.label)
+            kept = kept[stay]
+        reports.append(_report(step.name, scene, held_out, seconds, details))
+    return scene, PrepareReport(labels, tuple(reports), working, held_out)
+
+
+def _targets(scene: Scene, plan: Plan, progress: Progress | None) -> tuple[Targets, Targets]:
+    """Targets to work by, and targets to measure by."""
+    cameras = find_cameras(plan.cameras, scene, "all", plan.width)
+    test = [camera for camera in cameras if camera.split == "test"]
+    rest = [camera for camera in cameras if camera.split != "test"] or test
+    if plan.photographs is not None:
+        rest, _ = photographed(rest, plan.photographs)
+    chosen = evenly(rest, plan.views)
+    measured = test if test != rest else []
+    advance = step_counter(progress, "targets", len(chosen) + len(measured))
+    options = (plan.photographs, plan.background, advance)
+    working = make_targets(scene, chosen, *options)
+    return working, make_targets(scene, measured, *options) if measured else working
+
+
+def _report(
+    name: str, scene: Scene, held_out: Targets, seconds: float, details: dict[str, Any]
+) -> StepReport:
+    quality = held_out.quality(scene)
+    return StepReport(name, scene.count, scene.float_bytes, quality, seconds, details)
+
+
+def _prune_importance(scene: Scene, context: _Context) -> _Outcome:
+    cameras = context.targets.cameras
+    scores = importance(scene, cameras, context.counter("importance", len(cameras)))
+    stay = keep_highest(scores, portion(scene.count, context.steps.prune_importance))
+    return stay, scene.take(stay), {}
+
+
+def _prune_geometry(scene: Scene, context: _Context) -> _Outcome:
+    stay = keep_near(scene, context.steps.prune_geometry)
+    return stay, scene.take(stay), {}
+
+
+def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
+    steps = context.steps
+    stay, details = prune_leave_one_out(
+        scene, context.targets, steps.prune_loo, steps.max_drop, context.progress
+    )
+    return stay, scene.take(stay), details
+
+
+def _rectify(scene: Scene, context: _Context) -> _Outcome:
+    changed, moved = rectify(scene, PROFILES["paper-m"]["sh1"])
+    return None, changed, {"moved": moved}
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step: when it is run, what those it removes are labelled, and how it is done."""
+
+    name: str
+    is_asked: Callable[[Steps], bool]
+    run: Callable[[Scene, _Context], _Outcome]
+    label: str = ""
+
+
+#: In the order they run.
+_STEPS = (
+    _Step("importance pruning", lambda s: s.prune_importance > 0, _prune_importance, "importance"),
+    _Step("geometry pruning", lambda s: s.prune_geometry > 0, _prune_geometry, "geometry"),
+    _Step(
+        "leave-one-out pruning",
+        lambda s: s.prune_loo > 0 or s.max_drop is not None,
+        _prune_loo,
+        "leave-one-out",
+    ),
+    _Step("rectification", lambda s: s.rectify, _rectify),
+)

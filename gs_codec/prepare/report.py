@@ -1,0 +1,92 @@
+"""What preparation did: how many Gaussians went and why, and what each step cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.metrics.images import Quality
+from gs_codec.prepare.targets import Targets
+
+#: Why an input Gaussian is not in the output: its label is the place in this list.
+LABELS = ("kept", "geometry", "importance", "leave-one-out")
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """The scene after a step.
+
+    Attributes
+    ----------
+    name : str
+    count : int
+        Gaussians.
+    size_bytes : float
+        Size of their attributes: float32, or at the depths of quantisation, or coded.
+    quality : Quality
+        Of its held-out views, against photographs where given, else against the input's own.
+    seconds : float
+        Time the step took, measuring not counted.
+    details : dict
+        What the step says of itself.
+    """
+
+    name: str
+    count: int
+    size_bytes: float
+    quality: Quality
+    seconds: float
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PrepareReport:
+    """The steps, in order, and a label for each input Gaussian.
+
+    Attributes
+    ----------
+    labels : ndarray, shape (N,), uint8
+        Places in `LABELS`, in the input's order.
+    steps : tuple of StepReport
+        The first is the input.
+    working, held_out : Targets
+        The views worked by, and those quality is measured in.
+    """
+
+    labels: NDArray[np.uint8]
+    steps: tuple[StepReport, ...]
+    working: Targets
+    held_out: Targets
+
+    @property
+    def removed(self) -> dict[str, int]:
+        """How many Gaussians went for each reason."""
+        counts = np.bincount(self.labels, minlength=len(LABELS))
+        return {label: int(n) for label, n in zip(LABELS[1:], counts[1:], strict=True)}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything but the labels as plain types, for JSON."""
+        return {
+            "gaussians": [self.steps[0].count, self.steps[-1].count],
+            "removed": self.removed,
+            "views": len(self.working.cameras),
+            "held_out": len(self.held_out.cameras),
+            "photographs": self.held_out.photographs,
+            "steps": [_plain_step(step) for step in self.steps],
+        }
+
+    def table(self) -> list[list[str]]:
+        """Rows of the ablation table in the shape of the paper's, the first with its titles."""
+        rows = [["step", "Gaussians", "MB", "PSNR dB", "SSIM", "s"]]
+        for step in self.steps:
+            numbers = (step.size_bytes / 1e6, step.quality.psnr, step.quality.ssim, step.seconds)
+            cells = (f"{n:.{digits}f}" for n, digits in zip(numbers, (3, 3, 4, 1), strict=True))
+            rows.append([step.name, f"{step.count:,}", *cells])
+        return rows
+
+
+def _plain_step(step: StepReport) -> dict[str, Any]:
+    return dict(vars(step), quality=step.quality.as_dict())

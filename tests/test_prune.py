@@ -1,0 +1,228 @@
+"""Pruning: exact numbers, deterministic ties, scores against brute force, limits of the loss."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, random_scene
+
+from gs_codec.errors import InvalidInput
+from gs_codec.prepare.leave_one_out import leave_one_out
+from gs_codec.prepare.loo_rounds import prune_leave_one_out
+from gs_codec.prepare.prune import importance, keep_highest, keep_near, portion
+from gs_codec.prepare.targets import make_targets
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import Scene
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+def camera(x=0.0, width=48, height=32) -> Camera:
+    return Camera(
+        f"{x}", width, height, 45.0, 45.0, width / 2, height / 2, np.eye(3), np.array([x, 0.0, -4])
+    )
+
+
+CAMERAS = [camera(x) for x in (-0.8, 0.0, 0.8)]
+
+
+def visible_scene(count: int, seed: int, sh_degree: int = 1) -> Scene:
+    """Gaussians large enough to cover pixels."""
+    scene = random_scene(count, sh_degree, seed)
+    sizes = np.random.default_rng(seed).normal(-2.3, 0.4, (3, count)).astype(np.float32)
+    return replace(scene, log_scale=sizes)
+
+
+# Numbers
+
+
+@pytest.mark.parametrize(
+    ("count", "percent", "expected"),
+    [(100, 7, 7), (100, 7.99, 7), (10, 99, 9), (3, 33.4, 1), (3, 33, 0), (0, 50, 0), (1, 99, 0)],
+)
+def test_never_more_than_asked(count, percent, expected):
+    assert portion(count, percent) == expected
+
+
+@pytest.mark.parametrize("percent", range(1, 100))
+def test_whole_percentages_of_a_hundred_are_exact(percent):
+    assert portion(100, percent) == percent
+    assert portion(100_000, percent / 10) == percent * 100
+
+
+@pytest.mark.parametrize("percent", [-1, 100.5, float("nan")])
+def test_percentages_out_of_range(percent):
+    with pytest.raises(InvalidInput, match="expected a percentage, 0 to 100"):
+        portion(10, percent)
+
+
+def test_a_scene_that_would_be_empty_is_refused():
+    with pytest.raises(InvalidInput, match="would leave none"):
+        portion(7, 100)
+
+
+def test_of_equal_scores_the_first_go_first():
+    scores = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 2.0])
+    assert keep_highest(scores, 2).tolist() == [0, 2, 4, 5]
+    assert keep_highest(scores, 4).tolist() == [2, 5]
+    assert keep_highest(scores, 0).tolist() == list(range(6))
+
+
+# Geometry
+
+
+@pytest.mark.parametrize("percent", [0, 1, 5, 20])
+def test_geometry_leaves_the_papers_number(percent):
+    scene = random_scene(1000, 0, seed=110)
+    expected = 1000
+    for _ in range(3):
+        expected -= int(expected * percent / 100)
+    assert len(keep_near(scene, percent)) == expected
+
+
+def test_geometry_removes_the_farthest_of_each_axis_in_turn():
+    scene = random_scene(200, 0, seed=111)
+    centre = np.median(scene.positions, axis=1)
+    left = list(range(200))
+    for axis in range(3):
+        offsets = np.abs(scene.positions[axis].astype(np.float64) - centre[axis])
+        left.sort(key=lambda i, offsets=offsets: offsets[i])
+        left = left[: len(left) - len(left) // 10]
+    assert keep_near(scene, 10).tolist() == sorted(left)
+
+
+def test_geometry_of_one_place_removes_the_first():
+    scene = edge_scenes()["one place"]
+    kept = keep_near(scene, 10)
+    assert kept.tolist() == list(range(scene.count - len(kept), scene.count))
+
+
+# Importance
+
+
+def test_importance_is_lightgaussians_formula():
+    scene = visible_scene(60, 112)
+    expected = np.zeros(60)
+    for view in CAMERAS:
+        expected += render(scene, view, accumulate=True).accumulations.transmittance
+    volume = np.exp(scene.log_scale.astype(np.float64).sum(axis=0))
+    expected *= np.minimum(volume / np.quantile(np.log(volume), 0.9), 1) ** 0 / (
+        1 + np.exp(-scene.opacity[0].astype(np.float64))
+    )
+    largest = np.exp(np.quantile(np.log(volume), 0.9))
+    expected *= np.minimum(volume / largest, 1) ** 0.1
+    np.testing.assert_allclose(importance(scene, CAMERAS), expected, rtol=1e-9)
+    assert (expected == 0).any()
+
+
+# Leave-one-out
+
+
+def squared_error(scene: Scene, targets, background=BLACK) -> float:
+    return sum(
+        float(((render(scene, view, background).colour.astype(np.float64) - target) ** 2).sum())
+        for view, target in zip(CAMERAS, targets, strict=True)
+    )
+
+
+@pytest.mark.parametrize("background", [BLACK, (0.9, 0.4, 0.1)], ids=["black", "orange"])
+@pytest.mark.parametrize("own", [True, False], ids=["own renders", "other images"])
+def test_leave_one_out_is_what_removal_does(own, background):
+    scene = visible_scene(80, 113)
+    rng = np.random.default_rng(113)
+    targets = drawn = [render(scene, view, background).colour for view in CAMERAS]
+    if not own:
+        targets = [rng.random((32, 48, 3)).astype(np.float32) for _ in CAMERAS]
+    residuals = [image - target for image, target in zip(drawn, targets, strict=True)]
+    given = None if own else residuals.__getitem__
+    scores = leave_one_out(scene, CAMERAS, given, background)
+    before = squared_error(scene, targets, background)
+    largest = np.abs(scores).max()
+    compared = 0
+    for i in range(80):
+        removed = squared_error(scene.take(np.arange(80) != i), targets, background) - before
+        if abs(removed) > 1e-3 * largest:
+            assert scores[i] == pytest.approx(removed, rel=0.01)
+            compared += 1
+    assert compared > 30
+    unseen = sum(render(scene, v, accumulate=True).accumulations.pixels for v in CAMERAS) == 0
+    assert (scores[unseen] == 0).all()
+    assert unseen.any()
+
+
+def test_leave_one_out_is_the_same_every_time():
+    scene = visible_scene(50, 114)
+    first = leave_one_out(scene, CAMERAS)
+    np.testing.assert_array_equal(first, leave_one_out(scene, CAMERAS))
+
+
+def test_a_hidden_gaussian_is_worth_nothing():
+    scene = visible_scene(3, 115, 0)
+    flat = np.full((3, 3), 1.5, np.float32)
+    layers = np.array([[0, 0, 0], [0, 0, 0], [0, 0.5, 1]], np.float32)
+    scene = replace(scene, positions=layers, log_scale=flat, opacity=np.full((1, 3), 9, np.float32))
+    scores = leave_one_out(scene, CAMERAS)
+    assert scores[2] < 1e-3 * scores[0]
+
+
+def targets_of(scene: Scene):
+    return make_targets(scene, CAMERAS, None, BLACK)
+
+
+@pytest.mark.parametrize("percent", [1, 10, 37, 66, 90])
+def test_rounds_remove_exactly_what_is_asked(percent):
+    scene = visible_scene(150, 116)
+    kept, details = prune_leave_one_out(scene, targets_of(scene), percent, None)
+    assert len(kept) == 150 - 150 * percent // 100
+    assert (np.diff(kept) > 0).all()
+    counts = [entry["gaussians"] for entry in details["rounds"]]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] == 150
+
+
+def test_rounds_beat_importance():
+    scene = visible_scene(300, 117)
+    targets = targets_of(scene)
+    kept, _ = prune_leave_one_out(scene, targets, 50, None)
+    rival = keep_highest(importance(scene, CAMERAS), 150)
+    assert targets.error(scene.take(kept)) < 0.5 * targets.error(scene.take(rival))
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.5, 3.0])
+def test_the_loss_stays_within_the_limit_and_comes_near_it(limit):
+    scene = visible_scene(300, 118)
+    targets = targets_of(scene)
+    kept, _ = prune_leave_one_out(scene, targets, 0, limit)
+    before = targets.error(scene)
+    drop = targets.drop(targets.error(scene.take(kept)), before)
+    assert 0.3 * limit < drop <= limit
+
+
+def test_a_limit_and_a_percentage_together():
+    scene = visible_scene(300, 119)
+    targets = targets_of(scene)
+    few, _ = prune_leave_one_out(scene, targets, 5, 50.0)
+    assert len(few) == 285
+    limited, _ = prune_leave_one_out(scene, targets, 90, 0.05)
+    alone, _ = prune_leave_one_out(scene, targets, 0, 0.05)
+    assert limited.tolist() == alone.tolist()
+
+
+def test_no_loss_allowed_removes_only_what_is_not_seen():
+    scene = visible_scene(200, 120)
+    targets = targets_of(scene)
+    kept, _ = prune_leave_one_out(scene, targets, 0, 0.0)
+    assert targets.error(scene.take(kept)) == 0
+    assert len(kept) < 200
+
+
+@pytest.mark.parametrize("name", edge_scenes())
+def test_edge_scenes(name):
+    scene = edge_scenes()[name]
+    targets = targets_of(scene)
+    kept, _ = prune_leave_one_out(scene, targets, 40, None)
+    assert len(kept) == scene.count - int(0.4 * scene.count + 1e-6)
+    assert np.isfinite(importance(scene, CAMERAS)).all()

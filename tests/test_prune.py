@@ -129,22 +129,15 @@ def squared_error(scene: Scene, targets, background=BLACK) -> float:
 
 
 @pytest.mark.parametrize("background", [BLACK, (0.9, 0.4, 0.1)], ids=["black", "orange"])
-@pytest.mark.parametrize("own", [True, False], ids=["own renders", "other images"])
-def test_leave_one_out_is_what_removal_does(own, background):
+def test_leave_one_out_is_what_removal_does(background):
     scene = visible_scene(80, 113)
-    rng = np.random.default_rng(113)
-    targets = drawn = [render(scene, view, background).colour for view in CAMERAS]
-    if not own:
-        targets = [rng.random((32, 48, 3)).astype(np.float32) for _ in CAMERAS]
-    residuals = [image - target for image, target in zip(drawn, targets, strict=True)]
-    given = None if own else residuals.__getitem__
-    scores = leave_one_out(scene, CAMERAS, given, background)
-    before = squared_error(scene, targets, background)
+    targets = [render(scene, view, background).colour for view in CAMERAS]
+    scores = leave_one_out(scene, CAMERAS, background)
     largest = np.abs(scores).max()
     compared = 0
     for i in range(80):
-        removed = squared_error(scene.take(np.arange(80) != i), targets, background) - before
-        if abs(removed) > 1e-3 * largest:
+        removed = squared_error(scene.take(np.arange(80) != i), targets, background)
+        if removed > 1e-3 * largest:
             assert scores[i] == pytest.approx(removed, rel=0.01)
             compared += 1
     assert compared > 30

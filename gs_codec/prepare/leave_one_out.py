@@ -25,19 +25,18 @@ _LEAST = 1e-6
 def leave_one_out(
     scene: Scene,
     cameras: Sequence[Camera],
-    residual: Callable[[int], NDArray[np.float32]] | None = None,
     background: Sequence[float] = (0.0, 0.0, 0.0),
     advance: Callable[[], None] | None = None,
 ) -> NDArray[np.float64]:
-    """The squared error that each Gaussian keeps away from the images.
+    """The squared error that the images of a scene would have without each Gaussian.
+
+    Errors against other images are no better a guide: what would mend the same error is then
+    removed together, and overshoots.
 
     Parameters
     ----------
     scene : Scene
     cameras : sequence of Camera
-    residual : callable, optional
-        Gives what view i has over its target, ``(H, W, 3)``; by default the views themselves are
-        the targets.
     background : sequence of three float
         RGB behind the scene.
     advance : callable, optional
@@ -46,18 +45,14 @@ def leave_one_out(
     Returns
     -------
     ndarray, shape (N,), float64
-        Sum over views, pixels and colours of the squared error without the Gaussian less that
-        with it; below 0 where images are nearer to their targets without it.
+        Sum over views, pixels and colours.
     """
     scores = np.zeros(scene.count)
     behind = np.array(background, np.float64)
-    for i, camera in enumerate(cameras):
+    for camera in cameras:
         frame = make_frame(scene, camera)
-        over = np.zeros((camera.height, camera.width, 3), np.float32)
-        if residual is not None:
-            over[:] = residual(i)
         errors = np.zeros((frame.pairs, 1))
-        frame.over_tiles(_leave_out, behind, over, errors)
+        frame.over_tiles(_leave_out, camera.width, camera.height, behind, errors)
         scores += frame.sum_pairs(scene.count, errors)[:, 0]
         if advance is not None:
             advance()
@@ -65,9 +60,8 @@ def leave_one_out(
 
 
 @kernel
-def _leave_out(fields, splats, starts, first, end, columns, background, residual, errors):
-    """Fill ``errors (pairs, 1)``, given residuals ``(H, W, 3)``."""
-    height, width, _ = residual.shape
+def _leave_out(fields, splats, starts, first, end, columns, width, height, background, errors):
+    """Fill ``errors (pairs, 1)``."""
     left = np.empty(TILE * TILE)
     pixels = np.empty(TILE * TILE, np.int64)
     alphas = np.empty(TILE * TILE)
@@ -94,12 +88,10 @@ def _leave_out(fields, splats, starts, first, end, columns, background, residual
             added = 0.0
             for i in range(count):
                 pixel = pixels[i]
-                y = y0 + pixel // TILE
-                x = x0 + pixel % TILE
                 uncovered = alphas[i] / (1.0 - alphas[i])
                 for channel in range(3):
                     own = alphas[i] * before[i] * field[RED + channel]
                     behind[pixel, channel] -= own
                     change = behind[pixel, channel] * uncovered - own
-                    added += change * (2.0 * residual[y, x, channel] + change)
+                    added += change * change
             errors[pair, 0] = added

@@ -1,7 +1,7 @@
 """Pruning by leave-one-out error, a part at a time.
 
 Errors of single Gaussians do not add up where they cover each other, so scores are taken anew
-after each round, against the targets the whole scene had.
+after each round.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def prune_leave_one_out(
         current = scene.take(kept)
         stage = f"leave-one-out, round {len(rounds) + 1}"
         advance = step_counter(progress, stage, len(targets.cameras))
-        scores = leave_one_out(current, targets.cameras, None, targets.background, advance)
+        scores = leave_one_out(current, targets.cameras, targets.background, advance)
         rounds.append({"gaussians": len(kept)})
         asked = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
         if max_drop is not None:

@@ -1,0 +1,313 @@
+"""Preparation as a whole: order of steps, labels, reports, files and the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import random_scene
+from typer.testing import CliRunner
+
+import gs_codec
+from gs_codec.cli.main import app
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.files import encode_file, prepare_file, read_scene
+from gs_codec.inspection import inspect_bytes
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.metrics.images import compare_images
+from gs_codec.prepare.pipeline import Plan, prepare_scene
+from gs_codec.prepare.report import LABELS
+from gs_codec.prepare.steps import Steps
+from gs_codec.prepare.targets import evenly, make_targets
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.images import read_image, write_png
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import GROUPS, Scene
+
+
+def camera(name: str, x: float, split=None) -> Camera:
+    position = np.array([x, 0.0, -4.0])
+    return Camera(name, 48, 32, 45.0, 45.0, 24.0, 16.0, np.eye(3), position, split)
+
+
+CAMERAS = [
+    camera("a", -0.8, "train"),
+    camera("b", -0.4, "test"),
+    camera("c", 0.0, "train"),
+    camera("d", 0.5, "train"),
+]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    base = random_scene(400, 1, seed=130)
+    sizes = np.random.default_rng(130).normal(-2.3, 0.4, (3, 400)).astype(np.float32)
+    return replace(base, log_scale=sizes)
+
+
+def plan(**steps) -> Plan:
+    return Plan(Steps(**steps), CAMERAS)
+
+
+# Steps
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ({"prune_geometry": -1}, "prune_geometry -1: expected 0 to below 100"),
+        ({"prune_importance": 100}, "prune_importance 100: expected 0 to below 100"),
+        ({"prune_loo": float("nan")}, "prune_loo nan"),
+        ({"prune_loo": 0.5}, "expected percent, half of all is 50"),
+        ({"max_drop": -0.1}, "max_drop -0.1"),
+        ({"optimise": -1}, "optimise -1"),
+        ({"refit_colour": -1}, "refit_colour -1"),
+        ({"compact_sh": -0.1}, "compact_sh -0.1"),
+    ],
+)
+def test_steps_out_of_range(steps, message):
+    with pytest.raises(InvalidInput, match=message):
+        Steps(**steps)
+
+
+def test_plans_that_contradict_themselves():
+    with pytest.raises(InvalidInput, match="width: given by the photographs"):
+        Plan(Steps(), photographs="images", width=100)
+    with pytest.raises(InvalidInput, match="views 0: expected at least 1"):
+        Plan(Steps(), views=0)
+
+
+def test_labels_tell_why_each_gaussian_went(scene):
+    steps = {"prune_importance": 20, "prune_geometry": 2, "prune_loo": 25}
+    result, report = prepare_scene(scene, plan(**steps))
+    assert report.labels.shape == (400,)
+    assert report.labels.dtype == np.uint8
+    kept = np.flatnonzero(report.labels == 0)
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(result, group), getattr(scene, group)[:, kept])
+    assert report.removed["importance"] == 80
+    left = 320
+    for _ in range(3):
+        left -= int(left * 0.02)
+    assert report.removed["geometry"] == 320 - left
+    assert report.removed["leave-one-out"] == left // 4
+    # The same, one step at a time.
+    stage, origin = scene, np.arange(400)
+    for name, value in steps.items():
+        stage, single = prepare_scene(stage, plan(**{name: value}))
+        gone = origin[single.labels > 0]
+        label = {"prune_geometry": "geometry", "prune_importance": "importance"}.get(name)
+        if label:
+            assert (report.labels[gone] == LABELS.index(label)).all()
+            origin = origin[single.labels == 0]
+
+
+def test_quality_is_measured_in_held_out_views(scene):
+    result, report = prepare_scene(scene, plan(prune_importance=50))
+    assert [c.name for c in report.held_out.cameras] == ["b"]
+    assert [c.name for c in report.working.cameras] == ["a", "c", "d"]
+    first, last = report.steps
+    assert (first.name, first.count, first.quality.psnr) == ("original", 400, np.inf)
+    images = [render(s, CAMERAS[1]).colour for s in (result, scene)]
+    assert (last.name, last.count) == ("importance pruning", 200)
+    assert last.quality == compare_images(*images)
+    assert last.size_bytes == result.float_bytes
+
+
+def test_cameras_without_marks_do_for_both(scene):
+    unmarked = [replace(c, split=None) for c in CAMERAS]
+    _, report = prepare_scene(scene, Plan(Steps(rectify=True), unmarked, views=2))
+    assert report.held_out is report.working
+    assert [c.name for c in report.working.cameras] == ["a", "d"]
+
+
+def test_photographs_are_the_targets_of_cameras_that_have_one(scene, tmp_path):
+    for name in ("b", "c"):
+        write_png(tmp_path / f"{name}.png", np.full((16, 24, 3), 0.4))
+    chosen = Plan(Steps(prune_loo=10), CAMERAS, photographs=tmp_path)
+    _, report = prepare_scene(scene, chosen)
+    assert [c.name for c in report.working.cameras] == ["c"]
+    assert report.working.cameras[0].width == 24
+    assert report.held_out.photographs
+    image = render(scene, CAMERAS[1].resized(24, 16)).colour
+    expected = compare_images(image, read_image(tmp_path / "b.png"))
+    assert report.steps[0].quality == expected
+    (tmp_path / "b.png").unlink()
+    with pytest.raises(InvalidInput, match="no image of the 1 cameras"):
+        prepare_scene(scene, chosen)
+
+
+def test_views_are_evenly_spaced():
+    assert evenly(CAMERAS, 2) == [CAMERAS[0], CAMERAS[3]]
+    assert evenly(CAMERAS, 9) == CAMERAS
+    assert evenly(CAMERAS, 1) == CAMERAS[:1]
+
+
+def test_drop_of_photographs_and_of_own_renders(scene):
+    own = make_targets(scene, CAMERAS, None, (0.0, 0.0, 0.0))
+    assert own.error(scene) == 0
+    assert own.drop(1e-3, 0.0) == pytest.approx(10 * np.log10(2))
+    real = replace(own, photographs=True)
+    assert real.drop(2e-3, 1e-3) == pytest.approx(10 * np.log10(2))
+
+
+def test_rectification_is_what_coding_does(scene):
+    outlier = scene.f_rest.copy()
+    outlier[2, 5] = 40.0
+    wild = replace(scene, f_rest=outlier)
+    result, report = prepare_scene(wild, plan(rectify=True))
+    changed = result.f_rest != wild.f_rest
+    assert changed[2, 5]
+    assert report.steps[-1].details == {"moved": np.count_nonzero(changed)}
+    assert 0 < result.f_rest[2, 5] < 40
+    assert not report.labels.any()
+
+
+def test_steps_that_need_something_to_see_refuse_an_empty_scene():
+    with pytest.raises(InvalidInput, match="no view shows anything"):
+        prepare_scene(random_scene(0), Plan(Steps(prune_loo=10)))
+
+
+def test_the_input_is_not_changed(scene):
+    before = {group: getattr(scene, group).copy() for group in GROUPS}
+    prepare_scene(scene, plan(prune_loo=20, rectify=True))
+    for group, plane in before.items():
+        np.testing.assert_array_equal(getattr(scene, group), plane)
+
+
+# Files
+
+
+@pytest.fixture
+def folder(scene, tmp_path):
+    write_ply(tmp_path / "scene.ply", scene)
+    entries = [
+        {
+            "img_name": c.name, "width": 48, "height": 32, "fx": 45.0, "fy": 45.0,
+            "position": c.position.tolist(), "rotation": np.eye(3).tolist(), "split": c.split,
+        }
+        for c in CAMERAS
+    ]  # fmt: skip
+    (tmp_path / "cameras.json").write_text(json.dumps(entries))
+    return tmp_path
+
+
+def test_report_files(folder, scene):
+    chosen = Plan(Steps(prune_loo=30), folder / "cameras.json")
+    report = prepare_file(folder / "scene.ply", folder / "out.ply", chosen, folder / "new" / "r")
+    labels = np.load(folder / "new" / "r" / "labels.npy")
+    np.testing.assert_array_equal(labels, report.labels)
+    saved = json.loads((folder / "new" / "r" / "report.json").read_text())
+    assert saved["gaussians"] == [400, 280]
+    assert saved["removed"] == {"geometry": 0, "importance": 0, "leave-one-out": 120}
+    assert saved["steps"][0]["quality"]["psnr"] is None
+    table = (folder / "new" / "r" / "ablation.md").read_text().splitlines()
+    names = [line.split("|")[1].strip() for line in table]
+    coding = ["quantisation", "entropy coding", "geometry coding"]
+    assert names == ["step", "---", "original", "leave-one-out pruning", *coding]
+    assert read_ply(folder / "out.ply").count == 280
+
+
+def test_stages_of_coding_add_up(folder):
+    chosen = Plan(Steps(prune_loo=30), folder / "cameras.json")
+    report = prepare_file(folder / "scene.ply", folder / "out.egs", chosen)
+    quantised, coded, whole = report.steps[-3:]
+    bits = 3 * 16 + 3 * 8 + 8 + 3 * 8 + 4 * 8 + 9 * 4
+    assert quantised.size_bytes == 280 * bits / 8
+    assert whole.size_bytes == (folder / "out.egs").stat().st_size
+    sizes = {s.name: s.bytes for s in inspect_bytes((folder / "out.egs").read_bytes()).streams}
+    packed = 280 * (3 * 16 + 3 * 8) / 8
+    assert coded.size_bytes == whole.size_bytes - sizes["geometry"] - sizes["sh-dc"] + packed
+    decoded = read_scene(folder / "out.egs")
+    image = render(decoded, CAMERAS[1]).colour
+    expected = compare_images(image, render(read_ply(folder / "scene.ply"), CAMERAS[1]).colour)
+    assert quantised.quality == coded.quality == whole.quality == expected
+
+
+def test_encode_prepares_first(folder):
+    chosen = Plan(Steps(prune_loo=30), folder / "cameras.json")
+    report = encode_file(
+        folder / "scene.ply", folder / "a.egs", Config("paper-s"), None, chosen, folder / "r"
+    )
+    assert report.count == 280
+    prepare_file(folder / "scene.ply", folder / "b.ply", chosen)
+    encode_file(folder / "b.ply", folder / "b.egs", Config("paper-s"))
+    assert (folder / "a.egs").read_bytes() == (folder / "b.egs").read_bytes()
+    assert (folder / "r" / "report.json").exists()
+
+
+def test_python_api(folder, scene):
+    cloud = gs_codec.read(folder / "scene.ply")
+    result, report = gs_codec.prepare(cloud, CAMERAS, prune_importance=50)
+    assert len(result.point.positions) == 200
+    assert report.removed["importance"] == 200
+    with pytest.raises(InvalidInput, match="step 'prune': expected prune_geometry, "):
+        gs_codec.prepare(cloud, CAMERAS, prune=50)
+
+
+# The command line
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_prepare_prints_what_went_and_the_table(folder):
+    options = ["--prune-loo", 20, "--prune-geometry", 1, "--cameras", folder / "cameras.json"]
+    result = run("prepare", folder / "scene.ply", folder / "out.ply", *options)
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("pruned by geometry: ")
+    assert lines[1].startswith("pruned by leave-one-out: ")
+    assert lines[1].endswith(" of 400")
+    assert lines[2].split() == ["step", "Gaussians", "MB", "PSNR", "dB", "SSIM", "s"]
+    assert lines[-1].startswith("geometry coding")
+
+
+def test_prepare_as_json(folder):
+    options = ["--prune-importance", 25, "--cameras", folder, "--json"]
+    result = run("prepare", folder / "scene.ply", folder / "out.egs", *options)
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert report["gaussians"] == [400, 300]
+    assert inspect_bytes((folder / "out.egs").read_bytes()).count == 300
+
+
+def test_encode_with_steps(folder):
+    options = ["--max-drop", 0.1, "--cameras", folder, "--report", folder / "r", "--json"]
+    result = run("encode", folder / "scene.ply", folder / "out.egs", *options)
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["count"] < 400
+    assert (folder / "r" / "labels.npy").exists()
+
+
+REFUSALS = {
+    "no step": ("prepare scene.ply out.ply", "no step of preparation asked for"),
+    "suffix": ("prepare scene.ply out.txt --rectify", "suffix '.txt', expected '.ply' or '.egs'"),
+    "itself": ("prepare scene.ply scene.ply --rectify", "the source itself"),
+    "fraction": ("prepare scene.ply o.ply --prune-loo 0.3", "expected percent, half of all is 50"),
+    "cameras": ("prepare scene.ply o.ply --rectify --cameras none", "none: no such file"),
+    "photographs": (
+        "prepare scene.ply o.ply --rectify --cameras cameras.json --against-gt none",
+        "none: no such folder",
+    ),
+    "report": ("prepare scene.ply o.ply --rectify --report scene.ply", "scene.ply: "),
+    "report alone": ("encode scene.ply o.egs --report r", "need a step, for example"),
+    "background": ("prepare scene.ply o.ply --rectify --background red", "black or white"),
+    "width": ("prepare scene.ply o.ply --rectify --width -4", "width -4"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_refusals_are_one_line_and_write_nothing(folder, monkeypatch, name):
+    monkeypatch.chdir(folder)
+    before = sorted(path.name for path in folder.iterdir())
+    command, message = REFUSALS[name]
+    result = run(*command.split())
+    assert isinstance(result.exception, InvalidInput), result.output
+    assert message in str(result.exception)
+    assert "\n" not in str(result.exception)
+    assert sorted(path.name for path in folder.iterdir()) == before

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_module
 import sys
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +16,7 @@ from gs_codec.cli.output import print_table, print_text
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.scene import Scene
 
 #: Lines of the readable table: header, and the place of its figure in a result.
 _COLUMNS = [
@@ -50,6 +52,12 @@ def command(
     coders: Annotated[
         bool, typer.Option("--coders", help="Compare entropy coders too (torchac: a minute).")
     ] = False,
+    prepare: Annotated[
+        bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
+    ] = False,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="With --prepare: plot ratio against loss.")
+    ] = None,
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
     """Measure time, size, error, memory and rendered quality; JSON lines on stdout."""
@@ -59,6 +67,11 @@ def command(
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
         for name in profile or PROFILES
     ]
+    if (prepare or plot) and not (prepare and cameras):
+        raise InvalidInput("--prepare needs --cameras, and --plot needs --prepare")
+    if prepare:
+        _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
+        return
     rows: dict[str, list[str]] = {}
     views = (cameras, against_gt, width)
     for line in _measure(scenes, configs, tile, repeats, coders, threads, views):
@@ -80,17 +93,12 @@ def _measure(
     from gs_codec.bench.coders import measure_coders
     from gs_codec.bench.measure import machine, measure_scene
     from gs_codec.bench.rendered import measure_quality, measure_speed
-    from gs_codec.bench.tile import tile_scene
-    from gs_codec.io.ply import read_ply
     from gs_codec.rendering.cameras import find_cameras
 
     yield machine()
     source, truth, width = views
     for path in scenes:
-        name = path.stem if path.stem != "point_cloud" else path.parent.name
-        scene = read_ply(path, configs[0].extra)
-        if tile:
-            scene = tile_scene(scene, tile)
+        name, scene = _load(path, configs[0], tile)
         cameras = find_cameras(source, scene, "held-out", width) if source else []
         for config in configs:
             yield from measure_scene(scene, name, config, repeats)
@@ -102,6 +110,55 @@ def _measure(
             yield measure_speed(scene, name, cameras, threads, repeats)
     for device, seconds in paper.SECONDS.items():
         yield {"kind": "paper", "gaussians": 1_120_000, "device": device, **seconds}
+
+
+def _load(path: Path, config: Config, tile: int | None) -> tuple[str, Scene]:
+    """A scene, tiled if asked, and what to call it."""
+    from gs_codec.bench.tile import tile_scene
+    from gs_codec.io.ply import read_ply
+
+    scene = read_ply(path, config.extra)
+    name = path.stem if path.stem != "point_cloud" else path.parent.name
+    return name, tile_scene(scene, tile) if tile else scene
+
+
+def _measure_preparation(
+    scenes: list[Path],
+    configs: list[Config],
+    tile: int | None,
+    views: tuple[str | None, Path | None, int | None],
+    plot: Path | None,
+) -> None:
+    from gs_codec.bench.frontier_plot import plot_frontier
+    from gs_codec.bench.measure import machine
+    from gs_codec.bench.prepared import measure_frontier, measure_pruning
+    from gs_codec.prepare.pipeline import Plan
+    from gs_codec.prepare.steps import Steps
+
+    print_text(json_module.dumps(machine()))
+    source, truth, width = views
+    lines = []
+    for path in scenes:
+        name, scene = _load(path, configs[0], tile)
+        plan = Plan(Steps(), source or "auto", truth, width)
+        results = [measure_pruning(scene, name, plan)]
+        results += [measure_frontier(scene, name, plan, config) for config in configs]
+        for line in chain(*results):
+            print_text(json_module.dumps(line))
+            lines.append(line)
+    if plot is not None:
+        plot_frontier([line for line in lines if line["kind"] == "frontier"], plot)
+    columns = ["scene", "rule or profile", "pruned %", "SH strength", "ratio", "delta-PSNR"]
+    print_table(columns, [_preparation_row(line) for line in lines], sys.stderr)
+
+
+def _preparation_row(line: dict[str, Any]) -> list[str]:
+    loss = line["delta"]["psnr"]
+    shown = "" if loss is None else f"{loss:+.3f}"
+    if line["kind"] == "pruning":
+        return [line["scene"], line["rule"], str(line["percent"]), "", "", shown]
+    size = [str(line["percent"]), f"{line['strength']:g}", f"{line['ratio']:.2f}"]
+    return [line["scene"], line["profile"], *size, shown]
 
 
 def _add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:

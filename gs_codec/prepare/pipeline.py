@@ -81,9 +81,14 @@ class Plan:
 
 
 def prepare_scene(
-    scene: Scene, plan: Plan, progress: Progress | None = None
+    scene: Scene,
+    plan: Plan,
+    progress: Progress | None = None,
+    targets: tuple[Targets, Targets] | None = None,
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
+
+    `targets` are those of `choose_targets`, of this scene or of one it was made from.
 
     Raises
     ------
@@ -91,7 +96,7 @@ def prepare_scene(
         If there are no cameras, nothing would be left, or an image is broken.
     """
     steps = plan.steps
-    working, held_out = _targets(scene, plan, progress)
+    working, held_out = targets or choose_targets(scene, plan, progress)
     context = _Context(steps, working, plan.checkpoint, progress)
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
@@ -111,9 +116,11 @@ def prepare_scene(
     return scene, PrepareReport(labels, tuple(reports), working, held_out)
 
 
-def _targets(scene: Scene, plan: Plan, progress: Progress | None) -> tuple[Targets, Targets]:
+def choose_targets(
+    scene: Scene, plan: Plan, progress: Progress | None = None
+) -> tuple[Targets, Targets]:
     """Targets to work by, and targets to measure by."""
-    cameras = find_cameras(plan.cameras, scene, "all", plan.width)
+    cameras = find_cameras(plan.cameras, scene, "all", plan.width, plan.views)
     test = [camera for camera in cameras if camera.split == "test"]
     rest = [camera for camera in cameras if camera.split != "test"] or test
     if plan.photographs is not None:

@@ -28,6 +28,9 @@ _THUMB_GAUSSIANS = 50_000
 _THUMB = (96, 64)
 _INSIDE, _ORBIT = 192, 64
 
+#: Share of the candidates that are good enough to choose from.
+_SHARE = 0.5
+
 #: In units of the scene's size: spread of the places inside, and of what is looked at.
 _SPREAD, _AIM = 0.35, 0.15
 
@@ -176,7 +179,7 @@ def _judge(scene: Scene, view: Camera) -> tuple[float, NDArray[np.float32]]:
 def _best_together(scores: NDArray, weights: NDArray, count: int) -> list[int]:
     """Greedily, views of the better half whose summed square roots of weights grow most."""
     left = [i for i in np.argsort(-scores, kind="stable") if np.isfinite(scores[i])]
-    left = left[: max(len(left) // 2, count)]
+    left = left[: max(int(_SHARE * len(left)), count)]
     chosen: list[int] = []
     total = np.zeros(weights.shape[1:], np.float32)
     while left and len(chosen) < count:

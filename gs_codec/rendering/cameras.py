@@ -20,6 +20,7 @@ def find_cameras(
     scene: Scene,
     split: str = "all",
     width: int | None = None,
+    auto: int = 24,
 ) -> list[Camera]:
     """Cameras of a file or folder (see `read_cameras`), ``auto`` ones, or those given.
 
@@ -33,6 +34,8 @@ def find_cameras(
         ``all``.
     width : int, optional
         Width of the images, pixels; the height follows.
+    auto : int
+        How many ``auto`` ones.
 
     Raises
     ------
@@ -44,7 +47,7 @@ def find_cameras(
     if not isinstance(source, str | Path):
         cameras = list(source)
     elif str(source) == "auto":
-        cameras = auto_cameras(scene)
+        cameras = auto_cameras(scene, auto)
     else:
         cameras = read_cameras(source)
     if split == "held-out":

@@ -1,0 +1,78 @@
+"""Pruning rules side by side, and what preparation followed by coding gains and costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import Config
+from gs_codec.io.ply import vertex_rows
+from gs_codec.prepare.pipeline import Plan, choose_targets, prepare_scene
+from gs_codec.prepare.report import PrepareReport
+from gs_codec.prepare.steps import Steps
+from gs_codec.scene import Scene
+
+#: Percentages pruned by both rules (the paper removes 65 to 66), and along the frontier.
+PRUNED = (30.0, 50.0, 66.0)
+FRONTIER = (0.0, 20.0, 35.0, 50.0, 65.0)
+
+#: Strengths of SH compaction along the frontier.
+STRENGTHS = (0.0, 0.5, 1.0, 2.0)
+
+
+def measure_pruning(scene: Scene, name: str, plan: Plan) -> Iterator[dict[str, Any]]:
+    """Quality after pruning by leave-one-out error and by LightGaussian's importance."""
+    targets = choose_targets(scene, plan)
+    for percent in PRUNED:
+        rules = {
+            "leave-one-out": Steps(prune_loo=percent),
+            "importance": Steps(prune_importance=percent),
+        }
+        for rule, steps in rules.items():
+            pruned, report = prepare_scene(scene, replace(plan, steps=steps), targets=targets)
+            yield {
+                "kind": "pruning",
+                "scene": name,
+                "rule": rule,
+                "percent": percent,
+                "gaussians": pruned.count,
+                "seconds": report.steps[-1].seconds,
+                **_quality(report),
+            }
+
+
+def measure_frontier(
+    scene: Scene, name: str, plan: Plan, config: Config
+) -> Iterator[dict[str, Any]]:
+    """Size and quality of the coded scene, by leave-one-out fraction and compaction strength."""
+    ply_bytes = vertex_rows(scene).nbytes
+    targets = choose_targets(scene, plan)
+    before = targets[1].quality(scene)
+    for percent in FRONTIER:
+        pruned, _ = prepare_scene(
+            scene, replace(plan, steps=Steps(prune_loo=percent)), targets=targets
+        )
+        for strength in STRENGTHS:
+            steps = Steps(compact_sh=strength, refit_colour=8 if percent or strength else 0)
+            prepared, _ = prepare_scene(pruned, replace(plan, steps=steps), targets=targets)
+            data, _ = encode_scene(prepared, config)
+            after = targets[1].quality(decode_scene(data))
+            yield {
+                "kind": "frontier",
+                "scene": name,
+                "profile": config.profile,
+                "percent": percent,
+                "strength": strength,
+                "gaussians": prepared.count,
+                "file_bytes": len(data),
+                "ratio": ply_bytes / len(data),
+                "quality": after.as_dict(),
+                "delta": after.over(before).as_dict(),
+            }
+
+
+def _quality(report: PrepareReport) -> dict[str, Any]:
+    before, after = report.steps[0].quality, report.steps[-1].quality
+    return {"quality": after.as_dict(), "delta": after.over(before).as_dict()}

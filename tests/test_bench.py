@@ -10,13 +10,14 @@ import pytest
 from scenes import random_scene
 from typer.testing import CliRunner
 
+from gs_codec.bench import prepared
 from gs_codec.bench.tile import tile_scene
 from gs_codec.cli.main import app
 from gs_codec.entropy import torchac_coder
 from gs_codec.errors import InvalidInput
 from gs_codec.io.ply import write_ply
 from gs_codec.rendering.camera_files import read_cameras
-from gs_codec.rendering.images import write_png
+from gs_codec.rendering.images import read_image, write_png
 from gs_codec.rendering.renderer import render
 
 
@@ -145,3 +146,34 @@ def test_source_scene_is_not_changed():
 def test_published_numbers_are_marked_as_the_papers():
     text = (Path(__file__).parents[1] / "gs_codec" / "bench" / "paper.py").read_text()
     assert "2508.10227" in text
+
+
+def test_preparation_is_measured_and_plotted(tmp_path, monkeypatch):
+    monkeypatch.setattr(prepared, "PRUNED", (50.0,))
+    monkeypatch.setattr(prepared, "FRONTIER", (0.0, 50.0))
+    monkeypatch.setattr(prepared, "STRENGTHS", (0.0, 3e-5))
+    write_ply(tmp_path / "scene.ply", random_scene(300, 1, seed=74))
+    plot = tmp_path / "plot.png"
+    options = ["-p", "paper-m", "--prepare", "--cameras", "auto", "--width", "36", "--plot", plot]
+    result = CliRunner().invoke(app, ["bench", str(tmp_path / "scene.ply"), *map(str, options)])
+    assert result.exit_code == 0, result.output
+    found = [json.loads(line) for line in result.stdout.splitlines()]
+    pruning = [line for line in found if line["kind"] == "pruning"]
+    assert [(line["rule"], line["gaussians"]) for line in pruning] == [
+        ("leave-one-out", 150),
+        ("importance", 150),
+    ]
+    assert pruning[0]["quality"]["psnr"] > pruning[1]["quality"]["psnr"]
+    frontier = [line for line in found if line["kind"] == "frontier"]
+    assert [(line["percent"], line["strength"]) for line in frontier] == [
+        (0.0, 0.0), (0.0, 3e-5), (50.0, 0.0), (50.0, 3e-5),
+    ]  # fmt: skip
+    assert frontier[0]["ratio"] < frontier[2]["ratio"]
+    assert read_image(plot).shape[2] == 3
+
+
+def test_preparation_needs_cameras():
+    for options in (["--prepare"], ["--plot", "a.png"], ["--plot", "a.png", "--cameras", "auto"]):
+        result = CliRunner().invoke(app, ["bench", "scene.ply", *options])
+        assert isinstance(result.exception, InvalidInput)
+        assert "--prepare needs --cameras" in str(result.exception)

@@ -166,6 +166,45 @@ def test_rectification_is_what_coding_does(scene):
     assert not report.labels.any()
 
 
+def test_all_steps_run_in_order(scene):
+    steps = {
+        "prune_geometry": 1, "prune_importance": 10, "prune_loo": 20, "optimise": 6,
+        "compact_sh": 3e-5, "refit_colour": 3, "rectify": True,
+    }  # fmt: skip
+    result, report = prepare_scene(scene, plan(**steps))
+    assert [step.name for step in report.steps] == [
+        "original", "importance pruning", "geometry pruning", "leave-one-out pruning",
+        "optimisation", "SH compaction", "colour refit", "rectification",
+    ]  # fmt: skip
+    assert report.steps[-1].count == result.count == (report.labels == 0).sum()
+    assert result.sh_degree == 1
+    assert json.loads(json.dumps(report.as_dict(), allow_nan=False))
+
+
+def test_refitting_wins_back_what_pruning_lost(scene):
+    pruned, before = prepare_scene(scene, plan(prune_importance=70))
+    for steps in ({"refit_colour": 6}, {"optimise": 60}):
+        _, after = prepare_scene(scene, plan(prune_importance=70, **steps))
+        assert after.working.error(pruned) > 0
+        assert after.steps[-1].quality.psnr > before.steps[-1].quality.psnr + 0.5, steps
+
+
+def test_compaction_saves_bits_where_it_may_cost(scene):
+    compact, report = prepare_scene(scene, plan(compact_sh=1e-4))
+    assert (compact.f_rest == 0).mean() > (scene.f_rest == 0).mean() + 0.2
+    assert report.steps[-1].quality.psnr > 30
+
+
+def test_optimisation_goes_on_from_its_checkpoint(scene, tmp_path):
+    chosen = replace(plan(optimise=12), checkpoint=tmp_path / "state")
+    first, _ = prepare_scene(scene, chosen)
+    again, _ = prepare_scene(scene, chosen)
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(first, group), getattr(again, group))
+    with pytest.raises(InvalidInput, match="state"):
+        prepare_scene(scene, replace(chosen, steps=Steps(optimise=13)))
+
+
 def test_steps_that_need_something_to_see_refuse_an_empty_scene():
     with pytest.raises(InvalidInput, match="no view shows anything"):
         prepare_scene(random_scene(0), Plan(Steps(prune_loo=10)))

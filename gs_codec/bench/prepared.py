@@ -19,7 +19,7 @@ PRUNED = (30.0, 50.0, 66.0)
 FRONTIER = (0.0, 20.0, 35.0, 50.0, 65.0)
 
 #: Strengths of SH compaction along the frontier.
-STRENGTHS = (0.0, 0.5, 1.0, 2.0)
+STRENGTHS = (0.0, 1e-5, 3e-5, 1e-4)
 
 
 def measure_pruning(scene: Scene, name: str, plan: Plan) -> Iterator[dict[str, Any]]:
@@ -55,7 +55,7 @@ def measure_frontier(
             scene, replace(plan, steps=Steps(prune_loo=percent)), targets=targets
         )
         for strength in STRENGTHS:
-            steps = Steps(compact_sh=strength, refit_colour=8 if percent or strength else 0)
+            steps = Steps(compact_sh=strength, refit_colour=6 if percent or strength else 0)
             prepared, _ = prepare_scene(pruned, replace(plan, steps=steps), targets=targets)
             data, _ = encode_scene(prepared, config)
             after = targets[1].quality(decode_scene(data))

@@ -41,7 +41,7 @@ Optimise = Annotated[
 CompactSh = Annotated[
     float,
     typer.Option(
-        metavar="STRENGTH", help="Move SH energy to fewer coefficients; 1 is usual.", **_PANEL
+        metavar="STRENGTH", help="Move SH energy to fewer coefficients; 3e-5 is usual.", **_PANEL
     ),
 ]
 RefitColour = Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 
 from gs_codec.config import PROFILES
 from gs_codec.errors import InvalidInput
+from gs_codec.prepare.compact_sh import compact_sh
 from gs_codec.prepare.loo_rounds import prune_leave_one_out
+from gs_codec.prepare.optimise import optimise
 from gs_codec.prepare.prune import importance, keep_highest, keep_near, portion
 from gs_codec.prepare.rectify import rectify
+from gs_codec.prepare.refit_colour import refit_colour
 from gs_codec.prepare.report import LABELS, PrepareReport, StepReport
 from gs_codec.prepare.steps import Steps
 from gs_codec.prepare.targets import Targets, evenly, make_targets, photographed
@@ -160,6 +163,45 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
     return stay, scene.take(stay), details
 
 
+def _optimise(scene: Scene, context: _Context) -> _Outcome:
+    views = context.targets
+    fitted, report = optimise(
+        scene,
+        views.cameras,
+        views.images,
+        context.steps.optimise,
+        background=views.background,
+        checkpoint=context.checkpoint,
+        progress=context.progress,
+    )
+    return None, fitted, asdict(report)
+
+
+def _compact(scene: Scene, context: _Context) -> _Outcome:
+    compact, report = compact_sh(
+        scene, context.targets.cameras, context.steps.compact_sh, progress=context.progress
+    )
+    return None, compact, asdict(report)
+
+
+def _refit(scene: Scene, context: _Context) -> _Outcome:
+    views, steps = context.targets, context.steps
+    fitted, report = refit_colour(
+        scene,
+        views.cameras,
+        views.images,
+        steps.refit_colour,
+        strength=steps.compact_sh,
+        background=views.background,
+        progress=context.progress,
+    )
+    return None, fitted, {"psnr": [_finite(psnr) for psnr in report.psnr], "kept": report.kept}
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
 def _rectify(scene: Scene, context: _Context) -> _Outcome:
     changed, moved = rectify(scene, PROFILES["paper-m"]["sh1"])
     return None, changed, {"moved": moved}
@@ -185,5 +227,8 @@ _STEPS = (
         _prune_loo,
         "leave-one-out",
     ),
+    _Step("optimisation", lambda s: s.optimise > 0, _optimise),
+    _Step("SH compaction", lambda s: s.compact_sh > 0, _compact),
+    _Step("colour refit", lambda s: s.refit_colour > 0, _refit),
     _Step("rectification", lambda s: s.rectify, _rectify),
 )

@@ -1,0 +1,110 @@
+"""State of a refit on disk, so that it can go on after an interruption."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput, one_line
+from gs_codec.io.atomic import atomic_writer
+from gs_codec.prepare.adam import AdamState
+
+#: What reading a damaged archive of arrays may raise.
+_DAMAGE = (
+    OSError, EOFError, LookupError, ValueError, TypeError, AttributeError, SyntaxError,
+    RuntimeError, MemoryError, OverflowError, struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where a refit is.
+
+    Attributes
+    ----------
+    state : AdamState
+    errors : ndarray, shape (iterations done,), float64
+        Mean squared error of each one's view before the step.
+    seconds : ndarray, shape (iterations done,), float64
+        Time taken when each was done, interruptions not counted.
+    """
+
+    state: AdamState
+    errors: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+
+
+def digest_of(parts: Iterable[NDArray | str]) -> str:
+    """A digest of arrays, with their types and shapes, and of texts."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        if isinstance(part, str):
+            digest.update(f"{len(part)} {part}".encode())
+        else:
+            digest.update(f"{part.dtype.str} {part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).data)
+    return digest.hexdigest()
+
+
+def write_checkpoint(path: Path, digest: str, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint of a refit whose inputs have `digest`; whole or not at all.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be written.
+    """
+    with atomic_writer(path) as file:
+        np.savez(
+            file,
+            digest=np.array(digest),
+            errors=checkpoint.errors,
+            seconds=checkpoint.seconds,
+            **checkpoint.state._asdict(),
+        )
+
+
+def read_checkpoint(path: Path, digest: str, fresh: AdamState) -> Checkpoint | None:
+    """The checkpoint of a refit that starts from `fresh`, or None where there is no file.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be read, is damaged, or of other inputs.
+    """
+    if not os.path.lexists(path):
+        return None
+    try:
+        # Opened here, as numpy leaves a file that it cannot read open.
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            found = str(archive["digest"])
+            if found == digest:
+                return _unpack(archive, fresh)
+    except _DAMAGE as error:
+        raise InvalidInput(f"{path}: not a whole checkpoint ({one_line(error)})") from error
+    raise InvalidInput(
+        f"{path}: checkpoint of another scene, views or options; remove it to start anew"
+    )
+
+
+def _unpack(archive: Any, fresh: AdamState) -> Checkpoint:
+    arrays = []
+    for name, like in fresh._asdict().items():
+        array = archive[name]
+        if (array.dtype, array.shape) != (like.dtype, like.shape):
+            raise ValueError(f"{name}: {array.dtype} {array.shape}, expected {like.shape}")
+        arrays.append(np.ascontiguousarray(array))
+    errors, seconds = archive["errors"], archive["seconds"]
+    if errors.ndim != 1 or errors.shape != seconds.shape:
+        raise ValueError(f"errors: {errors.shape}, expected {seconds.shape}")
+    return Checkpoint(AdamState(*arrays), errors, seconds)

@@ -1,0 +1,258 @@
+"""SH energy compaction: as few SH-AC as show the cameras the same (POTR, arXiv 2601.14821)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.kernels import kernel
+from gs_codec.prepare.normal_equations import fill_matrix, solve
+from gs_codec.prepare.sh_weights import (
+    coefficients_of,
+    sh_row,
+    squared_weights,
+    with_coefficients,
+)
+from gs_codec.rendering.camera import Camera
+from gs_codec.report import Progress
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+#: Default of the SH-AC that is just not 0: half a step of coarse quantisation.
+SMALLEST = 0.018
+
+#: Solutions, each with the penalties the one before it asks for; zeros are left out of one more.
+_ROUNDS = 5
+
+#: Share of the evidence that holds a solution to the one before it where nothing else does.
+_INERTIA = 1e-9
+
+_CHUNK = 1 << 12
+
+
+@dataclass(frozen=True)
+class CompactReport:
+    """What compaction did to the SH-AC of `count` Gaussians.
+
+    Attributes
+    ----------
+    count : int
+        Gaussians.
+    unseen : int
+        Those that no camera sees; their SH-AC are 0 now.
+    unsolved : int
+        Those left as they were because of values that are not finite.
+    without_ac : int
+        Those whose SH-AC were all 0 before: trainers leave so what is stuck at black.
+    zeros_before, zeros_after : int
+        SH-AC that are exactly 0, of ``3 K count``.
+    """
+
+    count: int
+    unseen: int
+    unsolved: int
+    without_ac: int
+    zeros_before: int
+    zeros_after: int
+
+
+def compact_sh(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    strength: float = 2e-5,
+    *,
+    smallest: float = SMALLEST,
+    weights: NDArray[np.float32] | None = None,
+    antialiased: bool | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Scene, CompactReport]:
+    """Solve for SH of which few are not 0, and that cameras see as they see the scene's.
+
+    For each Gaussian and colour, coefficients a minimise ::
+
+        sum over views of S_v (colour_v(a) - colour_v)^2  +  L sum over AC of d_k a_k^2
+
+    where S_v sums (alpha T)^2 over the pixels of a view, and d_k = 1 / (abs(a_k) + smallest / 2)^2
+    is taken from the solution before: at the end each coefficient that is not 0 costs at most
+    L, and one is kept where it explains more squared error than that. In views where a colour
+    is clamped at black, any colour below black is as good.
+
+    Where errors of Gaussians overlap in a pixel they are taken as independent; `refit_colour`
+    has their cross terms, and wins back some of what they cost.
+
+    Parameters
+    ----------
+    scene : Scene
+    cameras : sequence of Camera
+        What they do not see is lost; a Gaussian that none sees keeps only its DC.
+    strength : float, above 0
+        Mean squared error of an image value (0-1) that is reached if every SH-AC costs all of
+        L: ``L = strength * pixels / (K N)``, with the pixels of all cameras. 1e-5 is 50 dB.
+    smallest : float, from 0 up
+        SH-AC nearer to 0 become 0, and the others make up for them: half a quantisation step.
+    weights : ndarray, shape (views, N), float32, optional
+        `squared_weights` of the scene, where they are known.
+    antialiased : bool, optional
+        As for `render`.
+    threads : int, optional
+        Never changes the result.
+    progress : callable, optional
+
+    Raises
+    ------
+    InvalidInput
+        If there is no camera, or a number is out of range.
+    """
+    _check(cameras, strength, smallest)
+    if weights is None:
+        weights = squared_weights(scene, cameras, antialiased, threads, progress)
+    before = coefficients_of(scene)
+    after = before.copy()
+    unseen = unsolved = 0
+    if scene.sh_degree and scene.count:
+        pixels = sum(camera.width * camera.height for camera in cameras)
+        penalty = penalty_of(scene, pixels, strength)
+        centres = np.array([camera.position for camera in cameras])
+
+        def run(start: int) -> tuple[int, int]:
+            stop = min(start + _CHUNK, scene.count)
+            return _compact(
+                scene.positions, before, weights, centres, penalty, smallest, after, start, stop
+            )
+
+        counts = run_all(run, range(0, scene.count, _CHUNK), threads)
+        unseen, unsolved = (sum(count) for count in zip(*counts, strict=True))
+    result = with_coefficients(scene, after)
+    return result, CompactReport(
+        count=scene.count,
+        unseen=unseen,
+        unsolved=unsolved,
+        without_ac=int((~scene.f_rest.any(axis=0)).sum()),
+        zeros_before=int((scene.f_rest == 0).sum()),
+        zeros_after=int((result.f_rest == 0).sum()),
+    )
+
+
+def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
+    """Squared error that one SH-AC may cost, for cameras of so many pixels together."""
+    return strength * pixels / max(len(scene.f_rest) // 3 * scene.count, 1)
+
+
+def _check(cameras: Sequence[Camera], strength: float, smallest: float) -> None:
+    if not cameras:
+        raise InvalidInput("cameras: none, expected at least one")
+    if not 0 < strength < math.inf:
+        raise InvalidInput(f"strength {strength}: expected a number above 0")
+    if not 0 <= smallest < math.inf:
+        raise InvalidInput(f"smallest {smallest}: expected a number from 0 up")
+
+
+@kernel
+def _compact(positions, before, weights, centres, penalty, smallest, after, start, stop):
+    """Solve for Gaussians `start` to `stop`; counts of those unseen and unsolved."""
+    views, size = len(weights), before.shape[1]
+    rows = np.empty((views, size))
+    seen = np.empty(views)
+    shared = np.empty((size, size))
+    solution = np.empty(size)
+    unseen = unsolved = 0
+    for i in range(start, stop):
+        count = _list_views(positions, i, weights, centres, rows, seen)
+        unseen += count == 0
+        fill_matrix(rows[:count], seen, shared)
+        failed = False
+        for channel in range(3):
+            finite, any_ac = True, False
+            for k in range(size):
+                solution[k] = before[channel, k, i]
+                finite = finite and abs(solution[k]) < np.inf
+                any_ac = any_ac or (k > 0 and solution[k] != 0.0)
+            if not finite:
+                failed = True
+            elif any_ac and count == 0:
+                after[channel, 1:, i] = 0.0
+            elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest, solution):
+                after[channel, :, i] = solution
+            elif any_ac:
+                failed = True
+        unsolved += failed
+    return unseen, unsolved
+
+
+@kernel
+def _list_views(positions, i, weights, centres, rows, seen):
+    """List the SH basis and the weight of the views that see Gaussian i; returns how many."""
+    count = 0
+    for view in range(len(weights)):
+        if weights[view, i] > 0.0:
+            sh_row(positions, i, centres[view], rows[count])
+            seen[count] = weights[view, i]
+            count += 1
+    return count
+
+
+@kernel
+def _sparsify(rows, seen, shared, penalty, smallest, solution):
+    """Solve for one colour in place; whether all solutions were found.
+
+    `shared` is the matrix of all views. Those where the colour is black have no say, until a
+    solution would light up there: then they count for good, lest it goes to and fro.
+    """
+    count, size = rows.shape
+    right = np.empty(size)
+    matrix = np.empty((size, size))
+    targets, evidence = np.empty(count), np.empty(count)
+    dark, inertia = False, 0.0
+    for j in range(count):
+        colour = 0.5 + _dot(rows[j], solution)
+        targets[j] = max(0.0, colour) - 0.5
+        evidence[j] = seen[j] if colour >= 0.0 else 0.0
+        dark = dark or colour < 0.0
+        inertia += _INERTIA * seen[j]
+    for turn in range(_ROUNDS + 1):
+        for j in range(count):
+            if evidence[j] == 0.0 and 0.5 + _dot(rows[j], solution) > 0.0:
+                evidence[j] = seen[j]
+        if dark:
+            fill_matrix(rows, evidence, matrix)
+        else:
+            matrix[:] = shared
+        for k in range(size):
+            right[k] = 0.0
+            for j in range(count):
+                right[k] += evidence[j] * targets[j] * rows[j, k]
+        _penalise(matrix, right, solution, inertia, penalty, smallest, turn == _ROUNDS)
+        if not solve(matrix, right):
+            return False
+        for k in range(size):
+            small = k > 0 and turn >= _ROUNDS - 1 and abs(right[k]) < smallest
+            solution[k] = 0.0 if small else right[k]
+    return True
+
+
+@kernel
+def _penalise(matrix, right, solution, inertia, penalty, smallest, settled):
+    """Add to the system what keeps the solution small; once `settled`, zeros are left out."""
+    for k in range(len(solution)):
+        matrix[k, k] += inertia
+        right[k] += inertia * solution[k]
+        if k > 0 and settled and solution[k] == 0.0:
+            right[k] = 0.0
+            for m in range(len(solution)):
+                matrix[k, m] = matrix[m, k] = 1.0 if m == k else 0.0
+        elif k > 0:
+            matrix[k, k] += penalty / max(abs(solution[k]) + 0.5 * smallest, 1e-6) ** 2
+
+
+@kernel
+def _dot(row, values):
+    total = 0.0
+    for k in range(len(values)):
+        total += row[k] * values[k]
+    return total

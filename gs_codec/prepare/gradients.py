@@ -1,0 +1,151 @@
+"""How the loss of a view changes with every attribute of every Gaussian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import kernel
+from gs_codec.prepare.backward import MOMENT_YY, differentiate_tiles
+from gs_codec.prepare.image_loss import ImageLoss, LossWeights, image_loss
+from gs_codec.prepare.unproject import differentiate_gaussians
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import Frame, make_frame
+from gs_codec.rendering.rasterise import draw_tiles
+from gs_codec.scene import GROUPS, Scene
+
+
+class Differentiated(NamedTuple):
+    """A view of a scene, its loss, and the derivatives by splat.
+
+    ``sums (N, 9)`` are those of `differentiate_tiles`; ``chosen (M,)`` the Gaussians whose are
+    not all 0, ascending: those that were seen.
+    """
+
+    scene: Scene
+    camera: Camera
+    antialiased: bool
+    loss: ImageLoss
+    sums: NDArray[np.float64]
+    chosen: NDArray[np.int64]
+
+    def slopes(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Derivatives ``(14 + 3 K, stop - start)`` by attributes of ``chosen[start:stop]``.
+
+        Rows are the channels of the groups, in the order of `GROUPS`.
+        """
+        slopes = np.empty((14 + len(self.scene.f_rest), stop - start))
+        camera = self.camera
+        differentiate_gaussians(
+            *(getattr(self.scene, group) for group in GROUPS),
+            camera.rotation,
+            camera.position,
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+            camera.width,
+            camera.height,
+            self.antialiased,
+            self.sums,
+            self.chosen,
+            start,
+            stop,
+            slopes,
+        )
+        return slopes
+
+
+def differentiate(
+    scene: Scene,
+    camera: Camera,
+    target: NDArray,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool | None = None,
+    threads: int | None = None,
+    weights: LossWeights = LossWeights(),  # noqa: B008
+) -> Differentiated:
+    """Draw a view and take its loss back to the splats; see `gradients`."""
+    if antialiased is None:
+        antialiased = scene.antialiased
+    frame = make_frame(scene, camera, antialiased, threads)
+    colour = draw(frame, background)
+    goal = np.ascontiguousarray(target, np.float32)
+    loss = image_loss(colour, goal, weights, frame.threads)
+    pairs = np.empty((frame.pairs, MOMENT_YY + 1))
+    frame.over_tiles(differentiate_tiles, colour, loss.by_colour, pairs)
+    sums = frame.sum_pairs(scene.count, pairs)
+    chosen = np.empty(len(frame.splats.gaussians), np.int64)
+    count = _choose(sums, chosen)
+    return Differentiated(scene, camera, antialiased, loss, sums, chosen[:count])
+
+
+def gradients(
+    scene: Scene,
+    camera: Camera,
+    target: NDArray,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool | None = None,
+    threads: int | None = None,
+    weights: LossWeights = LossWeights(),  # noqa: B008
+) -> tuple[float, dict[str, NDArray[np.float64]]]:
+    """The loss of a view, and its derivatives by the attributes (Kerbl et al. 2023, Appendix A).
+
+    Derivatives are exact but for what 3DGS also takes as constant: which splats are drawn in
+    which pixels, and in what order. Clamps have their own: 0 for an alpha at its limit and for a
+    colour below 0, and that of the edge for a Jacobian beyond 1.3 of the field of view.
+
+    Parameters
+    ----------
+    scene : Scene
+    camera : Camera
+    target : ndarray, shape (H, W, 3)
+        What the image should be, 0-1.
+    background : sequence of three float
+        RGB behind everything.
+    antialiased : bool, optional
+        See `render`; by default as the scene says.
+    threads : int, optional
+        Never changes the result. Default one for each available processor.
+    weights : LossWeights
+        Parts of the loss, by default those of 3DGS.
+
+    Returns
+    -------
+    loss : float
+    gradients : dict of str to ndarray, float64
+        One for each group of attributes, of its shape; 0 for Gaussians that are not seen. By the
+        logit of opacity, the log-scale, and the quaternion as stored, of any norm.
+    """
+    result = differentiate(scene, camera, target, background, antialiased, threads, weights)
+    slopes = result.slopes(0, len(result.chosen))
+    found = {}
+    row = 0
+    for group in GROUPS:
+        found[group] = np.zeros(getattr(scene, group).shape)
+        channels = len(found[group])
+        found[group][:, result.chosen] = slopes[row : row + channels]
+        row += channels
+    return result.loss.value, found
+
+
+def draw(frame: Frame, background: Sequence[float]) -> NDArray[np.float64]:
+    """The image in full precision: what is behind a splat is its difference to what is before."""
+    shape = (frame.camera.height, frame.camera.width)
+    colour, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape)
+    behind = np.array(background, np.float64)
+    frame.over_tiles(draw_tiles, behind, colour, alpha, depth, np.zeros((0, 4)))
+    return colour
+
+
+@kernel
+def _choose(sums, chosen):
+    """List the rows that are not all 0; return how many they are."""
+    count = 0
+    for i in range(len(sums)):
+        for value in sums[i]:
+            if value != 0.0:
+                chosen[count] = i
+                count += 1
+                break
+    return count

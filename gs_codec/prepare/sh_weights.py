@@ -1,0 +1,63 @@
+"""SH of a scene as one block of coefficients, and how much cameras see of each Gaussian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import inlined
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.harmonics import SH_C0, sh_basis
+from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+
+def coefficients_of(scene: Scene, dtype: type = np.float32) -> NDArray:
+    """SH of all bands ``(3, 1 + K, N)``, DC first; a copy."""
+    ac = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
+    return np.concatenate([scene.f_dc[:, None], ac], axis=1, dtype=dtype)
+
+
+def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
+    """The scene with SH ``(3, 1 + K, N)`` in place of its own."""
+    planes = coefficients.astype(np.float32, copy=False)
+    f_rest = np.ascontiguousarray(planes[:, 1:]).reshape(len(scene.f_rest), scene.count)
+    return replace(scene, f_dc=np.ascontiguousarray(planes[:, 0]), f_rest=f_rest)
+
+
+def squared_weights(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    antialiased: bool | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> NDArray[np.float32]:
+    """Sums of (alpha T)^2 over the pixels of each view, ``(views, N)``; 0 where not seen."""
+    weights = np.empty((len(cameras), scene.count), np.float32)
+    advance = step_counter(progress, "weights", len(cameras))
+
+    def weigh(view: int) -> None:
+        # A thread for each view costs less than several for one.
+        drawn = render(
+            scene, cameras[view], antialiased=antialiased, accumulate=True, threads=1, device="cpu"
+        )
+        weights[view] = drawn.accumulations.squared_weight  # type: ignore[union-attr]
+
+    run_all(weigh, range(len(cameras)), threads, advance)
+    return weights
+
+
+@inlined
+def sh_row(positions, i, camera, row):
+    """Fill ``row (1 + K,)`` with the SH basis in the direction from a camera to Gaussian i."""
+    dx = positions[0, i] - camera[0]
+    dy = positions[1, i] - camera[1]
+    dz = positions[2, i] - camera[2]
+    distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+    row[0] = SH_C0
+    sh_basis(dx / distance, dy / distance, dz / distance, len(row) - 1, row[1:])

@@ -1,0 +1,171 @@
+"""From derivatives by splat to derivatives by the Gaussian's attributes: projection, backwards."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gs_codec.kernels import inlined, kernel
+from gs_codec.prepare.backward import (
+    BY_RED,
+    MOMENT,
+    MOMENT_X,
+    MOMENT_XX,
+    MOMENT_XY,
+    MOMENT_Y,
+    MOMENT_YY,
+)
+from gs_codec.prepare.harmonics import sh_slope
+from gs_codec.rendering.harmonics import SH_C0, sh_basis
+from gs_codec.rendering.project import (
+    LOW_PASS,
+    before_camera,
+    clamped_slopes,
+    covariance,
+    quaternion_turn,
+)
+
+#: First rows of the attribute groups among those of a Gaussian; behind f_rest come opacity,
+#: log_scale and rot.
+_F_DC, _F_REST = 3, 6
+
+
+@kernel
+def differentiate_gaussians(
+    positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
+    width, height, antialiased, sums, chosen, start, stop, slopes,
+):  # fmt: skip
+    """Fill columns of ``slopes (14 + 3 K, stop - start)``, rows in the order of `GROUPS`.
+
+    They are the derivatives for Gaussians ``chosen[start:stop]``, of whose splats ``sums (N, 9)``
+    has the sums that `differentiate_tiles` makes.
+    """
+    fx, fy, cx, cy = intrinsics
+    basis, weights = np.zeros(15), np.zeros(15)
+    turned, axes, by_axes = np.empty((3, 3)), np.empty((3, 2)), np.empty((3, 2))
+    by_turn = np.empty((3, 3))
+    after = _F_REST + len(f_rest)
+    for place in range(start, stop):
+        i, j = chosen[place], place - start
+        total = sums[i]
+        dx = positions[0, i] - position[0]
+        dy = positions[1, i] - position[1]
+        dz = positions[2, i] - position[2]
+        _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j)
+        x, y, z = before_camera(rotation, dx, dy, dz)
+        x /= z
+        y /= z
+        near_x, near_y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
+        quaternion, turn = quaternion_turn(rot, i)
+        for k in range(3):
+            scale = math.exp(np.float64(log_scale[k, i])) / z
+            qx, qy, qz = before_camera(rotation, turn[0][k], turn[1][k], turn[2][k])
+            turned[k, 0], turned[k, 1], turned[k, 2] = fx * scale, fy * scale, qz
+            axes[k, 0] = fx * scale * (qx - near_x * qz)
+            axes[k, 1] = fy * scale * (qy - near_y * qz)
+        by_u, by_v = _differentiate_conic(axes, total, antialiased, by_axes)
+        by_x, by_y, by_z = fx * by_u, fy * by_v, 0.0
+        for k in range(3):
+            along = axes[k, 0] * by_axes[k, 0] + axes[k, 1] * by_axes[k, 1]
+            slopes[after + 1 + k, j] = along
+            by_z -= along / z
+            by_qx = turned[k, 0] * by_axes[k, 0]
+            by_qy = turned[k, 1] * by_axes[k, 1]
+            if near_x == x:
+                by_x -= turned[k, 2] * by_qx
+            if near_y == y:
+                by_y -= turned[k, 2] * by_qy
+            by_qz = -near_x * by_qx - near_y * by_qy
+            by_turn[k, 0], by_turn[k, 1], by_turn[k, 2] = _to_world(rotation, by_qx, by_qy, by_qz)
+        by_z -= (x * by_x + y * by_y) / z
+        world_x, world_y, world_z = _to_world(rotation, by_x / z, by_y / z, by_z)
+        slopes[0, j] += world_x
+        slopes[1, j] += world_y
+        slopes[2, j] += world_z
+        slopes[after, j] = total[MOMENT] / (1.0 + math.exp(np.float64(opacity[0, i])))
+        _differentiate_turn(rot, i, quaternion, by_turn, slopes, after + 4, j)
+
+
+@inlined
+def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j):
+    """Fill the rows of f_dc, f_rest and, by the direction it is seen in, of positions."""
+    coefficients = len(f_rest) // 3
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    x, y, z = dx / distance, dy / distance, dz / distance
+    sh_basis(x, y, z, coefficients, basis)
+    weights[:] = 0.0
+    for channel in range(3):
+        row = channel * coefficients
+        value = 0.5 + SH_C0 * f_dc[channel, i]
+        for k in range(coefficients):
+            value += basis[k] * f_rest[row + k, i]
+        by_value = total[BY_RED + channel] if value > 0.0 else 0.0
+        slopes[_F_DC + channel, j] = SH_C0 * by_value
+        for k in range(coefficients):
+            slopes[_F_REST + row + k, j] = basis[k] * by_value
+            weights[k] += f_rest[row + k, i] * by_value
+    by_x, by_y, by_z = sh_slope(x, y, z, coefficients, weights)
+    along = x * by_x + y * by_y + z * by_z
+    slopes[0, j] = (by_x - along * x) / distance
+    slopes[1, j] = (by_y - along * y) / distance
+    slopes[2, j] = (by_z - along * z) / distance
+
+
+@inlined
+def _differentiate_conic(axes, total, antialiased, by_axes):
+    """Fill ``by_axes (3, 2)``, the derivative by the axes in the image; return it by centre."""
+    xx, xy, yy, sharp = covariance(axes)
+    determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
+    a = (yy + LOW_PASS) / determinant
+    b = -xy / determinant
+    c = (xx + LOW_PASS) / determinant
+    # K is the conic, M the second moments: the derivative by the covariance is K M K / 2.
+    mxx, mxy, myy = total[MOMENT_XX], total[MOMENT_XY], total[MOMENT_YY]
+    by_xx = 0.5 * (a * a * mxx + 2.0 * a * b * mxy + b * b * myy)
+    by_xy = a * b * mxx + (a * c + b * b) * mxy + b * c * myy
+    by_yy = 0.5 * (b * b * mxx + 2.0 * b * c * mxy + c * c * myy)
+    if antialiased and sharp / determinant > 0.000025:
+        by_determinant = -0.5 * total[MOMENT] / determinant
+        by_sharp = 0.5 * total[MOMENT] / sharp + by_determinant
+        by_xx += by_sharp * yy + LOW_PASS * by_determinant
+        by_xy -= 2.0 * by_sharp * xy
+        by_yy += by_sharp * xx + LOW_PASS * by_determinant
+    for k in range(3):
+        by_axes[k, 0] = 2.0 * axes[k, 0] * by_xx + axes[k, 1] * by_xy
+        by_axes[k, 1] = 2.0 * axes[k, 1] * by_yy + axes[k, 0] * by_xy
+    x, y = total[MOMENT_X], total[MOMENT_Y]
+    return a * x + b * y, b * x + c * y
+
+
+@inlined
+def _to_world(rotation, x, y, z):
+    """A covector of the camera's axes in those of the world."""
+    return (
+        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
+        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
+        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
+    )
+
+
+@inlined
+def _differentiate_turn(rot, i, quaternion, columns, slopes, row, j):
+    """Derivative by the quaternion as stored, of that by the rotation's columns."""
+    norm, a, b, c, d = quaternion
+    (g00, g10, g20), (g01, g11, g21), (g02, g12, g22) = (
+        (columns[0, 0], columns[0, 1], columns[0, 2]),
+        (columns[1, 0], columns[1, 1], columns[1, 2]),
+        (columns[2, 0], columns[2, 1], columns[2, 2]),
+    )
+    by_a = b * (g21 - g12) + c * (g02 - g20) + d * (g10 - g01)
+    by_b = a * (g21 - g12) + c * (g01 + g10) + d * (g02 + g20) - 2.0 * b * (g11 + g22)
+    by_c = a * (g02 - g20) + b * (g01 + g10) + d * (g12 + g21) - 2.0 * c * (g00 + g22)
+    by_d = a * (g10 - g01) + b * (g02 + g20) + c * (g12 + g21) - 2.0 * d * (g00 + g11)
+    along = a * by_a + b * by_b + c * by_c + d * by_d
+    # A zero quaternion has no direction to turn from.
+    size = max(abs(rot[0, i]), abs(rot[1, i]), abs(rot[2, i]), abs(rot[3, i]))
+    factor = 2.0 / norm if size > 0.0 else 0.0
+    slopes[row + 0, j] = factor * (by_a - along * a)
+    slopes[row + 1, j] = factor * (by_b - along * b)
+    slopes[row + 2, j] = factor * (by_c - along * c)
+    slopes[row + 3, j] = factor * (by_d - along * d)

@@ -1,0 +1,272 @@
+"""SH energy compaction: its equations by brute force, what must not change, and edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference_renderer import render_reference, sh_basis
+from scenes import edge_scenes, random_scene
+
+from gs_codec.errors import InvalidInput
+from gs_codec.prepare import compact_sh as module
+from gs_codec.prepare.compact_sh import compact_sh
+from gs_codec.prepare.normal_equations import fill_matrix, solve
+from gs_codec.prepare.sh_weights import coefficients_of, squared_weights, with_coefficients
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import GROUPS, Scene
+
+EDGES = edge_scenes()
+
+
+def orbit(views: int, seed: int = 0, distance: float = 5.0, side: int = 40) -> list[Camera]:
+    """Cameras all around that look at the origin."""
+    rng = np.random.default_rng(seed)
+    return [facing(rng.normal(size=3), f"view {i}", distance, side) for i in range(views)]
+
+
+def facing(direction, name="facing", distance=5.0, side=40) -> Camera:
+    forward = -np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    right = np.cross(np.roll(forward, 1) + np.array([0.1, 0.2, 0.3]), forward)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    size = (side, side, 1.2 * side, 1.2 * side, side / 2, side / 2)
+    return Camera(name, *size, rotation, -distance * forward)
+
+
+def visible_scene(count: int, seed: int, sh_degree: int = 3, bright: float = 0.0) -> Scene:
+    """Large Gaussians of middling opacity, colours well above black for `bright` of 3."""
+    scene = random_scene(count, sh_degree, seed)
+    rng = np.random.default_rng(seed)
+    return replace(
+        scene,
+        f_dc=(0.4 * scene.f_dc + bright).astype(np.float32),
+        opacity=rng.uniform(-2, 2, (1, count)).astype(np.float32),
+        log_scale=rng.uniform(-3, -1.5, (3, count)).astype(np.float32),
+    )
+
+
+def images(scene: Scene, cameras: list[Camera]) -> np.ndarray:
+    return np.array([render(scene, camera, device="cpu").colour for camera in cameras])
+
+
+def assert_same(first: Scene, second: Scene) -> None:
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(first, group), getattr(second, group), group)
+
+
+# Weights
+
+
+def test_weights_are_those_of_the_reference():
+    scene, cameras = visible_scene(30, 1), orbit(3)
+    weights = squared_weights(scene, cameras)
+    expected = [render_reference(scene, camera).squared_weight for camera in cameras]
+    np.testing.assert_allclose(weights, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_coefficients_there_and_back():
+    for degree in range(4):
+        scene = random_scene(7, degree)
+        assert_same(with_coefficients(scene, coefficients_of(scene)), scene)
+
+
+# The equations
+
+
+def test_matrix_is_the_sum_of_outer_products():
+    scene, cameras = visible_scene(20, 2), orbit(9)
+    weights = squared_weights(scene, cameras).astype(np.float64)
+    for i in range(scene.count):
+        centre = scene.positions[:, i].astype(np.float64)
+        offsets = [centre - camera.position for camera in cameras]
+        rows = np.array([sh_basis(offset / np.linalg.norm(offset)) for offset in offsets])
+        matrix = np.empty((16, 16))
+        fill_matrix(rows, weights[:, i], matrix)
+        expected = (rows * weights[:, i, None]).T @ rows
+        np.testing.assert_allclose(matrix, expected, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_solve_is_numpys(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(16, 20))
+    right = rng.normal(size=16)
+    expected = np.linalg.solve(root @ root.T, right)
+    assert solve(root @ root.T, right)
+    np.testing.assert_allclose(right, expected, rtol=1e-9)
+
+
+def test_singular_matrix_is_not_solved():
+    assert not solve(np.zeros((4, 4)), np.ones(4))
+    assert not solve(np.full((2, 2), np.nan), np.ones(2))
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_each_colour_is_solved_as_by_brute_force(degree):
+    scene, cameras = visible_scene(12, 3, degree, bright=3.0), orbit(20)
+    strength, smallest = 1e-5, 0.02
+    compacted, _ = compact_sh(scene, cameras, strength, smallest=smallest)
+    weights = squared_weights(scene, cameras).astype(np.float64)
+    before, after = (coefficients_of(x, np.float64) for x in (scene, compacted))
+    ac = before.shape[1] - 1
+    penalty = strength * sum(c.width * c.height for c in cameras) / (ac * scene.count)
+    for i in range(scene.count):
+        offsets = [scene.positions[:, i].astype(np.float64) - c.position for c in cameras]
+        rows = np.array([sh_basis(o / np.linalg.norm(o))[: 1 + ac] for o in offsets])
+        gram = (rows * weights[:, i, None]).T @ rows
+        for channel in range(3):
+            solution = before[channel, :, i]
+            right = gram @ solution
+            for turn in range(6):
+                damping = penalty / (np.abs(solution) + smallest / 2) ** 2
+                damping[0] = 0.0
+                used = np.ones(1 + ac, bool) if turn < 5 else (solution != 0)
+                used[0] = True
+                system = (gram + np.diag(damping))[np.ix_(used, used)]
+                solution = np.zeros(1 + ac)
+                solution[used] = np.linalg.solve(system, right[used])
+                if turn >= 4:
+                    solution[1:][np.abs(solution[1:]) < smallest] = 0.0
+            np.testing.assert_allclose(after[channel, :, i], solution, rtol=1e-3, atol=1e-5)
+
+
+# What must hold
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_cameras_see_the_same_when_nothing_is_asked(degree):
+    scene, cameras = visible_scene(60, 4, degree), orbit(8)
+    compacted, _ = compact_sh(scene, cameras, 1e-14, smallest=0.0)
+    np.testing.assert_allclose(images(compacted, cameras), images(scene, cameras), atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_error_and_zeros_grow_with_strength(seed):
+    scene, cameras = visible_scene(80, seed), orbit(12)
+    errors, zeros = [], []
+    for strength in (1e-6, 1e-5, 1e-3):
+        compacted, report = compact_sh(scene, cameras, strength)
+        errors.append(np.mean((images(compacted, cameras) - images(scene, cameras)) ** 2))
+        zeros.append(report.zeros_after)
+        assert report.zeros_after == (compacted.f_rest == 0).sum()
+        assert errors[-1] < strength
+    assert sorted(errors) == errors
+    assert sorted(zeros) == zeros
+    assert zeros[-1] > zeros[0] > 0
+
+
+def test_seen_from_one_side_only_needs_dc():
+    scene, camera = visible_scene(1, 7, bright=1.0), facing((1, 2, 3))
+    scene = replace(scene, positions=np.zeros_like(scene.positions))
+    compacted, _ = compact_sh(scene, [camera], 1e-6)
+    assert not compacted.f_rest.any()
+    np.testing.assert_allclose(images(compacted, [camera]), images(scene, [camera]), atol=2e-3)
+
+
+def test_unseen_gaussians_keep_dc_alone():
+    scene, cameras = visible_scene(20, 8), orbit(4)
+    far = scene.positions.copy()
+    far[:, :5] += 1000
+    scene = replace(scene, positions=far)
+    compacted, report = compact_sh(scene, cameras)
+    assert report.unseen == 5
+    assert not compacted.f_rest[:, :5].any()
+    np.testing.assert_array_equal(compacted.f_dc[:, :5], scene.f_dc[:, :5])
+
+
+def test_what_is_clamped_at_black_costs_nothing():
+    scene, cameras = visible_scene(50, 9), orbit(12)
+    black = replace(scene, f_dc=np.full_like(scene.f_dc, -3.0))
+    compacted, _ = compact_sh(black, cameras, 1e-6)
+    assert not compacted.f_rest.any()
+    assert not images(compacted, cameras).any()
+
+
+def test_what_is_at_times_black_does_not_light_up():
+    scene, cameras = visible_scene(50, 9), orbit(12)
+    dark = replace(scene, f_dc=np.full_like(scene.f_dc, -2.2))
+    compacted, _ = compact_sh(dark, cameras, 1e-5)
+    before, after = images(dark, cameras), images(compacted, cameras)
+    assert before.any()
+    assert np.mean((after - before) ** 2) < 1e-6
+
+
+def test_gaussians_without_ac_are_left_alone():
+    scene, cameras = visible_scene(50, 10), orbit(6)
+    f_rest = scene.f_rest.copy()
+    f_rest[:, :20] = 0
+    scene = replace(scene, f_rest=f_rest)
+    compacted, report = compact_sh(scene, cameras)
+    assert report.without_ac == 20
+    assert not compacted.f_rest[:, :20].any()
+    np.testing.assert_array_equal(compacted.f_dc[:, :20], scene.f_dc[:, :20])
+
+
+def test_values_that_are_not_finite_stay():
+    scene, cameras = visible_scene(10, 11), orbit(4)
+    f_rest = scene.f_rest.copy()
+    f_rest[3, 2], f_rest[20, 4] = np.nan, np.inf
+    scene = replace(scene, f_rest=f_rest)
+    compacted, report = compact_sh(scene, cameras)
+    assert report.unsolved == 2
+    np.testing.assert_array_equal(compacted.f_rest[:15, 2], f_rest[:15, 2])
+    assert np.isnan(compacted.f_rest).sum() == 1
+
+
+def test_degree_0_is_left_alone():
+    scene = visible_scene(10, 12, sh_degree=0)
+    compacted, _ = compact_sh(scene, orbit(2))
+    assert_same(compacted, scene)
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_edges(name):
+    scene, cameras = EDGES[name], orbit(4)
+    copy = scene.take(np.arange(scene.count))
+    compacted, report = compact_sh(scene, cameras, 1e-4)
+    assert_same(scene, copy)
+    assert np.isfinite(compacted.f_dc).all()
+    assert np.isfinite(compacted.f_rest).all()
+    assert report.count == scene.count
+    for group in set(GROUPS) - {"f_dc", "f_rest"}:
+        np.testing.assert_array_equal(getattr(compacted, group), getattr(scene, group))
+
+
+def test_threads_do_not_change_it(monkeypatch):
+    monkeypatch.setattr(module, "_CHUNK", 7)
+    scene, cameras = visible_scene(60, 13), orbit(6)
+    results = [compact_sh(scene, cameras, threads=threads) for threads in (1, 3)]
+    assert_same(results[0][0], results[1][0])
+    assert results[0][1] == results[1][1]
+
+
+def test_known_weights_are_taken():
+    scene, cameras = visible_scene(30, 14), orbit(6)
+    weights = squared_weights(scene, cameras)
+    assert_same(compact_sh(scene, cameras, weights=weights)[0], compact_sh(scene, cameras)[0])
+
+
+def test_progress_counts_views():
+    calls = []
+    scene = visible_scene(5, 15)
+    compact_sh(scene, orbit(3), progress=lambda *step: calls.append(step))
+    assert calls == [("weights", i, 3) for i in (1, 2, 3)]
+
+
+@pytest.mark.parametrize(
+    ("cameras", "options"),
+    [
+        (0, {}),
+        (1, {"strength": 0.0}),
+        (1, {"strength": float("nan")}),
+        (1, {"strength": -1.0}),
+        (1, {"smallest": -0.1}),
+        (1, {"smallest": float("inf")}),
+    ],
+)
+def test_what_is_out_of_range(cameras, options):
+    with pytest.raises(InvalidInput, match="expected"):
+        compact_sh(visible_scene(3, 16), orbit(cameras), **options)

@@ -1,0 +1,587 @@
+"""Gradients against central differences, and refitting by them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scenes import random_scene, shared_scene_path
+from scipy.ndimage import correlate1d
+from test_render import TEAL, crowd, real_cameras, render, splats, straight, turned
+
+from gs_codec.errors import InvalidInput
+from gs_codec.io.ply import read_ply
+from gs_codec.prepare.adam import adam_step, new_state
+from gs_codec.prepare.gradients import draw, gradients
+from gs_codec.prepare.image_loss import LossWeights, image_loss
+from gs_codec.prepare.optimise import optimise
+from gs_codec.prepare.rates import Rates, rig_radius
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import make_frame
+from gs_codec.scene import GROUPS, Scene
+
+SQUARED = LossWeights(0.0, 1.0, 0.0)
+ALL = LossWeights(0.5, 0.3, 0.2)
+STEP = 1e-5
+
+
+def noise(camera: Camera, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.random((camera.height, camera.width, 3)).astype(np.float32)
+
+
+# Loss
+
+
+def ssim_of(image, target) -> float:
+    window = np.exp(-(np.arange(-5, 6.0) ** 2) / 4.5)
+    window /= window.sum()
+
+    def blur(values):
+        for axis in (0, 1):
+            values = correlate1d(values, window, axis=axis, mode="constant")
+        return values
+
+    x, t = blur(image), blur(target)
+    xx, tt, xt = blur(image**2) - x * x, blur(target**2) - t * t, blur(image * target) - x * t
+    top = (2 * x * t + 1e-4) * (2 * xt + 9e-4)
+    return float(np.mean(top / ((x * x + t * t + 1e-4) * (xx + tt + 9e-4))))
+
+
+@pytest.mark.parametrize("size", [(19, 23), (1, 1), (16, 40), (33, 5)], ids=str)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_loss_is_that_of_3dgs(seed, size):
+    rng = np.random.default_rng(seed)
+    image, target = rng.random((2, *size, 3))
+    loss = image_loss(image, target)
+    expected = 0.8 * np.abs(image - target).mean() + 0.2 * (1 - ssim_of(image, target))
+    assert loss.value == pytest.approx(expected, rel=1e-12)
+    assert loss.squared_error == pytest.approx(np.mean((image - target) ** 2), rel=1e-12)
+    squared = image_loss(image, target, SQUARED)
+    assert squared.value == squared.squared_error == pytest.approx(loss.squared_error, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_the_loss_of_every_pixel_has_its_derivative(seed):
+    rng = np.random.default_rng(seed)
+    image, target = rng.random((2, 17, 14, 3))
+    found = image_loss(image, target, ALL).by_colour
+    for place in [(0, 0, 0), (16, 13, 2), *rng.integers(0, image.shape, (80, 3)).tolist()]:
+        place = tuple(place)
+        ends = []
+        for step in (STEP, -STEP):
+            there = image.copy()
+            there[place] += step
+            ends.append(image_loss(there, target, ALL, threads=1).value)
+        expected = (ends[0] - ends[1]) / (2 * STEP)
+        np.testing.assert_allclose(found[place], expected, rtol=1e-6, atol=1e-11)
+
+
+def test_equal_images_have_no_loss():
+    image = np.random.default_rng(5).random((20, 20, 3))
+    loss = image_loss(image, image)
+    assert loss.value == pytest.approx(0, abs=1e-12)
+    assert np.abs(loss.by_colour).max() < 1e-12
+
+
+# Gradients
+
+
+def precise(scene: Scene) -> SimpleNamespace:
+    """The same Gaussians with planes of doubles, so that small steps can be taken."""
+    planes = {group: getattr(scene, group).astype(np.float64) for group in GROUPS}
+    return SimpleNamespace(**planes, count=scene.count, antialiased=scene.antialiased)
+
+
+def assert_differences(scene: Scene, camera: Camera, weights=SQUARED, antialiased=False, seed=0):
+    """Compares every channel of every Gaussian; returns the gradients.
+
+    A step may cross a threshold, as a pixel's last splat; then smaller ones are taken.
+    """
+    exact, target = precise(scene), noise(camera, seed)
+    loss, found = gradients(exact, camera, target, TEAL, antialiased, 2, weights)
+
+    def loss_of() -> float:
+        image = draw(make_frame(exact, camera, antialiased, 1), TEAL)
+        return image_loss(image, target, weights, 1).value
+
+    assert loss == loss_of()
+    for group in GROUPS:
+        plane, largest = getattr(exact, group), np.abs(found[group]).max(initial=0)
+        for place in np.ndindex(plane.shape):
+            before = plane[place]
+            for step in (STEP, 1e-6, 3e-7):
+                size = step * max(1.0, abs(before))
+                plane[place] = before + size
+                above = loss_of()
+                plane[place] = before - size
+                expected = (above - loss_of()) / (2 * size)
+                rounding = 1e-15 * loss / size
+                limit = 1e-6 * abs(expected) + 1e-8 * largest + rounding
+                if abs(found[group][place] - expected) <= limit:
+                    break
+            plane[place] = before
+            np.testing.assert_allclose(
+                found[group][place], expected, rtol=0, atol=limit, err_msg=f"{group}{place}"
+            )
+    return found
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("sh_degree", range(4))
+def test_gradients_are_those_of_central_differences(sh_degree, antialiased):
+    seed = 10 + sh_degree
+    camera = turned(seed, 20, 17)
+    scene = crowd(camera, 8, sh_degree, seed, pixels=5)
+    found = assert_differences(scene, camera, antialiased=antialiased)
+    for group in GROUPS:
+        assert np.count_nonzero(np.abs(found[group]).max(axis=0, initial=0)) >= 3 or not sh_degree
+
+
+@pytest.mark.parametrize("seed", [14, 15])
+def test_gradients_of_the_whole_loss_are_those_of_central_differences(seed):
+    camera = turned(seed, 20, 17)
+    assert_differences(crowd(camera, 8, 1, seed, pixels=5), camera, ALL, antialiased=seed == 15)
+
+
+ROW = [(-0.6, 0.2, 3), (0.1, -0.3, 3.5), (0.5, 0.3, 4)]
+LONG = [[-1.0], [-1.6], [-2.2]]
+TURNS = np.array([[0.9, 0.1, -0.4], [0.2, -0.6, 0.1], [-0.3, 0.2, 0.8], [0.4, 0.7, -0.2]])
+
+
+def special_scenes() -> dict[str, Scene]:
+    """Gaussians at the limits where derivatives have cases."""
+    outside = [(2.5, 0.2, 2), (-2.4, -0.3, 2.1), (0.3, 1.9, 1.9), (-1.9, -2.4, 1.8)]
+    turns = np.hstack([TURNS, -TURNS[:, :1]])
+    return {
+        "Jacobian at its edge": splats(
+            outside, log_scale=[[0.3], [-0.2], [0.1]], rot=turns, opacity=0.5
+        ),
+        "colours below 0": splats(
+            ROW, f_dc=[[-5, 1, 0.2], [0.3, -4, 0.1], [0.7, -0.5, -6]], log_scale=LONG, rot=TURNS
+        ),
+        "alpha at its limit": splats(ROW, opacity=7.0, log_scale=np.add(LONG, 1.5), rot=TURNS),
+        "short quaternions": splats(ROW, log_scale=LONG, rot=TURNS * 0.1),
+        "long quaternions": splats(ROW, log_scale=LONG, rot=TURNS * 40),
+        "thin": splats(ROW, log_scale=[[-1.0], [-12.0], [-12.5]], rot=TURNS, opacity=6.0),
+        "discs edge on": splats(ROW, log_scale=[[-9], [-1.2], [-1.0]], rot=around_y(), opacity=6.0),
+        "behind each other": splats(
+            [(0.02 * i, 0.01 * i, 2 + 0.2 * i) for i in range(9)], opacity=0.5, log_scale=-0.8
+        ),
+    }
+
+
+def around_y() -> np.ndarray:
+    angles = np.array([0.7, 0.8, 0.9])
+    return np.stack([np.cos(angles), 0 * angles, np.sin(angles), 0 * angles])
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("name", special_scenes())
+def test_gradients_at_limits_are_those_of_central_differences(name, antialiased):
+    found = assert_differences(
+        special_scenes()[name], straight(20, 17, fx=14.0, fy=13.0), ALL, antialiased, seed=16
+    )
+    if name == "colours below 0":
+        assert not found["f_dc"][[0, 1, 2], [0, 1, 2]].any()
+    assert all(np.isfinite(found[group]).all() for group in GROUPS)
+
+
+def test_the_splats_at_the_limits_are_there():
+    scenes = special_scenes()
+    camera = straight(20, 17, fx=14.0, fy=13.0)
+    x, y, z = scenes["Jacobian at its edge"].positions
+    assert ((np.abs(x / z) > 1.3 * 10 / 14) | (np.abs(y / z) > 1.3 * 8.5 / 13)).all()
+    opaque = render(scenes["alpha at its limit"].take(np.array([0])), camera).alpha
+    assert opaque.max() == pytest.approx(0.99)
+    found = gradients(scenes["thin"], camera, noise(camera, 17), antialiased=True)[1]
+    plain = gradients(scenes["thin"], camera, noise(camera, 17), antialiased=False)[1]
+    assert not np.allclose(found["opacity"], plain["opacity"])
+
+
+def test_an_alpha_at_its_limit_does_not_change():
+    camera = straight(8, 8)
+    scene = splats([(0, 0, 2)], opacity=12.0, log_scale=3.0)
+    _, found = gradients(scene, camera, noise(camera, 18))
+    for group in ("opacity", "log_scale", "rot"):
+        assert not found[group].any()
+    assert found["f_dc"].all()
+
+
+def test_a_zero_quaternion_has_no_gradient():
+    camera = straight(16, 16)
+    scene = splats([(0.3, 0.2, 2)], log_scale=LONG, rot=0.0)
+    _, found = gradients(scene, camera, noise(camera, 19))
+    assert not found["rot"].any()
+    assert found["log_scale"].all()
+
+
+@pytest.mark.parametrize("seed", [20, 21])
+def test_threads_do_not_change_a_gradient(seed):
+    camera = turned(seed, 70, 45)
+    scene = crowd(camera, 300, 3, seed)
+    one = gradients(scene, camera, noise(camera, seed), TEAL, threads=1)
+    for threads in (2, 3, None):
+        loss, found = gradients(scene, camera, noise(camera, seed), TEAL, threads=threads)
+        assert loss == one[0]
+        for group in GROUPS:
+            np.testing.assert_array_equal(found[group], one[1][group], group)
+
+
+@pytest.mark.parametrize("scene", [splats([]), splats([(0, 0, -3)])], ids=["none", "none seen"])
+def test_what_is_not_seen_has_no_gradient(scene):
+    camera = straight(16, 16)
+    target = noise(camera, 22)
+    loss, found = gradients(scene, camera, target, weights=SQUARED)
+    assert loss == pytest.approx(np.mean(target.astype(np.float64) ** 2))
+    for group in GROUPS:
+        assert found[group].shape == getattr(scene, group).shape
+        assert not found[group].any()
+
+
+# Adam
+
+
+@pytest.mark.parametrize("seed", [23])
+def test_adam_is_that_of_the_paper(seed):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(5, 9)).astype(np.float32)
+    rates = np.array([0.1, 0.01, 0.0, 1.0, 0.5])
+    state, expected = new_state(values), values.astype(np.float64)
+    first, second = np.zeros((2, 5, 9))
+    for step in range(1, 20):
+        slopes = rng.normal(size=(5, 9)) * (rng.random(9) < 0.6)
+        for start, stop in ((0, 4), (4, 9)):
+            chosen = start + np.flatnonzero(slopes[0, start:stop])
+            adam_step(*state, step, rates, slopes[:, chosen], chosen, start, stop)
+        first = 0.9 * first + 0.1 * slopes
+        second = 0.999 * second + 0.001 * slopes**2
+        mean, square = first / (1 - 0.9**step), second / (1 - 0.999**step)
+        expected -= rates[:, None] * mean / (np.sqrt(square) + 1e-15)
+    np.testing.assert_allclose(state.values, expected, rtol=1e-4, atol=1e-4)
+    np.testing.assert_array_equal(state.values[2], values[2])
+
+
+def test_adam_leaves_values_finite():
+    slopes = np.array([[np.nan, np.inf, -np.inf, 1e300, 1e14, -1e14, 1e-30, 0.0]])
+    state = new_state(np.full((1, 8), 3e38, np.float32))
+    for step in range(1, 4):
+        adam_step(*state, step, np.array([3e38]), slopes, np.arange(8), 0, 8)
+    for plane in state:
+        assert np.isfinite(plane).all()
+
+
+# Refitting
+
+
+def orbit(count: int = 5, width: int = 40, height: int = 32) -> list[Camera]:
+    """Cameras around the origin that look at it."""
+    cameras = []
+    for i in range(count):
+        angle = 0.5 * i
+        turn = np.array(
+            [
+                [np.cos(angle), 0, -np.sin(angle)],
+                [0, 1, 0],
+                [np.sin(angle), 0, np.cos(angle)],
+            ]
+        )
+        camera = straight(width, height, fx=40.0, fy=40.0)
+        cameras.append(replace(camera, name=f"view {i}", rotation=turn, position=-4 * turn[2]))
+    return cameras
+
+
+def garden(seed: int, sh_degree: int = 1, count: int = 60) -> Scene:
+    rng = np.random.default_rng(seed)
+    scene = splats(
+        rng.normal(scale=0.7, size=(count, 3)),
+        f_dc=rng.normal(size=(3, count)),
+        f_rest=rng.normal(scale=0.2, size=(9 if sh_degree else 0, count)),
+        opacity=rng.normal(1.0, 1.0, size=count),
+        log_scale=rng.normal(-1.6, 0.4, size=(3, count)),
+        rot=rng.normal(size=(4, count)),
+    )
+    return replace(scene, comments=("a garden",), extra={"label": np.arange(count, dtype=np.int32)})
+
+
+def changed(scene: Scene, seed: int) -> Scene:
+    rng = np.random.default_rng(seed)
+    planes = {
+        group: (
+            getattr(scene, group) + rng.normal(scale=0.05, size=getattr(scene, group).shape)
+        ).astype(np.float32)
+        for group in GROUPS
+    }
+    return replace(scene, **planes)
+
+
+def views(scene: Scene, cameras: list[Camera]) -> list[np.ndarray]:
+    return [render(scene, camera).colour for camera in cameras]
+
+
+def psnr(scene: Scene, cameras, targets) -> float:
+    errors = [np.mean((a - b) ** 2) for a, b in zip(views(scene, cameras), targets, strict=True)]
+    return float(-10 * np.log10(np.mean(errors)))
+
+
+def assert_same(first: Scene, second: Scene) -> None:
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(first, group), getattr(second, group), group)
+
+
+CAMERAS = orbit()
+SCENE = changed(garden(1), 2)
+TARGETS = views(garden(1), CAMERAS)
+
+
+def refit(iterations: int = 12, scene=SCENE, targets=TARGETS, **options):
+    return optimise(scene, CAMERAS, targets, iterations, **options)
+
+
+@pytest.mark.parametrize("seed", [30, 31])
+def test_refitting_wins_back_most_of_what_was_lost(seed):
+    original = garden(seed)
+    targets = views(original, CAMERAS)
+    scene = changed(original, seed)
+    fitted, report = refit(200, scene, targets, seed=seed)
+    before, after = psnr(scene, CAMERAS, targets), psnr(fitted, CAMERAS, targets)
+    assert after > before + 5
+    assert report.curve[-1].psnr > report.curve[0].psnr + 4
+    assert (fitted.comments, fitted.count) == (scene.comments, scene.count)
+    np.testing.assert_array_equal(fitted.extra["label"], scene.extra["label"])
+
+
+def test_a_pruned_real_scene_wins_back_most_of_what_it_lost():
+    scene = read_ply(shared_scene_path("bonsai/point_cloud.ply"))
+    cameras = [camera.resized(100, 66) for camera in real_cameras()[::4]]
+    weights = sum(render(scene, c, accumulate=True).accumulations.weight for c in cameras)
+    targets = views(scene, cameras)
+    pruned = scene.take(np.sort(np.argsort(-weights, kind="stable")[: scene.count // 6]))
+    fitted, _ = optimise(pruned, cameras, targets, 40)
+    assert psnr(fitted, cameras, targets) > psnr(pruned, cameras, targets) + 2
+
+
+def test_threads_do_not_change_a_refit():
+    expected, _ = refit(threads=1)
+    for threads in (2, 3, None):
+        assert_same(refit(threads=threads)[0], expected)
+
+
+def test_the_seed_decides_the_order_of_views():
+    seen: list[int] = []
+
+    def target(view: int) -> np.ndarray:
+        seen.append(view)
+        return TARGETS[view]
+
+    fitted, _ = refit(15, targets=target, seed=4)
+    for epoch in range(3):
+        assert sorted(seen[5 * epoch : 5 * epoch + 5]) == list(range(5))
+    assert seen[:5] != seen[5:10]
+    assert_same(fitted, refit(15, seed=4)[0])
+    assert not np.array_equal(fitted.positions, refit(15, seed=5)[0].positions)
+
+
+def test_inputs_are_only_read():
+    copies = {group: getattr(SCENE, group).copy() for group in GROUPS}
+    targets = [target.copy() for target in TARGETS]
+    for target in targets:
+        target.setflags(write=False)
+    fitted, _ = refit(targets=targets)
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(SCENE, group), copies[group])
+        assert not np.shares_memory(getattr(fitted, group), getattr(SCENE, group))
+
+
+def test_what_no_view_sees_stays():
+    behind = splats([(0, 0, -50), (0, 90, 0)], f_rest=np.ones((9, 1)))
+    planes = {group: np.hstack([getattr(SCENE, group), getattr(behind, group)]) for group in GROUPS}
+    fitted, report = refit(scene=Scene(**planes))
+    assert_same(fitted.take(np.array([60, 61])), behind)
+    assert report.updated <= 60
+    assert (fitted.positions[:, :60] != SCENE.positions).any()
+
+
+@pytest.mark.parametrize("background", [(0, 0, 0), TEAL], ids=["black", "teal"])
+def test_extreme_gaussians_stay_finite(background):
+    scene = changed(garden(6), 6)
+    scene.log_scale[:, 3] = [20, 80, -1e30]
+    scene.log_scale[:, 4] = 12
+    scene.opacity[:, 5] = 1e30
+    scene.f_dc[:, 6] = 3e38
+    scene.f_dc[:, 7] = -3e38
+    scene.rot[:, 8] = 0
+    scene.rot[:, 9] = 1e-38
+    scene.positions[:, 10] = 3e38
+    fitted, _ = refit(20, scene, background=background)
+    for group in GROUPS:
+        assert np.isfinite(getattr(fitted, group)).all(), group
+
+
+def test_gaussians_that_are_not_numbers_stay():
+    scene = changed(garden(7), 7)
+    scene.positions[0, 3] = np.nan
+    scene.f_rest[2, 4] = np.inf
+    fitted, _ = refit(scene=scene)
+    assert_same(fitted.take(np.array([3, 4])), scene.take(np.array([3, 4])))
+    assert np.isfinite(fitted.opacity).all()
+
+
+@pytest.mark.parametrize("sh_degree", range(4))
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_gaussians_of_any_degree_are_refitted(count, sh_degree):
+    fitted, report = refit(3, random_scene(count, sh_degree))
+    assert (fitted.count, fitted.sh_degree, report.iterations) == (count, sh_degree, 3)
+
+
+def test_no_iterations_change_nothing():
+    fitted, report = refit(0)
+    assert_same(fitted, SCENE)
+    assert (report.iterations, report.updated, report.curve) == (0, 0, [])
+
+
+def test_rates_fall_and_are_those_of_their_group():
+    rates = {"positions": 0, "f_dc": 0, "f_rest": 0, "opacity": 0.5, "log_scale": 0, "rot": 0}
+    fitted, _ = refit(1, rates=Rates(**rates))
+    for group in GROUPS:
+        change = np.abs(getattr(fitted, group) - getattr(SCENE, group)).max()
+        assert change == pytest.approx(rates[group], rel=1e-4)
+    (_, first), (_, last) = ([0, refit(n, rates=Rates(last=1e-6))[0]] for n in (4, 8))
+    assert not np.array_equal(first.f_dc, last.f_dc)
+
+
+def test_the_radius_of_a_rig_is_that_of_the_trainer():
+    cameras = [straight(position=p) for p in [(0, 0, 0), (4, 0, 0), (2, 3, 0)]]
+    assert rig_radius(cameras) == pytest.approx(1.1 * np.hypot(2, 1))
+    assert rig_radius(cameras[:1]) == 0
+
+
+def test_progress_and_report_count_iterations():
+    steps: list[tuple] = []
+    _, report = refit(7, progress=lambda *step: steps.append(step))
+    assert steps == [("optimise", i, 7) for i in range(1, 8)]
+    assert [point.iteration for point in report.curve] == list(range(1, 8))
+    assert report.seconds == report.curve[-1].seconds > 0
+
+
+# Checkpoints
+
+
+class Stop(Exception):
+    pass
+
+
+def stopped_at(iteration: int):
+    def progress(_stage: str, done: int, _total: int) -> None:
+        if done == iteration:
+            raise Stop
+
+    return progress
+
+
+def test_an_interrupted_refit_goes_on_where_it_was(tmp_path):
+    path = tmp_path / "refit.npz"
+    options = {"checkpoint": path, "checkpoint_every": 4, "seed": 3}
+    expected, whole = refit(18, seed=3)
+    for iteration in (3, 6, 15):
+        with pytest.raises(Stop):
+            refit(18, **options, progress=stopped_at(iteration))
+    looked: list[int] = []
+    fitted, report = refit(18, **options, threads=1)
+    assert_same(fitted, expected)
+    assert [p.psnr for p in report.curve] == [p.psnr for p in whole.curve]
+    assert report.updated == whole.updated
+
+    def target(view: int) -> np.ndarray:
+        looked.append(view)
+        return TARGETS[view]
+
+    again, _ = refit(18, **options, targets=target)
+    assert_same(again, expected)
+    assert looked == list(range(5))  # for the digest only
+    assert [p.name for p in tmp_path.iterdir()] == ["refit.npz"]
+
+
+def test_a_checkpoint_of_other_inputs_is_refused(tmp_path):
+    path = tmp_path / "refit.npz"
+    refit(2, checkpoint=path)
+    moved = [replace(CAMERAS[0], fx=41.0), *CAMERAS[1:]]
+    for change in (
+        {"iterations": 3},
+        {"seed": 1},
+        {"scene": garden(1)},
+        {"scene": SCENE.take(np.arange(59))},
+        {"targets": TARGETS[::-1]},
+        {"rates": Rates(rot=2e-3)},
+        {"weights": SQUARED},
+        {"background": TEAL},
+        {"antialiased": True},
+    ):
+        with pytest.raises(InvalidInput, match=r"refit\.npz: checkpoint of another scene"):
+            refit(**({"iterations": 2, "checkpoint": path} | change))
+    with pytest.raises(InvalidInput, match="checkpoint of another"):
+        optimise(SCENE, moved, TARGETS, 2, checkpoint=path)
+    refit(2, checkpoint=path, threads=1)
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path):
+    path = tmp_path / "refit.npz"
+    expected, _ = refit(2, checkpoint=path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(8)
+    cut = [0, 1, 100, len(whole) // 2, len(whole) - 1]
+    damaged = [whole[:size] for size in cut] + [b"no archive", whole[1:]]
+    for place in rng.integers(0, len(whole), 60):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << int(rng.integers(0, 8))
+        damaged.append(bytes(flipped))
+    refused = []
+    for data in damaged:
+        path.write_bytes(data)
+        try:
+            # A flip in what the archive does not need, as a date, does no harm.
+            assert_same(refit(2, checkpoint=path)[0], expected)
+        except InvalidInput as error:
+            refused.append(str(error))
+    assert len(refused) > 55
+    assert all(line.startswith(f"{path}: ") and "\n" not in line for line in refused)
+
+
+@pytest.mark.parametrize("name", ["", "missing/refit.npz"], ids=["folder", "no folder"])
+def test_a_checkpoint_that_cannot_be_written_is_refused_at_once(tmp_path: Path, name):
+    with pytest.raises(InvalidInput):
+        refit(10**6, checkpoint=tmp_path / name)
+
+
+# Refused inputs
+
+
+BAD = {
+    "no cameras": ({"cameras": []}, "cameras: none"),
+    "too few images": ({"targets": TARGETS[:3]}, "3 images of 5 cameras"),
+    "an image of another size": ({"targets": [t[1:] for t in TARGETS]}, r"'view \d': \(31, 40, 3"),
+    "an image with NaN": ({"targets": [t * np.nan for t in TARGETS]}, r"'view \d': not finite"),
+    "fewer than no iterations": ({"iterations": -1}, "iterations -1"),
+    "a negative seed": ({"seed": -1}, "seed -1"),
+    "no interval": ({"checkpoint_every": 0}, "checkpoint_every 0"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_inputs_are_refused(name):
+    change, message = BAD[name]
+    options = {"scene": SCENE, "cameras": CAMERAS, "targets": TARGETS, "iterations": 2} | change
+    with pytest.raises(InvalidInput, match=message):
+        optimise(**options)
+
+
+@pytest.mark.parametrize("rate", [-1.0, np.nan, np.inf])
+def test_bad_rates_are_refused(rate):
+    for name in ("positions", "rot", "last"):
+        with pytest.raises(InvalidInput, match=f"rate {name}"):
+            Rates(**{name: rate})
+    with pytest.raises(InvalidInput, match="rate last"):
+        Rates(last=0)

@@ -1,0 +1,294 @@
+"""Refitting colours: the operator and its transpose, conjugate gradients, recovery, edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference_renderer import render_reference
+from test_compact_sh import EDGES, assert_same, images, orbit, visible_scene
+
+from gs_codec.errors import InvalidInput
+from gs_codec.prepare import image_operator as module
+from gs_codec.prepare.compact_sh import compact_sh
+from gs_codec.prepare.image_operator import ImageOperator
+from gs_codec.prepare.refit_colour import refit_colour
+from gs_codec.prepare.sh_weights import coefficients_of, with_coefficients
+from gs_codec.rendering.camera import Camera
+from gs_codec.scene import GROUPS, Scene
+
+TEAL = (0.1, 0.7, 0.6)
+
+
+def perturbed(scene: Scene, seed: int, scale: float = 0.1) -> Scene:
+    rng = np.random.default_rng(seed)
+    coefficients = coefficients_of(scene)
+    return with_coefficients(
+        scene, coefficients + rng.normal(scale=scale, size=coefficients.shape).astype(np.float32)
+    )
+
+
+def black(cameras: list[Camera]) -> list[np.ndarray]:
+    return [np.zeros((camera.height, camera.width, 3)) for camera in cameras]
+
+
+# The operator
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_residual_is_the_references(seed):
+    scene, cameras = visible_scene(40, seed), orbit(3, seed)
+    rng = np.random.default_rng(seed)
+    targets = [rng.uniform(size=(40, 40, 3)) for _ in cameras]
+    operator = ImageOperator(scene, cameras, TEAL)
+    drawn = [render_reference(scene, camera, TEAL) for camera in cameras]
+    expected = sum(np.sum((t - d.colour) ** 2) for t, d in zip(targets, drawn, strict=True))
+    coefficients = coefficients_of(scene, np.float64)
+    assert operator.linearise(coefficients, targets).error == pytest.approx(expected, rel=1e-7)
+    assert operator.error(coefficients, targets) == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_gradient_is_the_difference_of_the_objective(degree):
+    scene, cameras = visible_scene(30, 2, degree), orbit(4)
+    rng = np.random.default_rng(degree)
+    targets = [rng.uniform(size=(40, 40, 3)) for _ in cameras]
+    operator = ImageOperator(scene, cameras, TEAL)
+    at = coefficients_of(scene, np.float64)
+    gradient = -2 * operator.linearise(at, targets).gradient
+    for _ in range(5):
+        direction = rng.normal(size=at.shape)
+        above, below = (operator.error(at + h * direction, targets) for h in (1e-7, -1e-7))
+        assert (above - below) / 2e-7 == pytest.approx(np.sum(gradient * direction), rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_normal_equations_are_symmetric_and_those_of_the_images(seed):
+    scene, cameras = visible_scene(50, seed), orbit(4, seed)
+    operator = ImageOperator(scene, cameras)
+    at = coefficients_of(scene, np.float64)
+    near = operator.linearise(at, black(cameras))
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(2, *at.shape))
+    on_x, on_y = operator.apply(x, near.lit), operator.apply(y, near.lit)
+    assert np.sum(y * on_x) == pytest.approx(np.sum(x * on_y), rel=1e-9)
+    assert np.sum(x * on_x) > 0
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_transpose_is_the_adjoint(seed):
+    """<A x, t> = <x, A^T t>: for colours above black the image is A (0.5 + Y x)."""
+    scene, cameras = visible_scene(50, seed, bright=4.0), orbit(4, seed)
+    operator = ImageOperator(scene, cameras)
+    at = coefficients_of(scene, np.float64)
+    rng = np.random.default_rng(seed)
+    targets = [rng.normal(size=(40, 40, 3)) for _ in cameras]
+    dark = operator.linearise(at, black(cameras))
+    assert (dark.lit == 7).all()
+    back = operator.linearise(at, targets).gradient - dark.gradient
+    change = 0.1 * rng.normal(size=at.shape)
+    moved = at + change
+    # |t - image|^2 differs from |image|^2 by |t|^2 - 2 <image, t>.
+    forth = 0.0
+    for coefficients, sign in ((moved, 1), (at, -1)):
+        with_target = operator.error(coefficients, targets)
+        forth -= sign * 0.5 * (with_target - operator.error(coefficients, black(cameras)))
+    assert forth == pytest.approx(np.sum(change * back), rel=1e-9)
+
+
+def test_curvature_is_the_diagonal_of_the_normal_equations():
+    scene, cameras = visible_scene(12, 5), orbit(3)
+    operator = ImageOperator(scene, cameras)
+    at = coefficients_of(scene, np.float64)
+    near = operator.linearise(at, black(cameras))
+    rng = np.random.default_rng(5)
+    for place in rng.integers(0, at.shape, (20, 3)):
+        unit = np.zeros_like(at)
+        unit[tuple(place)] = 1.0
+        product = operator.apply(unit, near.lit)
+        assert product[tuple(place)] == pytest.approx(near.curvature[tuple(place)], rel=1e-9)
+
+
+def test_colours_at_black_have_no_gradient():
+    scene, cameras = visible_scene(40, 6, sh_degree=0), orbit(3)
+    scene = replace(scene, f_dc=np.where(np.arange(40) % 2, scene.f_dc, np.float32(-3)))
+    operator = ImageOperator(scene, cameras)
+    near = operator.linearise(coefficients_of(scene), black(cameras))
+    assert not near.gradient[:, 0, ::2].any()
+    assert not near.lit[:, ::2].any()
+    assert near.gradient[:, 0, 1::2].any()
+
+
+def test_more_fragments_than_first_room_for():
+    """Many faint Gaussians over whole tiles: their weights outgrow the first arrays."""
+    scene = visible_scene(400, 7, sh_degree=0)
+    scene = replace(
+        scene,
+        positions=(0.1 * scene.positions).astype(np.float32),
+        opacity=np.full_like(scene.opacity, -4),
+        log_scale=np.full_like(scene.log_scale, 0.5),
+    )
+    cameras = orbit(1)
+    drawn = images(scene, cameras)
+    operator = ImageOperator(scene, cameras)
+    assert operator.error(coefficients_of(scene, np.float64), drawn) < 1e-8
+
+
+# Refitting
+
+
+@pytest.mark.parametrize("seed", [8, 9])
+def test_objective_only_falls(seed):
+    scene, cameras = visible_scene(60, seed), orbit(6, seed)
+    targets = images(perturbed(scene, seed), cameras)
+    _, report = refit_colour(scene, cameras, targets, 10, keep_zeros=False)
+    assert len(report.objective) == len(report.psnr) == 11
+    assert (np.diff(report.objective) < 0).all()
+    assert (np.diff(report.psnr) > 0).all()
+
+
+def test_psnr_is_that_of_the_images():
+    scene, cameras = visible_scene(60, 10, bright=3.0), orbit(6)
+    targets = images(perturbed(scene, 10), cameras)
+    refitted, report = refit_colour(scene, cameras, targets, 5)
+    for result, psnr in ((scene, report.psnr[0]), (refitted, report.psnr[-1])):
+        error = np.mean((images(result, cameras).astype(np.float64) - targets) ** 2)
+        assert -10 * np.log10(error) == pytest.approx(psnr, abs=0.01)
+    assert report.rendered_psnr == pytest.approx(report.psnr[-1], abs=0.01)
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_perturbed_colours_are_recovered(seed):
+    scene, cameras = visible_scene(6, seed, 1, bright=4.0), orbit(8, seed)
+    start = perturbed(scene, seed)
+    targets = images(scene, cameras)
+    refitted, report = refit_colour(start, cameras, targets, 20, ridge=0.0)
+    assert not report.kept
+    assert report.rendered_psnr > 90
+    np.testing.assert_allclose(coefficients_of(refitted), coefficients_of(scene), atol=2e-3)
+
+
+def test_ridge_holds_back():
+    scene, cameras = visible_scene(60, 13), orbit(6)
+    targets = images(perturbed(scene, 13), cameras)
+    moved = []
+    for ridge in (0.0, 1.0, 1e6):
+        refitted, _ = refit_colour(scene, cameras, targets, 3, ridge=ridge)
+        moved.append(np.abs(coefficients_of(refitted) - coefficients_of(scene)).mean())
+    assert moved[0] > moved[1] > 100 * moved[2]
+
+
+def test_penalty_keeps_coefficients_small():
+    scene, cameras = visible_scene(60, 13), orbit(4)
+    targets = images(perturbed(scene, 13), cameras)
+    sizes = []
+    for strength in (0.0, 1e-5, 1e-3):
+        refitted, report = refit_colour(scene, cameras, targets, 3, strength=strength)
+        sizes.append(np.abs(refitted.f_rest).mean())
+        assert (np.diff(report.objective) < 0).all()
+    assert sizes[0] > sizes[1] > sizes[2]
+
+
+@pytest.mark.parametrize("seed", [22, 23])
+def test_refit_wins_back_what_compaction_cost(seed):
+    scene, cameras = visible_scene(80, seed), orbit(12, seed)
+    targets = images(scene, cameras)
+    compacted, before = compact_sh(scene, cameras, 1e-4)
+    refitted, report = refit_colour(compacted, cameras, targets, 6, strength=1e-4)
+    assert report.rendered_psnr > report.psnr[0] + 0.5
+    assert (refitted.f_rest == 0).sum() == before.zeros_after
+    assert np.abs(refitted.f_rest).mean() < 1.1 * np.abs(compacted.f_rest).mean()
+
+
+@pytest.mark.parametrize("keep_zeros", [True, False])
+def test_zeros_stay_where_asked(keep_zeros):
+    scene, cameras = visible_scene(40, 14), orbit(6)
+    f_rest = np.where(np.abs(scene.f_rest) > 0.05, scene.f_rest, np.float32(0))
+    start = replace(scene, f_rest=f_rest)
+    refitted, _ = refit_colour(start, cameras, images(scene, cameras), 4, keep_zeros=keep_zeros)
+    assert (refitted.f_rest[f_rest == 0] == 0).all() == keep_zeros
+    assert (refitted.f_dc != start.f_dc).any()
+
+
+def test_no_steps_keep_the_scene():
+    scene, cameras = visible_scene(20, 15), orbit(2)
+    refitted, report = refit_colour(scene, cameras, black(cameras), 0)
+    assert report.kept
+    assert refitted is scene
+    assert report.psnr == (report.rendered_psnr,)
+
+
+def test_targets_may_be_a_function():
+    scene, cameras = visible_scene(30, 16), orbit(3)
+    targets = images(perturbed(scene, 16), cameras)
+    first, _ = refit_colour(scene, cameras, targets, 2)
+    second, _ = refit_colour(scene, cameras, lambda view: targets[view], 2)
+    assert_same(first, second)
+
+
+def test_threads_do_not_change_it(monkeypatch):
+    monkeypatch.setattr(module, "_CHUNK", 7)
+    scene, cameras = visible_scene(50, 17), orbit(5)
+    targets = images(perturbed(scene, 17), cameras)
+    results = [refit_colour(scene, cameras, targets, 2, threads=n) for n in (1, 2, 5)]
+    for refitted, report in results[1:]:
+        assert_same(refitted, results[0][0])
+        assert report == results[0][1]
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_edges(name):
+    scene, cameras = EDGES[name], orbit(3)
+    copy = scene.take(np.arange(scene.count))
+    targets = [np.full((40, 40, 3), 0.5, np.float32) for _ in cameras]
+    refitted, report = refit_colour(scene, cameras, targets, 3, background=TEAL)
+    assert_same(scene, copy)
+    assert np.isfinite(refitted.f_dc).all()
+    assert np.isfinite(refitted.f_rest).all()
+    assert np.isfinite(report.objective).all()
+    assert (np.diff(report.objective) <= 0).all()
+    assert report.rendered_psnr >= report.psnr[0]
+    for group in set(GROUPS) - {"f_dc", "f_rest"}:
+        np.testing.assert_array_equal(getattr(refitted, group), getattr(scene, group))
+
+
+def test_values_that_are_not_finite_stay():
+    scene, cameras = visible_scene(30, 18), orbit(3)
+    f_rest = scene.f_rest.copy()
+    f_rest[3, 2], f_rest[20, 4] = np.nan, np.inf
+    scene = replace(scene, f_rest=f_rest)
+    targets = [np.full((40, 40, 3), 0.5, np.float32) for _ in cameras]
+    refitted, report = refit_colour(scene, cameras, targets, 3)
+    assert report.rendered_psnr > report.psnr[0]
+    finite = np.isfinite(f_rest)
+    np.testing.assert_array_equal(np.isfinite(refitted.f_rest), finite)
+
+
+def test_progress_counts_views():
+    calls = []
+    scene, cameras = visible_scene(5, 19), orbit(3)
+    refit_colour(scene, cameras, black(cameras), 2, progress=lambda *step: calls.append(step))
+    assert calls == [("refit", i, 12) for i in range(1, 13)]
+
+
+@pytest.mark.parametrize(
+    ("cameras", "targets", "options"),
+    [
+        (0, 0, {}),
+        (2, 1, {}),
+        (2, 2, {"steps": -1}),
+        (2, 2, {"ridge": -0.5}),
+        (2, 2, {"ridge": float("nan")}),
+    ],
+)
+def test_what_is_out_of_range(cameras, targets, options):
+    views = orbit(cameras)
+    with pytest.raises(InvalidInput, match="expected"):
+        refit_colour(visible_scene(3, 20), views, black(views)[:targets], **options)
+
+
+def test_target_of_another_size():
+    views = orbit(2)
+    with pytest.raises(InvalidInput, match=r"target 1: shape \(3, 4, 3\), expected \(40, 40, 3\)"):
+        refit_colour(visible_scene(3, 21), views, [black(views)[0], np.zeros((3, 4, 3))])

@@ -25,7 +25,7 @@ _HOMES = {
     "decode_file": "gs_codec.files",
 }
 
-__all__ = ["__version__", *_HOMES]  # noqa: PLE0604
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

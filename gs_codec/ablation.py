@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
-from gs_codec.prepare.report import StepReport
-from gs_codec.prepare.targets import Targets
+from gs_codec.preparation.report import StepReport
+from gs_codec.preparation.targets import Targets
 from gs_codec.report import EncodeReport
 from gs_codec.scene import Scene
 

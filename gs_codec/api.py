@@ -24,7 +24,7 @@ from gs_codec.scene import Scene
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
 
-    from gs_codec.prepare.report import PrepareReport
+    from gs_codec.preparation.report import PrepareReport
 
 
 def read(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> PointCloud:
@@ -140,7 +140,7 @@ def prepare(
     **steps
         ``prune_geometry``, ``prune_importance``, ``prune_loo`` (percent), ``max_drop`` (dB),
         ``optimise`` (iterations), ``compact_sh`` (strength), ``refit_colour`` (steps),
-        ``rectify`` (bool): see `gs_codec.prepare.steps.Steps`.
+        ``rectify`` (bool): see `gs_codec.preparation.steps.Steps`.
 
     Returns
     -------
@@ -152,8 +152,8 @@ def prepare(
     ------
     InvalidInput
     """
-    from gs_codec.prepare.pipeline import Plan, prepare_scene
-    from gs_codec.prepare.steps import Steps
+    from gs_codec.preparation.pipeline import Plan, prepare_scene
+    from gs_codec.preparation.steps import Steps
 
     unknown = sorted(set(steps) - set(Steps.__dataclass_fields__))
     if unknown:

@@ -26,8 +26,8 @@ from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
-    from gs_codec.prepare.pipeline import Plan
-    from gs_codec.prepare.report import PrepareReport
+    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.preparation.report import PrepareReport
 
 #: Begins the comment line that tells a decoded PLY's order: the depths it was sorted by.
 _ORDER_MARK = "gs_codec order "
@@ -132,8 +132,8 @@ def _prepare(
     """Prepare a scene and, if there is a folder, write the report with the stages of coding."""
     # Loaded here: encoding alone does without all that draws.
     from gs_codec.ablation import coding_steps
-    from gs_codec.prepare.pipeline import prepare_scene
-    from gs_codec.prepare.save import save_report
+    from gs_codec.preparation.pipeline import prepare_scene
+    from gs_codec.preparation.save import save_report
     from gs_codec.rendering.images import make_folder
 
     if folder is not None:

@@ -18,10 +18,10 @@ from gs_codec.files import encode_file, prepare_file, read_scene
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
-from gs_codec.prepare.pipeline import Plan, prepare_scene
-from gs_codec.prepare.report import LABELS
-from gs_codec.prepare.steps import Steps
-from gs_codec.prepare.targets import evenly, make_targets
+from gs_codec.preparation.pipeline import Plan, prepare_scene
+from gs_codec.preparation.report import LABELS
+from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.targets import evenly, make_targets
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import read_image, write_png
 from gs_codec.rendering.renderer import render

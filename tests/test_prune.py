@@ -9,10 +9,10 @@ import pytest
 from scenes import edge_scenes, random_scene
 
 from gs_codec.errors import InvalidInput
-from gs_codec.prepare.leave_one_out import leave_one_out
-from gs_codec.prepare.loo_rounds import prune_leave_one_out
-from gs_codec.prepare.prune import importance, keep_highest, keep_near, portion
-from gs_codec.prepare.targets import make_targets
+from gs_codec.preparation.leave_one_out import leave_one_out
+from gs_codec.preparation.loo_rounds import prune_leave_one_out
+from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
+from gs_codec.preparation.targets import make_targets
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene

@@ -10,11 +10,11 @@ from reference_renderer import render_reference
 from test_compact_sh import EDGES, assert_same, images, orbit, visible_scene
 
 from gs_codec.errors import InvalidInput
-from gs_codec.prepare import image_operator as module
-from gs_codec.prepare.compact_sh import compact_sh
-from gs_codec.prepare.image_operator import ImageOperator
-from gs_codec.prepare.refit_colour import refit_colour
-from gs_codec.prepare.sh_weights import coefficients_of, with_coefficients
+from gs_codec.preparation import image_operator as module
+from gs_codec.preparation.compact_sh import compact_sh
+from gs_codec.preparation.image_operator import ImageOperator
+from gs_codec.preparation.refit_colour import refit_colour
+from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import GROUPS, Scene
 

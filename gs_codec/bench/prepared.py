@@ -9,9 +9,9 @@ from typing import Any
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.io.ply import vertex_rows
-from gs_codec.prepare.pipeline import Plan, choose_targets, prepare_scene
-from gs_codec.prepare.report import PrepareReport
-from gs_codec.prepare.steps import Steps
+from gs_codec.preparation.pipeline import Plan, choose_targets, prepare_scene
+from gs_codec.preparation.report import PrepareReport
+from gs_codec.preparation.steps import Steps
 from gs_codec.scene import Scene
 
 #: Percentages pruned by both rules (the paper removes 65 to 66), and along the frontier.

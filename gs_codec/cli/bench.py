@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,7 +16,9 @@ from gs_codec.cli.output import print_table, print_text
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.scene import Scene
 
 #: Lines of the readable table: header, and the place of its figure in a result.
 _COLUMNS = [
@@ -132,8 +134,8 @@ def _measure_preparation(
     from gs_codec.bench.frontier_plot import plot_frontier
     from gs_codec.bench.measure import machine
     from gs_codec.bench.prepared import measure_frontier, measure_pruning
-    from gs_codec.prepare.pipeline import Plan
-    from gs_codec.prepare.steps import Steps
+    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.preparation.steps import Steps
 
     print_text(json_module.dumps(machine()))
     source, truth, width = views

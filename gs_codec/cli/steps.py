@@ -93,8 +93,8 @@ def plan_of(options: dict[str, Any]) -> Any:
         if options["report"] or options["checkpoint"]:
             raise InvalidInput("--report and --checkpoint need a step, for example --prune-loo 30")
         return None
-    from gs_codec.prepare.pipeline import Plan
-    from gs_codec.prepare.steps import Steps
+    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.preparation.steps import Steps
 
     return Plan(
         Steps(**chosen),

@@ -7,9 +7,9 @@ from gs_codec.kernels import inlined
 #: Value of the constant harmonic: colour = 0.5 + SH_C0 * f_dc.
 SH_C0 = 0.28209479177387814
 
-_C1 = 0.4886025119029199
-_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-_C3 = (
+SH_C1 = 0.4886025119029199
+SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+SH_C3 = (
     0.5900435899266435,
     2.890611442640554,
     0.4570457994644658,
@@ -22,20 +22,20 @@ _C3 = (
 def sh_basis(x, y, z, coefficients, basis):
     """Fill ``basis (15,)`` with the first `coefficients` SH-AC values in a unit direction."""
     if coefficients >= 3:
-        basis[0] = -_C1 * y
-        basis[1] = _C1 * z
-        basis[2] = -_C1 * x
+        basis[0] = -SH_C1 * y
+        basis[1] = SH_C1 * z
+        basis[2] = -SH_C1 * x
     if coefficients >= 8:
-        basis[3] = _C2[0] * x * y
-        basis[4] = -_C2[0] * y * z
-        basis[5] = _C2[1] * (2.0 * z * z - x * x - y * y)
-        basis[6] = -_C2[0] * x * z
-        basis[7] = _C2[2] * (x * x - y * y)
+        basis[3] = SH_C2[0] * x * y
+        basis[4] = -SH_C2[0] * y * z
+        basis[5] = SH_C2[1] * (2.0 * z * z - x * x - y * y)
+        basis[6] = -SH_C2[0] * x * z
+        basis[7] = SH_C2[2] * (x * x - y * y)
     if coefficients >= 15:
-        basis[8] = -_C3[0] * y * (3.0 * x * x - y * y)
-        basis[9] = _C3[1] * x * y * z
-        basis[10] = -_C3[2] * y * (4.0 * z * z - x * x - y * y)
-        basis[11] = _C3[3] * z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y)
-        basis[12] = -_C3[2] * x * (4.0 * z * z - x * x - y * y)
-        basis[13] = _C3[4] * z * (x * x - y * y)
-        basis[14] = -_C3[0] * x * (x * x - 3.0 * y * y)
+        basis[8] = -SH_C3[0] * y * (3.0 * x * x - y * y)
+        basis[9] = SH_C3[1] * x * y * z
+        basis[10] = -SH_C3[2] * y * (4.0 * z * z - x * x - y * y)
+        basis[11] = SH_C3[3] * z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y)
+        basis[12] = -SH_C3[2] * x * (4.0 * z * z - x * x - y * y)
+        basis[13] = SH_C3[4] * z * (x * x - y * y)
+        basis[14] = -SH_C3[0] * x * (x * x - 3.0 * y * y)

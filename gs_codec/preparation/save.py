@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gs_codec.io.atomic import atomic_writer
-from gs_codec.prepare.report import PrepareReport
+from gs_codec.preparation.report import PrepareReport
 from gs_codec.rendering.images import make_folder
 
 

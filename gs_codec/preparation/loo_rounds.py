@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.prepare.leave_one_out import leave_one_out
-from gs_codec.prepare.prune import keep_highest, portion
-from gs_codec.prepare.targets import Targets
+from gs_codec.preparation.leave_one_out import leave_one_out
+from gs_codec.preparation.prune import keep_highest, portion
+from gs_codec.preparation.targets import Targets
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.kernels import kernel
-from gs_codec.prepare.backward import MOMENT_YY, differentiate_tiles
-from gs_codec.prepare.image_loss import ImageLoss, LossWeights, image_loss
-from gs_codec.prepare.unproject import differentiate_gaussians
+from gs_codec.preparation.backward import MOMENT_YY, differentiate_tiles
+from gs_codec.preparation.image_loss import ImageLoss, LossWeights, image_loss
+from gs_codec.preparation.unproject import differentiate_gaussians
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import Frame, make_frame
 from gs_codec.rendering.rasterise import draw_tiles

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.kernels import kernel
-from gs_codec.prepare.normal_equations import fill_matrix, solve
-from gs_codec.prepare.sh_weights import (
+from gs_codec.preparation.normal_equations import fill_matrix, solve
+from gs_codec.preparation.sh_weights import (
     coefficients_of,
     sh_row,
     squared_weights,

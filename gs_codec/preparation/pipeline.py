@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from gs_codec.config import PROFILES
 from gs_codec.errors import InvalidInput
-from gs_codec.prepare.compact_sh import compact_sh
-from gs_codec.prepare.loo_rounds import prune_leave_one_out
-from gs_codec.prepare.optimise import optimise
-from gs_codec.prepare.prune import importance, keep_highest, keep_near, portion
-from gs_codec.prepare.rectify import rectify
-from gs_codec.prepare.refit_colour import refit_colour
-from gs_codec.prepare.report import LABELS, PrepareReport, StepReport
-from gs_codec.prepare.steps import Steps
-from gs_codec.prepare.targets import Targets, evenly, make_targets, photographed
+from gs_codec.preparation.compact_sh import compact_sh
+from gs_codec.preparation.loo_rounds import prune_leave_one_out
+from gs_codec.preparation.optimise import optimise
+from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
+from gs_codec.preparation.rectify import rectify
+from gs_codec.preparation.refit_colour import refit_colour
+from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
+from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.targets import Targets, evenly, make_targets, photographed
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
@@ -192,6 +192,8 @@ def _refit(scene: Scene, context: _Context) -> _Outcome:
         views.images,
         steps.refit_colour,
         strength=steps.compact_sh,
+        # Zeros of the trainer may have to stand in for Gaussians that went.
+        keep_zeros=steps.compact_sh > 0,
         background=views.background,
         progress=context.progress,
     )

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import check_writable
-from gs_codec.prepare.adam import AdamState, adam_step, new_state
-from gs_codec.prepare.checkpoint import Checkpoint, digest_of, read_checkpoint, write_checkpoint
-from gs_codec.prepare.gradients import Differentiated, differentiate
-from gs_codec.prepare.image_loss import LossWeights
-from gs_codec.prepare.rates import Rates, step_sizes
+from gs_codec.preparation.adam import AdamState, adam_step, new_state
+from gs_codec.preparation.checkpoint import Checkpoint, digest_of, read_checkpoint, write_checkpoint
+from gs_codec.preparation.gradients import Differentiated, differentiate
+from gs_codec.preparation.image_loss import LossWeights
+from gs_codec.preparation.rates import Rates, step_sizes
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import GROUPS, Scene

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.metrics.images import Quality
-from gs_codec.prepare.targets import Targets
+from gs_codec.preparation.targets import Targets
 
 #: Why an input Gaussian is not in the output: its label is the place in this list.
 LABELS = ("kept", "geometry", "importance", "leave-one-out")

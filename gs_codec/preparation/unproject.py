@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gs_codec.kernels import inlined, kernel
-from gs_codec.prepare.backward import (
+from gs_codec.preparation.backward import (
     BY_RED,
     MOMENT,
     MOMENT_X,
@@ -16,7 +16,7 @@ from gs_codec.prepare.backward import (
     MOMENT_Y,
     MOMENT_YY,
 )
-from gs_codec.prepare.harmonics import sh_slope
+from gs_codec.preparation.sh_slope import sh_slope
 from gs_codec.rendering.harmonics import SH_C0, sh_basis
 from gs_codec.rendering.project import (
     LOW_PASS,

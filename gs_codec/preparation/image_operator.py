@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.kernels import kernel
-from gs_codec.prepare.sh_weights import sh_row
+from gs_codec.preparation.sh_weights import sh_row
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import TILE

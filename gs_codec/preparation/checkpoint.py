@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.io.atomic import atomic_writer
-from gs_codec.prepare.adam import AdamState
+from gs_codec.preparation.adam import AdamState
 
 #: What reading a damaged archive of arrays may raise.
 _DAMAGE = (

@@ -139,7 +139,7 @@ def _prepare(
     if folder is not None:
         check_writable(make_folder(folder) / "report.json")
     scene, report = prepare_scene(scene, plan, progress)
-    coding = coding_steps(scene, config, report.held_out)
+    coding = coding_steps(scene, config, report.views.held_out)
     report = replace(report, steps=(*report.steps, *coding))
     if folder is not None:
         save_report(folder, report)

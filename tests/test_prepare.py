@@ -21,7 +21,7 @@ from gs_codec.metrics.images import compare_images
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.report import LABELS
 from gs_codec.preparation.steps import Steps
-from gs_codec.preparation.targets import evenly, make_targets
+from gs_codec.preparation.targets import draw_targets, evenly
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import read_image, write_png
 from gs_codec.rendering.renderer import render
@@ -107,8 +107,8 @@ def test_labels_tell_why_each_gaussian_went(scene):
 
 def test_quality_is_measured_in_held_out_views(scene):
     result, report = prepare_scene(scene, plan(prune_importance=50))
-    assert [c.name for c in report.held_out.cameras] == ["b"]
-    assert [c.name for c in report.working.cameras] == ["a", "c", "d"]
+    assert [c.name for c in report.views.held_out.cameras] == ["b"]
+    assert [c.name for c in report.views.renders.cameras] == ["a", "c", "d"]
     first, last = report.steps
     assert (first.name, first.count, first.quality.psnr) == ("original", 400, np.inf)
     images = [render(s, CAMERAS[1]).colour for s in (result, scene)]
@@ -120,8 +120,8 @@ def test_quality_is_measured_in_held_out_views(scene):
 def test_cameras_without_marks_do_for_both(scene):
     unmarked = [replace(c, split=None) for c in CAMERAS]
     _, report = prepare_scene(scene, Plan(Steps(rectify=True), unmarked, views=2))
-    assert report.held_out is report.working
-    assert [c.name for c in report.working.cameras] == ["a", "d"]
+    assert report.views.held_out is report.views.renders
+    assert [c.name for c in report.views.renders.cameras] == ["a", "d"]
 
 
 def test_photographs_are_the_targets_of_cameras_that_have_one(scene, tmp_path):
@@ -129,9 +129,10 @@ def test_photographs_are_the_targets_of_cameras_that_have_one(scene, tmp_path):
         write_png(tmp_path / f"{name}.png", np.full((16, 24, 3), 0.4))
     chosen = Plan(Steps(prune_loo=10), CAMERAS, photographs=tmp_path)
     _, report = prepare_scene(scene, chosen)
-    assert [c.name for c in report.working.cameras] == ["c"]
-    assert report.working.cameras[0].width == 24
-    assert report.held_out.photographs
+    assert [c.name for c in report.views.renders.cameras] == ["a", "c", "d"]
+    assert [c.name for c in report.views.wanted.cameras] == ["c"]
+    assert report.views.wanted.cameras[0].width == 24
+    assert report.views.held_out.photographs
     image = render(scene, CAMERAS[1].resized(24, 16)).colour
     expected = compare_images(image, read_image(tmp_path / "b.png"))
     assert report.steps[0].quality == expected
@@ -147,7 +148,7 @@ def test_views_are_evenly_spaced():
 
 
 def test_drop_of_photographs_and_of_own_renders(scene):
-    own = make_targets(scene, CAMERAS, None, (0.0, 0.0, 0.0))
+    own = draw_targets(scene, CAMERAS, (0.0, 0.0, 0.0))
     assert own.error(scene) == 0
     assert own.drop(1e-3, 0.0) == pytest.approx(10 * np.log10(2))
     real = replace(own, photographs=True)
@@ -185,7 +186,7 @@ def test_refitting_wins_back_what_pruning_lost(scene):
     pruned, before = prepare_scene(scene, plan(prune_importance=70))
     for steps in ({"refit_colour": 6}, {"optimise": 60}):
         _, after = prepare_scene(scene, plan(prune_importance=70, **steps))
-        assert after.working.error(pruned) > 0
+        assert after.views.renders.error(pruned) > 0
         assert after.steps[-1].quality.psnr > before.steps[-1].quality.psnr + 0.5, steps
 
 

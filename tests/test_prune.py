@@ -12,7 +12,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.preparation.leave_one_out import leave_one_out
 from gs_codec.preparation.loo_rounds import prune_leave_one_out
 from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
-from gs_codec.preparation.targets import make_targets
+from gs_codec.preparation.targets import Views, draw_targets
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
@@ -162,13 +162,18 @@ def test_a_hidden_gaussian_is_worth_nothing():
 
 
 def targets_of(scene: Scene):
-    return make_targets(scene, CAMERAS, None, BLACK)
+    return draw_targets(scene, CAMERAS, BLACK)
+
+
+def views_of(scene: Scene) -> Views:
+    targets = targets_of(scene)
+    return Views(targets, None, targets)
 
 
 @pytest.mark.parametrize("percent", [1, 10, 37, 66, 90])
 def test_rounds_remove_exactly_what_is_asked(percent):
     scene = visible_scene(150, 116)
-    kept, details = prune_leave_one_out(scene, targets_of(scene), percent, None)
+    kept, details = prune_leave_one_out(scene, views_of(scene), percent, None)
     assert len(kept) == 150 - 150 * percent // 100
     assert (np.diff(kept) > 0).all()
     counts = [entry["gaussians"] for entry in details["rounds"]]
@@ -179,7 +184,7 @@ def test_rounds_remove_exactly_what_is_asked(percent):
 def test_rounds_beat_importance():
     scene = visible_scene(300, 117)
     targets = targets_of(scene)
-    kept, _ = prune_leave_one_out(scene, targets, 50, None)
+    kept, _ = prune_leave_one_out(scene, views_of(scene), 50, None)
     rival = keep_highest(importance(scene, CAMERAS), 150)
     assert targets.error(scene.take(kept)) < 0.5 * targets.error(scene.take(rival))
 
@@ -188,26 +193,25 @@ def test_rounds_beat_importance():
 def test_the_loss_stays_within_the_limit_and_comes_near_it(limit):
     scene = visible_scene(300, 118)
     targets = targets_of(scene)
-    kept, _ = prune_leave_one_out(scene, targets, 0, limit)
+    kept, _ = prune_leave_one_out(scene, views_of(scene), 0, limit)
     before = targets.error(scene)
     drop = targets.drop(targets.error(scene.take(kept)), before)
     assert 0.3 * limit < drop <= limit
 
 
 def test_a_limit_and_a_percentage_together():
-    scene = visible_scene(300, 119)
     targets = targets_of(scene)
-    few, _ = prune_leave_one_out(scene, targets, 5, 50.0)
+    few, _ = prune_leave_one_out(scene, views_of(scene), 5, 50.0)
     assert len(few) == 285
-    limited, _ = prune_leave_one_out(scene, targets, 90, 0.05)
-    alone, _ = prune_leave_one_out(scene, targets, 0, 0.05)
+    limited, _ = prune_leave_one_out(scene, views_of(scene), 90, 0.05)
+    alone, _ = prune_leave_one_out(scene, views_of(scene), 0, 0.05)
     assert limited.tolist() == alone.tolist()
 
 
 def test_no_loss_allowed_removes_only_what_is_not_seen():
     scene = visible_scene(200, 120)
     targets = targets_of(scene)
-    kept, _ = prune_leave_one_out(scene, targets, 0, 0.0)
+    kept, _ = prune_leave_one_out(scene, views_of(scene), 0, 0.0)
     assert targets.error(scene.take(kept)) == 0
     assert len(kept) < 200
 
@@ -215,7 +219,6 @@ def test_no_loss_allowed_removes_only_what_is_not_seen():
 @pytest.mark.parametrize("name", edge_scenes())
 def test_edge_scenes(name):
     scene = edge_scenes()[name]
-    targets = targets_of(scene)
-    kept, _ = prune_leave_one_out(scene, targets, 40, None)
+    kept, _ = prune_leave_one_out(scene, views_of(scene), 40, None)
     assert len(kept) == scene.count - int(0.4 * scene.count + 1e-6)
     assert np.isfinite(importance(scene, CAMERAS)).all()

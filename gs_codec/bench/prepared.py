@@ -9,7 +9,7 @@ from typing import Any
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.io.ply import vertex_rows
-from gs_codec.preparation.pipeline import Plan, choose_targets, prepare_scene
+from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.report import PrepareReport
 from gs_codec.preparation.steps import Steps
 from gs_codec.scene import Scene
@@ -24,14 +24,14 @@ STRENGTHS = (0.0, 1e-5, 3e-5, 1e-4)
 
 def measure_pruning(scene: Scene, name: str, plan: Plan) -> Iterator[dict[str, Any]]:
     """Quality after pruning by leave-one-out error and by LightGaussian's importance."""
-    targets = choose_targets(scene, plan)
+    views = choose_views(scene, plan)
     for percent in PRUNED:
         rules = {
             "leave-one-out": Steps(prune_loo=percent),
             "importance": Steps(prune_importance=percent),
         }
         for rule, steps in rules.items():
-            pruned, report = prepare_scene(scene, replace(plan, steps=steps), targets=targets)
+            pruned, report = prepare_scene(scene, replace(plan, steps=steps), views=views)
             yield {
                 "kind": "pruning",
                 "scene": name,
@@ -48,17 +48,15 @@ def measure_frontier(
 ) -> Iterator[dict[str, Any]]:
     """Size and quality of the coded scene, by leave-one-out fraction and compaction strength."""
     ply_bytes = vertex_rows(scene).nbytes
-    targets = choose_targets(scene, plan)
-    before = targets[1].quality(scene)
+    views = choose_views(scene, plan)
+    before = views.held_out.quality(scene)
     for percent in FRONTIER:
-        pruned, _ = prepare_scene(
-            scene, replace(plan, steps=Steps(prune_loo=percent)), targets=targets
-        )
+        pruned, _ = prepare_scene(scene, replace(plan, steps=Steps(prune_loo=percent)), views=views)
         for strength in STRENGTHS:
             steps = Steps(compact_sh=strength, refit_colour=6 if percent or strength else 0)
-            prepared, _ = prepare_scene(pruned, replace(plan, steps=steps), targets=targets)
+            prepared, _ = prepare_scene(pruned, replace(plan, steps=steps), views=views)
             data, _ = encode_scene(prepared, config)
-            after = targets[1].quality(decode_scene(data))
+            after = views.held_out.quality(decode_scene(data))
             yield {
                 "kind": "frontier",
                 "scene": name,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.preparation.leave_one_out import leave_one_out
 from gs_codec.preparation.prune import keep_highest, portion
-from gs_codec.preparation.targets import Targets
+from gs_codec.preparation.targets import Targets, Views
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 
@@ -26,7 +26,7 @@ _BISECTIONS = 6
 
 def prune_leave_one_out(
     scene: Scene,
-    targets: Targets,
+    views: Views,
     percent: float,
     max_drop: float | None,
     progress: Progress | None = None,
@@ -36,7 +36,8 @@ def prune_leave_one_out(
     Parameters
     ----------
     scene : Scene
-    targets : Targets
+    views : Views
+        Errors are of its renders; `max_drop` is of its photographs, where there are any.
     percent : float
         Most to remove; 0 with `max_drop` means as many as that allows.
     max_drop : float or None
@@ -47,12 +48,13 @@ def prune_leave_one_out(
     least = scene.count - wanted if wanted or max_drop is None else 1
     kept = np.arange(scene.count)
     rounds: list[dict[str, Any]] = []
+    cameras, targets = views.renders.cameras, views.wanted
     before = targets.error(scene) if max_drop is not None else 0.0
     while len(kept) > least:
         current = scene.take(kept)
         stage = f"leave-one-out, round {len(rounds) + 1}"
-        advance = step_counter(progress, stage, len(targets.cameras))
-        scores = leave_one_out(current, targets.cameras, targets.background, advance)
+        advance = step_counter(progress, stage, len(cameras))
+        scores = leave_one_out(current, cameras, views.renders.background, advance)
         rounds.append({"gaussians": len(kept)})
         asked = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
         if max_drop is not None:

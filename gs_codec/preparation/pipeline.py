@@ -21,7 +21,14 @@ from gs_codec.preparation.rectify import rectify
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
 from gs_codec.preparation.steps import Steps
-from gs_codec.preparation.targets import Targets, evenly, make_targets, photographed
+from gs_codec.preparation.targets import (
+    Targets,
+    Views,
+    draw_targets,
+    evenly,
+    photographed,
+    read_targets,
+)
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
@@ -37,7 +44,7 @@ class _Context:
     """What steps look at, and how they tell their progress."""
 
     steps: Steps
-    targets: Targets
+    views: Views
     checkpoint: Path | None
     progress: Progress | None
 
@@ -57,8 +64,8 @@ class Plan:
         Quality is measured in those marked ``test``, and at most `views` of the others, evenly
         spaced, are worked by; where none is marked, the same do for both.
     photographs : path, optional
-        Folder of the cameras' images. They are the targets then, of the cameras that have one;
-        else renders of the input are.
+        Folder of the cameras' images; not all need to have one. Quality and losses are measured
+        against them, and `optimise` fits to them; without, renders of the input take their place.
     width : int, optional
         Width of the views, pixels; not with photographs, which have their own.
     views : int
@@ -87,11 +94,11 @@ def prepare_scene(
     scene: Scene,
     plan: Plan,
     progress: Progress | None = None,
-    targets: tuple[Targets, Targets] | None = None,
+    views: Views | None = None,
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
 
-    `targets` are those of `choose_targets`, of this scene or of one it was made from.
+    `views` are those of `choose_views`, of this scene or of one it was made from.
 
     Raises
     ------
@@ -99,8 +106,9 @@ def prepare_scene(
         If there are no cameras, nothing would be left, or an image is broken.
     """
     steps = plan.steps
-    working, held_out = targets or choose_targets(scene, plan, progress)
-    context = _Context(steps, working, plan.checkpoint, progress)
+    views = views or choose_views(scene, plan)
+    held_out = views.held_out
+    context = _Context(steps, views, plan.checkpoint, progress)
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, held_out, 0.0, {})]
@@ -116,24 +124,32 @@ def prepare_scene(
             labels[kept[gone]] = LABELS.index(step.label)
             kept = kept[stay]
         reports.append(_report(step.name, scene, held_out, seconds, details))
-    return scene, PrepareReport(labels, tuple(reports), working, held_out)
+    return scene, PrepareReport(labels, tuple(reports), views)
 
 
-def choose_targets(
-    scene: Scene, plan: Plan, progress: Progress | None = None
-) -> tuple[Targets, Targets]:
-    """Targets to work by, and targets to measure by."""
+def choose_views(scene: Scene, plan: Plan) -> Views:
+    """The views a plan works and measures by, drawn and read.
+
+    Raises
+    ------
+    InvalidInput
+        If there are no cameras, no photograph of those to measure by, or one is broken.
+    """
     cameras = find_cameras(plan.cameras, scene, "all", plan.width, plan.views)
     test = [camera for camera in cameras if camera.split == "test"]
     rest = [camera for camera in cameras if camera.split != "test"] or test
-    if plan.photographs is not None:
-        rest, _ = photographed(rest, plan.photographs)
     chosen = evenly(rest, plan.views)
-    measured = test if test != rest else []
-    advance = step_counter(progress, "targets", len(chosen) + len(measured))
-    options = (plan.photographs, plan.background, advance)
-    working = make_targets(scene, chosen, *options)
-    return working, make_targets(scene, measured, *options) if measured else working
+    renders = draw_targets(scene, chosen, plan.background)
+    photographs = None
+    if plan.photographs is not None:
+        found = photographed(rest, plan.photographs)
+        photographs = read_targets(evenly(found, plan.views), plan.background)
+    if not test or test == rest:
+        return Views(renders, photographs, photographs or renders)
+    if plan.photographs is None:
+        return Views(renders, photographs, draw_targets(scene, test, plan.background))
+    measured = photographed(test, plan.photographs)
+    return Views(renders, photographs, read_targets(measured, plan.background))
 
 
 def _report(
@@ -144,7 +160,7 @@ def _report(
 
 
 def _prune_importance(scene: Scene, context: _Context) -> _Outcome:
-    cameras = context.targets.cameras
+    cameras = context.views.renders.cameras
     scores = importance(scene, cameras, context.counter("importance", len(cameras)))
     stay = keep_highest(scores, portion(scene.count, context.steps.prune_importance))
     return stay, scene.take(stay), {}
@@ -158,13 +174,13 @@ def _prune_geometry(scene: Scene, context: _Context) -> _Outcome:
 def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
     steps = context.steps
     stay, details = prune_leave_one_out(
-        scene, context.targets, steps.prune_loo, steps.max_drop, context.progress
+        scene, context.views, steps.prune_loo, steps.max_drop, context.progress
     )
     return stay, scene.take(stay), details
 
 
 def _optimise(scene: Scene, context: _Context) -> _Outcome:
-    views = context.targets
+    views = context.views.wanted
     fitted, report = optimise(
         scene,
         views.cameras,
@@ -179,13 +195,13 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
 
 def _compact(scene: Scene, context: _Context) -> _Outcome:
     compact, report = compact_sh(
-        scene, context.targets.cameras, context.steps.compact_sh, progress=context.progress
+        scene, context.views.renders.cameras, context.steps.compact_sh, progress=context.progress
     )
     return None, compact, asdict(report)
 
 
 def _refit(scene: Scene, context: _Context) -> _Outcome:
-    views, steps = context.targets, context.steps
+    views, steps = context.views.renders, context.steps
     fitted, report = refit_colour(
         scene,
         views.cameras,

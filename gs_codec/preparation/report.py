@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.metrics.images import Quality
-from gs_codec.preparation.targets import Targets
+from gs_codec.preparation.targets import Views
 
 #: Why an input Gaussian is not in the output: its label is the place in this list.
 LABELS = ("kept", "geometry", "importance", "leave-one-out")
@@ -52,14 +52,13 @@ class PrepareReport:
         Places in `LABELS`, in the input's order.
     steps : tuple of StepReport
         The first is the input.
-    working, held_out : Targets
-        The views worked by, and those quality is measured in.
+    views : Views
+        What was worked and measured by.
     """
 
     labels: NDArray[np.uint8]
     steps: tuple[StepReport, ...]
-    working: Targets
-    held_out: Targets
+    views: Views
 
     @property
     def removed(self) -> dict[str, int]:
@@ -72,9 +71,9 @@ class PrepareReport:
         return {
             "gaussians": [self.steps[0].count, self.steps[-1].count],
             "removed": self.removed,
-            "views": len(self.working.cameras),
-            "held_out": len(self.held_out.cameras),
-            "photographs": self.held_out.photographs,
+            "views": len(self.views.renders.cameras),
+            "held_out": len(self.views.held_out.cameras),
+            "photographs": self.views.held_out.photographs,
             "steps": [_plain_step(step) for step in self.steps],
         }
 

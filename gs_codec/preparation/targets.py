@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from gs_codec.rendering.images import find_image, read_image
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
+
+Item = TypeVar("Item")
 
 #: MSE that a scene without photographs is taken to have against them: 30 dB.
 _NOMINAL_ERROR = 1e-3
@@ -63,7 +66,30 @@ class Targets:
         return 10 * float(np.log10((own + error) / (own + before)))
 
 
-def photographed(cameras: Sequence[Camera], folder: str | Path) -> tuple[list[Camera], list[Path]]:
+class Views(NamedTuple):
+    """What a scene is prepared by.
+
+    Attributes
+    ----------
+    renders : Targets
+        The input's own views of the cameras to work by.
+    photographs : Targets or None
+        Those of the same cameras that are there.
+    held_out : Targets
+        What quality is measured in.
+    """
+
+    renders: Targets
+    photographs: Targets | None
+    held_out: Targets
+
+    @property
+    def wanted(self) -> Targets:
+        """What views should look like: photographs where there are any."""
+        return self.photographs or self.renders
+
+
+def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Camera, Path]]:
     """The cameras whose image is in a folder, and the images' paths.
 
     Raises
@@ -80,38 +106,38 @@ def photographed(cameras: Sequence[Camera], folder: str | Path) -> tuple[list[Ca
                 raise
     if not found:
         raise InvalidInput(f"{folder}: no image of the {len(cameras)} cameras")
-    return [camera for camera, _ in found], [path for _, path in found]
+    return found
 
 
-def make_targets(
-    scene: Scene,
-    cameras: Sequence[Camera],
-    photographs: str | Path | None,
-    background: tuple[float, float, float],
-    advance: Callable[[], None] | None = None,
+def draw_targets(
+    scene: Scene, cameras: Sequence[Camera], background: tuple[float, float, float]
 ) -> Targets:
-    """Targets of the photographs in a folder, of the cameras that have one, or of renders.
+    """A scene's own views."""
+    images = run_all(
+        lambda camera: render(scene, camera, background, threads=1, device="cpu").colour, cameras
+    )
+    return Targets(tuple(cameras), tuple(images), False, background)
+
+
+def read_targets(
+    found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
+) -> Targets:
+    """Photographs, and the cameras at their size.
 
     Raises
     ------
     InvalidInput
-        If no camera has a photograph, or one is broken or of another shape.
+        If one is broken, or of another shape.
     """
-    if photographs is None:
-        images = run_all(
-            lambda camera: render(scene, camera, background, threads=1, device="cpu").colour,
-            cameras,
-            advance=advance,
-        )
-        return Targets(tuple(cameras), tuple(images), False, background)
-    cameras, paths = photographed(cameras, photographs)
-    images = run_all(read_image, paths, advance=advance)
-    sized = [fitted(c, image, p) for c, image, p in zip(cameras, images, paths, strict=True)]
+    images = run_all(lambda item: read_image(item[1]), found)
+    sized = [
+        fitted(camera, image, path) for (camera, path), image in zip(found, images, strict=True)
+    ]
     return Targets(tuple(sized), tuple(images), True, background)
 
 
-def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
-    """`count` of the cameras, evenly spaced in their order; all if there are no more."""
-    if len(cameras) <= count:
-        return list(cameras)
-    return [cameras[i] for i in np.linspace(0, len(cameras) - 1, count).round().astype(int)]
+def evenly(items: Sequence[Item], count: int) -> list[Item]:
+    """`count` of the items, evenly spaced in their order; all if there are no more."""
+    if len(items) <= count:
+        return list(items)
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]

@@ -200,7 +200,7 @@ def test_the_loss_stays_within_the_limit_and_comes_near_it(limit):
 
 
 def test_a_limit_and_a_percentage_together():
-    targets = targets_of(scene)
+    scene = visible_scene(300, 119)
     few, _ = prune_leave_one_out(scene, views_of(scene), 5, 50.0)
     assert len(few) == 285
     limited, _ = prune_leave_one_out(scene, views_of(scene), 90, 0.05)

@@ -16,10 +16,10 @@ from gs_codec.scene import Scene
 
 #: Percentages pruned by both rules (the paper removes 65 to 66), and along the frontier.
 PRUNED = (30.0, 50.0, 66.0)
-FRONTIER = (0.0, 20.0, 35.0, 50.0, 65.0)
+FRONTIER = (0.0, 30.0, 50.0, 65.0)
 
 #: Strengths of SH compaction along the frontier.
-STRENGTHS = (0.0, 1e-5, 3e-5, 1e-4)
+STRENGTHS = (0.0, 1e-5, 6e-5)
 
 
 def measure_pruning(scene: Scene, name: str, plan: Plan) -> Iterator[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec import decode_scene
 from gs_codec.config import Config
 from gs_codec.preparation.report import StepReport
 from gs_codec.preparation.targets import Targets
@@ -10,13 +10,15 @@ from gs_codec.report import EncodeReport
 from gs_codec.scene import Scene
 
 
-def coding_steps(scene: Scene, config: Config, held_out: Targets) -> list[StepReport]:
+def coding_steps(
+    scene: Scene, config: Config, data: bytes, report: EncodeReport, held_out: Targets
+) -> list[StepReport]:
     """Size and quality after quantisation, entropy coding, and coding of the geometry.
 
     Quantised attributes take the bits of their depths; with entropy coding, all but positions and
     SH-DC; with geometry coding these too, and the file is whole. Quality is lost at the first.
+    `data` and `report` are what encoding the scene gave.
     """
-    data, report = encode_scene(scene, config)
     quality = held_out.quality(decode_scene(data))
     quantised = _quantised_bytes(scene, config)
     coded = report.file_bytes - sum(report.section_bytes.get(s, 0) for s in ("geometry", "sh-dc"))

@@ -66,9 +66,12 @@ def encode_file(
     scene = _without_order(read_ply(source, config.extra))
     read = time.perf_counter() - start
     with located(source):
+        prepared = None
         if plan is not None:
-            scene, _ = _prepare(scene, plan, config, report_folder, progress)
+            scene, prepared = _prepare(scene, plan, report_folder, progress)
         data, report = encode_scene(scene, config, progress)
+        if prepared is not None and report_folder is not None:
+            _finish_report(prepared, scene, config, data, report, report_folder)
     start = time.perf_counter()
     with atomic_writer(target) as file:
         file.write(data)
@@ -91,15 +94,22 @@ def prepare_file(
         If the source cannot be used, or the target or the report cannot be written.
     """
     _check_target(source, target)
-    _format_of(target)
+    suffix = _format_of(target)
     scene = _without_order(read_scene(source, "keep"))
+    config = Config(extra="keep")
     with located(source):
-        scene, report = _prepare(scene, plan, Config(extra="keep"), report_folder, progress)
-    write_scene(target, scene)
-    return report
+        scene, prepared = _prepare(scene, plan, report_folder, progress)
+        data, report = encode_scene(scene, config)
+        prepared = _finish_report(prepared, scene, config, data, report, report_folder)
+    if suffix == ".ply":
+        write_ply(target, scene)
+    else:
+        with atomic_writer(target) as file:
+            file.write(data)
+    return prepared
 
 
-def write_scene(path: str | Path, scene: Scene, config: Config | None = None) -> None:
+def write_scene(path: str | Path, scene: Scene, config: Config) -> None:
     """Write a scene as ``.ply`` or, encoded, as ``.egs``.
 
     Raises
@@ -111,7 +121,7 @@ def write_scene(path: str | Path, scene: Scene, config: Config | None = None) ->
         write_ply(path, scene)
     else:
         with atomic_writer(path) as file:
-            file.write(encode_scene(scene, config or Config(extra="keep"))[0])
+            file.write(encode_scene(scene, config)[0])
 
 
 def _format_of(path: str | Path) -> str:
@@ -123,27 +133,35 @@ def _format_of(path: str | Path) -> str:
 
 
 def _prepare(
-    scene: Scene,
-    plan: Plan,
-    config: Config,
-    folder: str | Path | None,
-    progress: Progress | None,
+    scene: Scene, plan: Plan, folder: str | Path | None, progress: Progress | None
 ) -> tuple[Scene, PrepareReport]:
-    """Prepare a scene and, if there is a folder, write the report with the stages of coding."""
+    """Prepare a scene; a folder for the report that cannot be written to is refused before."""
     # Loaded here: encoding alone does without all that draws.
-    from gs_codec.ablation import coding_steps
     from gs_codec.preparation.pipeline import prepare_scene
-    from gs_codec.preparation.save import save_report
     from gs_codec.rendering.images import make_folder
 
     if folder is not None:
         check_writable(make_folder(folder) / "report.json")
-    scene, report = prepare_scene(scene, plan, progress)
-    coding = coding_steps(scene, config, report.views.held_out)
-    report = replace(report, steps=(*report.steps, *coding))
+    return prepare_scene(scene, plan, progress)
+
+
+def _finish_report(
+    prepared: PrepareReport,
+    scene: Scene,
+    config: Config,
+    data: bytes,
+    report: EncodeReport,
+    folder: str | Path | None,
+) -> PrepareReport:
+    """Add the stages of coding to a report and, if there is a folder, write it there."""
+    from gs_codec.ablation import coding_steps
+    from gs_codec.preparation.save import save_report
+
+    coding = coding_steps(scene, config, data, report, prepared.views.held_out)
+    prepared = replace(prepared, steps=(*prepared.steps, *coding))
     if folder is not None:
-        save_report(folder, report)
-    return scene, report
+        save_report(folder, prepared)
+    return prepared
 
 
 def decode_file(

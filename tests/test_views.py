@@ -311,6 +311,20 @@ def test_auto_cameras_go_around_an_object():
     assert np.linalg.norm(directions.mean(axis=0)) < 0.6  # not all from one side
 
 
+def test_auto_cameras_fill_the_image_with_what_is_smaller_than_the_near_plane():
+    rng = np.random.default_rng(99)
+    normal = rng.standard_normal((3, 3000))
+    normal /= np.linalg.norm(normal, axis=0)
+    speck = replace(
+        random_scene(3000, 0, seed=99),
+        positions=(0.01 * normal).astype(np.float32),
+        log_scale=np.full((3, 3000), np.log(0.0003), np.float32),
+        opacity=np.full((1, 3000), 4.0, np.float32),
+    )
+    for view in auto_cameras(speck, 4):
+        assert (render(speck, view.resized(120, 80)).alpha > 0.5).mean() > 0.1
+
+
 @pytest.mark.parametrize("name", [name for name in edge_scenes() if name != "empty"])
 def test_auto_cameras_see_something_of_edge_scenes(name):
     scene = edge_scenes()[name]

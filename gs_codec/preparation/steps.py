@@ -10,7 +10,7 @@ from gs_codec.errors import InvalidInput
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of preparation, all off by default; they run in the order listed.
+    """Steps of preparation, all off by default; `pipeline` has the order they run in.
 
     Parameters
     ----------

@@ -159,7 +159,8 @@ def _look(position: NDArray, target: NDArray, up: NDArray, zoom: float = 1.0) ->
         right = np.cross(forward, np.roll(up, 1) + forward[::-1])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera("auto", WIDTH, HEIGHT, _FOCAL, _FOCAL, WIDTH / 2, HEIGHT / 2, rotation, position)
+    focal = zoom * _FOCAL
+    return Camera("auto", WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, rotation, position)
 
 
 def _judge(scene: Scene, view: Camera) -> tuple[float, NDArray[np.float32]]:

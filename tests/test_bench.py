@@ -161,6 +161,7 @@ def test_preparation_is_measured_and_plotted(tmp_path, monkeypatch):
     pruning = [line for line in found if line["kind"] == "pruning"]
     assert [(line["rule"], line["gaussians"]) for line in pruning] == [
         ("leave-one-out", 150),
+        ("leave-one-out, auto views", 150),
         ("importance", 150),
     ]
     frontier = [line for line in found if line["kind"] == "frontier"]

@@ -293,6 +293,29 @@ def test_auto_cameras_together_see_what_given_ones_see(still_life):
     assert (seen(auto_cameras(still_life)) & wanted).sum() > 0.6 * wanted.sum()
 
 
+def test_auto_cameras_in_a_room_go_around_what_its_cameras_looked_at():
+    """Small Gaussians in one place, larger ones on the walls around it."""
+    rng = np.random.default_rng(95)
+    focus = np.array([0.5, 0.2, -0.3])
+    direction = rng.standard_normal((3, 6000))
+    direction /= np.linalg.norm(direction, axis=0)
+    thing = np.arange(6000) < 2000
+    room = replace(
+        random_scene(6000, 0, seed=96),
+        positions=np.where(thing, focus[:, None] + 0.4 * direction, 5 * direction).astype("f4"),
+        log_scale=np.broadcast_to(np.where(thing, -4.0, -1.5), (3, 6000)).astype("f4"),
+        opacity=np.full((1, 6000), 4.0, np.float32),
+    )
+    views = auto_cameras(room, 16)
+    offsets = focus - [view.position for view in views]
+    distances = np.linalg.norm(offsets, axis=1)
+    assert 0.5 < distances.min() < distances.max() < 4.5
+    directions = offsets / distances[:, None]
+    ahead = [view.rotation[2] for view in views]
+    assert (np.sum(directions * ahead, axis=1) > 0.98).all()
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.6  # not all from one side
+
+
 def test_auto_cameras_go_around_an_object():
     rng = np.random.default_rng(93)
     normal = rng.standard_normal((3, 5000))

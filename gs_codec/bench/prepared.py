@@ -12,6 +12,8 @@ from gs_codec.io.ply import vertex_rows
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.report import PrepareReport
 from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.targets import draw_targets
+from gs_codec.rendering.cameras import find_cameras
 from gs_codec.scene import Scene
 
 #: Percentages pruned by both rules (the paper removes 65 to 66), and along the frontier.
@@ -23,15 +25,22 @@ STRENGTHS = (0.0, 1e-5, 6e-5)
 
 
 def measure_pruning(scene: Scene, name: str, plan: Plan) -> Iterator[dict[str, Any]]:
-    """Quality after pruning by leave-one-out error and by LightGaussian's importance."""
+    """Quality after pruning by leave-one-out error and by LightGaussian's importance.
+
+    By leave-one-out error in as many ``auto`` views of the same size too.
+    """
     views = choose_views(scene, plan)
+    drawn = views.renders
+    cameras = find_cameras("auto", scene, width=drawn.cameras[0].width, auto=len(drawn.cameras))
+    auto = views._replace(renders=draw_targets(scene, cameras, plan.background), photographs=None)
     for percent in PRUNED:
         rules = {
-            "leave-one-out": Steps(prune_loo=percent),
-            "importance": Steps(prune_importance=percent),
+            "leave-one-out": (Steps(prune_loo=percent), views),
+            "leave-one-out, auto views": (Steps(prune_loo=percent), auto),
+            "importance": (Steps(prune_importance=percent), views),
         }
-        for rule, steps in rules.items():
-            pruned, report = prepare_scene(scene, replace(plan, steps=steps), views=views)
+        for rule, (steps, seen) in rules.items():
+            pruned, report = prepare_scene(scene, replace(plan, steps=steps), views=seen)
             yield {
                 "kind": "pruning",
                 "scene": name,

@@ -1,8 +1,8 @@
 """Virtual cameras for a scene that comes without any.
 
-Training leaves its marks: Gaussians are small where cameras were near, and from where cameras
-were a view is sharp, has no holes, and shows much of the scene. Candidates are judged by that at
-thumbnail size; of the better half, those are kept that together see the scene best.
+Training leaves its marks: Gaussians are small where cameras were near or looked at, and from
+where cameras were a view is sharp, has no holes, and shows much of the scene. Candidates are judged
+by that at thumbnail size; of the better half, those are kept that together see the scene best.
 """
 
 from __future__ import annotations
@@ -28,6 +28,10 @@ _THUMB_GAUSSIANS = 50_000
 _THUMB = (96, 64)
 _INSIDE, _ORBIT = 192, 64
 
+#: In a room, cameras looked at one thing if half of the smallest tenth of the Gaussians are within
+#: this of one place; they then are taken to have been at these distances. Units of the size.
+_FOCUSED, _AWAY = 0.25, (0.35, 0.7)
+
 #: Share of the candidates that are good enough to choose from.
 _SHARE = 0.5
 
@@ -43,12 +47,16 @@ _SOLID = -0.85
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where a scene is: where cameras look from or at, and how far things are from there."""
+    """Where a scene is: where cameras look from or at, and how far things are from there.
+
+    `focus` is what all cameras in a room looked at, if there is such a thing.
+    """
 
     centre: NDArray[np.float64]
     size: float
     reach: float
     is_room: bool
+    focus: NDArray[np.float64] | None
     up: NDArray[np.float64]
 
 
@@ -63,7 +71,7 @@ def auto_cameras(scene: Scene, count: int = 24) -> list[Camera]:
         If no view shows anything.
     """
     thumb = _thinned(scene)
-    views = _candidates(_layout(thumb)) if thumb.count else []
+    views = _candidates(_layout(thumb), count) if thumb.count else []
     judged = run_all(lambda view: _judge(thumb, view.resized(*_THUMB)), views)
     scores = np.array([score for score, _ in judged])
     chosen = _best_together(scores, np.array([weight for _, weight in judged]), count)
@@ -109,7 +117,13 @@ def _layout(scene: Scene) -> _Layout:
     is_room = best.fun < (1 - _ROOM_GAIN) * alone and np.linalg.norm(best.x[:3]) < 2
     if is_room:
         centre = centre + size * best.x[:3]
-    return _Layout(centre, size, reach, bool(is_room), _vertical(scene, centre))
+    focus = None
+    if is_room:
+        small = points[sizes <= np.quantile(sizes, 0.1)]
+        place = np.median(small, axis=0)
+        if np.median(np.linalg.norm(small - place, axis=1)) < _FOCUSED * size:
+            focus = place
+    return _Layout(centre, size, reach, bool(is_room), focus, _vertical(scene, centre))
 
 
 def _log_sizes(scene: Scene) -> NDArray[np.float64]:
@@ -131,25 +145,36 @@ def _vertical(scene: Scene, centre: NDArray[np.float64]) -> NDArray[np.float64]:
     return -axis if np.average(height, weights=flatness * level**2) > 0 else axis
 
 
-def _candidates(layout: _Layout) -> list[Camera]:
+def _candidates(layout: _Layout, count: int) -> list[Camera]:
     rng = np.random.default_rng(0)
+    if layout.focus is not None:
+        # Twice what is asked for: the better half is an even orbit then, without bad sides.
+        sides = _sphere(max(2 * count, _ORBIT))
+        away = layout.size * np.exp(rng.uniform(*np.log(_AWAY), len(sides)))
+        return [
+            _look(layout.focus + distance * side, layout.focus, layout.up)
+            for distance, side in zip(away, sides, strict=True)
+        ]
     places, aims = rng.standard_normal((2, _INSIDE, 3)) * layout.size
     inside = zip(layout.centre + _SPREAD * places, layout.centre + _AIM * aims, strict=True)
     views = [_look(position, target, layout.up) for position, target in inside]
     if not layout.is_room:
-        # Golden-angle steps up the sphere.
-        height = 1 - (2 * np.arange(_ORBIT) + 1) / _ORBIT
-        angle = np.pi * (3 - np.sqrt(5)) * np.arange(_ORBIT)
-        ring = np.sqrt(1 - height**2)
-        sphere = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
         whole = 2.2 * layout.reach
         # What is smaller than the near plane is looked at from beyond it, with a longer lens.
         away = max(whole, 2 * NEAR)
         views += [
             _look(layout.centre + away * side, layout.centre, layout.up, away / whole)
-            for side in sphere
+            for side in _sphere(_ORBIT)
         ]
     return views
+
+
+def _sphere(count: int) -> NDArray[np.float64]:
+    """Evenly spaced unit vectors ``(count, 3)``: golden-angle steps up the sphere."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    ring = np.sqrt(1 - height**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
 
 
 def _look(position: NDArray, target: NDArray, up: NDArray, zoom: float = 1.0) -> Camera:

@@ -150,7 +150,8 @@ def _candidates(layout: _Layout, count: int) -> list[Camera]:
     if layout.focus is not None:
         # Twice what is asked for: the better half is an even orbit then, without bad sides.
         sides = _sphere(max(2 * count, _ORBIT))
-        away = layout.size * np.exp(rng.uniform(*np.log(_AWAY), len(sides)))
+        low, high = np.log(_AWAY)
+        away = layout.size * np.exp(rng.uniform(low, high, len(sides)))
         return [
             _look(layout.focus + distance * side, layout.focus, layout.up)
             for distance, side in zip(away, sides, strict=True)

@@ -151,11 +151,8 @@ def _candidates(layout: _Layout, count: int) -> list[Camera]:
         # Twice what is asked for: the better half is an even orbit then, without bad sides.
         sides = _sphere(max(2 * count, _ORBIT))
         low, high = np.log(_AWAY)
-        away = layout.size * np.exp(rng.uniform(low, high, len(sides)))
-        return [
-            _look(layout.focus + distance * side, layout.focus, layout.up)
-            for distance, side in zip(away, sides, strict=True)
-        ]
+        offsets = layout.size * np.exp(rng.uniform(low, high, (len(sides), 1))) * sides
+        return [_look(layout.focus + offset, layout.focus, layout.up) for offset in offsets]
     places, aims = rng.standard_normal((2, _INSIDE, 3)) * layout.size
     inside = zip(layout.centre + _SPREAD * places, layout.centre + _AIM * aims, strict=True)
     views = [_look(position, target, layout.up) for position, target in inside]

@@ -32,6 +32,38 @@ PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
 
 
 @dataclass(frozen=True)
+class LatticeProfile:
+    """A profile whose steps follow how much is seen of each Gaussian.
+
+    Parameters
+    ----------
+    error : float
+        With cameras: mean squared error of an image value (0-1) that quantisation may add, as
+        far as errors add up.
+    compaction : float
+        With cameras: strength of SH compaction, see `compact_sh`.
+    sh_ratios : tuple of float
+        Step of each SH band over that of SH-DC.
+    rounding : float
+        Part of a step from which SH-AC are rounded up.
+    """
+
+    error: float
+    compaction: float
+    sh_ratios: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    rounding: float = 0.5
+
+
+LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
+    {
+        "l": LatticeProfile(error=1e-6, compaction=3e-6),
+        "m": LatticeProfile(error=5e-6, compaction=1e-5),
+        "s": LatticeProfile(error=2e-5, compaction=4e-5),
+    }
+)
+
+
+@dataclass(frozen=True)
 class Config:
     """How to encode. Nothing here is needed to decode.
 
@@ -67,8 +99,9 @@ class Config:
     block_size: int = 1 << 16
 
     def __post_init__(self) -> None:
-        if self.profile not in PROFILES:
-            raise InvalidInput(f"profile '{self.profile}': expected one of {', '.join(PROFILES)}")
+        known = (*PROFILES, *LATTICE_PROFILES)
+        if self.profile not in known:
+            raise InvalidInput(f"profile '{self.profile}': expected one of {', '.join(known)}")
         _check_choice("nonfinite", self.nonfinite, ("error", "drop"))
         _check_choice("extra", self.extra, ("error", "keep", "drop"))
         _check_range("threads", 1 if self.threads is None else self.threads, 1, 256)
@@ -77,6 +110,10 @@ class Config:
 
     def resolved_depths(self) -> dict[str, int]:
         """Bits of every group in `DEPTH_GROUPS`, overrides applied."""
+        if self.profile in LATTICE_PROFILES:
+            if self.depths:
+                raise InvalidInput(f"depths: profile '{self.profile}' has none")
+            return {}
         depths = dict(PROFILES[self.profile])
         for group, bits in self.depths.items():
             members = ("sh1", "sh2", "sh3") if group == "sh-ac" else (group,)

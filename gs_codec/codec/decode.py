@@ -9,7 +9,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codec.lattice_decode import LatticeDecoder
 from gs_codec.codec.order import triple_depths
+from gs_codec.config import LATTICE_PROFILES
 from gs_codec.container.carried import read_comments, read_extra
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import SCENE_SECTIONS, EgsFile, Header, SectionId, read_file
@@ -59,6 +61,8 @@ def decode_scene(
     header = file.header
     limit = max(DECODED_BYTES, EXPANSION * len(data)) if max_bytes is None else max_bytes
     _check_size(header, limit)
+    if header.profile in LATTICE_PROFILES:
+        return _decode_lattice(file, threads, progress)
     channels = read_channels(file.section(SectionId.CHANNELS), SH_COEFFICIENTS[header.sh_degree])
     _check_expected(file, channels)
     blocks = _Blocks.of(file, channels)
@@ -69,6 +73,18 @@ def decode_scene(
     ]
     run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
     return _assemble(file, blocks.groups)
+
+
+def _decode_lattice(file: EgsFile, threads: int | None, progress: Progress | None) -> Scene:
+    decoder = LatticeDecoder.of(file)
+    _check_sections(file, decoder.sections())
+    header = file.header
+    jobs = [
+        partial(decoder.decode, block, *header.block_range(block))
+        for block in range(header.block_count)
+    ]
+    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
+    return _assemble(file, decoder.groups)
 
 
 def _check_size(header: Header, limit: int) -> None:
@@ -84,6 +100,11 @@ def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
     expected = {SectionId.of_stream(stream) for stream in streams}
     if streams & set(RANS_STREAMS):
         expected.add(SectionId.STATES)
+    _check_sections(file, expected)
+
+
+def _check_sections(file: EgsFile, expected: set) -> None:
+    """Refuse a file whose blocks do not have exactly the sections expected."""
     found = [place for place in file.sections if place[0] not in SCENE_SECTIONS]
     for section_id, block in found:
         if section_id not in expected:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
+from gs_codec.codec.guidance import Guidance
+from gs_codec.codec.lattice_encode import encode_lattice
 from gs_codec.codec.order import Ordered, order_scene
 from gs_codec.codec.symbols import Coded, quantise_and_model
-from gs_codec.config import Config
+from gs_codec.config import LATTICE_PROFILES, Config
 from gs_codec.container.carried import write_comments, write_extra
 from gs_codec.container.channels import RANS_STREAMS, channel_places, write_channels
 from gs_codec.container.file import Header, Section, SectionId, write_file
@@ -21,7 +25,10 @@ from gs_codec.workers import run_all
 
 
 def encode_scene(
-    scene: Scene, config: Config | None = None, progress: Progress | None = None
+    scene: Scene,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    guide: Callable[[Scene], Guidance] | None = None,
 ) -> tuple[bytes, EncodeReport]:
     """Encode a scene as `.egs`.
 
@@ -31,6 +38,8 @@ def encode_scene(
     config : Config, optional
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
+    guide : callable, optional
+        Looks at the scene for profiles ``l``, ``m`` and ``s``; without it they go by attributes.
 
     Returns
     -------
@@ -48,6 +57,12 @@ def encode_scene(
     with times.stage("check"):
         scene, dropped = drop_nonfinite(scene, config)
         scene, zero_quaternions = identity_for_zero(scene)
+    if config.profile in LATTICE_PROFILES:
+        data, report = encode_lattice(scene, config, guide, progress)
+        seconds = {**times.seconds, **report.seconds}
+        return data, replace(
+            report, zero_quaternions=zero_quaternions, dropped=dropped, seconds=seconds
+        )
     with times.stage("order"):
         ordered = order_scene(scene, depths["geometry"], depths["sh-dc"])
     with times.stage("quantise and model"):

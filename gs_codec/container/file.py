@@ -37,6 +37,10 @@ class SectionId(IntEnum):
     SH3 = 10
     COMMENTS = 11
     EXTRA = 12
+    LATTICE = 13
+    CLASSES = 14
+    LOW_BITS = 15
+    BOUNDS = 16
 
     @property
     def label(self) -> str:
@@ -50,7 +54,18 @@ class SectionId(IntEnum):
 
 
 #: Sections of the whole scene; the others are of a block.
-SCENE_SECTIONS = frozenset({SectionId.CHANNELS, SectionId.COMMENTS, SectionId.EXTRA})
+SCENE_SECTIONS = frozenset(
+    {
+        SectionId.CHANNELS,
+        SectionId.COMMENTS,
+        SectionId.EXTRA,
+        SectionId.LATTICE,
+        SectionId.BOUNDS,
+    }
+)
+
+#: Sections that say how the others are coded.
+_DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE})
 
 
 @dataclass(frozen=True)
@@ -107,7 +122,7 @@ class EgsFile:
 
 
 #: Profile numbers in the header; they inform, the decoder does not need them.
-PROFILE_NAMES = ("paper-l", "paper-m", "paper-s")
+PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s")
 
 
 def write_file(header: Header, sections: Iterable[Section]) -> bytes:
@@ -142,7 +157,7 @@ def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
     ----------
     data : bytes
     header_only : bool
-        Read and return, of the sections, ``CHANNELS`` alone.
+        Read and return, of the sections, those that say how others are coded alone.
 
     Raises
     ------
@@ -202,7 +217,7 @@ def _read_sections(
         if (section_id, block) in sizes or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
         sizes[section_id, block] = size
-        if not header_only or section_id == SectionId.CHANNELS:
+        if not header_only or section_id in _DESCRIPTIONS:
             data = view[position : position + size]
             if crc32c(data) != checksum:
                 raise CorruptStream(f"{where}: checksum does not match")

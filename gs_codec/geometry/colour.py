@@ -15,7 +15,7 @@ from gs_codec.errors import CorruptStream
 from gs_codec.kernels import inlined, kernel
 
 _WINDOW = 32
-_NEIGHBOURS = 4
+NEIGHBOURS = 4
 _MAGNITUDES = 14  # bit lengths of a residual of 12-bit colours: 0..13
 _ACTIVITIES = 14
 _PREVIOUS = 4
@@ -46,8 +46,8 @@ def _code_residual(state, data, contexts, base, residual):
 
 
 @inlined
-def _find_nearest(cells, i, near, distances):
-    """Fill `near` with up to `_NEIGHBOURS` nearest of the points before `i`; returns how many.
+def find_nearest(cells, i, near, distances):
+    """Fill `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
 
     Ties go to the later point; `distances` are squared, in position steps.
     """
@@ -57,9 +57,9 @@ def _find_nearest(cells, i, near, distances):
         dy = np.int64(cells[1, i]) - np.int64(cells[1, j])
         dz = np.int64(cells[2, i]) - np.int64(cells[2, j])
         distance = dx * dx + dy * dy + dz * dz
-        if found == _NEIGHBOURS and distance >= distances[found - 1]:
+        if found == NEIGHBOURS and distance >= distances[found - 1]:
             continue
-        if found < _NEIGHBOURS:
+        if found < NEIGHBOURS:
             found += 1
         place = found - 1
         while place > 0 and distances[place - 1] > distance:
@@ -91,11 +91,11 @@ def _predict(channel, near, weights, found, values):
 @kernel
 def _walk(cells, values, coded, state, data, contexts, encoding):
     """Code `values` (G, R - G, B - G) of all points; channels with coded[c] == 0 stay 0."""
-    near = np.zeros(_NEIGHBOURS, np.int64)
-    distances = np.zeros(_NEIGHBOURS, np.int64)
-    weights = np.zeros(_NEIGHBOURS, np.int64)
+    near = np.zeros(NEIGHBOURS, np.int64)
+    distances = np.zeros(NEIGHBOURS, np.int64)
+    weights = np.zeros(NEIGHBOURS, np.int64)
     for i in range(values.shape[1]):
-        found = _find_nearest(cells, i, near, distances)
+        found = find_nearest(cells, i, near, distances)
         for k in range(found):
             weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
         previous = 0

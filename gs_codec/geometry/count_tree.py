@@ -1,8 +1,8 @@
 """Lossless coder of sorted Morton codes: a binary tree of point counts.
 
 Every node holds the number of points that share a Morton prefix. A node of two or more
-points codes how many go to its low half; a node of one point codes its remaining bits raw;
-a node at the last bit holds duplicates. FORMAT.md, section "Geometry".
+points codes how many go to its low half; a node of one point is a leaf, whose remaining bits
+are no longer the tree's; a node at the last bit holds duplicates. FORMAT.md, section "Geometry".
 """
 
 from __future__ import annotations
@@ -80,32 +80,30 @@ def _low_half(codes, start, stop, bit):
 
 
 @kernel
-def _walk(codes, total_bits, state, data, contexts, bits, encoding):
-    """Code all of `codes`, depth first, low half first; returns the raw bits used."""
+def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
+    """Code all of `codes`, depth first, low half first, but for the bits `lefts` at the leaves."""
     depth = total_bits + 2
     starts = np.zeros(depth, np.int64)
     counts = np.zeros(depth, np.int64)
-    lefts = np.zeros(depth, np.int64)
+    remaining = np.zeros(depth, np.int64)
     sides = np.zeros(depth, np.int64)
     prefixes = np.zeros(depth, np.int64)
     counts[0] = codes.size
-    lefts[0] = total_bits
+    remaining[0] = total_bits
     top = 1 if codes.size > 0 else 0
-    raw = 0
     while top > 0:
         top -= 1
         start = starts[top]
         count = counts[top]
-        left = lefts[top]
+        left = remaining[top]
         prefix = prefixes[top]
         if count == 1:
-            value = codes[start] if encoding else 0
-            low_bits = code_raw(bits, raw, left, value, encoding)
-            raw += left
+            lefts[start] = left
             if not encoding:
-                codes[start] = (prefix << left) | low_bits
+                codes[start] = prefix << left
             continue
         if left == 0:
+            lefts[start : start + count] = 0
             if not encoding:
                 codes[start : start + count] = prefix
             continue
@@ -118,22 +116,33 @@ def _walk(codes, total_bits, state, data, contexts, bits, encoding):
         if low < count:
             starts[top] = start + low
             counts[top] = count - low
-            lefts[top] = left
+            remaining[top] = left
             sides[top] = onesided
             prefixes[top] = (prefix << 1) | 1
             top += 1
         if low > 0:
             starts[top] = start
             counts[top] = low
-            lefts[top] = left
+            remaining[top] = left
             sides[top] = onesided
             prefixes[top] = prefix << 1
             top += 1
-    return raw
 
 
-def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
-    """Code sorted Morton codes.
+@kernel
+def _low_bits(codes, lefts, bits, encoding):
+    """Code what the tree leaves of `codes`, raw; returns the bits used."""
+    used = 0
+    for i in range(codes.size):
+        value = code_raw(bits, used, lefts[i], codes[i], encoding)
+        used += lefts[i]
+        if not encoding:
+            codes[i] |= value
+    return used
+
+
+def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArray[np.int64]]:
+    """Code sorted Morton codes down to where each is alone.
 
     Parameters
     ----------
@@ -141,17 +150,46 @@ def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
         Ascending; duplicates allowed.
     total_bits : int
         Bits of a code, 0-63.
+
+    Returns
+    -------
+    data : bytes
+    lefts : ndarray, shape (N,), int64
+        Low bits of each code that the tree leaves out.
     """
-    bits = np.zeros((codes.size * total_bits + 7) // 8, np.uint8)
-    used = 0
+    lefts = np.zeros(codes.size, np.int64)
 
     def model(state: NDArray, data: NDArray) -> None:
-        nonlocal used
-        bits[:] = 0
-        used = _walk(codes, total_bits, state, data, new_contexts(_CONTEXTS), bits, True)
+        _walk(codes, total_bits, state, data, new_contexts(_CONTEXTS), lefts, True)
 
-    coded = encode_binary(model, codes.size)
-    return struct.pack("<I", len(coded)) + coded + bits[: (used + 7) // 8].tobytes()
+    return encode_binary(model, codes.size), lefts
+
+
+def decode_tree(
+    data: memoryview, count: int, total_bits: int, where: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The inverse of `encode_tree`: codes, 0 in the bits that are left out, and their numbers.
+
+    Raises
+    ------
+    CorruptStream
+        If the data are not exactly what `count` codes need.
+    """
+    codes, lefts = np.zeros((2, count), np.int64)
+
+    def model(state: NDArray, stream: NDArray) -> None:
+        _walk(codes, total_bits, state, stream, new_contexts(_CONTEXTS), lefts, False)
+
+    decode_binary(model, data, where)
+    return codes, lefts
+
+
+def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
+    """Code sorted Morton codes ``(N,)``, int64, of 0-63 bits."""
+    coded, lefts = encode_tree(codes, total_bits)
+    bits = np.zeros((int(lefts.sum()) + 7) // 8, np.uint8)
+    _low_bits(codes, lefts, bits, True)
+    return struct.pack("<I", len(coded)) + coded + bits.tobytes()
 
 
 def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -> NDArray[np.int64]:
@@ -168,14 +206,8 @@ def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -
     if size > len(data) - 4:
         raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
     bits = np.frombuffer(data[4 + size :], np.uint8).copy()
-    codes = np.zeros(count, np.int64)
-    used = 0
-
-    def model(state: NDArray, stream: NDArray) -> None:
-        nonlocal used
-        used = _walk(codes, total_bits, state, stream, new_contexts(_CONTEXTS), bits, False)
-
-    decode_binary(model, data[4 : 4 + size], where)
+    codes, lefts = decode_tree(data[4 : 4 + size], count, total_bits, where)
+    used = _low_bits(codes, lefts, bits, False)
     if bits.size != (used + 7) // 8:
         raise CorruptStream(f"{where}: {bits.size} raw bytes, expected {(used + 7) // 8}")
     if used % 8 and bits[-1] & (0xFF >> used % 8):

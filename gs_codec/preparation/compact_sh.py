@@ -66,7 +66,7 @@ def compact_sh(
     cameras: Sequence[Camera],
     strength: float = 2e-5,
     *,
-    smallest: float = SMALLEST,
+    smallest: float | NDArray[np.float32] = SMALLEST,
     weights: NDArray[np.float32] | None = None,
     antialiased: bool | None = None,
     threads: int | None = None,
@@ -94,7 +94,7 @@ def compact_sh(
     strength : float, above 0
         Mean squared error of an image value (0-1) that is reached if every SH-AC costs all of
         L: ``L = strength * pixels / (K N)``, with the pixels of all cameras. 1e-5 is 50 dB.
-    smallest : float, from 0 up
+    smallest : float or ndarray (N,), from 0 up
         SH-AC nearer to 0 become 0, and the others make up for them: half a quantisation step.
     weights : ndarray, shape (views, N), float32, optional
         `squared_weights` of the scene, where they are known.
@@ -112,6 +112,7 @@ def compact_sh(
     _check(cameras, strength, smallest)
     if weights is None:
         weights = squared_weights(scene, cameras, antialiased, threads, progress)
+    least = np.broadcast_to(np.asarray(smallest, np.float32), scene.count)
     before = coefficients_of(scene)
     after = before.copy()
     unseen = unsolved = 0
@@ -123,7 +124,7 @@ def compact_sh(
         def run(start: int) -> tuple[int, int]:
             stop = min(start + _CHUNK, scene.count)
             return _compact(
-                scene.positions, before, weights, centres, penalty, smallest, after, start, stop
+                scene.positions, before, weights, centres, penalty, least, after, start, stop
             )
 
         counts = run_all(run, range(0, scene.count, _CHUNK), threads)
@@ -144,12 +145,14 @@ def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
     return strength * pixels / max(len(scene.f_rest) // 3 * scene.count, 1)
 
 
-def _check(cameras: Sequence[Camera], strength: float, smallest: float) -> None:
+def _check(
+    cameras: Sequence[Camera], strength: float, smallest: float | NDArray[np.float32]
+) -> None:
     if not cameras:
         raise InvalidInput("cameras: none, expected at least one")
     if not 0 < strength < math.inf:
         raise InvalidInput(f"strength {strength}: expected a number above 0")
-    if not 0 <= smallest < math.inf:
+    if not np.all((0 <= np.asarray(smallest)) & (np.asarray(smallest) < math.inf)):
         raise InvalidInput(f"smallest {smallest}: expected a number from 0 up")
 
 
@@ -177,7 +180,7 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
                 failed = True
             elif any_ac and count == 0:
                 after[channel, 1:, i] = 0.0
-            elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest, solution):
+            elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest[i], solution):
                 after[channel, :, i] = solution
             elif any_ac:
                 failed = True

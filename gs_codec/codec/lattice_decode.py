@@ -1,0 +1,196 @@
+"""Stream to scene, for profiles whose steps follow what is seen."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codec.lattice_symbols import shift_context
+from gs_codec.container.file import EgsFile, SectionId
+from gs_codec.container.lattice import Lattice, PassModels, read_lattice
+from gs_codec.entropy.passes import PassReader, PassTables
+from gs_codec.errors import CorruptStream, TruncatedStream
+from gs_codec.geometry.colour_lattice import decode_colours
+from gs_codec.geometry.count_tree import decode_tree
+from gs_codec.lattice.fixed import LARGEST, PLACES, from_lattice, to_float
+from gs_codec.lattice.place import centres, from_grid
+from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places
+from gs_codec.lattice.shape import Shape, walk_shape
+from gs_codec.lattice.tokens import BitReader
+from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.transform.axes import quaternions
+from gs_codec.transform.ycocg import from_ycocg
+
+#: Fixed-point values beyond this do not come from an encoder.
+_TOO_LARGE = int(4 * LARGEST) << PLACES
+
+
+@dataclass(frozen=True)
+class LatticeDecoder:
+    """Decoder of single blocks into the groups of a scene."""
+
+    file: EgsFile
+    lattice: Lattice
+    models: PassModels
+    tables: PassTables
+    coefficients: int
+    groups: dict[str, NDArray[np.float32]]
+
+    @classmethod
+    def of(cls, file: EgsFile) -> LatticeDecoder:
+        """Read how blocks are coded, and make room for what they hold."""
+        coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+        lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
+        rows = {"positions": 3, "f_dc": 3, "f_rest": 3 * coefficients}
+        rows |= {"opacity": 1, "log_scale": 3, "rot": 4}
+        groups = {g: np.zeros((n, file.header.count), np.float32) for g, n in rows.items()}
+        tables = PassTables.pack(models.tables())
+        return cls(file, lattice, models, tables, coefficients, groups)
+
+    def sections(self) -> set[int]:
+        """Sections that each block has."""
+        streams = {item.stream for item in passes(self.coefficients)}
+        listed = {SectionId.of_stream(stream) for stream in streams}
+        return {*listed, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
+
+    def decode(self, block: int, start: int, stop: int) -> None:
+        """Fill the groups of a block."""
+        where = f"block {block}"
+        grid = self.lattice.grid
+        tree = self.file.section(SectionId.GEOMETRY, block)
+        codes, lefts = decode_tree(tree, stop - start, grid.total_bits, f"geometry of {where}")
+        streams = _Streams(self, block)
+        streams.open("classes")
+        shape_class = self._classes(streams.read(np.zeros_like(codes)), 0, where)
+        colour_class = self._classes(streams.read(shape_class), 1, where)
+        shape = walk_shape(self.lattice, shape_class, streams.read_attribute)
+        _check_range([shape.opacity, *shape.scales, *shape.vectors], where)
+        places = self._places(block, codes, lefts, shape_class, shape)
+        rule = self.lattice.rules["colour"]
+        shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
+        streams.open("sh-dc")
+        colours = streams.read_colours(places, shifts)
+        _check_range(colours, where)
+        span = slice(start, stop)
+        origin = np.array(grid.origin)
+        self.groups["positions"][:, span] = from_grid(places, origin, grid.step)
+        self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
+        self.groups["opacity"][0, span] = to_float(shape.opacity)
+        self.groups["log_scale"][:, span] = to_float(shape.scales)
+        self.groups["rot"][:, span] = quaternions(to_float(shape.vectors))
+        if self.coefficients:
+            self._decode_ac(streams, shifts, span, where)
+        streams.finish()
+
+    def _classes(self, levels: NDArray[np.int64], kind: int, where: str) -> NDArray[np.int64]:
+        if levels.size and not 0 <= levels.min() <= levels.max() < self.lattice.classes[kind]:
+            raise CorruptStream(f"{where}: a class out of range")
+        return levels
+
+    def _places(
+        self,
+        block: int,
+        codes: NDArray[np.int64],
+        lefts: NDArray[np.int64],
+        classes: NDArray[np.int64],
+        shape: Shape,
+    ) -> NDArray[np.int64]:
+        """Positions in half steps: the tree's codes, and the bits that are not dropped."""
+        rule = self.lattice.rules["position"]
+        dropped = np.minimum(rule.shifts(classes, 3, shape.opacity, shape.scales), lefts)
+        where = f"low bits of block {block}"
+        bits = BitReader(self.file.section(SectionId.LOW_BITS, block), where)
+        codes |= bits.fields(lefts - dropped) << dropped
+        bits.close()
+        return centres(codes, dropped, self.lattice.grid.bits)
+
+    def _decode_ac(
+        self, streams: _Streams, shifts: NDArray[np.int64], span: slice, where: str
+    ) -> None:
+        streams.open("sh1")
+        energy = streams.read(shift_context(shifts))
+        if energy.size and not 0 <= energy.min() <= energy.max() < len(ENERGIES):
+            raise CorruptStream(f"{where}: an SH energy out of range")
+        some = np.flatnonzero(energy)
+        context, scale = energy[some], shifts[some]
+        values = np.zeros((3, self.coefficients, len(some)), np.int64)
+        for band, colour, k in sh_places(self.coefficients):
+            streams.open(f"sh{band}")
+            unit = self.lattice.units[f"sh{band}"]
+            values[colour, k] = from_lattice(streams.read(context), 0, unit, scale)
+        _check_range(values.reshape(3 * self.coefficients, -1), where)
+        rows = self.groups["f_rest"].reshape(3, self.coefficients, -1)[:, :, span]
+        rows[:, :, some] = from_ycocg(to_float(values))
+
+
+class _Streams:
+    """The streams of a block, pass after pass."""
+
+    def __init__(self, decoder: LatticeDecoder, block: int) -> None:
+        self.decoder = decoder
+        self.block = block
+        self.where = f"block {block}"
+        states = decoder.file.section(SectionId.STATES, block)
+        self.reader = PassReader(states, decoder.tables, self.where)
+        self.bits = BitReader(memoryview(b""), self.where)
+        self.stream = ""
+        self.passes: list[Pass] = passes(decoder.coefficients)
+        self.next = 0
+
+    def open(self, stream: str) -> None:
+        """Go on with a stream, all of the one before having been read."""
+        if stream == self.stream:
+            return
+        self._close()
+        data = self.decoder.file.section(SectionId.of_stream(stream), self.block)
+        where = f"section '{stream}' of {self.where}"
+        if len(data) < 4:
+            raise TruncatedStream(f"{where}: {len(data)} bytes, expected at least 4")
+        size = struct.unpack_from("<I", data)[0]
+        if size > len(data) - 4:
+            raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
+        self.reader.open(data[4 : 4 + size])
+        self.bits = BitReader(data[4 + size :], where)
+        self.stream = stream
+
+    def _close(self) -> None:
+        if self.stream:
+            self.reader.close()
+            self.bits.close()
+
+    def _rows(self) -> NDArray[np.int64]:
+        """Tables of the contexts of the next pass."""
+        self.open(self.passes[self.next].stream)
+        self.next += 1
+        return self.decoder.models.rows[self.next - 1]
+
+    def read(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Levels ``(n,)`` of the next pass, under contexts ``(n,)``."""
+        rows = self._rows()
+        return self.bits.complete(self.reader.read(rows[contexts].astype(np.uint16)))
+
+    def read_attribute(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Levels of an attribute of the shape."""
+        return self.read(shift_context(shifts))
+
+    def read_colours(
+        self, places: NDArray[np.int64], shifts: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Fixed-point SH-DC ``(3, n)``."""
+        rows = self._rows()
+        unit = self.decoder.lattice.units["sh-dc"]
+        return decode_colours(places, unit, shifts, rows, self.reader, self.bits)
+
+    def finish(self) -> None:
+        """Check that everything is read."""
+        self._close()
+        self.reader.finish()
+
+
+def _check_range(values, where: str) -> None:
+    for row in values:
+        if row.size and not -_TOO_LARGE < row.min() <= row.max() < _TOO_LARGE:
+            raise CorruptStream(f"{where}: a value out of range")

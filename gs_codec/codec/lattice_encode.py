@@ -1,0 +1,287 @@
+"""Scene to stream, for profiles whose steps follow what is seen."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codec.guidance import Guidance
+from gs_codec.codec.lattice_prepare import Shaped, shape_scene
+from gs_codec.codec.lattice_symbols import (
+    PassData,
+    ac_passes,
+    class_passes,
+    dc_pass,
+    shape_passes,
+)
+from gs_codec.config import LATTICE_PROFILES, Config, LatticeProfile
+from gs_codec.container.carried import write_comments, write_extra
+from gs_codec.container.file import Header, Section, SectionId, write_file
+from gs_codec.container.lattice import PassModels, fit_weights, write_lattice
+from gs_codec.entropy.passes import PassTables, PassWriter
+from gs_codec.geometry.count_tree import encode_tree
+from gs_codec.kernels import kernel
+from gs_codec.lattice.fixed import LARGEST, PLACES, to_float
+from gs_codec.lattice.place import centres, from_grid
+from gs_codec.lattice.plan import passes
+from gs_codec.lattice.tokens import BitWriter
+from gs_codec.model.contexts import ContextTables, share_tables
+from gs_codec.model.table import shannon_bits
+from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
+from gs_codec.scene import Scene
+from gs_codec.transform.axes import quaternions
+from gs_codec.transform.ycocg import to_ycocg
+from gs_codec.workers import run_all
+
+
+@dataclass(frozen=True)
+class _Block:
+    """What a block holds: its tree, low bits of positions, and its passes by stream."""
+
+    tree: bytes
+    low_bits: bytes
+    places: NDArray[np.int64]
+    passes: list[PassData]
+
+
+def encode_lattice(
+    scene: Scene,
+    config: Config,
+    guide: Callable[[Scene], Guidance] | None = None,
+    progress: Progress | None = None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene without values that are not finite; see `encode_scene`."""
+    profile = LATTICE_PROFILES[config.profile]
+    times = StageTimes()
+    guidance = None
+    if guide is not None and scene.count:
+        with times.stage("views"):
+            guidance = guide(scene)
+    with times.stage("quantise"):
+        shaped = shape_scene(scene, profile, guidance)
+        blocks = max(-(-scene.count // config.block_size), 1)
+        header = Header(
+            scene.count,
+            scene.sh_degree,
+            config.profile,
+            max(-(-scene.count // blocks), 1),
+            scene.has_normals,
+        )
+        ranges = [header.block_range(block) for block in range(header.block_count)]
+        placed = run_all(lambda r: _place(shaped, *r), ranges, config.threads)
+        places = np.concatenate([np.zeros((3, 0), np.int64), *(p.places for p in placed)], axis=1)
+    if guidance is not None:
+        with times.stage("recolour"):
+            shaped = _recolour(shaped, places, guidance)
+    with times.stage("colour"):
+        colours, clamped = _colours(shaped, profile)
+        advance = step_counter(progress, "quantise", len(ranges))
+        work = list(zip(placed, ranges, strict=True))
+        coded = run_all(
+            lambda item: _symbols(shaped, colours, item[0], *item[1]), work, config.threads, advance
+        )
+    with times.stage("model"):
+        models, costs = _models(shaped, coded, config.threads)
+        tables = PassTables.pack(models.tables())
+    with times.stage("code"):
+        advance = step_counter(progress, "code", len(ranges))
+        listed = passes(len(scene.f_rest) // 3)
+        done = run_all(
+            lambda item: _sections(item[0], item[1], listed, models, tables),
+            list(enumerate(coded)),
+            config.threads,
+            advance,
+        )
+    with times.stage("container"):
+        lattice = write_lattice(shaped.lattice, models)
+        sections = [Section(SectionId.LATTICE, 0, lattice)]
+        if header.block_count:
+            sections.append(Section(SectionId.BOUNDS, 0, _bounds(places, ranges)))
+        sections += [section for block in done for section in block]
+        if scene.comments:
+            sections.append(Section(SectionId.COMMENTS, 0, write_comments(scene.comments)))
+        if scene.extra:
+            in_order = np.arange(scene.count)
+            extra = write_extra(shaped.scene.extra, in_order)
+            sections.append(Section(SectionId.EXTRA, 0, extra))
+        data = write_file(header, sections)
+    sizes = Counter({"header": len(data) - sum(len(section.data) for section in sections)})
+    for section in sections:
+        sizes[section.id.label] += len(section.data)
+    return data, EncodeReport(
+        count=scene.count,
+        raw_bytes=scene.float_bytes,
+        section_bytes=dict(sizes),
+        costs=costs,
+        rectified=shaped.quantiser.clamped + clamped,
+        zero_quaternions=0,
+        dropped=0,
+        seconds=times.seconds,
+    )
+
+
+def _place(shaped: Shaped, start: int, stop: int) -> _Block:
+    """Tree and low bits of a block's positions, and the places they decode to."""
+    lattice = shaped.lattice
+    codes = shaped.codes[start:stop]
+    tree, lefts = encode_tree(codes, lattice.grid.total_bits)
+    dropped = np.minimum(_dropped(shaped, start, stop), lefts)
+    kept = codes >> dropped
+    bits = BitWriter()
+    bits.add(kept, (lefts - dropped).astype(np.uint8))
+    places = centres(kept << dropped, dropped, lattice.grid.bits)
+    return _Block(tree, bits.finish(), places, [])
+
+
+def _dropped(shaped: Shaped, start: int, stop: int) -> NDArray[np.int64]:
+    rule = shaped.lattice.rules["position"]
+    shape = shaped.shape
+    return rule.shifts(
+        shaped.classes[0, start:stop], 3, shape.opacity[start:stop], shape.scales[:, start:stop]
+    )
+
+
+def _recolour(shaped: Shaped, places: NDArray[np.int64], guidance: Guidance) -> Shaped:
+    """Let views choose colours that make up for what shapes have lost."""
+    lattice, shape = shaped.lattice, shaped.shape
+    decoded = replace(
+        shaped.scene,
+        positions=from_grid(places, np.array(lattice.grid.origin), lattice.grid.step),
+        opacity=to_float(shape.opacity)[None].astype(np.float32),
+        log_scale=to_float(shape.scales).astype(np.float32),
+        rot=quaternions(to_float(shape.vectors)),
+    )
+    steps = to_float(lattice.units["sh1"] << _colour_shifts(shaped)).astype(np.float32)
+    coloured = guidance.recolour(decoded, steps)
+    scene = replace(shaped.scene, f_dc=coloured.f_dc, f_rest=coloured.f_rest)
+    return replace(shaped, scene=scene)
+
+
+def _colour_shifts(shaped: Shaped) -> NDArray[np.int64]:
+    rule = shaped.lattice.rules["colour"]
+    return rule.shifts(shaped.classes[1], 1, shaped.shape.opacity, shaped.shape.scales)
+
+
+@dataclass(frozen=True)
+class _Colours:
+    """Shifts ``(N,)``, fixed-point SH-DC ``(3, N)``, and levels of SH-AC ``(3, K, N)``."""
+
+    shifts: NDArray[np.int64]
+    dc: NDArray[np.int64]
+    ac: NDArray[np.int64]
+
+
+def _colours(shaped: Shaped, profile: LatticeProfile) -> tuple[_Colours, int]:
+    """Colours in Y, Co, Cg, SH-AC rounded; and how many values were clamped."""
+    scene, units = shaped.scene, shaped.lattice.units
+    shifts = _colour_shifts(shaped)
+    dc = to_ycocg(scene.f_dc)
+    clamped = int(np.count_nonzero(np.abs(dc) > LARGEST))
+    fixed = np.floor(np.clip(dc, -LARGEST, LARGEST) * (1 << PLACES) + 0.5).astype(np.int64)
+    coefficients = len(scene.f_rest) // 3
+    levels = np.zeros((3, coefficients, scene.count), np.int64)
+    if coefficients:
+        bands = [band for band, size in ((1, 3), (2, 5), (3, 7)) for _ in range(size)]
+
+        def work(k: int) -> int:
+            planes = to_ycocg(scene.f_rest.reshape(3, coefficients, scene.count)[:, k])
+            unit = units[f"sh{bands[k]}"]
+            return sum(
+                _round_ac(planes[c], unit, shifts, profile.rounding, LARGEST, levels[c, k])
+                for c in range(3)
+            )
+
+        clamped += sum(run_all(work, range(coefficients)))
+    return _Colours(shifts, fixed, levels), clamped
+
+
+@kernel
+def _round_ac(values, unit, shifts, rounding, limit, levels):
+    """Levels of SH-AC, a part of a step below `rounding` being cut off; values clamped."""
+    clamped = 0
+    for i in range(len(values)):
+        size = abs(values[i])
+        if size > limit:
+            size = limit
+            clamped += 1
+        step = np.float64(unit << shifts[i]) / (1 << PLACES)
+        level = np.int64(np.floor(size / step + rounding))
+        levels[i] = -level if values[i] < 0.0 else level
+    return clamped
+
+
+def _symbols(
+    shaped: Shaped, colours: _Colours, placed: _Block, start: int, stop: int
+) -> _Block:
+    """All passes of a block."""
+    classes = shaped.classes[:, start:stop]
+    shifts = colours.shifts[start:stop]
+    unit = shaped.lattice.units["sh-dc"]
+    listed = [
+        *class_passes(classes[0], classes[1]),
+        *shape_passes(shaped.quantiser, start, stop),
+        dc_pass(placed.places, colours.dc[:, start:stop], unit, shifts),
+    ]
+    if colours.ac.shape[1]:
+        listed += ac_passes(colours.ac[:, :, start:stop], shifts)
+    return replace(placed, passes=listed)
+
+
+def _models(
+    shaped: Shaped, blocks: list[_Block], threads: int | None
+) -> tuple[PassModels, list[ChannelCost]]:
+    """Tables for the passes of all blocks together."""
+    listed = passes(len(shaped.scene.f_rest) // 3)
+
+    def share(p: int) -> ContextTables:
+        counts = [block.passes[p].histograms(listed[p].contexts) for block in blocks]
+        return share_tables(sum(counts) if counts else np.zeros((listed[p].contexts, 1), np.int64))
+
+    shared = run_all(share, range(len(listed)), threads)
+    rows, weights, costs = [], [], []
+    for p, (item, found) in enumerate(zip(listed, shared, strict=True)):
+        rows.append(len(weights) + found.table_of)
+        fitted = [fit_weights(histogram) for histogram in found.histograms]
+        models = PassModels([], fitted).tables()
+        coded = sum(
+            table.code_length(histogram[: len(table.frequencies)])
+            for table, histogram in zip(models, found.histograms, strict=True)
+        )
+        raw = sum(int(block.passes[p].widths.sum(dtype=np.int64)) for block in blocks)
+        entropy = raw + sum(shannon_bits(histogram) for histogram in found.histograms)
+        costs.append(ChannelCost(item.name, item.stream, "table", raw + coded, raw + coded, entropy))
+        weights += fitted
+    return PassModels(rows, weights), costs
+
+
+def _sections(number: int, block: _Block, listed, models: PassModels, tables) -> list[Section]:
+    """Sections of a block."""
+    writer = PassWriter(tables)
+    bits: dict[str, BitWriter] = {}
+    for item, data, rows in zip(listed, block.passes, models.rows, strict=True):
+        writer.add(item.stream, data.tokens, rows[data.contexts].astype(np.uint16))
+        bits.setdefault(item.stream, BitWriter()).add(data.levels, data.widths)
+    states, words = writer.finish()
+    sections = [
+        Section(SectionId.GEOMETRY, number, block.tree),
+        Section(SectionId.STATES, number, states),
+        Section(SectionId.LOW_BITS, number, block.low_bits),
+    ]
+    for stream, low_bits in bits.items():
+        packed = struct.pack("<I", len(words[stream])) + words[stream] + low_bits.finish()
+        sections.append(Section(SectionId.of_stream(stream), number, packed))
+    return sections
+
+
+def _bounds(places: NDArray[np.int64], ranges: list[tuple[int, int]]) -> bytes:
+    """Lowest and highest x, y, z of each block's places, in half steps."""
+    bounds = [
+        (*places[:, start:stop].min(axis=1), *places[:, start:stop].max(axis=1))
+        for start, stop in ranges
+    ]
+    return np.array(bounds, "<u4").tobytes()

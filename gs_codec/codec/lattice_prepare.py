@@ -1,0 +1,140 @@
+"""From a scene to its lattices: steps, grid, and everything but colours in stream order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codec.guidance import Guidance
+from gs_codec.config import LatticeProfile
+from gs_codec.container.lattice import Lattice, PositionGrid
+from gs_codec.lattice.fit import Steps, features, finest_unit, fit_steps, make_rule
+from gs_codec.lattice.fixed import PLACES
+from gs_codec.lattice.place import to_grid
+from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
+from gs_codec.scene import Scene
+from gs_codec.transform.axes import sort_axes
+from gs_codec.transform.morton import encode_morton
+
+#: Log2 of the coarsest steps: of logits, log-scales, quaternion components, colours.
+_COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
+
+#: Log2 of the finest unit of fixed-point values.
+_FINEST = -18
+
+_AXIS_BITS = 21
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """A scene in stream order, its lattices, and all but its colours on them.
+
+    Attributes
+    ----------
+    scene : Scene
+        As given, in stream order.
+    lattice : Lattice
+    codes : ndarray, shape (N,), int64
+        Morton codes, ascending.
+    classes : ndarray, shape (2, N), int64
+        Of shape and of colour.
+    quantiser : ShapeQuantiser
+        Levels and shifts.
+    shape : Shape
+        What they decode to.
+    """
+
+    scene: Scene
+    lattice: Lattice
+    codes: NDArray[np.int64]
+    classes: NDArray[np.int64]
+    quantiser: ShapeQuantiser
+    shape: Shape
+
+
+def shape_scene(scene: Scene, profile: LatticeProfile, guidance: Guidance | None) -> Shaped:
+    """Choose the lattices of a scene, sort it, and round its shapes."""
+    axes, scales, vectors = sort_axes(scene.log_scale, scene.rot)
+    steps = _steps(scene, axes, scales, profile, guidance)
+    lattice = _lattice(scene, scales, steps, profile)
+    grid = lattice.grid
+    cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
+    codes = encode_morton(cells, grid.bits)
+    order = np.argsort(codes, kind="stable")
+    classes = np.stack([steps.shape_class, steps.colour_class])[:, order]
+    scene = scene.take(order)
+    quantiser = ShapeQuantiser(lattice, scene.opacity[0], scales[:, order], vectors[:, order])
+    shape = walk_shape(lattice, classes[0], quantiser)
+    return Shaped(scene, lattice, codes[order], classes, quantiser, shape)
+
+
+def _steps(
+    scene: Scene,
+    axes: NDArray[np.uint8],
+    scales: NDArray[np.float64],
+    profile: LatticeProfile,
+    guidance: Guidance | None,
+) -> Steps:
+    if guidance is None or not scene.count:
+        none = np.zeros(scene.count, np.int64)
+        return Steps(none, none, profile.coefficients(scales))
+    sorted_axes = np.take_along_axis(guidance.sensitivity.log_scale, axes.astype(np.int64), 0)
+    sensitivity = guidance.sensitivity._replace(log_scale=sorted_axes)
+    # What all may add together, over the parameters that there are.
+    parameters = scene.count * (14 + len(scene.f_rest))
+    error = profile.error * 3 * guidance.pixels / parameters
+    return fit_steps(sensitivity, scene.opacity[0], scales, error)
+
+
+def _lattice(
+    scene: Scene, scales: NDArray[np.float64], steps: Steps, profile: LatticeProfile
+) -> Lattice:
+    known = features(scene.opacity[0], scales)
+
+    def wanted(name: str) -> NDArray[np.float64]:
+        octaves = steps.colour_class if name == "colour" else steps.shape_class
+        return octaves + steps.coefficients[name] @ known
+
+    names = {
+        "opacity": ["opacity"],
+        "scaling": ["scale_0", "scale_1", "scale_2"],
+        "rotation": ["rotation"],
+        "colour": ["colour"],
+    }
+    rules, units = {}, {}
+    for group, members in names.items():
+        coarsest = _COARSEST[group]
+        unit = min(finest_unit(wanted(name), _FINEST, coarsest) for name in members)
+        units[group] = 1 << (unit + PLACES)
+        for name in members:
+            rules[name] = make_rule(steps.coefficients[name], unit, coarsest)
+    units["sh-dc"] = units.pop("colour")
+    for band, ratio in enumerate(profile.sh_ratios, start=1):
+        units[f"sh{band}"] = max(round(units["sh-dc"] * ratio), 1)
+    grid, rules["position"] = _grid(scene, steps, wanted("position"))
+    centres = (_median(scene.opacity[0]), _median(scales[0]))
+    classes = (1 + int(steps.shape_class.max(initial=0)), 1 + int(steps.colour_class.max(initial=0)))
+    return Lattice(grid, classes, centres, units, rules)
+
+
+def _median(values: NDArray) -> int:
+    return round(float(np.median(values)) * (1 << PLACES)) if len(values) else 0
+
+
+def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]):
+    """The grid of positions, and the rule of how many bits of them are dropped."""
+    if not scene.count:
+        return PositionGrid((0.0, 0.0, 0.0), 1.0, (0, 0, 0)), make_rule(np.zeros(5), 0, 0)
+    low = scene.positions.min(axis=1).astype(np.float64)
+    extent = scene.positions.max(axis=1).astype(np.float64) - low
+    widest = math.frexp(max(float(extent.max()), 1e-30))[1]
+    unit = finest_unit(wanted, max(widest - _AXIS_BITS, -120), widest)
+    step = math.ldexp(1.0, unit)
+    bits = tuple(math.frexp(size / step)[1] if size > 0 else 0 for size in extent)
+    # The middle of the one cell of a flat axis is where it is.
+    origin = [float(np.float32(a - 0.5 * step if not b else a)) for a, b in zip(low, bits)]
+    grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))
+    return grid, make_rule(steps.coefficients["position"], unit, unit + 31, thirds=True)

@@ -1,0 +1,171 @@
+"""The `lattice` section: units, rules and tables of a scene. FORMAT.md, section "Lattice"."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.container.bytes import ByteReader
+from gs_codec.entropy.passes import PRECISION
+from gs_codec.entropy.tables import decode_tables, encode_tables
+from gs_codec.errors import CorruptStream
+from gs_codec.lattice.fixed import LARGEST, PLACES
+from gs_codec.lattice.plan import MAX_CLASSES, passes
+from gs_codec.lattice.rules import MAX_SHIFT, StepRule
+from gs_codec.lattice.tokens import ALPHABET
+from gs_codec.model.sent import SentModel
+from gs_codec.model.table import FrequencyTable
+
+_WHERE = "section 'lattice'"
+
+#: Mantissa bits of a sent table's weights.
+_MANTISSA = 3
+
+#: A step is below 2 to this, in 1 / 2**20.
+_STEP_BITS = 31
+
+#: What has a rule of its own.
+RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
+
+
+@dataclass(frozen=True)
+class PositionGrid:
+    """Cells of positions: ``origin + (cell + 0.5) * step``, `bits` of each axis."""
+
+    origin: tuple[float, float, float]
+    step: float
+    bits: tuple[int, int, int]
+
+    @property
+    def total_bits(self) -> int:
+        """Bits of a Morton code."""
+        return sum(self.bits)
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Everything of a scene that its blocks are decoded by, but the tables.
+
+    ``centres`` (of opacity and the longest axis) and ``units`` are fixed-point values; units are
+    of opacity, scales, rotation, SH-DC and the SH bands.
+    """
+
+    grid: PositionGrid
+    classes: tuple[int, int]
+    centres: tuple[int, int]
+    units: dict[str, int]
+    rules: dict[str, StepRule]
+
+
+@dataclass(frozen=True)
+class PassModels:
+    """Tables of a scene's passes.
+
+    ``rows[p]`` is the table of each context of pass p; ``weights`` are those of the tables, one
+    after the other.
+    """
+
+    rows: list[NDArray[np.int64]]
+    weights: list[NDArray[np.int64]] = field(default_factory=list)
+
+    def tables(self) -> list[FrequencyTable]:
+        """Frequency tables of precision `PRECISION`."""
+        return [
+            SentModel(w, _MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights
+        ]
+
+
+UNITS = ("opacity", "scaling", "rotation", "sh-dc", "sh1", "sh2", "sh3")
+
+
+def fit_weights(histogram: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Weights of a table that is sent."""
+    last = int(np.flatnonzero(histogram)[-1]) if histogram.any() else 0
+    histogram = histogram[: last + 1] if histogram.any() else np.ones(1, np.int64)
+    return SentModel.fit(histogram, _MANTISSA, PRECISION).weights
+
+
+def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
+    """Serialise what a scene is decoded by."""
+    grid = lattice.grid
+    out = bytearray(struct.pack("<4f3B", *grid.origin, grid.step, *grid.bits))
+    out += struct.pack("<2B2i", *lattice.classes, *lattice.centres)
+    out += struct.pack(f"<{len(UNITS)}I", *(lattice.units[name] for name in UNITS))
+    for name in RULES:
+        out += lattice.rules[name].pack()
+    for rows in models.rows:
+        # Tables of neighbours: whether a context begins the next one.
+        out += np.packbits(np.diff(rows, prepend=rows[:1]).astype(bool)).tobytes()
+    out += struct.pack("<H", len(models.weights))
+    out += struct.pack(f"<{len(models.weights)}H", *(len(w) for w in models.weights))
+    return bytes(out) + encode_tables(models.weights, [_MANTISSA] * len(models.weights))
+
+
+def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassModels]:
+    """The inverse of `write_lattice`.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    """
+    reader = ByteReader(data, _WHERE)
+    *place, step = reader.unpack("4f")
+    bits = reader.unpack("3B")
+    grid = PositionGrid((place[0], place[1], place[2]), step, bits)
+    if not (all(map(math.isfinite, place)) and 0 < step < math.inf and max(bits) <= 21):
+        raise CorruptStream(f"{_WHERE}: grid of {bits} bits, step {step}")
+    classes = reader.unpack("2B")
+    if not all(1 <= number <= MAX_CLASSES for number in classes):
+        raise CorruptStream(f"{_WHERE}: {classes} classes, expected 1-{MAX_CLASSES}")
+    centres = reader.unpack("2i")
+    if max(map(abs, centres)) > LARGEST * (1 << PLACES):
+        raise CorruptStream(f"{_WHERE}: a centre out of range")
+    units = dict(zip(UNITS, reader.unpack(f"{len(UNITS)}I"), strict=True))
+    rules = {name: _read_rule(reader) for name in RULES}
+    lattice = Lattice(grid, classes, centres, units, rules)
+    _check_steps(lattice)
+    return lattice, _read_models(reader, coefficients)
+
+
+def _read_rule(reader: ByteReader) -> StepRule:
+    intercept, opacity, *scales, limit = reader.unpack(StepRule.FORMAT)
+    return StepRule(intercept, opacity, (scales[0], scales[1], scales[2]), limit)
+
+
+def _check_steps(lattice: Lattice) -> None:
+    """Refuse units and limits that could leave the range of integers."""
+    limits = {name: rule.limit for name, rule in lattice.rules.items()}
+    of_unit = {
+        "opacity": limits["opacity"],
+        "scaling": max(limits[f"scale_{k}"] for k in range(3)),
+        "rotation": limits["rotation"],
+    }
+    for name, unit in lattice.units.items():
+        limit = of_unit.get(name, limits["colour"])
+        if unit == 0 or unit.bit_length() + limit > _STEP_BITS:
+            raise CorruptStream(f"{_WHERE}: unit {unit} of '{name}' with shifts to {limit}")
+    if limits["position"] > 3 * MAX_SHIFT:
+        raise CorruptStream(f"{_WHERE}: positions shifted by {limits['position']}")
+
+
+def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
+    rows, total = [], 0
+    for listed in passes(coefficients):
+        packed = np.frombuffer(reader.take(-(-listed.contexts // 8)), np.uint8)
+        bits = np.unpackbits(packed)
+        if bits[0] or bits[listed.contexts :].any():
+            raise CorruptStream(f"{_WHERE}: tables of '{listed.name}'")
+        rows.append(total + np.cumsum(bits[: listed.contexts], dtype=np.int64))
+        total = int(rows[-1][-1]) + 1
+    number = reader.unpack("H")[0]
+    if number != total:
+        raise CorruptStream(f"{_WHERE}: {number} tables, expected {total}")
+    alphabets = list(reader.unpack(f"{number}H"))
+    if not all(1 <= size <= ALPHABET for size in alphabets):
+        raise CorruptStream(f"{_WHERE}: an alphabet out of range")
+    weights = decode_tables(reader.rest(), alphabets, [_MANTISSA] * number, _WHERE)
+    return PassModels(rows, weights)

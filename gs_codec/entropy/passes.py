@@ -1,0 +1,168 @@
+"""rANS in which every symbol may have a table of its own, chosen by what is decoded already.
+
+The coder is that of `rans`: 32 lanes, 32-bit states, 16-bit words. A pass is a run of symbols
+whose tables are all known before its first is decoded; symbol i of a pass is of lane i mod 32.
+FORMAT.md, section "Passes".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import CorruptStream
+from gs_codec.kernels import inlined, kernel
+from gs_codec.model.table import FrequencyTable
+
+LANES = 32
+PRECISION = 12
+_LOWEST = 1 << 16
+_MASK = (1 << PRECISION) - 1
+
+
+@dataclass(frozen=True)
+class PassTables:
+    """Tables of all passes, packed: ``spans (T, A)`` (start << 16 | frequency), ``slots``."""
+
+    spans: NDArray[np.uint32]
+    slots: NDArray[np.uint16]  # (T, 2**PRECISION): symbol of each slot
+
+    @classmethod
+    def pack(cls, tables: Sequence[FrequencyTable]) -> PassTables:
+        """Pack tables of precision `PRECISION`."""
+        alphabet = max((t.frequencies.size for t in tables), default=1)
+        spans = np.zeros((len(tables), alphabet), np.uint32)
+        slots = np.zeros((len(tables), 1 << PRECISION), np.uint16)
+        for span, slot, table in zip(spans, slots, tables, strict=True):
+            size = table.frequencies.size
+            span[:size] = (table.starts << np.uint32(16)) | table.frequencies
+            slot[:] = np.repeat(np.arange(size, dtype=np.uint16), table.frequencies)
+        return cls(spans, slots)
+
+
+@kernel
+def _push(symbols, rows, spans, states, words, position):
+    """Code a pass backwards, words before `position`; returns where they begin."""
+    for i in range(len(symbols) - 1, -1, -1):
+        lane = i & (LANES - 1)
+        span = np.int64(spans[rows[i], symbols[i]])
+        frequency = span & 0xFFFF
+        state = states[lane]
+        full = np.int64(state >= frequency << (32 - PRECISION))
+        words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
+        position -= full
+        state >>= full << 4
+        # Exact: both are below 2**32, so the quotient is not rounded up to an integer.
+        quotient = np.int64(np.float64(state) / np.float64(frequency))
+        states[lane] = (quotient << PRECISION) + state - quotient * frequency + (span >> 16)
+    return position
+
+
+@inlined
+def pull(words, position, states, lane, span_row, slot_row):
+    """Decode one symbol; returns it and the position after the words it reads."""
+    state = states[lane]
+    slot = state & _MASK
+    symbol = np.int64(slot_row[slot])
+    span = np.int64(span_row[symbol])
+    state = (span & 0xFFFF) * (state >> PRECISION) + slot - (span >> 16)
+    short = np.int64(state < _LOWEST)
+    word = np.int64(words[position]) & -short  # no branch: it would often be missed
+    states[lane] = (state << (short << 4)) | word
+    return symbol, position + short
+
+
+@kernel
+def _pull_all(words, position, end, states, rows, spans, slots, symbols):
+    """Decode a pass into `symbols`; returns the position after it, or -1 beyond the end.
+
+    `words` is padded by a row of zeros, so that a row needs no check of its own.
+    """
+    for first in range(0, len(symbols), LANES):
+        if position > end:
+            return -1
+        for i in range(first, min(first + LANES, len(symbols))):
+            row = rows[i]
+            symbols[i], position = pull(
+                words, position, states, i & (LANES - 1), spans[row], slots[row]
+            )
+    return position
+
+
+@dataclass
+class PassWriter:
+    """Collects the passes of a block, section by section, in the order they are decoded."""
+
+    tables: PassTables
+    passes: list[tuple[str, NDArray[np.uint16], NDArray[np.uint16]]] = field(default_factory=list)
+
+    def add(self, section: str, symbols: NDArray[np.uint16], rows: NDArray[np.uint16]) -> None:
+        """Add a pass of ``symbols (n,)`` under the tables ``rows (n,)``."""
+        self.passes.append((section, symbols, rows))
+
+    def finish(self) -> tuple[bytes, dict[str, bytes]]:
+        """The initial states, and the words of each section."""
+        states = np.full(LANES, _LOWEST, np.int64)
+        words = np.empty(1 + sum(len(symbols) for _, symbols, _ in self.passes), np.uint16)
+        position = words.size
+        begins: dict[str, int] = {}
+        for section, symbols, rows in reversed(self.passes):
+            position = _push(symbols, rows, self.tables.spans, states, words, position)
+            begins[section] = position
+        words = words.astype("<u2")
+        coded, end = {}, words.size
+        for section, begin in begins.items():
+            coded[section] = words[begin:end].tobytes()
+            end = begin
+        return states.astype("<u4").tobytes(), coded
+
+
+class PassReader:
+    """Decodes the passes of a block, a section after the other."""
+
+    def __init__(self, states: memoryview, tables: PassTables, where: str) -> None:
+        if len(states) != 4 * LANES:
+            raise CorruptStream(f"{where}: {len(states)} bytes of states, expected {4 * LANES}")
+        self.states = np.frombuffer(states, "<u4").astype(np.int64)
+        if np.any(self.states < _LOWEST):
+            raise CorruptStream(f"{where}: a rANS state below {_LOWEST}")
+        self.tables = tables
+        self.where = where
+        self.words = np.zeros(LANES, np.uint16)
+        self.end = self.position = 0
+
+    def open(self, data: memoryview) -> None:
+        """Go on with the words of the next section."""
+        if len(data) % 2:
+            raise CorruptStream(f"{self.where}: an odd number of bytes, expected 16-bit words")
+        self.end, self.position = len(data) // 2, 0
+        self.words = np.zeros(self.end + LANES, np.uint16)
+        self.words[: self.end] = np.frombuffer(data, "<u2")
+
+    def read(self, rows: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """The symbols of a pass under the tables ``rows (n,)``."""
+        symbols = np.empty(len(rows), np.uint16)
+        packed = (self.tables.spans, self.tables.slots)
+        self.advance(
+            _pull_all(self.words, self.position, self.end, self.states, rows, *packed, symbols)
+        )
+        return symbols
+
+    def advance(self, position: int) -> None:
+        """Take note of what a kernel has read; -1 or beyond the end is corrupt."""
+        if not 0 <= position <= self.end:
+            raise CorruptStream(f"{self.where}: more symbols than words")
+        self.position = position
+
+    def close(self) -> None:
+        """Check that the section's words are all read."""
+        if self.position != self.end:
+            raise CorruptStream(f"{self.where}: {self.end - self.position} words are left")
+
+    def finish(self) -> None:
+        """Check that the states end as the encoder began, after the last section."""
+        if np.any(self.states != _LOWEST):
+            raise CorruptStream(f"{self.where}: the rANS states do not end where they must")

@@ -1,0 +1,134 @@
+"""Closed-loop prediction of SH-DC on lattices of unequal steps, in Y, Co, Cg.
+
+A point's colour is predicted from the nearest of those just before, as `colour` does, and the
+difference is rounded to the point's own step. FORMAT.md, section "SH-DC on lattices".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.entropy.binary import bit_length, code_raw
+from gs_codec.entropy.passes import LANES, PassReader, pull
+from gs_codec.geometry.colour import NEIGHBOURS, find_nearest
+from gs_codec.kernels import inlined, kernel
+from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS
+from gs_codec.lattice.tokens import BitReader, raw_width, value_of
+
+
+@inlined
+def _weigh(distances, found, weights):
+    for k in range(found):
+        weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
+
+
+@inlined
+def _predict(values, near, weights, found, step):
+    """Weighted mean of the neighbours' values, and the class of their disagreement in steps."""
+    if found == 0:
+        return 0, 0
+    total = 0
+    mass = 0
+    for k in range(found):
+        total += weights[k] * values[near[k]]
+        mass += weights[k]
+    mean = (2 * total + mass) // (2 * mass)
+    spread = 0
+    for k in range(found):
+        spread += weights[k] * abs(values[near[k]] - mean)
+    return mean, min(bit_length(4 * spread // (mass * step)), ACTIVITIES - 1)
+
+
+@kernel
+def _code(cells, colours, unit, shifts, levels, contexts, values):
+    near = np.zeros(NEIGHBOURS, np.int64)
+    distances = np.zeros(NEIGHBOURS, np.int64)
+    weights = np.zeros(NEIGHBOURS, np.int64)
+    for i in range(len(shifts)):
+        found = find_nearest(cells, i, near, distances)
+        _weigh(distances, found, weights)
+        step = unit << shifts[i]
+        base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
+        for channel in range(3):
+            mean, activity = _predict(values[channel], near, weights, found, step)
+            level = (2 * (colours[channel, i] - mean) + step) // (2 * step)
+            levels[channel, i] = level
+            contexts[channel, i] = channel * COLOUR_SHIFTS * ACTIVITIES + base + activity
+            values[channel, i] = mean + level * step
+
+
+@kernel
+def _decode(
+    cells, unit, shifts, rows, words, position, end, states, spans, slots, bits, used, values
+):  # fmt: skip
+    """Fill ``values (3, n)``; positions after what is read of words (-1: beyond them) and bits."""
+    near = np.zeros(NEIGHBOURS, np.int64)
+    distances = np.zeros(NEIGHBOURS, np.int64)
+    weights = np.zeros(NEIGHBOURS, np.int64)
+    symbol = 0
+    for i in range(len(shifts)):
+        if position > end:
+            return -1, used
+        found = find_nearest(cells, i, near, distances)
+        _weigh(distances, found, weights)
+        step = unit << shifts[i]
+        base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
+        for channel in range(3):
+            mean, activity = _predict(values[channel], near, weights, found, step)
+            row = rows[channel * COLOUR_SHIFTS * ACTIVITIES + base + activity]
+            token, position = pull(
+                words, position, states, symbol & (LANES - 1), spans[row], slots[row]
+            )
+            symbol += 1
+            rest = 0
+            width = raw_width(token)
+            if width:
+                rest = code_raw(bits, used, width, 0, False)
+                used += width
+            values[channel, i] = mean + value_of(token, rest) * step
+    return position, used
+
+
+def code_colours(
+    cells: NDArray[np.int64], colours: NDArray[np.int64], unit: int, shifts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Levels, contexts and decoded values, each ``(3, n)``, of colours in stream order.
+
+    Parameters
+    ----------
+    cells : ndarray, shape (3, n), int64
+        Decoded positions in half steps of the grid.
+    colours : ndarray, shape (3, n), int64
+        Fixed-point Y, Co, Cg.
+    unit : int
+    shifts : ndarray, shape (n,), int64
+    """
+    levels, contexts, values = np.zeros((3, 3, len(shifts)), np.int64)
+    _code(cells, colours, unit, shifts, levels, contexts, values)
+    return levels, contexts, values
+
+
+def decode_colours(
+    cells: NDArray[np.int64],
+    unit: int,
+    shifts: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    reader: PassReader,
+    bits: BitReader,
+) -> NDArray[np.int64]:
+    """The values ``(3, n)`` that `code_colours` gave; ``rows (contexts,)`` are tables.
+
+    Raises
+    ------
+    CorruptStream
+        If there are fewer words than symbols.
+    """
+    values = np.zeros((3, len(shifts)), np.int64)
+    tables = (reader.tables.spans, reader.tables.slots)
+    position, bits.position = _decode(
+        cells, unit, shifts, rows, reader.words, reader.position, reader.end, reader.states,
+        *tables, bits.bits, bits.position, values,
+    )  # fmt: skip
+    reader.advance(position)
+    return values

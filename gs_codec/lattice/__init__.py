@@ -1,0 +1,1 @@
+"""Quantisation on lattices whose steps follow how much of each Gaussian is seen."""

@@ -1,0 +1,165 @@
+"""Choice of classes, units and rules, so that every bit saves about the same error.
+
+The error of a parameter of sensitivity s on a lattice of step d is s d^2 / 12, and halving the
+step costs a bit: total error is least for its bits where all errors are equal. A class for each
+Gaussian takes most of how sensitivities differ, and what is left a rule takes from the
+attributes that are decoded before. FORMAT.md, section "Notes on our encoder".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.lattice.rules import RULE_PLACES, StepRule
+from gs_codec.lattice.sensitivity import Sensitivity
+
+#: Classes above the finest that are kept apart.
+_CLASSES = 10
+
+#: Share of Gaussians whose steps may come out coarser than asked, and of the least seen.
+_FINEST, _LEAST_SEEN = 1e-3, 0.02
+
+#: Rules are fitted on about so many Gaussians.
+_SAMPLE = 20_000
+_ROUNDS, _TURNS = 4, 12
+
+#: Which features (1, min(logit, 0), longest, middle, shortest log-scale) a group's rule has.
+_FEATURES = {
+    "opacity": [0],
+    "scale_0": [0, 1],
+    "scale_1": [0, 1, 2],
+    "scale_2": [0, 1, 2, 3],
+    "rotation": [0, 1, 2, 3, 4],
+    "position": [0, 1, 2, 3, 4],
+    "colour": [0, 1, 2, 3, 4],
+}
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Classes and wanted steps of a scene.
+
+    Attributes
+    ----------
+    shape_class, colour_class : ndarray, shape (N,), int64
+        Octaves coarser than the finest.
+    coefficients : dict of str to ndarray, shape (5,)
+        ``log2(step) = class + coefficients @ features`` for each rule.
+    """
+
+    shape_class: NDArray[np.int64]
+    colour_class: NDArray[np.int64]
+    coefficients: dict[str, NDArray[np.float64]]
+
+
+def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:
+    """What rules are linear in, ``(5, N)``, of logits ``(N,)`` and log-scales ``(3, N)``."""
+    return np.stack([np.ones(len(opacity)), np.minimum(opacity, 0), *scales])
+
+
+def fit_steps(
+    sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error: float
+) -> Steps:
+    """Steps at which each parameter of each Gaussian adds about the same error.
+
+    Parameters
+    ----------
+    sensitivity : Sensitivity
+        With scales in the order of `scales`.
+    opacity, scales : ndarray, shape (N,) and (3, N)
+        Logits; log-scales, descending.
+    error : float
+        Squared error that a parameter may add, summed as sensitivities are.
+    """
+    known = features(opacity, scales)
+    shape = {
+        "opacity": sensitivity.opacity,
+        **{f"scale_{k}": sensitivity.log_scale[k] for k in range(3)},
+        "rotation": sensitivity.rot,
+        "position": sensitivity.positions,
+    }
+    # What hardly any view sees would pull the fit, and may have any step.
+    shape = {name: np.maximum(s, _least(s)) for name, s in shape.items()}
+    some = slice(None, None, max(1, len(opacity) // _SAMPLE))
+    offsets = _fit_offsets({name: s[some] for name, s in shape.items()}, known[:, some])
+    level = _level(shape, offsets, known)
+    finest = float(np.quantile(level, 1 - _FINEST))
+    shape_class = np.clip(np.round(finest - level), 0, _CLASSES - 1).astype(np.int64)
+    wanted = 0.5 * math.log2(12 * error)
+    first = np.eye(5)[0]
+    coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
+    colour = 0.5 * np.log2(np.maximum(sensitivity.colour, _least(sensitivity.colour)))
+    finest = float(np.quantile(colour, 1 - _FINEST))
+    colour_class = np.clip(np.round(finest - colour), 0, _CLASSES - 1).astype(np.int64)
+    coefficients["colour"] = (wanted - finest) * first
+    return Steps(shape_class, colour_class, coefficients)
+
+
+def _least(sensitivity: NDArray[np.float64]) -> float:
+    return max(float(np.quantile(sensitivity, _LEAST_SEEN)), 1e-12)
+
+
+def _fit_offsets(
+    shape: dict[str, NDArray[np.float64]], known: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """How log2 of the root of sensitivity follows the features, the Gaussian's level aside."""
+    level = np.mean([0.5 * np.log2(s) for s in shape.values()], axis=0)
+    offsets: dict[str, NDArray[np.float64]] = {}
+    for _ in range(_ROUNDS):
+        for name, s in shape.items():
+            offsets[name] = np.zeros(5)
+            use = _FEATURES[name]
+            offsets[name][use] = 0.5 / math.log(2) * _fit_mean(known[use].T, s * 4.0**-level)
+        level = _level(shape, offsets, known)
+    return offsets
+
+
+def _level(
+    shape: dict[str, NDArray[np.float64]],
+    offsets: dict[str, NDArray[np.float64]],
+    known: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """What all groups' sensitivities have in common: log2 of the root of their mean."""
+    return 0.5 * np.log2(
+        np.mean([s * 4.0 ** -(offsets[name] @ known) for name, s in shape.items()], axis=0)
+    )
+
+
+def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients c with ``exp(known @ c)`` the mean of `values` (gamma regression)."""
+    fitted = np.linalg.lstsq(known, np.log(values), rcond=None)[0]
+    for _ in range(_TURNS):
+        expected = np.exp(np.clip(known @ fitted, -60, 60))
+        # Damped and cut off: a few values are thousands of times the mean.
+        excess = np.clip(values / expected - 1, -1, 8)
+        fitted = fitted + 0.7 * np.linalg.lstsq(known, excess, rcond=None)[0]
+    return fitted
+
+
+def finest_unit(wanted: NDArray[np.float64], lowest: int, highest: int) -> int:
+    """Log2 of the unit that all but a few of the wanted steps (log2) are multiples of."""
+    finest = float(np.quantile(wanted, _FINEST)) if wanted.size else float(highest)
+    return int(np.clip(math.floor(finest), lowest, highest))
+
+
+def make_rule(
+    coefficients: NDArray[np.float64], unit: int, coarsest: int, thirds: bool = False
+) -> StepRule:
+    """The rule for ``log2(step) = class + coefficients @ features``, in integers.
+
+    `unit` and `coarsest` are log2 of the unit and of the largest step; `thirds` makes shifts
+    count thirds of octaves.
+    """
+    factor = 3 if thirds else 1
+    numbers = [_fixed(factor * (coefficients[0] - unit) + 0.5)]
+    numbers += [_fixed(factor * c) for c in coefficients[1:]]
+    scales = (numbers[2], numbers[3], numbers[4])
+    return StepRule(numbers[0], numbers[1], scales, factor * (coarsest - unit))
+
+
+def _fixed(number: float) -> int:
+    return int(np.clip(round(number * (1 << RULE_PLACES)), -(1 << 31), (1 << 31) - 1))

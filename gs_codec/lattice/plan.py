@@ -1,0 +1,67 @@
+"""The passes of a block: which streams they are in, and what their contexts are.
+
+FORMAT.md, section "Passes", has the same list.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Classes of how much is seen of a Gaussian, of its shape and of its colour.
+MAX_CLASSES = 16
+
+#: Contexts by shift: those above share the last.
+SHIFT_CONTEXTS = 32
+
+#: Contexts of SH-DC: by colour, then shift, then how much the neighbours disagree.
+COLOUR_SHIFTS, ACTIVITIES = 16, 6
+
+#: Least sum of |level| of SH-AC of each energy class; class 0 has none.
+ENERGIES = np.array([0, 1, 2, 3, 5, 8, 13, 22, 41], np.int64)
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A run of symbols of one kind."""
+
+    name: str
+    stream: str
+    contexts: int
+
+
+def passes(coefficients: int) -> list[Pass]:
+    """The passes of a scene with so many SH-AC coefficients a colour, in stream order."""
+    listed = [
+        Pass("shape class", "classes", 1),
+        Pass("colour class", "classes", MAX_CLASSES),
+        Pass("opacity", "opacity", SHIFT_CONTEXTS),
+        *(Pass(f"scale_{k}", "scaling", SHIFT_CONTEXTS) for k in range(3)),
+        *(Pass(f"rot_{k}", "rotation", SHIFT_CONTEXTS) for k in range(1, 4)),
+        Pass("f_dc", "sh-dc", 3 * COLOUR_SHIFTS * ACTIVITIES),
+    ]
+    if coefficients:
+        listed.append(Pass("SH energy", "sh1", SHIFT_CONTEXTS))
+    for band, colour, k in sh_places(coefficients):
+        name = f"f_rest {('Y', 'Co', 'Cg')[colour]}_{k}"
+        listed.append(Pass(name, f"sh{band}", len(ENERGIES)))
+    return listed
+
+
+def sh_places(coefficients: int) -> list[tuple[int, int, int]]:
+    """Band, colour and coefficient of each SH-AC pass, in stream order."""
+    bands = ((1, 0, 3), (2, 3, 8), (3, 8, 15))
+    return [
+        (band, colour, k)
+        for band, first, last in bands
+        if last <= coefficients
+        for colour in range(3)
+        for k in range(first, last)
+    ]
+
+
+def energy_class(levels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Energy class ``(n,)`` of SH-AC levels ``(channels, n)``."""
+    return np.searchsorted(ENERGIES, np.abs(levels).sum(axis=0), side="right") - 1

@@ -1,0 +1,72 @@
+"""Steps from what is decoded already: a rule is a linear function in integers."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import kernel
+from gs_codec.lattice.fixed import PLACES
+
+#: Binary places of a rule's numbers.
+RULE_PLACES = 16
+
+#: A step is at most its unit times two to this.
+MAX_SHIFT = 31
+
+
+@dataclass(frozen=True)
+class StepRule:
+    """``shift = class + intercept + opacity * min(logit, 0) + sum of scale_k * log_scale_k``.
+
+    Rounded down, and at least 0 and at most `limit`. `intercept`, `opacity` and `scales` are in
+    1 / 2**16; a half is part of the intercept where shifts should be rounded to nearest.
+    """
+
+    intercept: int
+    opacity: int = 0
+    scales: tuple[int, int, int] = (0, 0, 0)
+    limit: int = MAX_SHIFT
+
+    FORMAT: ClassVar[str] = "5iB"
+
+    def shifts(
+        self,
+        classes: NDArray[np.integer],
+        weight: int,
+        opacity: NDArray[np.int64],
+        scales: NDArray[np.int64],
+    ) -> NDArray[np.int64]:
+        """Shifts ``(n,)``.
+
+        Parameters
+        ----------
+        classes : ndarray, shape (n,)
+            How many octaves coarser than the finest a Gaussian is.
+        weight : int
+            What a class adds, 1 or 3.
+        opacity, scales : ndarray, shape (n,) and (3, n), int64
+            Fixed-point values; those a rule must not know yet have a coefficient of 0.
+        """
+        numbers = np.array([self.intercept, self.opacity, *self.scales], np.int64)
+        out = np.empty(len(classes), np.int64)
+        _shifts(numbers, self.limit, weight, classes, opacity, scales, out)
+        return out
+
+    def pack(self) -> bytes:
+        """The rule as bytes."""
+        return struct.pack("<" + self.FORMAT, self.intercept, self.opacity, *self.scales, self.limit)
+
+
+@kernel
+def _shifts(numbers, limit, weight, classes, opacity, scales, out):
+    for i in range(len(out)):
+        total = numbers[0] + ((weight * np.int64(classes[i])) << RULE_PLACES)
+        total += (numbers[1] * min(opacity[i], 0)) >> PLACES
+        for k in range(3):
+            total += (numbers[2 + k] * scales[k, i]) >> PLACES
+        out[i] = min(max(total >> RULE_PLACES, 0), limit)

@@ -1,0 +1,101 @@
+"""Opacity, scale and rotation on their lattices, each step by what comes before it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.lattice.fixed import from_lattice, to_float, to_lattice
+from gs_codec.lattice.rules import StepRule
+
+#: ``code(name, shifts) -> levels``: a decoder reads them, an encoder rounds to them.
+Coder = Callable[[str, NDArray[np.int64]], NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Fixed-point logits ``(n,)``, log-scales ``(3, n)`` descending, quaternion vectors ``(3, n)``."""
+
+    opacity: NDArray[np.int64]
+    scales: NDArray[np.int64]
+    vectors: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ShapeLattice:
+    """Centres, units and rules of a scene's shapes; see `Lattice`."""
+
+    centres: tuple[int, int]
+    units: dict[str, int]
+    rules: dict[str, StepRule]
+
+
+def walk_shape(
+    lattice: ShapeLattice, classes: NDArray[np.int64], code: Coder
+) -> Shape:
+    """Go through the attributes in stream order; `code` gives the levels of each.
+
+    It is called with the attribute's name and its shifts ``(n,)``: an encoder's is a
+    `ShapeQuantiser`.
+    """
+    count = len(classes)
+    scales = np.zeros((3, count), np.int64)
+    none = np.zeros(count, np.int64)
+    shifts = lattice.rules["opacity"].shifts(classes, 1, none, scales)
+    unit = lattice.units["opacity"]
+    opacity = from_lattice(code("opacity", shifts), lattice.centres[0], unit, shifts)
+    unit = lattice.units["scaling"]
+    for k in range(3):
+        shifts = lattice.rules[f"scale_{k}"].shifts(classes, 1, opacity, scales)
+        levels = code(f"scale_{k}", shifts)
+        if k == 0:
+            scales[k] = from_lattice(levels, lattice.centres[1], unit, shifts)
+        else:
+            scales[k] = scales[k - 1] - from_lattice(levels, 0, unit, shifts)
+    unit = lattice.units["rotation"]
+    shifts = lattice.rules["rotation"].shifts(classes, 1, opacity, scales)
+    vectors = [from_lattice(code(f"rot_{k}", shifts), 0, unit, shifts) for k in (1, 2, 3)]
+    return Shape(opacity, scales, np.array(vectors).reshape(3, count))
+
+
+class ShapeQuantiser:
+    """The `Coder` of an encoder: rounds the attributes, and keeps levels and shifts."""
+
+    def __init__(
+        self,
+        lattice: ShapeLattice,
+        opacity: NDArray,
+        scales: NDArray[np.float64],
+        vectors: NDArray[np.float64],
+    ) -> None:
+        self.lattice = lattice
+        self.opacity = opacity
+        self.scales = scales
+        self.vectors = vectors
+        self.levels: dict[str, NDArray[np.int64]] = {}
+        self.shifts: dict[str, NDArray[np.int64]] = {}
+        self.clamped = 0
+        self._last = np.zeros(0)
+
+    def __call__(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Levels of an attribute."""
+        group = {"o": "opacity", "s": "scaling", "r": "rotation"}[name[0]]
+        unit, centre = self.lattice.units[group], 0
+        if group == "opacity":
+            values, centre = self.opacity, self.lattice.centres[0]
+        elif group == "rotation":
+            values = self.vectors[int(name[-1]) - 1]
+        elif name == "scale_0":
+            values, centre = self.scales[0], self.lattice.centres[1]
+        else:
+            values = self._last - self.scales[int(name[-1])]
+        levels, clamped = to_lattice(values, centre, unit, shifts)
+        self.clamped += clamped
+        self.levels[name], self.shifts[name] = levels, shifts
+        if group == "scaling":
+            coded = to_float(from_lattice(levels, centre, unit, shifts))
+            self._last = coded if name == "scale_0" else self._last - coded
+        return levels

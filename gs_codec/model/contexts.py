@@ -1,0 +1,55 @@
+"""Tables for the contexts of a pass: neighbours share one where that is cheaper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.model.table import shannon_bits
+
+#: About what a symbol in use costs in a sent table, bits.
+_SYMBOL_BITS = 7.0
+
+
+@dataclass(frozen=True)
+class ContextTables:
+    """Which table each context uses, and the histogram of each table.
+
+    ``table_of (C,)`` never falls and grows by at most 1; ``histograms (T, A)``.
+    """
+
+    table_of: NDArray[np.int64]
+    histograms: NDArray[np.int64]
+
+
+def share_tables(histograms: NDArray[np.int64]) -> ContextTables:
+    """Merge neighbours of ``histograms (C, A)`` while tables cost more than they save.
+
+    Contexts that do not occur go with the one before.
+    """
+    used = [int(c) for c in np.flatnonzero(histograms.any(axis=1))]
+    if not used:
+        return ContextTables(np.zeros(len(histograms), np.int64), histograms[:1])
+    groups = [histograms[c].copy() for c in used]
+    starts = [0, *used[1:]]
+    costs = [_cost(group) for group in groups]
+    while len(groups) > 1:
+        gains = [
+            costs[i] + costs[i + 1] - _cost(groups[i] + groups[i + 1])
+            for i in range(len(groups) - 1)
+        ]
+        best = int(np.argmax(gains))
+        if gains[best] <= 0:
+            break
+        groups[best : best + 2] = [groups[best] + groups[best + 1]]
+        costs[best : best + 2] = [_cost(groups[best])]
+        del starts[best + 1]
+    marks = np.zeros(len(histograms), np.int64)
+    marks[starts[1:]] = 1
+    return ContextTables(np.cumsum(marks), np.array(groups))
+
+
+def _cost(histogram: NDArray[np.int64]) -> float:
+    return shannon_bits(histogram) + _SYMBOL_BITS * np.count_nonzero(histogram)

@@ -56,9 +56,9 @@ class LatticeProfile:
 
 LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
     {
-        "l": LatticeProfile(error=1e-6, compaction=3e-6),
-        "m": LatticeProfile(error=5e-6, compaction=1e-5),
-        "s": LatticeProfile(error=2e-5, compaction=4e-5),
+        "l": LatticeProfile(error=5e-6, compaction=3e-6),
+        "m": LatticeProfile(error=2e-5, compaction=1e-5),
+        "s": LatticeProfile(error=8e-5, compaction=4e-5),
     }
 )
 

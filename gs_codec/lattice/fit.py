@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from gs_codec.lattice.rules import RULE_PLACES, StepRule
 from gs_codec.lattice.sensitivity import Sensitivity
 
+#: Colour for a unit of SH-DC; root of the mean square for one of SH-AC, over all directions.
+_SH_C0 = 0.28209479177387814
+
 #: Classes above the finest that are kept apart.
 _CLASSES = 10
 
@@ -79,7 +82,8 @@ def fit_steps(
     shape = {
         "opacity": sensitivity.opacity,
         **{f"scale_{k}": sensitivity.log_scale[k] for k in range(3)},
-        "rotation": sensitivity.rot,
+        # Half the angle is what the quaternion's vector has.
+        "rotation": 4 * sensitivity.rot,
         "position": sensitivity.positions,
     }
     # What hardly any view sees would pull the fit, and may have any step.
@@ -92,7 +96,8 @@ def fit_steps(
     wanted = 0.5 * math.log2(12 * error)
     first = np.eye(5)[0]
     coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
-    colour = 0.5 * np.log2(np.maximum(sensitivity.colour, _least(sensitivity.colour)))
+    by_sh = _SH_C0**2 * sensitivity.colour
+    colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
     finest = float(np.quantile(colour, 1 - _FINEST))
     colour_class = np.clip(np.round(finest - colour), 0, _CLASSES - 1).astype(np.int64)
     coefficients["colour"] = (wanted - finest) * first

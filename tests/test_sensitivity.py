@@ -1,0 +1,241 @@
+"""Sensitivities against central differences of rendered images, and against random noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scenes import edge_scenes
+from test_render import TEAL, splats, straight, turned
+
+from gs_codec.preparation.gradients import draw
+from gs_codec.preparation.sensitivity import Sensitivity, sensitivity
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.harmonics import SH_C0
+from gs_codec.scene import GROUPS, Scene
+
+STEPS = (1e-5, 1e-6)
+
+#: Rows of a change: position, log-scale, turn about the Gaussian's axes, opacity, one colour.
+ROWS = {
+    "positions": range(3),
+    "log_scale": range(3, 6),
+    "rot": range(6, 9),
+    "opacity": range(9, 10),
+    "colour": range(10, 11),
+}
+
+#: Sensitivity to positions is without what these do to the shape of a splat.
+TOLERANCE = {"positions": 0.03, "log_scale": 1e-5, "rot": 1e-5, "opacity": 1e-5, "colour": 1e-5}
+
+
+def images(planes: SimpleNamespace, cameras, antialiased: bool) -> np.ndarray:
+    """Pixels of all views in full precision."""
+    drawn = [draw(make_frame(planes, camera, antialiased, 1), TEAL) for camera in cameras]
+    return np.concatenate([image.ravel() for image in drawn])
+
+
+def moved(scene: Scene, change: np.ndarray, channel: int = 0) -> SimpleNamespace:
+    """The scene in double precision, changed by rows ``(11, N)`` as in `ROWS`."""
+    planes = {group: getattr(scene, group).astype(np.float64) for group in GROUPS}
+    planes["positions"] += change[:3]
+    planes["log_scale"] += change[3:6]
+    planes["rot"] = turn(planes["rot"], change[6:9])
+    planes["opacity"] += change[9:10]
+    planes["f_dc"][channel] += change[10] / SH_C0
+    return SimpleNamespace(**planes, count=scene.count)
+
+
+def turn(rot: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Quaternions ``(4, N)`` turned by vectors ``(3, N)`` of their own axes, radians."""
+    a, x = rot[0], rot[1:]
+    half = np.sqrt((angles**2).sum(axis=0)) / 2
+    b, y = np.cos(half), angles / 2 * np.sinc(half / np.pi)
+    return np.vstack([a * b - (x * y).sum(axis=0), a * y + b * x + np.cross(x, y, axis=0)])
+
+
+def rows_of(found: Sensitivity) -> np.ndarray:
+    """Sensitivities ``(11, N)`` to the rows of a change."""
+    parts = (found.positions, *found.log_scale, found.rot, found.opacity, found.colour)
+    return np.repeat(np.stack(parts), [3, 1, 1, 1, 3, 1, 1], axis=0)
+
+
+def differences(scene: Scene, cameras, antialiased: bool) -> np.ndarray:
+    """What `rows_of` should be but for means, Gaussian by Gaussian.
+
+    A step that takes a pixel over a threshold adds to it, so of two the lesser is taken.
+    """
+    expected = np.full((11, scene.count), np.inf)
+    for place in np.ndindex(expected.shape):
+        for step in STEPS:
+            change = np.zeros(expected.shape)
+            change[place] = step
+            ahead = images(moved(scene, change), cameras, antialiased)
+            behind = images(moved(scene, -change), cameras, antialiased)
+            slopes = (ahead - behind) / (2 * step)
+            expected[place] = min(expected[place], (slopes**2).sum())
+    return expected
+
+
+def assert_differences(scene: Scene, cameras, antialiased: bool) -> None:
+    found = rows_of(sensitivity(scene, cameras, TEAL, antialiased))
+    expected = differences(scene, cameras, antialiased)
+    for name, rows in ROWS.items():
+        wanted = expected[rows]
+        if name in ("positions", "rot"):
+            wanted = np.broadcast_to(wanted.mean(axis=0), wanted.shape)
+        assert wanted.any(), name
+        np.testing.assert_allclose(
+            found[rows], wanted, rtol=TOLERANCE[name], atol=1e-6 * wanted.mean(), err_msg=name
+        )
+
+
+def cloud(seed: int, count: int, size: float = -2.0) -> Scene:
+    """Gaussians before `CAMERAS` that overlap, with colours that are never clamped."""
+    rng = np.random.default_rng(seed)
+    return splats(
+        rng.normal(scale=0.5, size=(count, 3)),
+        f_dc=rng.uniform(-1.5, 2, (3, count)),
+        opacity=rng.normal(1.0, 1.5, count),
+        log_scale=rng.normal(size, 0.5, (3, count)),
+        rot=rng.normal(size=(4, count)),
+    )
+
+
+CAMERAS = [straight(48, 32, (x, 0.1, -4), 45.0, 40.0) for x in (-0.8, 0.0, 0.8)]
+
+
+# Against central differences
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_one_gaussian(seed, antialiased):
+    camera = turned(seed, 40, 36)
+    rng = np.random.default_rng(seed)
+    scene = splats(
+        camera.rotation.T @ [0.3, -0.2, 3.0] + camera.position,
+        f_dc=[[1.0], [-0.5], [0.2]],
+        opacity=rng.normal(),
+        log_scale=rng.normal(-2.2, 0.6, (3, 1)),
+        rot=rng.normal(size=(4, 1)) * 3,
+    )
+    assert_differences(scene, [camera], antialiased)
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("seed", [4, 5])
+def test_gaussians_before_and_behind_each_other(seed, antialiased):
+    assert_differences(cloud(seed, 8), CAMERAS[:2], antialiased)
+
+
+def test_gaussians_smaller_than_a_pixel():
+    assert_differences(cloud(6, 6, size=-4.0), CAMERAS[1:], True)
+
+
+def test_a_gaussian_outside_the_image():
+    outside = splats([(2.4, 0.2, 3.0)], log_scale=[[-0.6], [-0.9], [-1.2]], rot=np.ones((4, 1)))
+    camera = straight(40, 36)
+    found = rows_of(sensitivity(outside, [camera], TEAL))
+    expected = differences(outside, [camera], False)
+    # The Jacobian of its shape is that of the edge, the one of its centre is its own.
+    assert found[0, 0] == pytest.approx(expected[:3].mean(), rel=0.1)
+    np.testing.assert_allclose(found[3:6], expected[3:6], rtol=1e-5)
+
+
+def test_an_alpha_at_its_limit_does_not_change():
+    scene = splats([(0, 0, 2)], opacity=12.0, log_scale=3.0)
+    found = rows_of(sensitivity(scene, [straight(8, 8)], TEAL))
+    assert not found[:10].any()
+    assert found[10, 0] == pytest.approx(64 * 0.99**2)
+
+
+# Against noise
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_noise_on_all_gaussians_adds_what_is_predicted(name):
+    scene = cloud(7, 120)
+    unit = rows_of(sensitivity(scene, CAMERAS, TEAL))
+    reference = images(moved(scene, np.zeros(unit.shape)), CAMERAS, False)
+    predicted = measured = 0.0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        change = np.zeros(unit.shape)
+        change[ROWS[name]] = rng.normal(scale=3e-3, size=change[ROWS[name]].shape)
+        image = images(moved(scene, change, seed % 3), CAMERAS, False)
+        predicted += (unit * change**2).sum()
+        measured += ((image - reference) ** 2).sum()
+    assert measured == pytest.approx(predicted, rel=0.25)
+
+
+# What it must not depend on, and edges
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+def test_threads_do_not_change_it(antialiased):
+    scene = cloud(8, 200)
+    cameras = CAMERAS * 4
+    one = sensitivity(scene, cameras, TEAL, antialiased, threads=1)
+    for threads in (2, 3, None):
+        for first, second in zip(
+            one, sensitivity(scene, cameras, TEAL, antialiased, threads), strict=True
+        ):
+            np.testing.assert_array_equal(first, second)
+
+
+def test_views_add_up_and_are_counted():
+    scene = cloud(9, 50)
+    steps = []
+    both = sensitivity(scene, CAMERAS[:2], progress=lambda *step: steps.append(step))
+    assert steps == [("sensitivity", 1, 2), ("sensitivity", 2, 2)]
+    apart = [rows_of(sensitivity(scene, [camera])) for camera in CAMERAS[:2]]
+    np.testing.assert_allclose(rows_of(both), apart[0] + apart[1], rtol=1e-12)
+
+
+def test_by_default_it_is_as_the_scene_says():
+    scene = replace(cloud(10, 50, size=-3.5), comments=("antialiased 1",))
+    found = sensitivity(scene, CAMERAS)
+    np.testing.assert_array_equal(found.rot, sensitivity(scene, CAMERAS, antialiased=True).rot)
+    assert not np.allclose(found.rot, sensitivity(scene, CAMERAS, antialiased=False).rot)
+
+
+def test_what_is_not_seen_has_none():
+    places = [(0, 0, -50), (0, 90, 0), (0, 0, 0), (0, 0, 0)]
+    scene = splats(places, opacity=[[1, 1, -9, 1]], log_scale=[[-1.0], [-1.5], [-2.0]])
+    found = rows_of(sensitivity(scene, CAMERAS, TEAL))
+    assert not found[:, :3].any()
+    assert found[:, 3].all()
+
+
+@pytest.mark.parametrize("group", [group for group in GROUPS if group != "f_rest"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf], ids=str)
+def test_what_is_not_finite_has_none_and_spoils_nothing(group, value):
+    scene = cloud(11, 20)
+    plane = getattr(scene, group).copy()
+    plane[-1, 5] = value
+    found = rows_of(sensitivity(replace(scene, **{group: plane}), CAMERAS, TEAL))
+    others = np.arange(20) != 5
+    assert not found[:, 5].any()
+    expected = rows_of(sensitivity(scene.take(others), CAMERAS, TEAL))
+    np.testing.assert_array_equal(found[:, others], expected)
+    assert expected.any()
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("name", edge_scenes())
+def test_edge_scenes(name, antialiased):
+    scene = edge_scenes()[name]
+    found = sensitivity(scene, CAMERAS, antialiased=antialiased)
+    assert found.log_scale.shape == (3, scene.count)
+    for plane in found:
+        assert plane.shape[-1] == scene.count
+        assert plane.dtype == np.float64
+        assert (plane >= 0).all()
+        assert np.isfinite(plane).all()
+
+
+def test_without_cameras_there_is_none():
+    assert not rows_of(sensitivity(cloud(12, 5), [])).any()

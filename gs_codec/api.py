@@ -63,7 +63,11 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     files.write_scene(path, from_cloud(cloud, extra), config)
 
 
-def encode(cloud: PointCloud, config: Config | None = None) -> bytes:
+def encode(
+    cloud: PointCloud,
+    config: Config | None = None,
+    cameras: str | Path | Sequence[Camera] | None = None,
+) -> bytes:
     """Encode a cloud as an `.egs` stream.
 
     Parameters
@@ -71,6 +75,8 @@ def encode(cloud: PointCloud, config: Config | None = None) -> bytes:
     cloud : open3d.t.geometry.PointCloud
         With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough.
     config : Config, optional
+    cameras : path, "auto", or sequence of Camera, optional
+        As for `render`; profiles ``l``, ``m`` and ``s`` then spend bits where their views see it.
 
     Raises
     ------
@@ -78,7 +84,14 @@ def encode(cloud: PointCloud, config: Config | None = None) -> bytes:
         If an attribute is missing or of a wrong type, or a value is not finite.
     """
     config = config or Config()
-    return encode_scene(from_cloud(cloud, config.extra), config)[0]
+    scene = from_cloud(cloud, config.extra)
+    guide = None
+    if cameras is not None:
+        from gs_codec.preparation.pipeline import Plan
+        from gs_codec.preparation.steps import Steps
+
+        guide = files.guide_of(scene, Plan(Steps(), cameras), config)
+    return encode_scene(scene, config, guide=guide)[0]
 
 
 def decode(data: bytes, max_bytes: int | None = None) -> PointCloud:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -13,7 +13,7 @@ import numpy as np
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.order import order_like
-from gs_codec.config import Config
+from gs_codec.config import LATTICE_PROFILES, Config
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
@@ -26,8 +26,10 @@ from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
+    from gs_codec.codec.guidance import Guidance
     from gs_codec.preparation.pipeline import Plan
     from gs_codec.preparation.report import PrepareReport
+    from gs_codec.preparation.targets import Views
 
 #: Begins the comment line that tells a decoded PLY's order: the depths it was sorted by.
 _ORDER_MARK = "gs_codec order "
@@ -52,8 +54,9 @@ def encode_file(
 ) -> EncodeReport:
     """Encode a PLY file to an `.egs` file, which appears whole or not at all.
 
-    With a `plan`, the scene is prepared first; `report_folder` receives what that did, and what
-    each stage of coding adds to it.
+    With a `plan`, the scene is prepared first, if that has steps, and profiles that go by what is
+    seen go by its views; `report_folder` receives what preparation did, and what each stage of
+    coding adds to it.
 
     Raises
     ------
@@ -66,10 +69,14 @@ def encode_file(
     scene = _without_order(read_ply(source, config.extra))
     read = time.perf_counter() - start
     with located(source):
-        prepared = None
+        prepared, guide = None, None
         if plan is not None:
-            scene, prepared = _prepare(scene, plan, report_folder, progress)
-        data, report = encode_scene(scene, config, progress)
+            views = None
+            if plan.steps != type(plan.steps)():
+                scene, prepared = _prepare(scene, plan, report_folder, progress)
+                views = prepared.views
+            guide = guide_of(scene, plan, config, progress, views)
+        data, report = encode_scene(scene, config, progress, guide)
         if prepared is not None and report_folder is not None:
             _finish_report(prepared, scene, config, data, report, report_folder)
     start = time.perf_counter()
@@ -143,6 +150,31 @@ def _prepare(
     if folder is not None:
         check_writable(make_folder(folder) / "report.json")
     return prepare_scene(scene, plan, progress)
+
+
+def guide_of(
+    scene: Scene,
+    plan: Plan,
+    config: Config,
+    progress: Progress | None = None,
+    views: Views | None = None,
+) -> Callable[[Scene], Guidance] | None:
+    """What tells `encode_scene` what a plan's views see; None for profiles that do not ask.
+
+    `views` are the plan's where they are known. Where the scene was optimised, it is itself what
+    its views should look like, else the scene it was made from.
+    """
+    if config.profile not in LATTICE_PROFILES or not scene.count:
+        return None
+    from gs_codec.preparation.guide import guide
+    from gs_codec.preparation.pipeline import choose_views
+    from gs_codec.preparation.targets import draw_targets
+
+    targets = (views or choose_views(scene, plan)).renders
+    if plan.steps.optimise:
+        targets = draw_targets(scene, targets.cameras, targets.background)
+    profile = LATTICE_PROFILES[config.profile]
+    return lambda clean: guide(clean, targets, profile, config.threads, progress)
 
 
 def _finish_report(

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from gs_codec.config import LATTICE_PROFILES
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
-from gs_codec.container.file import VERSION, SectionId, read_file
+from gs_codec.container.file import VERSION, EgsFile, SectionId, read_file
+from gs_codec.container.lattice import read_bounds, read_lattice
+from gs_codec.lattice.fixed import PLACES
+from gs_codec.lattice.lattice import Lattice
+from gs_codec.lattice.plan import Pass, passes
 from gs_codec.scene import SH_COEFFICIENTS
 
 
@@ -16,6 +23,17 @@ class StreamInfo:
     name: str
     bytes: int
     bits_per_gaussian: float
+
+
+@dataclass(frozen=True)
+class PassInfo:
+    """A kind of symbols of profiles `l`, `m` and `s`: its tables, and the steps of its values."""
+
+    name: str
+    stream: str
+    tables: int
+    finest_step: float
+    coarsest_step: float
 
 
 @dataclass(frozen=True)
@@ -34,7 +52,9 @@ class Info:
     streams : tuple of StreamInfo
         In stream order; ``header`` includes the section table.
     channels : tuple of Channel
-        Quantiser and model of each channel.
+        Quantiser and model of each channel, of a `paper` profile.
+    passes : tuple of PassInfo
+        Kinds of symbols, of profiles `l`, `m` and `s`.
     """
 
     version: int
@@ -49,6 +69,7 @@ class Info:
     raw_bytes: int
     streams: tuple[StreamInfo, ...]
     channels: tuple[Channel, ...]
+    passes: tuple[PassInfo, ...]
 
     @property
     def ratio(self) -> float:
@@ -60,6 +81,7 @@ class Info:
         plain = dict(vars(self), ratio=self.ratio)
         plain["streams"] = [vars(stream) for stream in self.streams]
         plain["channels"] = [_channel_dict(channel) for channel in self.channels]
+        plain["passes"] = [vars(item) for item in self.passes]
         return plain
 
 
@@ -73,14 +95,20 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     file = read_file(data, header_only=True)
     header = file.header
     coefficients = SH_COEFFICIENTS[header.sh_degree]
-    channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
+    channels: list[Channel] = []
+    listed: list[PassInfo] = []
+    if header.profile in LATTICE_PROFILES:
+        bounds, listed = _inspect_lattice(file, coefficients)
+    else:
+        channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
+        axes = [channel.quantiser for channel in channels[:3]]
+        top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
+        bounds = (tuple(axis.origin for axis in axes), tuple(top))
     sizes = {"header": file.header_size}
     for (section_id, _), size in sorted(file.sizes.items()):
         known = section_id in set(SectionId)
         label = SectionId(section_id).label if known else f"section {section_id}"
         sizes[label] = sizes.get(label, 0) + size
-    axes = [channel.quantiser for channel in channels[:3]]
-    top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
     return Info(
         version=VERSION,
         count=header.count,
@@ -89,14 +117,44 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         blocks=header.block_count,
         block_size=header.block_size,
         has_normals=header.has_normals,
-        bounds=(tuple(axis.origin for axis in axes), tuple(top)),
+        bounds=bounds,
         file_bytes=len(data),
         raw_bytes=header.float_bytes,
         streams=tuple(
             StreamInfo(name, size, 8 * size / max(header.count, 1)) for name, size in sizes.items()
         ),
         channels=tuple(channels),
+        passes=tuple(listed),
     )
+
+
+def _inspect_lattice(
+    file: EgsFile, coefficients: int
+) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], list[PassInfo]]:
+    """Bounds of the centres, and the passes."""
+    lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
+    grid = lattice.grid
+    if file.header.count:
+        boxes = read_bounds(file.section(SectionId.BOUNDS), file.header.block_count)
+        corners = np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+        low, high = np.array(grid.origin) + corners * (0.5 * grid.step)
+    else:
+        low = high = np.array(grid.origin)
+    listed = []
+    for item, rows in zip(passes(coefficients), models.rows, strict=True):
+        unit, limit = _steps(lattice, item)
+        tables = int(rows[-1] - rows[0]) + 1
+        listed.append(PassInfo(item.name, item.stream, tables, unit, unit * 2.0**limit))
+    return (tuple(low.tolist()), tuple(high.tolist())), listed
+
+
+def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
+    """The finest step of a pass's values, and by how many octaves the coarsest is larger."""
+    rules = {"opacity": "opacity", "rotation": "rotation", "scaling": item.name}
+    if item.stream == "classes" or item.name == "SH energy":
+        return 1.0, 0
+    limit = lattice.rules[rules.get(item.stream, "colour")].limit
+    return lattice.units[item.stream] / (1 << PLACES), limit
 
 
 def _channel_dict(channel: Channel) -> dict:

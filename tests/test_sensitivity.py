@@ -10,8 +10,9 @@ import pytest
 from scenes import edge_scenes
 from test_render import TEAL, splats, straight, turned
 
+from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.preparation.gradients import draw
-from gs_codec.preparation.sensitivity import Sensitivity, sensitivity
+from gs_codec.preparation.sensitivity import sensitivity
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.harmonics import SH_C0
 from gs_codec.scene import GROUPS, Scene

@@ -18,7 +18,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.config import DEPTH_GROUPS, PROFILES, Config
+from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport
 
@@ -27,7 +27,10 @@ def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Scene, a 3DGS .ply.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
     profile: Annotated[
-        str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILES)}.")
+        str,
+        typer.Option(
+            "--profile", "-p", help=f"One of {', '.join((*LATTICE_PROFILES, *PROFILES))}."
+        ),
     ] = "paper-m",
     depth: Annotated[
         list[str] | None,
@@ -54,7 +57,7 @@ def command(
     compact_sh: steps.CompactSh = 0.0,
     refit_colour: steps.RefitColour = 0,
     rectify: steps.Rectify = False,
-    cameras: steps.Cameras = "auto",
+    cameras: steps.EncodeCameras = None,
     against_gt: steps.AgainstGt = None,
     views: steps.Views = 64,
     width: steps.ViewWidth = None,

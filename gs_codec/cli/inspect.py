@@ -37,7 +37,15 @@ def command(
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],
         [_stream_row(stream, info) for stream in info.streams],
     )
-    if channels:
+    if channels and info.passes:
+        print_table(
+            ["symbols", "stream", "tables", "finest step", "coarsest step"],
+            [
+                [p.name, p.stream, str(p.tables), f"{p.finest_step:.4g}", f"{p.coarsest_step:.4g}"]
+                for p in info.passes
+            ],
+        )
+    elif channels:
         print_table(
             ["channel", "quantiser", "depth", "origin", "step", "model", "parameters"],
             [_channel_row(channel) for channel in info.as_dict()["channels"]],
@@ -45,6 +53,10 @@ def command(
 
 
 def _stream_row(stream, info) -> list[str]:
+    tables = sum(p.tables for p in info.passes if p.stream == stream.name)
+    if tables:
+        models = f"{tables} tables"
+        return [stream.name, f"{stream.bytes:,}", f"{stream.bits_per_gaussian:.3f}", "", models]
     members = [c for c in info.channels if c.stream == stream.name]
     depths = "/".join(str(d) for d in sorted({c.quantiser.depth for c in members}))
     kinds = Counter(

@@ -23,7 +23,7 @@ def command(
     compact_sh: steps.CompactSh = 0.0,
     refit_colour: steps.RefitColour = 0,
     rectify: steps.Rectify = False,
-    cameras: steps.Cameras = "auto",
+    cameras: steps.Cameras = None,
     against_gt: steps.AgainstGt = None,
     views: steps.Views = 64,
     width: steps.ViewWidth = None,

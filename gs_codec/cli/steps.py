@@ -50,7 +50,19 @@ RefitColour = Annotated[
 Rectify = Annotated[
     bool, typer.Option("--rectify", help="Move SH-AC to their Laplace range.", **_PANEL)
 ]
-Cameras = Annotated[str, typer.Option(metavar="C", help=f"What to prepare by: {CAMERAS}", **_PANEL)]
+Cameras = Annotated[
+    str | None,
+    typer.Option(metavar="C", help=f"What to prepare by: {CAMERAS}", show_default="auto", **_PANEL),
+]
+EncodeCameras = Annotated[
+    str | None,
+    typer.Option(
+        metavar="C",
+        help=f"What to prepare by, and to spend bits by (profiles l, m, s): {CAMERAS}",
+        show_default="auto if a step is asked for, else none",
+        **_PANEL,
+    ),
+]
 AgainstGt = Annotated[
     Path | None,
     typer.Option(
@@ -87,18 +99,21 @@ _STEPS = {
 
 
 def plan_of(options: dict[str, Any]) -> Any:
-    """The plan that options of these names ask for; None if they ask for no step."""
+    """The plan that options of these names ask for; None if they ask for nothing."""
     chosen = {name: options[name] for name in _STEPS}
     if chosen == _STEPS:
-        if options["report"] or options["checkpoint"]:
-            raise InvalidInput("--report and --checkpoint need a step, for example --prune-loo 30")
-        return None
+        for name in ("report", "checkpoint", "against_gt"):
+            if options[name]:
+                option = "--" + name.replace("_", "-")
+                raise InvalidInput(f"{option} needs a step, for example --prune-loo 30")
+        if options["cameras"] is None:
+            return None
     from gs_codec.preparation.pipeline import Plan
     from gs_codec.preparation.steps import Steps
 
     return Plan(
         Steps(**chosen),
-        options["cameras"],
+        options["cameras"] or "auto",
         options["against_gt"],
         options["width"],
         options["views"],

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from gs_codec.codec.lattice_symbols import shift_context
 from gs_codec.container.file import EgsFile, SectionId
-from gs_codec.container.lattice import Lattice, PassModels, read_lattice
+from gs_codec.container.lattice import PassModels, read_lattice
 from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.geometry.colour_lattice import decode_colours
 from gs_codec.geometry.count_tree import decode_tree
 from gs_codec.lattice.fixed import LARGEST, PLACES, from_lattice, to_float
+from gs_codec.lattice.lattice import Lattice
 from gs_codec.lattice.place import centres, from_grid
 from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places
 from gs_codec.lattice.shape import Shape, walk_shape

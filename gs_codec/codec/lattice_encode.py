@@ -22,14 +22,14 @@ from gs_codec.codec.lattice_symbols import (
 from gs_codec.config import LATTICE_PROFILES, Config, LatticeProfile
 from gs_codec.container.carried import write_comments, write_extra
 from gs_codec.container.file import Header, Section, SectionId, write_file
-from gs_codec.container.lattice import PassModels, fit_weights, write_lattice
+from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
 from gs_codec.entropy.passes import PassTables, PassWriter
 from gs_codec.geometry.count_tree import encode_tree
 from gs_codec.kernels import kernel
 from gs_codec.lattice.fixed import LARGEST, PLACES, to_float
 from gs_codec.lattice.place import centres, from_grid
-from gs_codec.lattice.plan import passes
-from gs_codec.lattice.tokens import BitWriter
+from gs_codec.lattice.plan import Pass, passes
+from gs_codec.lattice.tokens import ALPHABET, BitWriter
 from gs_codec.model.contexts import ContextTables, share_tables
 from gs_codec.model.table import shannon_bits
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
@@ -215,9 +215,7 @@ def _round_ac(values, unit, shifts, rounding, limit, levels):
     return clamped
 
 
-def _symbols(
-    shaped: Shaped, colours: _Colours, placed: _Block, start: int, stop: int
-) -> _Block:
+def _symbols(shaped: Shaped, colours: _Colours, placed: _Block, start: int, stop: int) -> _Block:
     """All passes of a block."""
     classes = shaped.classes[:, start:stop]
     shifts = colours.shifts[start:stop]
@@ -239,11 +237,15 @@ def _models(
     listed = passes(len(shaped.scene.f_rest) // 3)
 
     def share(p: int) -> ContextTables:
-        counts = [block.passes[p].histograms(listed[p].contexts) for block in blocks]
-        return share_tables(sum(counts) if counts else np.zeros((listed[p].contexts, 1), np.int64))
+        counts = np.zeros((listed[p].contexts, ALPHABET), np.int64)
+        for block in blocks:
+            counts += block.passes[p].histograms(listed[p].contexts)
+        return share_tables(counts)
 
     shared = run_all(share, range(len(listed)), threads)
-    rows, weights, costs = [], [], []
+    rows: list[NDArray[np.int64]] = []
+    weights: list[NDArray[np.int64]] = []
+    costs = []
     for p, (item, found) in enumerate(zip(listed, shared, strict=True)):
         rows.append(len(weights) + found.table_of)
         fitted = [fit_weights(histogram) for histogram in found.histograms]
@@ -254,12 +256,16 @@ def _models(
         )
         raw = sum(int(block.passes[p].widths.sum(dtype=np.int64)) for block in blocks)
         entropy = raw + sum(shannon_bits(histogram) for histogram in found.histograms)
-        costs.append(ChannelCost(item.name, item.stream, "table", raw + coded, raw + coded, entropy))
+        costs.append(
+            ChannelCost(item.name, item.stream, "table", raw + coded, raw + coded, entropy)
+        )
         weights += fitted
     return PassModels(rows, weights), costs
 
 
-def _sections(number: int, block: _Block, listed, models: PassModels, tables) -> list[Section]:
+def _sections(
+    number: int, block: _Block, listed: list[Pass], models: PassModels, tables: PassTables
+) -> list[Section]:
     """Sections of a block."""
     writer = PassWriter(tables)
     bits: dict[str, BitWriter] = {}
@@ -284,4 +290,4 @@ def _bounds(places: NDArray[np.int64], ranges: list[tuple[int, int]]) -> bytes:
         (*places[:, start:stop].min(axis=1), *places[:, start:stop].max(axis=1))
         for start, stop in ranges
     ]
-    return np.array(bounds, "<u4").tobytes()
+    return write_bounds(bounds)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codec.guidance import Guidance
 from gs_codec.config import LatticeProfile
-from gs_codec.container.lattice import Lattice, PositionGrid
 from gs_codec.lattice.fit import Steps, features, finest_unit, fit_steps, make_rule
 from gs_codec.lattice.fixed import PLACES
+from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.place import to_grid
+from gs_codec.lattice.rules import StepRule
 from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.scene import Scene
 from gs_codec.transform.axes import sort_axes
@@ -116,7 +117,10 @@ def _lattice(
         units[f"sh{band}"] = max(round(units["sh-dc"] * ratio), 1)
     grid, rules["position"] = _grid(scene, steps, wanted("position"))
     centres = (_median(scene.opacity[0]), _median(scales[0]))
-    classes = (1 + int(steps.shape_class.max(initial=0)), 1 + int(steps.colour_class.max(initial=0)))
+    classes = (
+        1 + int(steps.shape_class.max(initial=0)),
+        1 + int(steps.colour_class.max(initial=0)),
+    )
     return Lattice(grid, classes, centres, units, rules)
 
 
@@ -124,7 +128,7 @@ def _median(values: NDArray) -> int:
     return round(float(np.median(values)) * (1 << PLACES)) if len(values) else 0
 
 
-def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]):
+def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[PositionGrid, StepRule]:
     """The grid of positions, and the rule of how many bits of them are dropped."""
     if not scene.count:
         return PositionGrid((0.0, 0.0, 0.0), 1.0, (0, 0, 0)), make_rule(np.zeros(5), 0, 0)
@@ -133,8 +137,9 @@ def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]):
     widest = math.frexp(max(float(extent.max()), 1e-30))[1]
     unit = finest_unit(wanted, max(widest - _AXIS_BITS, -120), widest)
     step = math.ldexp(1.0, unit)
-    bits = tuple(math.frexp(size / step)[1] if size > 0 else 0 for size in extent)
+    bits = [math.frexp(size / step)[1] if size > 0 else 0 for size in extent]
     # The middle of the one cell of a flat axis is where it is.
-    origin = [float(np.float32(a - 0.5 * step if not b else a)) for a, b in zip(low, bits)]
+    flat = np.array(bits) == 0
+    origin = (low - 0.5 * step * flat).astype(np.float32).astype(float)
     grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))
     return grid, make_rule(steps.coefficients["position"], unit, unit + 31, thirds=True)

@@ -65,7 +65,7 @@ SCENE_SECTIONS = frozenset(
 )
 
 #: Sections that say how the others are coded.
-_DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE})
+_DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE, SectionId.BOUNDS})
 
 
 @dataclass(frozen=True)

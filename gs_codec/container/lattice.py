@@ -14,6 +14,7 @@ from gs_codec.entropy.passes import PRECISION
 from gs_codec.entropy.tables import decode_tables, encode_tables
 from gs_codec.errors import CorruptStream
 from gs_codec.lattice.fixed import LARGEST, PLACES
+from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.plan import MAX_CLASSES, passes
 from gs_codec.lattice.rules import MAX_SHIFT, StepRule
 from gs_codec.lattice.tokens import ALPHABET
@@ -33,35 +34,6 @@ RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "co
 
 
 @dataclass(frozen=True)
-class PositionGrid:
-    """Cells of positions: ``origin + (cell + 0.5) * step``, `bits` of each axis."""
-
-    origin: tuple[float, float, float]
-    step: float
-    bits: tuple[int, int, int]
-
-    @property
-    def total_bits(self) -> int:
-        """Bits of a Morton code."""
-        return sum(self.bits)
-
-
-@dataclass(frozen=True)
-class Lattice:
-    """Everything of a scene that its blocks are decoded by, but the tables.
-
-    ``centres`` (of opacity and the longest axis) and ``units`` are fixed-point values; units are
-    of opacity, scales, rotation, SH-DC and the SH bands.
-    """
-
-    grid: PositionGrid
-    classes: tuple[int, int]
-    centres: tuple[int, int]
-    units: dict[str, int]
-    rules: dict[str, StepRule]
-
-
-@dataclass(frozen=True)
 class PassModels:
     """Tables of a scene's passes.
 
@@ -74,9 +46,7 @@ class PassModels:
 
     def tables(self) -> list[FrequencyTable]:
         """Frequency tables of precision `PRECISION`."""
-        return [
-            SentModel(w, _MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights
-        ]
+        return [SentModel(w, _MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights]
 
 
 UNITS = ("opacity", "scaling", "rotation", "sh-dc", "sh1", "sh2", "sh3")
@@ -169,3 +139,24 @@ def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
         raise CorruptStream(f"{_WHERE}: an alphabet out of range")
     weights = decode_tables(reader.rest(), alphabets, [_MANTISSA] * number, _WHERE)
     return PassModels(rows, weights)
+
+
+def write_bounds(boxes: list[tuple[int, ...]]) -> bytes:
+    """Serialise the lowest and highest x, y, z of blocks, in half steps of the grid."""
+    return np.array(boxes, "<u4").tobytes()
+
+
+def read_bounds(data: memoryview, blocks: int) -> NDArray[np.int64]:
+    """The inverse of `write_bounds`, ``(blocks, 6)``.
+
+    Raises
+    ------
+    CorruptStream
+        If there are not as many, or one is empty.
+    """
+    if len(data) != 24 * blocks:
+        raise CorruptStream(f"section 'bounds': {len(data)} bytes, expected {24 * blocks}")
+    boxes = np.frombuffer(data, "<u4").reshape(blocks, 6).astype(np.int64)
+    if np.any(boxes[:, :3] > boxes[:, 3:]):
+        raise CorruptStream("section 'bounds': a box's lowest corner is above its highest")
+    return boxes

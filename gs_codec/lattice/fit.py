@@ -64,9 +64,7 @@ def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:
     return np.stack([np.ones(len(opacity)), np.minimum(opacity, 0), *scales])
 
 
-def fit_steps(
-    sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error: float
-) -> Steps:
+def fit_steps(sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error: float) -> Steps:
     """Steps at which each parameter of each Gaussian adds about the same error.
 
     Parameters
@@ -142,7 +140,7 @@ def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArra
         # Damped and cut off: a few values are thousands of times the mean.
         excess = np.clip(values / expected - 1, -1, 8)
         fitted = fitted + 0.7 * np.linalg.lstsq(known, excess, rcond=None)[0]
-    return fitted
+    return np.asarray(fitted, np.float64)
 
 
 def finest_unit(wanted: NDArray[np.float64], lowest: int, highest: int) -> int:

@@ -59,7 +59,9 @@ class StepRule:
 
     def pack(self) -> bytes:
         """The rule as bytes."""
-        return struct.pack("<" + self.FORMAT, self.intercept, self.opacity, *self.scales, self.limit)
+        return struct.pack(
+            "<" + self.FORMAT, self.intercept, self.opacity, *self.scales, self.limit
+        )
 
 
 @kernel

@@ -33,7 +33,3 @@ class Sensitivity(NamedTuple):
     rot: NDArray[np.float64]
     opacity: NDArray[np.float64]
     colour: NDArray[np.float64]
-
-    def take(self, index: NDArray) -> Sensitivity:
-        """That of some of the Gaussians."""
-        return Sensitivity(*(values[..., index] for values in self))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.lattice.fixed import from_lattice, to_float, to_lattice
-from gs_codec.lattice.rules import StepRule
+from gs_codec.lattice.lattice import Lattice
 
 #: ``code(name, shifts) -> levels``: a decoder reads them, an encoder rounds to them.
 Coder = Callable[[str, NDArray[np.int64]], NDArray[np.int64]]
@@ -17,25 +17,14 @@ Coder = Callable[[str, NDArray[np.int64]], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class Shape:
-    """Fixed-point logits ``(n,)``, log-scales ``(3, n)`` descending, quaternion vectors ``(3, n)``."""
+    """Fixed-point logits ``(n,)``; log-scales, descending, and quaternion vectors ``(3, n)``."""
 
     opacity: NDArray[np.int64]
     scales: NDArray[np.int64]
     vectors: NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class ShapeLattice:
-    """Centres, units and rules of a scene's shapes; see `Lattice`."""
-
-    centres: tuple[int, int]
-    units: dict[str, int]
-    rules: dict[str, StepRule]
-
-
-def walk_shape(
-    lattice: ShapeLattice, classes: NDArray[np.int64], code: Coder
-) -> Shape:
+def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Shape:
     """Go through the attributes in stream order; `code` gives the levels of each.
 
     It is called with the attribute's name and its shifts ``(n,)``: an encoder's is a
@@ -66,7 +55,7 @@ class ShapeQuantiser:
 
     def __init__(
         self,
-        lattice: ShapeLattice,
+        lattice: Lattice,
         opacity: NDArray,
         scales: NDArray[np.float64],
         vectors: NDArray[np.float64],

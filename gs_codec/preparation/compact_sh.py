@@ -152,7 +152,7 @@ def _check(
         raise InvalidInput("cameras: none, expected at least one")
     if not 0 < strength < math.inf:
         raise InvalidInput(f"strength {strength}: expected a number above 0")
-    if not np.all((0 <= np.asarray(smallest)) & (np.asarray(smallest) < math.inf)):
+    if not np.all((np.asarray(smallest) >= 0) & (np.asarray(smallest) < math.inf)):
         raise InvalidInput(f"smallest {smallest}: expected a number from 0 up")
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.kernels import inlined, kernel
+from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.preparation.splat_moments import (
     SQUARED_WEIGHT,
     G,
@@ -43,21 +43,6 @@ _POSITIONS, _LOG_SCALE, _ROT, _OPACITY, _COLOUR, _COLUMNS = 0, 1, 4, 5, 6, 7
 
 #: Views whose results are kept at a time, for each thread: they are added in order.
 _VIEWS_A_THREAD = 4
-
-
-class Sensitivity(NamedTuple):
-    """Squared error by squared change of an attribute, float64; image values are 0-1.
-
-    ``positions (N,)`` is by scene unit^2, the mean of the axes of the world; ``log_scale (3, N)``
-    by natural logarithm; ``rot (N,)`` by radian^2, the mean of turns about the Gaussian's axes;
-    ``opacity (N,)`` by logit^2; ``colour (N,)`` by the squared value of one colour channel.
-    """
-
-    positions: NDArray[np.float64]
-    log_scale: NDArray[np.float64]
-    rot: NDArray[np.float64]
-    opacity: NDArray[np.float64]
-    colour: NDArray[np.float64]
 
 
 def sensitivity(

@@ -22,7 +22,7 @@ def _turns() -> NDArray[np.float64]:
     units = [u for u in itertools.product((0.0, 1.0, -1.0), repeat=4) if any(u)]
     scale = {1: 1.0, 2: root, 4: half}
     for unit in units:
-        number = sum(map(abs, unit))
+        number = sum(value != 0 for value in unit)
         first = next(value for value in unit if value)
         if number not in scale or first < 0:
             continue
@@ -57,7 +57,12 @@ def _sort_axes(log_scale, rot, turns, order, scales, vectors):
         order[0, i], order[1, i], order[2, i] = a, b, c
         for k in range(3):
             scales[k, i] = log_scale[order[k, i], i]
-        w, x, y, z = np.float64(rot[0, i]), np.float64(rot[1, i]), np.float64(rot[2, i]), np.float64(rot[3, i])
+        w, x, y, z = (
+            np.float64(rot[0, i]),
+            np.float64(rot[1, i]),
+            np.float64(rot[2, i]),
+            np.float64(rot[3, i]),
+        )
         largest = -1.0
         for k in range(4):
             p, q, r, s = turns[9 * a + 3 * b + c, k]

@@ -62,6 +62,8 @@ LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
     }
 )
 
+KNOWN_PROFILES = (*LATTICE_PROFILES, *PROFILES)
+
 
 @dataclass(frozen=True)
 class Config:
@@ -99,9 +101,7 @@ class Config:
     block_size: int = 1 << 16
 
     def __post_init__(self) -> None:
-        known = (*PROFILES, *LATTICE_PROFILES)
-        if self.profile not in known:
-            raise InvalidInput(f"profile '{self.profile}': expected one of {', '.join(known)}")
+        _check_choice("profile", self.profile, KNOWN_PROFILES)
         _check_choice("nonfinite", self.nonfinite, ("error", "drop"))
         _check_choice("extra", self.extra, ("error", "keep", "drop"))
         _check_range("threads", 1 if self.threads is None else self.threads, 1, 256)

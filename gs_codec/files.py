@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.codec.order import order_like
+from gs_codec.codec import decode_part, encode_scene
+from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, Config
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
@@ -20,8 +18,14 @@ from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.matching import (
+    order_of,
+    order_of_file,
+    put_side_by_side,
+    with_order,
+    without_order,
+)
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.quantise import fit_range
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 
@@ -31,9 +35,6 @@ if TYPE_CHECKING:
     from gs_codec.preparation.report import PrepareReport
     from gs_codec.preparation.targets import Views
 
-#: Begins the comment line that tells a decoded PLY's order: the depths it was sorted by.
-_ORDER_MARK = "gs_codec order "
-
 
 @dataclass(frozen=True)
 class DecodeReport:
@@ -41,6 +42,8 @@ class DecodeReport:
 
     count: int
     sh_degree: int
+    bytes_read: int
+    file_bytes: int
     seconds: dict[str, float]
 
 
@@ -66,7 +69,7 @@ def encode_file(
     config = config or Config()
     _check_target(source, target)
     start = time.perf_counter()
-    scene = _without_order(read_ply(source, config.extra))
+    scene = without_order(read_ply(source, config.extra))
     read = time.perf_counter() - start
     with located(source):
         prepared, guide = None, None
@@ -102,7 +105,7 @@ def prepare_file(
     """
     _check_target(source, target)
     suffix = _format_of(target)
-    scene = _without_order(read_scene(source, "keep"))
+    scene = without_order(read_scene(source, "keep"))
     config = Config(extra="keep")
     with located(source):
         scene, prepared = _prepare(scene, plan, report_folder, progress)
@@ -202,8 +205,9 @@ def decode_file(
     threads: int | None = None,
     max_bytes: int | None = None,
     progress: Progress | None = None,
+    part: Part | None = None,
 ) -> DecodeReport:
-    """Decode an `.egs` file to a PLY file, which appears whole or not at all.
+    """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
     A comment line in the PLY says in which order the Gaussians are, so that `compare` can
     match them with the original's.
@@ -217,18 +221,20 @@ def decode_file(
     """
     _check_target(source, target)
     start = time.perf_counter()
-    scene = _decode_ordered(Path(source), threads, max_bytes, progress)
+    whole = part or Part()
+    scene, bytes_read = _decode_ordered(Path(source), whole, threads, max_bytes, progress)
     decoded = time.perf_counter()
     write_ply(target, scene)
     seconds = {"decode": decoded - start, "write": time.perf_counter() - decoded}
-    return DecodeReport(scene.count, scene.sh_degree, seconds)
+    size = os.path.getsize(source)
+    return DecodeReport(scene.count, scene.sh_degree, bytes_read, size, seconds)
 
 
 def read_scene(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:
     """The scene of a PLY or `.egs` file, told apart by content; see `read_ply` for `extra`."""
     with opened(path) as data:
         is_egs = data[: len(MAGIC)] == MAGIC or Path(path).suffix.lower() == ".egs"
-    return _decode_ordered(Path(path)) if is_egs else read_ply(path, extra)
+    return _decode_ordered(Path(path), Part())[0] if is_egs else read_ply(path, extra)
 
 
 def inspect_file(path: str | Path) -> Info:
@@ -239,31 +245,12 @@ def inspect_file(path: str | Path) -> Info:
 
 def compare_files(first: str | Path, second: str | Path) -> Comparison:
     """Compare two scenes; one decoded from `.egs` is matched with its original."""
-    scenes, orders = [], []
+    scenes = []
     for path in (first, second):
         scenes.append(read_scene(path, "drop"))
         with located(path):
-            orders.append(_order_of(scenes[-1]))
-    return compare_ordered(scenes[0], scenes[1], orders)
-
-
-def compare_ordered(first: Scene, second: Scene, orders: Sequence[tuple[int, ...]]) -> Comparison:
-    """Compare two scenes, putting an original into the order of a decoded one."""
-    if first.count == second.count and orders[0] != orders[1]:
-        if all(orders):
-            raise InvalidInput("both scenes were reordered, differently: compare with the original")
-        if orders[1]:
-            first = _put_in_order(first, second, orders[1])
-        else:
-            second = _put_in_order(second, first, orders[0])
-        return compare_scenes(first, second, "stored order")
-    return compare_scenes(first, second, "index")
-
-
-def _without_order(scene: Scene) -> Scene:
-    """The scene without the comment that tells its order."""
-    kept = tuple(line for line in scene.comments if not line.startswith(_ORDER_MARK))
-    return replace(scene, comments=kept)
+            order_of(scenes[-1])
+    return compare_scenes(*put_side_by_side(scenes[0], scenes[1]))
 
 
 def _check_target(source: str | Path, target: str | Path) -> None:
@@ -275,41 +262,14 @@ def _check_target(source: str | Path, target: str | Path) -> None:
 
 def _decode_ordered(
     path: Path,
+    part: Part,
     threads: int | None = None,
     max_bytes: int | None = None,
     progress: Progress | None = None,
-) -> Scene:
+) -> tuple[Scene, int]:
+    """A scene, or a part of it, and the bytes read; what is whole tells its order."""
     with opened(path) as view, located(path):
-        data = bytes(view)
-        scene = decode_scene(data, threads, max_bytes, progress)
-        depths = [str(channel.quantiser.depth) for channel in inspect_bytes(data).channels[:6]]
-    mark = _ORDER_MARK + " ".join(depths)
-    return replace(scene, comments=(*scene.comments, mark))
-
-
-def _order_of(scene: Scene) -> tuple[int, ...]:
-    """Depths of x, y, z and f_dc a decoded scene was sorted by; empty if it is an original."""
-    marks = [line for line in scene.comments if line.startswith(_ORDER_MARK)]
-    if not marks:
-        return ()
-    fields = marks[-1].removeprefix(_ORDER_MARK).split()
-    if len(fields) != 6 or not all(field.isdigit() and int(field) <= 21 for field in fields):
-        raise InvalidInput(f"comment '{marks[-1]}': expected six depths")
-    return tuple(int(field) for field in fields)
-
-
-def _put_in_order(original: Scene, decoded: Scene, depths: tuple[int, ...]) -> Scene:
-    """The original's Gaussians in the order of the stream `decoded` came from.
-
-    Min-max quantisers keep the extremes, so the decoded scene still has the quantisers' ranges.
-    """
-    rows = (*decoded.positions, *decoded.f_dc)
-    quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, depths, strict=True)]
-    ordered = original.take(order_like(original, quantisers))
-    for a, b, quantiser in zip(ordered.positions, decoded.positions, quantisers[:3], strict=True):
-        bound = 0.51 * quantiser.step + np.spacing(np.abs(b).max(initial=0.0))
-        if (np.abs(a.astype(np.float64) - b) > bound).any():
-            raise InvalidInput(
-                "neither scene was decoded from the other: compare with the original"
-            )
-    return ordered
+        scene, bytes_read = decode_part(view, part, threads, max_bytes, progress)
+        if part.box is None:
+            scene = with_order(scene, order_of_file(inspect_bytes(view)))
+    return scene, bytes_read

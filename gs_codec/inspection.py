@@ -8,10 +8,10 @@ import numpy as np
 
 from gs_codec.config import LATTICE_PROFILES
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
-from gs_codec.container.file import VERSION, EgsFile, SectionId, read_file
-from gs_codec.container.lattice import read_bounds, read_lattice
+from gs_codec.container.file import DESCRIPTIONS, VERSION, EgsFile, SectionId, read_file
+from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
 from gs_codec.lattice.fixed import PLACES
-from gs_codec.lattice.lattice import Lattice
+from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.plan import Pass, passes
 from gs_codec.scene import SH_COEFFICIENTS
 
@@ -55,6 +55,8 @@ class Info:
         Quantiser and model of each channel, of a `paper` profile.
     passes : tuple of PassInfo
         Kinds of symbols, of profiles `l`, `m` and `s`.
+    grid : PositionGrid or None
+        What positions are multiples of, likewise.
     """
 
     version: int
@@ -70,6 +72,7 @@ class Info:
     streams: tuple[StreamInfo, ...]
     channels: tuple[Channel, ...]
     passes: tuple[PassInfo, ...]
+    grid: PositionGrid | None
 
     @property
     def ratio(self) -> float:
@@ -81,6 +84,7 @@ class Info:
         plain = dict(vars(self), ratio=self.ratio)
         plain["streams"] = [vars(stream) for stream in self.streams]
         plain["channels"] = [_channel_dict(channel) for channel in self.channels]
+        plain["grid"] = None if self.grid is None else vars(self.grid)
         plain["passes"] = [vars(item) for item in self.passes]
         return plain
 
@@ -92,13 +96,16 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     ------
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
-    file = read_file(data, header_only=True)
+    file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
     coefficients = SH_COEFFICIENTS[header.sh_degree]
     channels: list[Channel] = []
     listed: list[PassInfo] = []
+    grid = None
     if header.profile in LATTICE_PROFILES:
-        bounds, listed = _inspect_lattice(file, coefficients)
+        lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
+        grid, bounds = lattice.grid, _bounds_of(file, lattice)
+        listed = _inspect_passes(lattice, models, coefficients)
     else:
         channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
         axes = [channel.quantiser for channel in channels[:3]]
@@ -125,27 +132,28 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         ),
         channels=tuple(channels),
         passes=tuple(listed),
+        grid=grid,
     )
 
 
-def _inspect_lattice(
-    file: EgsFile, coefficients: int
-) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], list[PassInfo]]:
-    """Bounds of the centres, and the passes."""
-    lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
+def _bounds_of(file: EgsFile, lattice: Lattice) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Lowest and highest corner of the centres."""
     grid = lattice.grid
+    low = high = np.array(grid.origin)
     if file.header.count:
         boxes = read_bounds(file.section(SectionId.BOUNDS), file.header.block_count)
         corners = np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
         low, high = np.array(grid.origin) + corners * (0.5 * grid.step)
-    else:
-        low = high = np.array(grid.origin)
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[PassInfo]:
     listed = []
     for item, rows in zip(passes(coefficients), models.rows, strict=True):
         unit, limit = _steps(lattice, item)
         tables = int(rows[-1] - rows[0]) + 1
         listed.append(PassInfo(item.name, item.stream, tables, unit, unit * 2.0**limit))
-    return (tuple(low.tolist()), tuple(high.tolist())), listed
+    return listed
 
 
 def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:

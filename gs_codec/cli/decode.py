@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
+from gs_codec.errors import InvalidInput
 
 
 def command(
@@ -22,13 +23,26 @@ def command(
         int | None,
         typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
     ] = None,
+    bbox: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,X,Y,Z",
+            help="Only Gaussians whose centre is in this box: lowest, then highest corner.",
+        ),
+    ] = None,
+    sh_degree: Annotated[
+        int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
+    box = None if bbox is None else _parse_box(bbox)
+    from gs_codec.codec.part import Part
     from gs_codec.files import decode_file
 
+    part = Part(box, sh_degree)
     with progress_bar(not json) as progress:
-        report = decode_file(source, target, threads, max_bytes, progress)
+        report = decode_file(source, target, threads, max_bytes, progress, part)
     size = target.stat().st_size
     if json:
         print_json(
@@ -39,3 +53,16 @@ def command(
             f"{target}: {report.count:,} Gaussians, SH degree {report.sh_degree}, "
             f"{size_text(size)}, {sum(report.seconds.values()):.2f} s"
         )
+        if report.bytes_read < report.file_bytes:
+            share = report.bytes_read / report.file_bytes
+            print_text(f"read {size_text(report.bytes_read)} of {source}, {share:.0%} of it")
+
+
+def _parse_box(text: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(field) for field in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 6:
+        raise InvalidInput(f"--bbox {text}: expected six numbers, x,y,z,x,y,z")
+    return numbers

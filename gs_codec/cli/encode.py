@@ -18,7 +18,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, PROFILES, Config
+from gs_codec.config import DEPTH_GROUPS, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport
 

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.lattice_decode import LatticeDecoder
+from gs_codec.codec.lattice_decode import LatticeDecoder, block_boxes, lattice_sections
 from gs_codec.codec.order import triple_depths
+from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES
 from gs_codec.container.carried import read_comments, read_extra
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
-from gs_codec.container.file import SCENE_SECTIONS, EgsFile, Header, SectionId, read_file
+from gs_codec.container.file import (
+    DESCRIPTIONS,
+    SCENE_SECTIONS,
+    EgsFile,
+    Header,
+    SectionId,
+    read_file,
+)
 from gs_codec.entropy.rans import TableSet, decode_symbols
 from gs_codec.errors import CorruptStream
 from gs_codec.geometry.colour import decode_colour
@@ -36,11 +44,26 @@ def decode_scene(
     max_bytes: int | None = None,
     progress: Progress | None = None,
 ) -> Scene:
-    """Decode an `.egs` stream.
+    """Decode an `.egs` stream; see `decode_part`."""
+    return decode_part(data, Part(), threads, max_bytes, progress)[0]
+
+
+def decode_part(
+    data: bytes | memoryview,
+    part: Part,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Scene, int]:
+    """Decode a part of an `.egs` stream.
+
+    SH above the part's degree is not read and, in profiles `l`, `m` and `s`, neither are blocks
+    that have nothing in its box.
 
     Parameters
     ----------
     data : bytes
+    part : Part
     threads : int, optional
     max_bytes : int, optional
         Refuse a stream whose floats would be larger; by default `DECODED_BYTES` or
@@ -50,41 +73,90 @@ def decode_scene(
 
     Returns
     -------
-    Scene
+    scene : Scene
         In canonical order.
+    bytes_read : int
 
     Raises
     ------
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
-    file = read_file(data)
-    header = file.header
+    described = read_file(data, lambda section, _: section in DESCRIPTIONS)
+    header = described.header
     limit = max(DECODED_BYTES, EXPANSION * len(data)) if max_bytes is None else max_bytes
     _check_size(header, limit)
-    if header.profile in LATTICE_PROFILES:
-        return _decode_lattice(file, threads, progress)
-    channels = read_channels(file.section(SectionId.CHANNELS), SH_COEFFICIENTS[header.sh_degree])
+    degree = part.degree_of(header.sh_degree)
+    blocks = _chosen_blocks(described, part)
+    unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
+    file = read_file(
+        data,
+        lambda section, block: (
+            section not in unread and (section in SCENE_SECTIONS or int(block) in blocks)
+        ),
+    )
+    decode = _decode_lattice if header.profile in LATTICE_PROFILES else _decode_channels
+    groups = decode(file, sorted(blocks), degree, threads, progress)
+    scene = _assemble(file, groups, sorted(blocks))
+    if part.box is not None:
+        scene = scene.take(part.contains(scene.positions))
+    return scene, file.bytes_read
+
+
+def _chosen_blocks(file: EgsFile, part: Part) -> set[int]:
+    """Blocks that may have something in the part's box."""
+    every = range(file.header.block_count)
+    if part.box is None or file.header.profile not in LATTICE_PROFILES or not every:
+        return set(every)
+    return {int(block) for block in np.flatnonzero(part.meets(*block_boxes(file)))}
+
+
+def _spans(header: Header, blocks: list[int]) -> list[tuple[int, int]]:
+    """Where the Gaussians of chosen blocks go."""
+    spans, end = [], 0
+    for block in blocks:
+        start, stop = header.block_range(block)
+        spans.append((end, end + stop - start))
+        end += stop - start
+    return spans
+
+
+def _decode_lattice(
+    file: EgsFile,
+    blocks: list[int],
+    degree: int,
+    threads: int | None,
+    progress: Progress | None,
+) -> dict[str, NDArray[np.float32]]:
+    spans = _spans(file.header, blocks)
+    decoder = LatticeDecoder.of(file, degree, spans[-1][1] if spans else 0)
+    _check_sections(file, lattice_sections(file.header.sh_degree))
+    jobs = [
+        partial(decoder.decode, block, *span) for block, span in zip(blocks, spans, strict=True)
+    ]
+    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
+    return decoder.groups
+
+
+def _decode_channels(
+    file: EgsFile,
+    blocks: list[int],
+    degree: int,
+    threads: int | None,
+    progress: Progress | None,
+) -> dict[str, NDArray[np.float32]]:
+    channels = read_channels(
+        file.section(SectionId.CHANNELS), SH_COEFFICIENTS[file.header.sh_degree]
+    )
     _check_expected(file, channels)
-    blocks = _Blocks.of(file, channels)
+    spans = _spans(file.header, blocks)
+    decoder = _Blocks.of(file, channels, degree)
     jobs = [
-        partial(stage, block, *header.block_range(block))
-        for block in range(header.block_count)
-        for stage in (blocks.decode_points, blocks.decode_attributes)
+        partial(stage, block, *span)
+        for block, span in zip(blocks, spans, strict=True)
+        for stage in (decoder.decode_points, decoder.decode_attributes)
     ]
     run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
-    return _assemble(file, blocks.groups)
-
-
-def _decode_lattice(file: EgsFile, threads: int | None, progress: Progress | None) -> Scene:
-    decoder = LatticeDecoder.of(file)
-    _check_sections(file, decoder.sections())
-    header = file.header
-    jobs = [
-        partial(decoder.decode, block, *header.block_range(block))
-        for block in range(header.block_count)
-    ]
-    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
-    return _assemble(file, decoder.groups)
+    return decoder.groups
 
 
 def _check_size(header: Header, limit: int) -> None:
@@ -105,7 +177,8 @@ def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
 
 def _check_sections(file: EgsFile, expected: set) -> None:
     """Refuse a file whose blocks do not have exactly the sections expected."""
-    found = [place for place in file.sections if place[0] not in SCENE_SECTIONS]
+    known = set(SectionId)
+    found = [place for place in file.sizes if place[0] in known - SCENE_SECTIONS]
     for section_id, block in found:
         if section_id not in expected:
             label = SectionId(section_id).label
@@ -115,7 +188,7 @@ def _check_sections(file: EgsFile, expected: set) -> None:
         raise CorruptStream(f"header: {len(found)} sections of blocks, expected {needed}")
 
 
-def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]]) -> Scene:
+def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: list[int]) -> Scene:
     """The scene of the decoded groups, and what the file carries beside them."""
     comments = file.sections.get((SectionId.COMMENTS, 0))
     extra = file.sections.get((SectionId.EXTRA, 0))
@@ -123,8 +196,18 @@ def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]]) -> Scene:
         **groups,
         has_normals=file.header.has_normals,
         comments=() if comments is None else read_comments(comments),
-        extra={} if extra is None else read_extra(extra, file.header.count),
+        extra={} if extra is None else _of_blocks(extra, file.header, blocks),
     )
+
+
+def _of_blocks(extra: memoryview, header: Header, blocks: list[int]) -> dict[str, NDArray]:
+    """Extra properties of the Gaussians of chosen blocks."""
+    columns = read_extra(extra, header.count)
+    if len(blocks) == header.block_count:
+        return columns
+    ranges = [np.arange(*header.block_range(block)) for block in blocks]
+    index = np.concatenate([np.zeros(0, np.int64), *ranges])
+    return {name: column[index] for name, column in columns.items()}
 
 
 @dataclass(frozen=True)
@@ -132,7 +215,8 @@ class _Blocks:
     """Decoder of single blocks into the planes of a scene.
 
     ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``;
-    ``varying``, ``tables`` and ``levels`` are of the channels that rANS codes.
+    ``varying``, ``tables`` and ``levels`` are of the channels that rANS codes, `whole` tells
+    whether those are all that were coded.
     """
 
     file: EgsFile
@@ -142,10 +226,19 @@ class _Blocks:
     varying: list[int]
     tables: TableSet
     levels: list[NDArray[np.float32]]
+    whole: bool
 
     @classmethod
-    def of(cls, file: EgsFile, channels: list[Channel]) -> _Blocks:
-        """Set up tables and constant planes."""
+    def of(cls, file: EgsFile, channels: list[Channel], degree: int) -> _Blocks:
+        """Set up tables and constant planes for SH up to a degree."""
+        kept, coded = SH_COEFFICIENTS[degree], SH_COEFFICIENTS[file.header.sh_degree]
+        channels = [
+            replace(c, index=c.index // coded * kept + c.index % coded)
+            if c.group == "f_rest"
+            else c
+            for c in channels
+            if c.group != "f_rest" or c.index % coded < kept
+        ]
         members = Counter(channel.group for channel in channels)
         groups = {g: np.empty((members[g], file.header.count), np.float32) for g in GROUPS}
         planes = [groups[channel.group][channel.index] for channel in channels]
@@ -157,7 +250,8 @@ class _Blocks:
                 varying.append(row)
                 tables.append(channel.model.frequencies(channel.alphabet))
                 levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
-        return cls(file, channels, groups, planes, varying, TableSet.pack(tables), levels)
+        packed = TableSet.pack(tables)
+        return cls(file, channels, groups, planes, varying, packed, levels, kept == coded)
 
     def decode_points(self, block: int, start: int, stop: int) -> None:
         """Fill positions and f_dc of a block."""
@@ -188,6 +282,7 @@ class _Blocks:
             if stream in streams
         ]
         states = self.file.section(SectionId.STATES, block)
-        symbols = decode_symbols(states, groups, stop - start, self.tables, f"block {block}")
+        where = f"block {block}"
+        symbols = decode_symbols(states, groups, stop - start, self.tables, where, self.whole)
         for plane, levels, row in zip(symbols, self.levels, self.varying, strict=True):
             np.take(levels, plane, out=self.planes[row][start:stop], mode="clip")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codec.lattice_symbols import shift_context
 from gs_codec.container.file import EgsFile, SectionId
-from gs_codec.container.lattice import PassModels, read_lattice
+from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
 from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.geometry.colour_lattice import decode_colours
@@ -29,33 +29,59 @@ from gs_codec.transform.ycocg import from_ycocg
 _TOO_LARGE = int(4 * LARGEST) << PLACES
 
 
+def lattice_sections(sh_degree: int) -> set[int]:
+    """Sections that each block of a scene has, or that are read for a lower degree."""
+    streams = {item.stream for item in passes(SH_COEFFICIENTS[sh_degree])}
+    listed = {SectionId.of_stream(stream) for stream in streams}
+    return {*listed, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
+
+
+def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lowest and highest x, y, z of the centres of each block, each ``(blocks, 3)``."""
+    lattice, _ = read_lattice(
+        file.section(SectionId.LATTICE), SH_COEFFICIENTS[file.header.sh_degree]
+    )
+    boxes = read_bounds(file.section(SectionId.BOUNDS), file.header.block_count)
+    # As positions are: rounded to float32.
+    corners = [
+        from_grid(part.T, np.array(lattice.grid.origin), lattice.grid.step).T.astype(np.float64)
+        for part in (boxes[:, :3], boxes[:, 3:])
+    ]
+    return corners[0], corners[1]
+
+
 @dataclass(frozen=True)
 class LatticeDecoder:
-    """Decoder of single blocks into the groups of a scene."""
+    """Decoder of single blocks into the groups of a scene.
+
+    ``coefficients`` of SH-AC are coded for each colour, of which ``kept`` are decoded.
+    """
 
     file: EgsFile
     lattice: Lattice
     models: PassModels
     tables: PassTables
     coefficients: int
+    kept: int
     groups: dict[str, NDArray[np.float32]]
 
     @classmethod
-    def of(cls, file: EgsFile) -> LatticeDecoder:
-        """Read how blocks are coded, and make room for what they hold."""
+    def of(cls, file: EgsFile, sh_degree: int, count: int) -> LatticeDecoder:
+        """Read how blocks are coded, and make room for `count` Gaussians of a degree."""
         coefficients = SH_COEFFICIENTS[file.header.sh_degree]
         lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
-        rows = {"positions": 3, "f_dc": 3, "f_rest": 3 * coefficients}
-        rows |= {"opacity": 1, "log_scale": 3, "rot": 4}
-        groups = {g: np.zeros((n, file.header.count), np.float32) for g, n in rows.items()}
+        kept = SH_COEFFICIENTS[sh_degree]
+        rows = {
+            "positions": 3,
+            "f_dc": 3,
+            "f_rest": 3 * kept,
+            "opacity": 1,
+            "log_scale": 3,
+            "rot": 4,
+        }
+        groups = {g: np.zeros((n, count), np.float32) for g, n in rows.items()}
         tables = PassTables.pack(models.tables())
-        return cls(file, lattice, models, tables, coefficients, groups)
-
-    def sections(self) -> set[int]:
-        """Sections that each block has."""
-        streams = {item.stream for item in passes(self.coefficients)}
-        listed = {SectionId.of_stream(stream) for stream in streams}
-        return {*listed, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
+        return cls(file, lattice, models, tables, coefficients, kept, groups)
 
     def decode(self, block: int, start: int, stop: int) -> None:
         """Fill the groups of a block."""
@@ -82,9 +108,9 @@ class LatticeDecoder:
         self.groups["opacity"][0, span] = to_float(shape.opacity)
         self.groups["log_scale"][:, span] = to_float(shape.scales)
         self.groups["rot"][:, span] = quaternions(to_float(shape.vectors))
-        if self.coefficients:
+        if self.kept:
             self._decode_ac(streams, shifts, span, where)
-        streams.finish()
+        streams.finish(whole=self.kept == self.coefficients)
 
     def _classes(self, levels: NDArray[np.int64], kind: int, where: str) -> NDArray[np.int64]:
         if levels.size and not 0 <= levels.min() <= levels.max() < self.lattice.classes[kind]:
@@ -117,13 +143,13 @@ class LatticeDecoder:
             raise CorruptStream(f"{where}: an SH energy out of range")
         some = np.flatnonzero(energy)
         context, scale = energy[some], shifts[some]
-        values = np.zeros((3, self.coefficients, len(some)), np.int64)
-        for band, colour, k in sh_places(self.coefficients):
+        values = np.zeros((3, self.kept, len(some)), np.int64)
+        for band, colour, k in sh_places(self.kept):
             streams.open(f"sh{band}")
             unit = self.lattice.units[f"sh{band}"]
             values[colour, k] = from_lattice(streams.read(context), 0, unit, scale)
-        _check_range(values.reshape(3 * self.coefficients, -1), where)
-        rows = self.groups["f_rest"].reshape(3, self.coefficients, -1)[:, :, span]
+        _check_range(values.reshape(3 * self.kept, -1), where)
+        rows = self.groups["f_rest"].reshape(3, self.kept, -1)[:, :, span]
         rows[:, :, some] = from_ycocg(to_float(values))
 
 
@@ -185,10 +211,11 @@ class _Streams:
         unit = self.decoder.lattice.units["sh-dc"]
         return decode_colours(places, unit, shifts, rows, self.reader, self.bits)
 
-    def finish(self) -> None:
-        """Check that everything is read."""
+    def finish(self, whole: bool) -> None:
+        """Check that everything is read, and how it ends if that is the whole of the block."""
         self._close()
-        self.reader.finish()
+        if whole:
+            self.reader.finish()
 
 
 def _check_range(values, where: str) -> None:

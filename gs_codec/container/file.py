@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -65,7 +65,10 @@ SCENE_SECTIONS = frozenset(
 )
 
 #: Sections that say how the others are coded.
-_DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE, SectionId.BOUNDS})
+DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE, SectionId.BOUNDS})
+
+#: Whether a section, of an id and a block, is to be read.
+Wanted = Callable[[int, int], bool]
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,11 @@ class EgsFile:
     header_size: int
     sizes: dict[tuple[int, int], int] = field(default_factory=dict)
 
+    @property
+    def bytes_read(self) -> int:
+        """Size of the header and of the sections that were read."""
+        return self.header_size + sum(len(data) for data in self.sections.values())
+
     def section(self, section_id: SectionId, block: int = 0) -> memoryview:
         """Bytes of a section that must be there."""
         try:
@@ -150,14 +158,15 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
     return b"".join([head, *(section.data for section in sections)])
 
 
-def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
+def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile:
     """Parse a file and check it.
 
     Parameters
     ----------
     data : bytes
-    header_only : bool
-        Read and return, of the sections, those that say how others are coded alone.
+    wanted : callable, optional
+        ``wanted(id, block)`` tells whether a section is to be read and checked; all are when not
+        given, and those that are not are not touched.
 
     Raises
     ------
@@ -184,7 +193,7 @@ def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
     if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
     header = Header(count, degree, PROFILE_NAMES[profile], block_size, bool(flags))
-    return _read_sections(view, reader.position, header, table, header_only)
+    return _read_sections(view, reader.position, header, table, wanted)
 
 
 def _available(reader: ByteReader, view: memoryview, entries: int) -> int:
@@ -197,7 +206,7 @@ def _available(reader: ByteReader, view: memoryview, entries: int) -> int:
 
 
 def _read_sections(
-    view: memoryview, position: int, header: Header, table: list[tuple], header_only: bool
+    view: memoryview, position: int, header: Header, table: list[tuple], wanted: Wanted | None
 ) -> EgsFile:
     sections: dict[tuple[int, int], memoryview] = {}
     sizes: dict[tuple[int, int], int] = {}
@@ -217,7 +226,7 @@ def _read_sections(
         if (section_id, block) in sizes or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
         sizes[section_id, block] = size
-        if not header_only or section_id in _DESCRIPTIONS:
+        if wanted is None or wanted(section_id, block):
             data = view[position : position + size]
             if crc32c(data) != checksum:
                 raise CorruptStream(f"{where}: checksum does not match")

@@ -129,6 +129,7 @@ def decode_symbols(
     count: int,
     tables: TableSet,
     where: str,
+    whole: bool = True,
 ) -> NDArray[np.uint16]:
     """Symbols ``(C, count)`` of consecutive groups of channels.
 
@@ -144,6 +145,8 @@ def decode_symbols(
         Tables of all channels.
     where : str
         Name of the block in errors.
+    whole : bool
+        Whether these are all groups that were coded.
 
     Raises
     ------
@@ -172,6 +175,6 @@ def decode_symbols(
     decoded = _decode(words, bounds, closed, lane_states, *packed, symbols)
     if decoded < bounds.size:
         raise CorruptStream(f"{where}: channel {decoded} does not end where its words do")
-    if np.any(lane_states != _LOWEST):
+    if whole and np.any(lane_states != _LOWEST):
         raise CorruptStream(f"{where}: the rANS states do not end where they must")
     return symbols

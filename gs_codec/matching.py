@@ -1,0 +1,161 @@
+"""Which Gaussian of a decoded scene is which of the scene it was encoded from.
+
+A decoded PLY has a comment line that tells how it was sorted; sorting the original likewise
+puts the two side by side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gs_codec.codec.order import order_like
+from gs_codec.errors import InvalidInput
+from gs_codec.inspection import Info
+from gs_codec.lattice.lattice import PositionGrid
+from gs_codec.lattice.place import to_grid
+from gs_codec.quantise import fit_range
+from gs_codec.scene import Scene
+from gs_codec.transform.axes import quaternions, sort_axes
+from gs_codec.transform.morton import encode_morton
+
+#: Begins the comment line.
+_MARK = "gs_codec order "
+_GRID = "grid"
+
+_UNRELATED = "neither scene was decoded from the other: compare with the original"
+
+#: Share of Gaussians that rounding to float32 may have moved out of their cells.
+_MOVED = 0.01
+
+
+@dataclass(frozen=True)
+class DepthOrder:
+    """Sorted by quantised positions and SH-DC, of these depths (`paper` profiles)."""
+
+    depths: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return " ".join(map(str, self.depths))
+
+    def apply(self, original: Scene, decoded: Scene) -> Scene:
+        """The original in the decoded scene's order.
+
+        Min-max quantisers keep the extremes, so the decoded scene still has their ranges.
+        """
+        rows = (*decoded.positions, *decoded.f_dc)
+        quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, self.depths, strict=True)]
+        ordered = original.take(order_like(original, quantisers))
+        pairs = zip(ordered.positions, decoded.positions, quantisers[:3], strict=True)
+        for a, b, quantiser in pairs:
+            bound = 0.51 * quantiser.step + np.spacing(np.abs(b).max(initial=0.0))
+            if (np.abs(a.astype(np.float64) - b) > bound).any():
+                raise InvalidInput(_UNRELATED)
+        return ordered
+
+
+@dataclass(frozen=True)
+class GridOrder:
+    """Sorted by cells of a grid (profiles `l`, `m` and `s`), axes by length."""
+
+    grid: PositionGrid
+
+    def __str__(self) -> str:
+        numbers = " ".join(f"{x!r}" for x in (*self.grid.origin, self.grid.step))
+        return f"{_GRID} {numbers} {' '.join(map(str, self.grid.bits))}"
+
+    def apply(self, original: Scene, decoded: Scene) -> Scene:
+        """The original in the decoded scene's order, its axes sorted as they were coded."""
+        codes = self._codes(original)
+        order = np.argsort(codes, kind="stable")
+        codes, coded = codes[order], self._codes(decoded)
+        # Each is alone in its cell, so that it is between what its neighbours decode to.
+        outside = np.count_nonzero(coded[:-1] > codes[1:]) + np.count_nonzero(
+            coded[1:] < codes[:-1]
+        )
+        if outside > _MOVED * original.count:
+            raise InvalidInput(_UNRELATED)
+        ordered = original.take(order)
+        usable = ordered.rot.any(axis=0)
+        identity = np.array([[1], [0], [0], [0]], np.float32)
+        rot = np.where(usable, ordered.rot, identity)
+        _, scales, vectors = sort_axes(ordered.log_scale, rot)
+        return replace(ordered, log_scale=scales.astype(np.float32), rot=quaternions(vectors))
+
+    def _codes(self, scene: Scene) -> np.ndarray:
+        grid = self.grid
+        cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
+        return encode_morton(cells, grid.bits)
+
+
+Order = DepthOrder | GridOrder
+
+
+def order_of_file(info: Info) -> Order:
+    """The order of what a file decodes to."""
+    if info.grid is not None:
+        return GridOrder(info.grid)
+    return DepthOrder(tuple(channel.quantiser.depth for channel in info.channels[:6]))
+
+
+def order_of(scene: Scene) -> Order | None:
+    """The order that a scene's comments tell; None if it is an original.
+
+    Raises
+    ------
+    InvalidInput
+        If the comment makes no sense.
+    """
+    marks = [line for line in scene.comments if line.startswith(_MARK)]
+    if not marks:
+        return None
+    fields = marks[-1].removeprefix(_MARK).split()
+    if fields[:1] == [_GRID]:
+        return GridOrder(_grid_of(marks[-1], fields[1:]))
+    if len(fields) != 6 or not all(field.isdigit() and int(field) <= 21 for field in fields):
+        raise InvalidInput(f"comment '{marks[-1]}': expected six depths")
+    return DepthOrder(tuple(int(field) for field in fields))
+
+
+def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
+    try:
+        x, y, z, step = (float(field) for field in fields[:4])
+        a, b, c = (int(field) for field in fields[4:])
+    except ValueError:
+        raise InvalidInput(f"comment '{mark}': expected four numbers and three depths") from None
+    finite = all(map(math.isfinite, (x, y, z, step))) and step > 0
+    if not finite or not 0 <= min(a, b, c) <= max(a, b, c) <= 21:
+        raise InvalidInput(f"comment '{mark}': a number is out of range")
+    return PositionGrid((x, y, z), step, (a, b, c))
+
+
+def with_order(scene: Scene, order: Order) -> Scene:
+    """The scene with the comment that tells its order."""
+    return replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
+
+
+def without_order(scene: Scene) -> Scene:
+    """The scene without such a comment."""
+    kept = tuple(line for line in scene.comments if not line.startswith(_MARK))
+    return replace(scene, comments=kept)
+
+
+def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
+    """Two scenes of which one may be the other's original, in one order, and what matched them.
+
+    Raises
+    ------
+    InvalidInput
+        If the orders cannot be brought together.
+    """
+    orders = order_of(first), order_of(second)
+    if first.count != second.count or orders[0] == orders[1]:
+        return first, second, "index"
+    if orders[0] is not None and orders[1] is not None:
+        raise InvalidInput("both scenes were reordered, differently: compare with the original")
+    if orders[1] is not None:
+        return orders[1].apply(first, second), second, "stored order"
+    assert orders[0] is not None
+    return first, orders[0].apply(second, first), "stored order"

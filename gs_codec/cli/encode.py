@@ -18,7 +18,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.config import DEPTH_GROUPS, Config
+from gs_codec.config import DEPTH_GROUPS, KNOWN_PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport
 
@@ -28,9 +28,7 @@ def command(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
     profile: Annotated[
         str,
-        typer.Option(
-            "--profile", "-p", help=f"One of {', '.join((*LATTICE_PROFILES, *PROFILES))}."
-        ),
+        typer.Option("--profile", "-p", help=f"One of {', '.join(KNOWN_PROFILES)}."),
     ] = "paper-m",
     depth: Annotated[
         list[str] | None,

@@ -42,23 +42,20 @@ class LatticeProfile:
         far as errors add up.
     compaction : float
         With cameras: strength of SH compaction, see `compact_sh`.
-    sh_ratios : tuple of float
-        Step of each SH band over that of SH-DC.
-    rounding : float
-        Part of a step from which SH-AC are rounded up.
+    fineness : float
+        Without cameras: unit of all steps, see `lattice.blind`.
     """
 
     error: float
     compaction: float
-    sh_ratios: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    rounding: float = 0.5
+    fineness: float
 
 
 LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
     {
-        "l": LatticeProfile(error=5e-6, compaction=3e-6),
-        "m": LatticeProfile(error=2e-5, compaction=1e-5),
-        "s": LatticeProfile(error=8e-5, compaction=4e-5),
+        "l": LatticeProfile(error=3e-6, compaction=3e-6, fineness=0.004),
+        "m": LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0068),
+        "s": LatticeProfile(error=7e-5, compaction=4e-5, fineness=0.016),
     }
 )
 

@@ -19,7 +19,7 @@ from gs_codec.codec.lattice_symbols import (
     dc_pass,
     shape_passes,
 )
-from gs_codec.config import LATTICE_PROFILES, Config, LatticeProfile
+from gs_codec.config import LATTICE_PROFILES, Config
 from gs_codec.container.carried import write_comments, write_extra
 from gs_codec.container.file import Header, Section, SectionId, write_file
 from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
@@ -79,7 +79,7 @@ def encode_lattice(
         with times.stage("recolour"):
             shaped = _recolour(shaped, places, guidance)
     with times.stage("colour"):
-        colours, clamped = _colours(shaped, profile)
+        colours, clamped = _colours(shaped)
         advance = step_counter(progress, "quantise", len(ranges))
         work = list(zip(placed, ranges, strict=True))
         coded = run_all(
@@ -176,7 +176,7 @@ class _Colours:
     ac: NDArray[np.int64]
 
 
-def _colours(shaped: Shaped, profile: LatticeProfile) -> tuple[_Colours, int]:
+def _colours(shaped: Shaped) -> tuple[_Colours, int]:
     """Colours in Y, Co, Cg, SH-AC rounded; and how many values were clamped."""
     scene, units = shaped.scene, shaped.lattice.units
     shifts = _colour_shifts(shaped)
@@ -191,18 +191,15 @@ def _colours(shaped: Shaped, profile: LatticeProfile) -> tuple[_Colours, int]:
         def work(k: int) -> int:
             planes = to_ycocg(scene.f_rest.reshape(3, coefficients, scene.count)[:, k])
             unit = units[f"sh{bands[k]}"]
-            return sum(
-                _round_ac(planes[c], unit, shifts, profile.rounding, LARGEST, levels[c, k])
-                for c in range(3)
-            )
+            return sum(_round_ac(planes[c], unit, shifts, LARGEST, levels[c, k]) for c in range(3))
 
         clamped += sum(run_all(work, range(coefficients)))
     return _Colours(shifts, fixed, levels), clamped
 
 
 @kernel
-def _round_ac(values, unit, shifts, rounding, limit, levels):
-    """Levels of SH-AC, a part of a step below `rounding` being cut off; values clamped."""
+def _round_ac(values, unit, shifts, limit, levels):
+    """Nearest levels of SH-AC; returns how many values were clamped."""
     clamped = 0
     for i in range(len(values)):
         size = abs(values[i])
@@ -210,7 +207,7 @@ def _round_ac(values, unit, shifts, rounding, limit, levels):
             size = limit
             clamped += 1
         step = np.float64(unit << shifts[i]) / (1 << PLACES)
-        level = np.int64(np.floor(size / step + rounding))
+        level = np.int64(np.floor(size / step + 0.5))
         levels[i] = -level if values[i] < 0.0 else level
     return clamped
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from gs_codec.codec.guidance import Guidance
 from gs_codec.config import LatticeProfile
-from gs_codec.lattice.fit import Steps, features, finest_unit, fit_steps, make_rule
-from gs_codec.lattice.fixed import PLACES
+from gs_codec.lattice.blind import SH_RATIO, blind_coefficients
+from gs_codec.lattice.fit import Steps, features, finest_step, fit_steps, make_rule
+from gs_codec.lattice.fixed import LARGEST, PLACES
 from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.place import to_grid
 from gs_codec.lattice.rules import StepRule
@@ -60,7 +61,7 @@ def shape_scene(scene: Scene, profile: LatticeProfile, guidance: Guidance | None
     """Choose the lattices of a scene, sort it, and round its shapes."""
     axes, scales, vectors = sort_axes(scene.log_scale, scene.rot)
     steps = _steps(scene, axes, scales, profile, guidance)
-    lattice = _lattice(scene, scales, steps, profile)
+    lattice = _lattice(scene, scales, steps)
     grid = lattice.grid
     cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
     codes = encode_morton(cells, grid.bits)
@@ -81,7 +82,7 @@ def _steps(
 ) -> Steps:
     if guidance is None or not scene.count:
         none = np.zeros(scene.count, np.int64)
-        return Steps(none, none, profile.coefficients(scales))
+        return Steps(none, none, blind_coefficients(scales, profile.fineness), SH_RATIO)
     sorted_axes = np.take_along_axis(guidance.sensitivity.log_scale, axes.astype(np.int64), 0)
     sensitivity = guidance.sensitivity._replace(log_scale=sorted_axes)
     # What all may add together, over the parameters that there are.
@@ -90,9 +91,7 @@ def _steps(
     return fit_steps(sensitivity, scene.opacity[0], scales, error)
 
 
-def _lattice(
-    scene: Scene, scales: NDArray[np.float64], steps: Steps, profile: LatticeProfile
-) -> Lattice:
+def _lattice(scene: Scene, scales: NDArray[np.float64], steps: Steps) -> Lattice:
     known = features(scene.opacity[0], scales)
 
     def wanted(name: str) -> NDArray[np.float64]:
@@ -108,13 +107,14 @@ def _lattice(
     rules, units = {}, {}
     for group, members in names.items():
         coarsest = _COARSEST[group]
-        unit = min(finest_unit(wanted(name), _FINEST, coarsest) for name in members)
-        units[group] = 1 << (unit + PLACES)
+        finest = min(finest_step(wanted(name), _FINEST, coarsest) for name in members)
+        units[group] = round(2.0 ** (finest + PLACES))
         for name in members:
+            unit = math.log2(units[group]) - PLACES
             rules[name] = make_rule(steps.coefficients[name], unit, coarsest)
     units["sh-dc"] = units.pop("colour")
-    for band, ratio in enumerate(profile.sh_ratios, start=1):
-        units[f"sh{band}"] = max(round(units["sh-dc"] * ratio), 1)
+    for band in (1, 2, 3):
+        units[f"sh{band}"] = max(round(units["sh-dc"] * steps.sh_ratio), 1)
     grid, rules["position"] = _grid(scene, steps, wanted("position"))
     centres = (_median(scene.opacity[0]), _median(scales[0]))
     classes = (
@@ -125,7 +125,8 @@ def _lattice(
 
 
 def _median(values: NDArray) -> int:
-    return round(float(np.median(values)) * (1 << PLACES)) if len(values) else 0
+    middle = float(np.median(values)) if len(values) else 0.0
+    return round(min(max(middle, -LARGEST), LARGEST) * (1 << PLACES))
 
 
 def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[PositionGrid, StepRule]:
@@ -135,8 +136,8 @@ def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[Posi
     low = scene.positions.min(axis=1).astype(np.float64)
     extent = scene.positions.max(axis=1).astype(np.float64) - low
     widest = math.frexp(max(float(extent.max()), 1e-30))[1]
-    unit = finest_unit(wanted, max(widest - _AXIS_BITS, -120), widest)
-    step = math.ldexp(1.0, unit)
+    unit = finest_step(wanted, max(widest - _AXIS_BITS, -120), widest)
+    step = float(np.float32(2.0**unit))
     bits = [math.frexp(size / step)[1] if size > 0 else 0 for size in extent]
     # The middle of the one cell of a flat axis is where it is.
     flat = np.array(bits) == 0

@@ -52,11 +52,14 @@ class Steps:
         Octaves coarser than the finest.
     coefficients : dict of str to ndarray, shape (5,)
         ``log2(step) = class + coefficients @ features`` for each rule.
+    sh_ratio : float
+        Steps of SH-AC over those of SH-DC.
     """
 
     shape_class: NDArray[np.int64]
     colour_class: NDArray[np.int64]
     coefficients: dict[str, NDArray[np.float64]]
+    sh_ratio: float = 1.0
 
 
 def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:
@@ -143,14 +146,14 @@ def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArra
     return np.asarray(fitted, np.float64)
 
 
-def finest_unit(wanted: NDArray[np.float64], lowest: int, highest: int) -> int:
-    """Log2 of the unit that all but a few of the wanted steps (log2) are multiples of."""
-    finest = float(np.quantile(wanted, _FINEST)) if wanted.size else float(highest)
-    return int(np.clip(math.floor(finest), lowest, highest))
+def finest_step(wanted: NDArray[np.float64], lowest: float, highest: float) -> float:
+    """Log2 of the step that all but a few of the wanted ones (log2) are not below."""
+    finest = float(np.quantile(wanted, _FINEST)) if wanted.size else highest
+    return min(max(finest, lowest), highest)
 
 
 def make_rule(
-    coefficients: NDArray[np.float64], unit: int, coarsest: int, thirds: bool = False
+    coefficients: NDArray[np.float64], unit: float, coarsest: float, thirds: bool = False
 ) -> StepRule:
     """The rule for ``log2(step) = class + coefficients @ features``, in integers.
 
@@ -161,7 +164,7 @@ def make_rule(
     numbers = [_fixed(factor * (coefficients[0] - unit) + 0.5)]
     numbers += [_fixed(factor * c) for c in coefficients[1:]]
     scales = (numbers[2], numbers[3], numbers[4])
-    return StepRule(numbers[0], numbers[1], scales, factor * (coarsest - unit))
+    return StepRule(numbers[0], numbers[1], scales, max(math.floor(factor * (coarsest - unit)), 0))
 
 
 def _fixed(number: float) -> int:

@@ -53,9 +53,9 @@ class LatticeProfile:
 
 LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
     {
-        "l": LatticeProfile(error=3e-6, compaction=3e-6, fineness=0.004),
-        "m": LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0068),
-        "s": LatticeProfile(error=7e-5, compaction=4e-5, fineness=0.016),
+        "l": LatticeProfile(error=3e-6, compaction=3e-6, fineness=0.005),
+        "m": LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063),
+        "s": LatticeProfile(error=7e-5, compaction=4e-5, fineness=0.014),
     }
 )
 

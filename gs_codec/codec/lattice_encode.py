@@ -6,6 +6,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from gs_codec.container.file import Header, Section, SectionId, write_file
 from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
 from gs_codec.entropy.passes import PassTables, PassWriter
 from gs_codec.geometry.count_tree import encode_tree
-from gs_codec.kernels import kernel
+from gs_codec.geometry.diffusion import round_diffusing
 from gs_codec.lattice.fixed import LARGEST, PLACES, to_float
 from gs_codec.lattice.place import centres, from_grid
 from gs_codec.lattice.plan import Pass, passes
@@ -83,7 +84,10 @@ def encode_lattice(
         advance = step_counter(progress, "quantise", len(ranges))
         work = list(zip(placed, ranges, strict=True))
         coded = run_all(
-            lambda item: _symbols(shaped, colours, item[0], *item[1]), work, config.threads, advance
+            lambda item: _symbols(shaped, colours, guidance is None, item[0], *item[1]),
+            work,
+            config.threads,
+            advance,
         )
     with times.stage("model"):
         models, costs = _models(shaped, coded, config.threads)
@@ -169,51 +173,38 @@ def _colour_shifts(shaped: Shaped) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class _Colours:
-    """Shifts ``(N,)``, fixed-point SH-DC ``(3, N)``, and levels of SH-AC ``(3, K, N)``."""
+    """Shifts ``(N,)``, fixed-point SH-DC ``(3, N)``, and SH-AC in steps ``(3, K, N)``."""
 
     shifts: NDArray[np.int64]
     dc: NDArray[np.int64]
-    ac: NDArray[np.int64]
+    ac: NDArray[np.float32]
 
 
 def _colours(shaped: Shaped) -> tuple[_Colours, int]:
-    """Colours in Y, Co, Cg, SH-AC rounded; and how many values were clamped."""
+    """Colours in Y, Co, Cg; and how many values were clamped."""
     scene, units = shaped.scene, shaped.lattice.units
     shifts = _colour_shifts(shaped)
     dc = to_ycocg(scene.f_dc)
     clamped = int(np.count_nonzero(np.abs(dc) > LARGEST))
     fixed = np.floor(np.clip(dc, -LARGEST, LARGEST) * (1 << PLACES) + 0.5).astype(np.int64)
     coefficients = len(scene.f_rest) // 3
-    levels = np.zeros((3, coefficients, scene.count), np.int64)
-    if coefficients:
-        bands = [band for band, size in ((1, 3), (2, 5), (3, 7)) for _ in range(size)]
+    ac = np.zeros((3, coefficients, scene.count), np.float32)
 
-        def work(k: int) -> int:
-            planes = to_ycocg(scene.f_rest.reshape(3, coefficients, scene.count)[:, k])
-            unit = units[f"sh{bands[k]}"]
-            return sum(_round_ac(planes[c], unit, shifts, LARGEST, levels[c, k]) for c in range(3))
+    def work(k: int) -> int:
+        planes = to_ycocg(scene.f_rest.reshape(3, coefficients, scene.count)[:, k])
+        band = 1 + (k > 2) + (k > 7)
+        largest = np.clip(planes, -LARGEST, LARGEST)
+        ac[:, k] = largest / to_float(units[f"sh{band}"] << shifts)
+        return int(np.count_nonzero(np.abs(planes) > LARGEST))
 
-        clamped += sum(run_all(work, range(coefficients)))
-    return _Colours(shifts, fixed, levels), clamped
-
-
-@kernel
-def _round_ac(values, unit, shifts, limit, levels):
-    """Nearest levels of SH-AC; returns how many values were clamped."""
-    clamped = 0
-    for i in range(len(values)):
-        size = abs(values[i])
-        if size > limit:
-            size = limit
-            clamped += 1
-        step = np.float64(unit << shifts[i]) / (1 << PLACES)
-        level = np.int64(np.floor(size / step + 0.5))
-        levels[i] = -level if values[i] < 0.0 else level
-    return clamped
+    clamped += sum(run_all(work, range(coefficients)))
+    return _Colours(shifts, fixed, ac), clamped
 
 
-def _symbols(shaped: Shaped, colours: _Colours, placed: _Block, start: int, stop: int) -> _Block:
-    """All passes of a block."""
+def _symbols(
+    shaped: Shaped, colours: _Colours, diffusing: bool, placed: _Block, start: int, stop: int
+) -> _Block:
+    """All passes of a block; errors of SH-AC are diffused where no views have chosen them."""
     classes = shaped.classes[:, start:stop]
     shifts = colours.shifts[start:stop]
     unit = shaped.lattice.units["sh-dc"]
@@ -222,8 +213,15 @@ def _symbols(shaped: Shaped, colours: _Colours, placed: _Block, start: int, stop
         *shape_passes(shaped.quantiser, start, stop),
         dc_pass(placed.places, colours.dc[:, start:stop], unit, shifts),
     ]
-    if colours.ac.shape[1]:
-        listed += ac_passes(colours.ac[:, :, start:stop], shifts)
+    coefficients = colours.ac.shape[1]
+    if coefficients:
+        steps = colours.ac[:, :, start:stop]
+        if diffusing:
+            planes = steps.reshape(3 * coefficients, -1)
+            levels = round_diffusing(placed.places, planes).reshape(steps.shape)
+        else:
+            levels = np.floor(steps + 0.5).astype(np.int64)
+        listed += ac_passes(levels, shifts)
     return replace(placed, passes=listed)
 
 

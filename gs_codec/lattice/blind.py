@@ -19,17 +19,17 @@ _BY_COLOUR = math.log2(1 / 0.28209479177387814)
 #: Constant, then octaves for an octave of opacity (where it is low) and of each scale, longest
 #: first.
 _LEVELS = {
-    "opacity": (-4.0,),
-    "scale_0": (-0.5, 0.75),
-    "scale_1": (-2.875, 0.75, 0.625),
-    "scale_2": (-4.5, 0.75, 0.375, 0.375),
-    "rotation": (-3.25, 0.75, 1.375, -0.375, -0.375),
-    "position": (-3.5, 0.75, 0.125, -0.375, -0.25),
+    "opacity": (-3.0,),
+    "scale_0": (-0.45, 0.75),
+    "scale_1": (-2.75, 0.75, 0.625),
+    "scale_2": (-4.25, 0.75, 0.375, 0.375),
+    "rotation": (-4.0, 0.75, 1.375, -0.375, -0.375),
+    "position": (-2.875, 0.75, 0.125, -0.375, -0.25),
     "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
 }
 
 #: Steps of SH-AC over those of SH-DC.
-SH_RATIO = 0.76
+SH_RATIO = 2.0**-0.25
 
 
 def blind_coefficients(

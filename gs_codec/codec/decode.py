@@ -9,7 +9,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codec.lossless import decode_lossless
 from gs_codec.codec.order import triple_depths
+from gs_codec.config import LOSSLESS
 from gs_codec.container.carried import read_comments, read_extra
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import SCENE_SECTIONS, EgsFile, Header, SectionId, read_file
@@ -49,7 +51,7 @@ def decode_scene(
     Returns
     -------
     Scene
-        In canonical order.
+        In the order of the stream.
 
     Raises
     ------
@@ -59,6 +61,8 @@ def decode_scene(
     header = file.header
     limit = max(DECODED_BYTES, EXPANSION * len(data)) if max_bytes is None else max_bytes
     _check_size(header, limit)
+    if header.profile == LOSSLESS:
+        return _assemble(file, decode_lossless(file, threads, progress))
     channels = read_channels(file.section(SectionId.CHANNELS), SH_COEFFICIENTS[header.sh_degree])
     _check_expected(file, channels)
     blocks = _Blocks.of(file, channels)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
 from crc32c import crc32c
 
+from gs_codec.config import LOSSLESS
 from gs_codec.container.bytes import ByteReader
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import SH_COEFFICIENTS
@@ -19,6 +21,7 @@ MAX_BLOCK_SIZE = 1 << 16
 _FIXED = "<8sHHIQBBHII"
 _ENTRY = "<HHIQI"
 _NORMALS_FLAG = 1
+_ORDER_FLAG = 2
 _OPTIONAL_FLAG = 1
 
 
@@ -37,6 +40,7 @@ class SectionId(IntEnum):
     SH3 = 10
     COMMENTS = 11
     EXTRA = 12
+    BOUNDS = 13
 
     @property
     def label(self) -> str:
@@ -50,7 +54,12 @@ class SectionId(IntEnum):
 
 
 #: Sections of the whole scene; the others are of a block.
-SCENE_SECTIONS = frozenset({SectionId.CHANNELS, SectionId.COMMENTS, SectionId.EXTRA})
+SCENE_SECTIONS = frozenset(
+    {SectionId.CHANNELS, SectionId.COMMENTS, SectionId.EXTRA, SectionId.BOUNDS}
+)
+
+#: Sections that are read with the header alone.
+_HEAD_SECTIONS = (SectionId.CHANNELS, SectionId.BOUNDS)
 
 
 @dataclass(frozen=True)
@@ -62,6 +71,7 @@ class Header:
     profile: str
     block_size: int
     has_normals: bool = False
+    keeps_order: bool = False
 
     @property
     def block_count(self) -> int:
@@ -106,8 +116,23 @@ class EgsFile:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
 
 
-#: Profile numbers in the header; they inform, the decoder does not need them.
-PROFILE_NAMES = ("paper-l", "paper-m", "paper-s")
+#: Profile numbers in the header; the decoder needs to tell `lossless` from the others alone.
+PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", LOSSLESS)
+
+
+def even_block_size(count: int, limit: int) -> int:
+    """Size of blocks as large as the limit allows, all of nearly the same size."""
+    blocks = max(-(-count // limit), 1)
+    return max(-(-count // blocks), 1)
+
+
+def section_sizes(data: bytes, sections: Iterable[Section]) -> dict[str, int]:
+    """Bytes of a file by section, header and section table together first."""
+    sizes = Counter({"header": len(data)})
+    for section in sections:
+        sizes[section.id.label] += len(section.data)
+        sizes["header"] -= len(section.data)
+    return dict(sizes)
 
 
 def write_file(header: Header, sections: Iterable[Section]) -> bytes:
@@ -118,7 +143,7 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
         _FIXED,
         MAGIC,
         VERSION,
-        _NORMALS_FLAG if header.has_normals else 0,
+        _NORMALS_FLAG * header.has_normals | _ORDER_FLAG * header.keeps_order,
         header_size,
         header.count,
         header.sh_degree,
@@ -142,7 +167,7 @@ def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
     ----------
     data : bytes
     header_only : bool
-        Read and return, of the sections, ``CHANNELS`` alone.
+        Read and return, of the sections, ``CHANNELS`` and ``BOUNDS`` alone.
 
     Raises
     ------
@@ -164,11 +189,15 @@ def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
     checksum = crc32c(view[: reader.position])
     if reader.unpack("I")[0] != checksum:
         raise CorruptStream("header: checksum does not match")
-    if flags & ~_NORMALS_FLAG or reserved or profile >= len(PROFILE_NAMES):
+    known = _NORMALS_FLAG | _ORDER_FLAG
+    if flags & ~known or reserved or profile >= len(PROFILE_NAMES):
         raise CorruptStream("header: a reserved field is not 0")
     if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
-    header = Header(count, degree, PROFILE_NAMES[profile], block_size, bool(flags))
+    normals, ordered = bool(flags & _NORMALS_FLAG), bool(flags & _ORDER_FLAG)
+    header = Header(count, degree, PROFILE_NAMES[profile], block_size, normals, ordered)
+    if ordered and header.profile != LOSSLESS:
+        raise CorruptStream(f"header: the order is kept, by profile '{header.profile}'")
     return _read_sections(view, reader.position, header, table, header_only)
 
 
@@ -202,7 +231,7 @@ def _read_sections(
         if (section_id, block) in sizes or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
         sizes[section_id, block] = size
-        if not header_only or section_id == SectionId.CHANNELS:
+        if not header_only or section_id in _HEAD_SECTIONS:
             data = view[position : position + size]
             if crc32c(data) != checksum:
                 raise CorruptStream(f"{where}: checksum does not match")

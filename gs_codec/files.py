@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec.lossless import lossless_order
 from gs_codec.codec.order import order_like
 from gs_codec.config import Config
 from gs_codec.container.file import MAGIC
@@ -31,6 +32,11 @@ if TYPE_CHECKING:
 
 #: Begins the comment line that tells a decoded PLY's order: the depths it was sorted by.
 _ORDER_MARK = "gs_codec order "
+
+_UNRELATED = "neither scene was decoded from the other: compare with the original"
+
+#: Stands for depths where the floats themselves were sorted by.
+_ALL_BITS = (32, 32, 32, 32, 32, 32)
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,9 @@ def encode_file(
     config = config or Config()
     _check_target(source, target)
     start = time.perf_counter()
-    scene = _without_order(read_ply(source, config.extra))
+    scene = read_ply(source, config.extra)
+    if not config.keep_order:
+        scene = _without_order(scene)
     read = time.perf_counter() - start
     with located(source):
         prepared = None
@@ -173,8 +181,8 @@ def decode_file(
 ) -> DecodeReport:
     """Decode an `.egs` file to a PLY file, which appears whole or not at all.
 
-    A comment line in the PLY says in which order the Gaussians are, so that `compare` can
-    match them with the original's.
+    A comment line in the PLY says in which order the Gaussians are, unless it is the
+    original's, so that `compare` can match them.
 
     Raises
     ------
@@ -250,8 +258,11 @@ def _decode_ordered(
     with opened(path) as view, located(path):
         data = bytes(view)
         scene = decode_scene(data, threads, max_bytes, progress)
-        depths = [str(channel.quantiser.depth) for channel in inspect_bytes(data).channels[:6]]
-    mark = _ORDER_MARK + " ".join(depths)
+        info = inspect_bytes(data)
+    if info.keeps_order:
+        return scene
+    depths = [channel.quantiser.depth for channel in info.channels[:6]] or _ALL_BITS
+    mark = _ORDER_MARK + " ".join(str(depth) for depth in depths)
     return replace(scene, comments=(*scene.comments, mark))
 
 
@@ -261,9 +272,10 @@ def _order_of(scene: Scene) -> tuple[int, ...]:
     if not marks:
         return ()
     fields = marks[-1].removeprefix(_ORDER_MARK).split()
-    if len(fields) != 6 or not all(field.isdigit() and int(field) <= 21 for field in fields):
+    depths = tuple(int(field) for field in fields if field.isdigit())
+    if not len(fields) == len(depths) == 6 or (max(depths) > 21 and depths != _ALL_BITS):
         raise InvalidInput(f"comment '{marks[-1]}': expected six depths")
-    return tuple(int(field) for field in fields)
+    return depths
 
 
 def _put_in_order(original: Scene, decoded: Scene, depths: tuple[int, ...]) -> Scene:
@@ -271,13 +283,16 @@ def _put_in_order(original: Scene, decoded: Scene, depths: tuple[int, ...]) -> S
 
     Min-max quantisers keep the extremes, so the decoded scene still has the quantisers' ranges.
     """
+    if depths == _ALL_BITS:
+        ordered = original.take(lossless_order(original))
+        if ordered.positions.tobytes() != decoded.positions.tobytes():
+            raise InvalidInput(_UNRELATED)
+        return ordered
     rows = (*decoded.positions, *decoded.f_dc)
     quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, depths, strict=True)]
     ordered = original.take(order_like(original, quantisers))
     for a, b, quantiser in zip(ordered.positions, decoded.positions, quantisers[:3], strict=True):
         bound = 0.51 * quantiser.step + np.spacing(np.abs(b).max(initial=0.0))
         if (np.abs(a.astype(np.float64) - b) > bound).any():
-            raise InvalidInput(
-                "neither scene was decoded from the other: compare with the original"
-            )
+            raise InvalidInput(_UNRELATED)
     return ordered

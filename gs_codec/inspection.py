@@ -1,11 +1,13 @@
-"""What a file says of itself, read from its header and `channels` section alone."""
+"""What a file says of itself, read from its header and `channels` or `bounds` section alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gs_codec.config import LOSSLESS
+from gs_codec.container.bounds import Bounds, read_bounds
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
-from gs_codec.container.file import VERSION, SectionId, read_file
+from gs_codec.container.file import VERSION, EgsFile, SectionId, read_file
 from gs_codec.scene import SH_COEFFICIENTS
 
 
@@ -24,7 +26,7 @@ class Info:
 
     Attributes
     ----------
-    version, count, sh_degree, profile, blocks, block_size, has_normals
+    version, count, sh_degree, profile, blocks, block_size, has_normals, keeps_order
         As in the header.
     bounds : tuple of two tuples of float
         Lowest and highest x, y, z of the centres.
@@ -34,7 +36,7 @@ class Info:
     streams : tuple of StreamInfo
         In stream order; ``header`` includes the section table.
     channels : tuple of Channel
-        Quantiser and model of each channel.
+        Quantiser and model of each channel; none where every bit is kept.
     """
 
     version: int
@@ -44,7 +46,8 @@ class Info:
     blocks: int
     block_size: int
     has_normals: bool
-    bounds: tuple[tuple[float, ...], tuple[float, ...]]
+    keeps_order: bool
+    bounds: Bounds
     file_bytes: int
     raw_bytes: int
     streams: tuple[StreamInfo, ...]
@@ -64,7 +67,7 @@ class Info:
 
 
 def inspect_bytes(data: bytes | memoryview) -> Info:
-    """Read the header and the `channels` section of a stream; the rest is not touched.
+    """Read the header and what is read with it of a stream; the rest is not touched.
 
     Raises
     ------
@@ -72,15 +75,12 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     """
     file = read_file(data, header_only=True)
     header = file.header
-    coefficients = SH_COEFFICIENTS[header.sh_degree]
-    channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
+    channels, bounds = _channels_and_bounds(file)
     sizes = {"header": file.header_size}
     for (section_id, _), size in sorted(file.sizes.items()):
         known = section_id in set(SectionId)
         label = SectionId(section_id).label if known else f"section {section_id}"
         sizes[label] = sizes.get(label, 0) + size
-    axes = [channel.quantiser for channel in channels[:3]]
-    top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
     return Info(
         version=VERSION,
         count=header.count,
@@ -89,7 +89,8 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         blocks=header.block_count,
         block_size=header.block_size,
         has_normals=header.has_normals,
-        bounds=(tuple(axis.origin for axis in axes), tuple(top)),
+        keeps_order=header.keeps_order,
+        bounds=bounds,
         file_bytes=len(data),
         raw_bytes=header.float_bytes,
         streams=tuple(
@@ -97,6 +98,17 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         ),
         channels=tuple(channels),
     )
+
+
+def _channels_and_bounds(file: EgsFile) -> tuple[list[Channel], Bounds]:
+    """The channels, if there are quantisers, and the box of the centres."""
+    if file.header.profile == LOSSLESS:
+        return [], read_bounds(file.section(SectionId.BOUNDS))
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
+    axes = [channel.quantiser for channel in channels[:3]]
+    top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
+    return channels, (tuple(axis.origin for axis in axes), tuple(top))
 
 
 def _channel_dict(channel: Channel) -> dict:

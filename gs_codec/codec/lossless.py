@@ -11,9 +11,11 @@ from gs_codec.codec.clean import drop_nonfinite
 from gs_codec.codec.stacks import (
     Bits,
     read_guided,
+    read_mask,
     read_quaternions,
     read_stack,
     write_guided,
+    write_mask,
     write_quaternions,
     write_stack,
 )
@@ -33,7 +35,7 @@ from gs_codec.container.file import (
 from gs_codec.errors import CorruptStream
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
-from gs_codec.transform.float_bits import float_order, from_ordered, to_ordered
+from gs_codec.transform.float_bits import float_order
 from gs_codec.workers import run_all
 
 #: Attribute group of each section but those of SH-AC.
@@ -172,7 +174,7 @@ def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
     there = np.any(colours, axis=1)
     mask = b""
     if section_id == SectionId.SH1:
-        mask = write_stack(from_ordered(_mask_of(there))[None])
+        mask = write_mask(np.packbits(there, axis=0, bitorder="little")[0].astype(np.uint32))
     return mask + _encode_colours(colours[:, slice(*_BANDS[section_id])], there)
 
 
@@ -182,11 +184,6 @@ def _encode_colours(colours: Bits, there: NDArray[np.bool_]) -> bytes:
     parts = [write_stack(green[:, there[_GREEN]])]
     parts += [write_guided(colours[c][:, there[c]], green[:, there[c]]) for c in (_RED, _BLUE)]
     return b"".join(parts)
-
-
-def _mask_of(there: NDArray[np.bool_]) -> Bits:
-    """Bit c of each Gaussian ``(n,)``: whether it has colour c."""
-    return np.packbits(there, axis=0, bitorder="little")[0].astype(np.uint32)
 
 
 def _decode_section(
@@ -219,9 +216,7 @@ def _decode_band(
     first = reader
     if section_id != SectionId.SH1:
         first = ByteReader(file.section(SectionId.SH1, block), where)
-    mask = to_ordered(read_stack(first, (1, count), where))[0]
-    if mask.max() > 7:
-        raise CorruptStream(f"{where}: colours {mask.max()} of a Gaussian, expected 0-7")
+    mask = read_mask(first, count, 7, where)
     there = (mask >> np.arange(3, dtype=np.uint32)[:, None] & 1).astype(bool)
     colours = f_rest.reshape(3, -1, count)[:, slice(*_BANDS[section_id])]
     _decode_colours(reader, there, colours, f"section '{section_id.label}' of block {block}")

@@ -61,6 +61,19 @@ def _class_bounds(guide: Bits) -> NDArray[np.int64]:
     return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
 
 
+def write_mask(mask: Bits) -> bytes:
+    """Code small integers ``(n,)``."""
+    return _pack(_code([mask]))
+
+
+def read_mask(reader: ByteReader, count: int, top: int, where: str) -> Bits:
+    """The inverse of `write_mask`, for integers of 0 to `top`."""
+    mask = _read_parts(reader, [count], where)[0]
+    if mask.max(initial=0) > top:
+        raise CorruptStream(f"{where}: mask {mask.max()}, expected at most {top}")
+    return mask
+
+
 def write_stack(columns: Bits) -> bytes:
     """Code the bit patterns ``(C, n)`` of floats column by column."""
     return _pack(_code(to_ordered(columns)))

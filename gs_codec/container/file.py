@@ -189,15 +189,14 @@ def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
     checksum = crc32c(view[: reader.position])
     if reader.unpack("I")[0] != checksum:
         raise CorruptStream("header: checksum does not match")
-    known = _NORMALS_FLAG | _ORDER_FLAG
+    exact = profile == PROFILE_NAMES.index(LOSSLESS)
+    known = _NORMALS_FLAG | _ORDER_FLAG * exact
     if flags & ~known or reserved or profile >= len(PROFILE_NAMES):
         raise CorruptStream("header: a reserved field is not 0")
     if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
     normals, ordered = bool(flags & _NORMALS_FLAG), bool(flags & _ORDER_FLAG)
     header = Header(count, degree, PROFILE_NAMES[profile], block_size, normals, ordered)
-    if ordered and header.profile != LOSSLESS:
-        raise CorruptStream(f"header: the order is kept, by profile '{header.profile}'")
     return _read_sections(view, reader.position, header, table, header_only)
 
 

@@ -1,11 +1,11 @@
-"""What a file says of itself, read from its header and `channels` or `bounds` section alone."""
+"""What a file says of itself, read from its header and `channels` or `box` section alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from gs_codec.config import LOSSLESS
-from gs_codec.container.bounds import Bounds, read_bounds
+from gs_codec.container.box import Box, read_box
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import VERSION, EgsFile, SectionId, read_file
 from gs_codec.scene import SH_COEFFICIENTS
@@ -47,7 +47,7 @@ class Info:
     block_size: int
     has_normals: bool
     keeps_order: bool
-    bounds: Bounds
+    bounds: Box
     file_bytes: int
     raw_bytes: int
     streams: tuple[StreamInfo, ...]
@@ -100,10 +100,10 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     )
 
 
-def _channels_and_bounds(file: EgsFile) -> tuple[list[Channel], Bounds]:
+def _channels_and_bounds(file: EgsFile) -> tuple[list[Channel], Box]:
     """The channels, if there are quantisers, and the box of the centres."""
     if file.header.profile == LOSSLESS:
-        return [], read_bounds(file.section(SectionId.BOUNDS))
+        return [], read_box(file.section(SectionId.BOX))
     coefficients = SH_COEFFICIENTS[file.header.sh_degree]
     channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
     axes = [channel.quantiser for channel in channels[:3]]

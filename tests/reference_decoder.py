@@ -18,8 +18,8 @@ import numpy as np
 from pcodec.wrapped import FileDecompressor
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
-CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOUNDS = 1, 2, 3, 4, 11, 12, 13
-LOSSLESS = 3
+CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOX = 1, 2, 3, 4, 11, 12, 17
+LOSSLESS = 6
 RANS_STREAMS = (5, 6, 7, 8, 9, 10)
 BLOCK_SECTIONS = (GEOMETRY, SH_DC, STATES, *RANS_STREAMS)
 EXTRA_DTYPES = ("<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
@@ -116,7 +116,7 @@ def read_sections(reader, table, blocks):
         check(flags <= 1, f"{place}: reserved bits")
         check((number, block) not in seen, f"{place}: twice")
         seen.add((number, block))
-        known = CHANNELS <= number <= BOUNDS
+        known = CHANNELS <= number <= EXTRA or number == BOX
         check(known or flags == 1, f"{place}: unknown and not optional")
         limit = blocks if number in BLOCK_SECTIONS else 1 if known else max(blocks, 1)
         check(block < limit, f"{place}: no such block")
@@ -533,12 +533,12 @@ def decode_symbol(channel, states, lane, words):
 
 def decode_lossless(sections, count, sh_degree, block_size):
     blocks = -(-count // block_size)
-    check((BOUNDS, 0) in sections, "section 13: missing")
-    bounds = Reader(sections[BOUNDS, 0], "bounds")
-    box = np.array(bounds.take("6f"))
-    check(not bounds.rest() and np.isfinite(box).all() and (box[:3] <= box[3:]).all(), "bounds")
+    check((BOX, 0) in sections, "section 17: missing")
+    reader = Reader(sections[BOX, 0], "box")
+    box = np.array(reader.take("6f"))
+    check(not reader.rest() and np.isfinite(box).all() and (box[:3] <= box[3:]).all(), "box")
     numbers = [GEOMETRY, SH_DC, 5, 6, 7, *range(8, 8 + sh_degree)]
-    found = {key for key in sections if key[0] not in (BOUNDS, COMMENTS, EXTRA)}
+    found = {key for key in sections if key[0] not in (BOX, COMMENTS, EXTRA)}
     check(found == {(n, block) for n in numbers for block in range(blocks)}, "sections of blocks")
     names = [channel.name for channel in channel_list(sh_degree)]
     values = {name: [] for name in names}
@@ -706,7 +706,7 @@ def decode(data):
     if profile == LOSSLESS:
         values = decode_lossless(sections, count, sh_degree, block_size)
         return {**common, "symbols": {}, "values": values}
-    check((BOUNDS, 0) not in sections, "section 13: without profile 3")
+    check((BOX, 0) not in sections, "section 17: without profile 6")
     check((CHANNELS, 0) in sections, "section 1: missing")
     channels = read_channels(sections[CHANNELS, 0], sh_degree)
     blocks = -(-count // block_size)

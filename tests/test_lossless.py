@@ -386,10 +386,10 @@ HOSTILE = {
         lambda _: columns(np.random.default_rng(82).integers(0, 1 << 32, 40, np.uint32)),
         "section 'opacity' of block 0: ",
     ),
-    "short bounds": (SectionId.BOUNDS, lambda good: good[4:], "20 bytes, expected 24"),
-    "bounds": (SectionId.BOUNDS, lambda good: good[12:] + good[:12], "is no box"),
-    "infinite bounds": (
-        SectionId.BOUNDS,
+    "short box": (SectionId.BOX, lambda good: good[4:], "20 bytes, expected 24"),
+    "turned box": (SectionId.BOX, lambda good: good[12:] + good[:12], "is no box"),
+    "infinite box": (
+        SectionId.BOX,
         lambda good: good[:20] + struct.pack("<f", np.inf),
         "is no box",
     ),
@@ -413,7 +413,7 @@ def test_hostile_sections_are_refused(stream, name):
         decode_scene(with_section(stream, section_id, change(good)))
 
 
-@pytest.mark.parametrize("present", [SectionId.OPACITY, SectionId.BOUNDS])
+@pytest.mark.parametrize("present", [SectionId.OPACITY, SectionId.BOX])
 def test_a_missing_section_is_refused(stream, present):
     data = bytearray(stream)
     for entry in range(HEADER, read_file(stream).header_size - 4, ENTRY):
@@ -433,7 +433,7 @@ def test_a_section_of_other_profiles_is_refused(stream, other):
         decode_scene(with_checksums(data))
 
 
-def test_other_profiles_have_no_bounds_and_no_order_of_the_input():
+def test_other_profiles_have_no_box_and_no_order_of_the_input():
     lossy = encode_scene(replace(random_scene(20, 1, 81), comments=("one",)))[0]
     data = bytearray(lossy)
     data[10] |= 2
@@ -441,8 +441,8 @@ def test_other_profiles_have_no_bounds_and_no_order_of_the_input():
         decode_scene(with_checksums(data))
     data = bytearray(lossy)
     last = read_file(lossy).header_size - 4 - ENTRY
-    struct.pack_into("<H", data, last, SectionId.BOUNDS)
-    with pytest.raises(CorruptStream, match="section 'bounds' of block 0: nothing is coded there"):
+    struct.pack_into("<H", data, last, SectionId.BOX)
+    with pytest.raises(CorruptStream, match="section 'box' of block 0: nothing is coded there"):
         decode_scene(with_checksums(data))
 
 

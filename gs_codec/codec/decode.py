@@ -88,9 +88,7 @@ def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
     expected = {SectionId.of_stream(stream) for stream in streams}
     if streams & set(RANS_STREAMS):
         expected.add(SectionId.STATES)
-    found = [
-        place for place in file.sections if place[0] not in SCENE_SECTIONS - {SectionId.BOUNDS}
-    ]
+    found = [place for place in file.sections if place[0] not in SCENE_SECTIONS - {SectionId.BOX}]
     for section_id, block in found:
         if section_id not in expected:
             label = SectionId(section_id).label

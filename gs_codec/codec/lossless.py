@@ -20,7 +20,7 @@ from gs_codec.codec.stacks import (
     write_stack,
 )
 from gs_codec.config import Config
-from gs_codec.container.bounds import read_bounds, write_bounds
+from gs_codec.container.box import read_box, write_box
 from gs_codec.container.bytes import ByteReader
 from gs_codec.container.carried import carried_sections
 from gs_codec.container.file import (
@@ -77,8 +77,8 @@ def encode_lossless(
     with times.stage("code"):
         sections = _encode_blocks(scene, header, order, config.threads, progress)
     with times.stage("container"):
-        bounds = Section(SectionId.BOUNDS, 0, write_bounds(scene.positions))
-        sections = [bounds, *sections, *carried_sections(scene, order)]
+        box = Section(SectionId.BOX, 0, write_box(scene.positions))
+        sections = [box, *sections, *carried_sections(scene, order)]
         data = write_file(header, sections)
     return data, EncodeReport(
         count=scene.count,
@@ -124,7 +124,7 @@ def lossless_order(scene: Scene) -> NDArray[np.int64]:
 
 def _check_expected(file: EgsFile, sections: list[SectionId]) -> None:
     """Refuse a file whose sections are not exactly those of this profile."""
-    wanted = {*sections, SectionId.BOUNDS}
+    wanted = {*sections, SectionId.BOX}
     for section_id, block in file.sections:
         if section_id not in wanted | {SectionId.COMMENTS, SectionId.EXTRA}:
             label = SectionId(section_id).label
@@ -133,7 +133,7 @@ def _check_expected(file: EgsFile, sections: list[SectionId]) -> None:
     needed = len(sections) * file.header.block_count
     if found != needed:
         raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
-    read_bounds(file.section(SectionId.BOUNDS))
+    read_box(file.section(SectionId.BOX))
 
 
 def _encode_blocks(

@@ -40,7 +40,7 @@ class SectionId(IntEnum):
     SH3 = 10
     COMMENTS = 11
     EXTRA = 12
-    BOUNDS = 13
+    BOX = 17
 
     @property
     def label(self) -> str:
@@ -54,12 +54,10 @@ class SectionId(IntEnum):
 
 
 #: Sections of the whole scene; the others are of a block.
-SCENE_SECTIONS = frozenset(
-    {SectionId.CHANNELS, SectionId.COMMENTS, SectionId.EXTRA, SectionId.BOUNDS}
-)
+SCENE_SECTIONS = frozenset({SectionId.CHANNELS, SectionId.COMMENTS, SectionId.EXTRA, SectionId.BOX})
 
 #: Sections that are read with the header alone.
-_HEAD_SECTIONS = (SectionId.CHANNELS, SectionId.BOUNDS)
+_HEAD_SECTIONS = (SectionId.CHANNELS, SectionId.BOX)
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ class EgsFile:
 
 
 #: Profile numbers in the header; the decoder needs to tell `lossless` from the others alone.
-PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", LOSSLESS)
+PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
 
 
 def even_block_size(count: int, limit: int) -> int:
@@ -167,7 +165,7 @@ def read_file(data: bytes | memoryview, header_only: bool = False) -> EgsFile:
     ----------
     data : bytes
     header_only : bool
-        Read and return, of the sections, ``CHANNELS`` and ``BOUNDS`` alone.
+        Read and return, of the sections, ``CHANNELS`` and ``BOX`` alone.
 
     Raises
     ------

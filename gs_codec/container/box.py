@@ -1,4 +1,4 @@
-"""The ``bounds`` section: the box of a scene whose quantisers do not tell it."""
+"""The ``box`` section: the box of a scene whose quantisers do not tell it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from gs_codec.errors import CorruptStream
 
 _LAYOUT = "<6f"
 
-Bounds = tuple[tuple[float, ...], tuple[float, ...]]
+Box = tuple[tuple[float, ...], tuple[float, ...]]
 
 
-def write_bounds(positions: NDArray[np.float32]) -> bytes:
+def write_box(positions: NDArray[np.float32]) -> bytes:
     """Serialise the box of the finite coordinates of ``positions (3, N)``; zeros without any."""
     finite = [row[np.isfinite(row)] for row in positions]
     # Adding 0 makes one zero of the two: which of them is least depends on the machine.
@@ -23,7 +23,7 @@ def write_bounds(positions: NDArray[np.float32]) -> bytes:
     return struct.pack(_LAYOUT, *low, *high)
 
 
-def read_bounds(data: memoryview) -> Bounds:
+def read_box(data: memoryview) -> Box:
     """Lowest and highest x, y, z.
 
     Raises
@@ -32,9 +32,9 @@ def read_bounds(data: memoryview) -> Bounds:
     """
     if len(data) != struct.calcsize(_LAYOUT):
         size = struct.calcsize(_LAYOUT)
-        raise CorruptStream(f"section 'bounds': {len(data)} bytes, expected {size}")
+        raise CorruptStream(f"section 'box': {len(data)} bytes, expected {size}")
     values = struct.unpack(_LAYOUT, data)
     low, high = values[:3], values[3:]
     if not np.isfinite(values).all() or any(a > b for a, b in zip(low, high, strict=True)):
-        raise CorruptStream(f"section 'bounds': {low} to {high} is no box")
+        raise CorruptStream(f"section 'box': {low} to {high} is no box")
     return low, high

@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.lattice_decode import LatticeDecoder, block_boxes, lattice_sections
+from gs_codec.codec.lattice_decode import block_boxes, decode_lattice, lattice_sections
+from gs_codec.codec.lossless import block_sections, decode_lossless
 from gs_codec.codec.order import triple_depths
 from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS
 from gs_codec.container.carried import read_comments, read_extra
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import (
@@ -74,7 +75,7 @@ def decode_part(
     Returns
     -------
     scene : Scene
-        In canonical order.
+        In the order of the stream.
     bytes_read : int
 
     Raises
@@ -94,8 +95,15 @@ def decode_part(
             section not in unread and (section in SCENE_SECTIONS or int(block) in blocks)
         ),
     )
-    decode = _decode_lattice if header.profile in LATTICE_PROFILES else _decode_channels
-    groups = decode(file, sorted(blocks), degree, threads, progress)
+    spans = _spans(header, sorted(blocks))
+    if header.profile == LOSSLESS:
+        _check_sections(file, set(block_sections(header.sh_degree)))
+        groups = decode_lossless(file, spans, degree, threads, progress)
+    elif header.profile in LATTICE_PROFILES:
+        _check_sections(file, lattice_sections(header.sh_degree))
+        groups = decode_lattice(file, spans, degree, threads, progress)
+    else:
+        groups = _decode_channels(file, spans, degree, threads, progress)
     scene = _assemble(file, groups, sorted(blocks))
     if part.box is not None:
         scene = scene.take(part.contains(scene.positions))
@@ -110,36 +118,19 @@ def _chosen_blocks(file: EgsFile, part: Part) -> set[int]:
     return {int(block) for block in np.flatnonzero(part.meets(*block_boxes(file)))}
 
 
-def _spans(header: Header, blocks: list[int]) -> list[tuple[int, int]]:
+def _spans(header: Header, blocks: list[int]) -> dict[int, slice]:
     """Where the Gaussians of chosen blocks go."""
-    spans, end = [], 0
+    spans, end = {}, 0
     for block in blocks:
         start, stop = header.block_range(block)
-        spans.append((end, end + stop - start))
+        spans[block] = slice(end, end + stop - start)
         end += stop - start
     return spans
 
 
-def _decode_lattice(
-    file: EgsFile,
-    blocks: list[int],
-    degree: int,
-    threads: int | None,
-    progress: Progress | None,
-) -> dict[str, NDArray[np.float32]]:
-    spans = _spans(file.header, blocks)
-    decoder = LatticeDecoder.of(file, degree, spans[-1][1] if spans else 0)
-    _check_sections(file, lattice_sections(file.header.sh_degree))
-    jobs = [
-        partial(decoder.decode, block, *span) for block, span in zip(blocks, spans, strict=True)
-    ]
-    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
-    return decoder.groups
-
-
 def _decode_channels(
     file: EgsFile,
-    blocks: list[int],
+    spans: dict[int, slice],
     degree: int,
     threads: int | None,
     progress: Progress | None,
@@ -148,11 +139,10 @@ def _decode_channels(
         file.section(SectionId.CHANNELS), SH_COEFFICIENTS[file.header.sh_degree]
     )
     _check_expected(file, channels)
-    spans = _spans(file.header, blocks)
     decoder = _Blocks.of(file, channels, degree)
     jobs = [
-        partial(stage, block, *span)
-        for block, span in zip(blocks, spans, strict=True)
+        partial(stage, block, span.start, span.stop)
+        for block, span in spans.items()
         for stage in (decoder.decode_points, decoder.decode_attributes)
     ]
     run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))

@@ -97,10 +97,11 @@ def decode_part(
     )
     spans = _spans(header, sorted(blocks))
     if header.profile == LOSSLESS:
-        _check_sections(file, set(block_sections(header.sh_degree)))
+        _check_sections(file, {SectionId.BOX}, set(block_sections(header.sh_degree)))
         groups = decode_lossless(file, spans, degree, threads, progress)
     elif header.profile in LATTICE_PROFILES:
-        _check_sections(file, lattice_sections(header.sh_degree))
+        own = {SectionId.LATTICE, SectionId.BOUNDS}
+        _check_sections(file, own, lattice_sections(header.sh_degree))
         groups = decode_lattice(file, spans, degree, threads, progress)
     else:
         groups = _decode_channels(file, spans, degree, threads, progress)
@@ -162,20 +163,21 @@ def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
     expected = {SectionId.of_stream(stream) for stream in streams}
     if streams & set(RANS_STREAMS):
         expected.add(SectionId.STATES)
-    _check_sections(file, expected)
+    _check_sections(file, {SectionId.CHANNELS}, expected)
 
 
-def _check_sections(file: EgsFile, expected: set) -> None:
-    """Refuse a file whose blocks do not have exactly the sections expected."""
-    known = set(SectionId)
-    found = [place for place in file.sizes if place[0] in known - SCENE_SECTIONS]
-    for section_id, block in found:
+def _check_sections(file: EgsFile, own: set[SectionId], expected: set[SectionId]) -> None:
+    """Refuse a file that has not exactly a profile's `own` sections, and those of blocks."""
+    for section_id, block in file.sizes:
+        if section_id not in set(SectionId) - own - {SectionId.COMMENTS, SectionId.EXTRA}:
+            continue
         if section_id not in expected:
             label = SectionId(section_id).label
             raise CorruptStream(f"section '{label}' of block {block}: nothing is coded there")
-    if len(found) != len(expected) * file.header.block_count:
+    found = sum(section_id in expected for section_id, _ in file.sizes)
+    if found != len(expected) * file.header.block_count:
         needed = len(expected) * file.header.block_count
-        raise CorruptStream(f"header: {len(found)} sections of blocks, expected {needed}")
+        raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
 
 
 def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: list[int]) -> Scene:

@@ -32,7 +32,7 @@ from gs_codec.workers import run_all
 _TOO_LARGE = int(4 * LARGEST) << PLACES
 
 
-def lattice_sections(sh_degree: int) -> set[int]:
+def lattice_sections(sh_degree: int) -> set[SectionId]:
     """Sections that each block of a scene has, or that are read for a lower degree."""
     streams = {item.stream for item in passes(SH_COEFFICIENTS[sh_degree])}
     listed = {SectionId.of_stream(stream) for stream in streams}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.geometry.colour import NEIGHBOURS, find_nearest
+from gs_codec.geometry.colour import NEIGHBOURS, WINDOW, find_nearest
 from gs_codec.kernels import kernel
 
 #: Share of the neighbours' errors that a Gaussian takes over.
@@ -21,9 +21,10 @@ def _diffuse(cells, values, share, levels):
     near = np.zeros(NEIGHBOURS, np.int64)
     distances = np.zeros(NEIGHBOURS, np.int64)
     weights = np.zeros(NEIGHBOURS)
+    window = np.empty(WINDOW)
     errors = np.zeros((count, channels), np.float32)
     for i in range(count):
-        found = find_nearest(cells, i, near, distances)
+        found = find_nearest(cells, i, near, distances, window)
         total = 0.0
         for k in range(found):
             weights[k] = 1.0 / (1.0 + distances[0] + distances[k])

@@ -81,7 +81,7 @@ class EncodeReport:
     def entropy_overhead(self) -> float:
         """Size of words, states, models and quantisers over Shannon entropy, less 1."""
         entropy = sum(cost.shannon_bits for cost in self.costs)
-        coded = {cost.stream for cost in self.costs} | {"states", "channels"}
+        coded = {cost.stream for cost in self.costs} | {"states", "channels", "lattice"}
         bits = 8 * sum(self.section_bytes.get(name, 0) for name in coded)
         return bits / entropy - 1 if entropy else 0.0
 

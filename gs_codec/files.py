@@ -111,7 +111,8 @@ def prepare_file(
     config = Config(extra="keep")
     with located(source):
         scene, prepared = _prepare(scene, plan, report_folder, progress)
-        data, report = encode_scene(scene, config)
+        guide = guide_of(scene, plan, config, progress, prepared.views)
+        data, report = encode_scene(scene, config, guide=guide)
         prepared = _finish_report(prepared, scene, config, data, report, report_folder)
     if suffix == ".ply":
         write_ply(target, scene)

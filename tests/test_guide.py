@@ -1,0 +1,159 @@
+"""Encoding by views: bits go where cameras look, and colours make up for what shapes lose."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import gs_codec
+from gs_codec.cli.main import app
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.errors import InvalidInput
+from gs_codec.files import encode_file, guide_of, read_scene
+from gs_codec.inspection import inspect_bytes
+from gs_codec.io.ply import write_ply
+from gs_codec.preparation.guide import guide
+from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.targets import Targets, draw_targets
+from gs_codec.rendering.camera import Camera
+from gs_codec.scene import GROUPS, Scene
+from samples.generate import generate, orbit_cameras
+
+
+def cameras(count: int, width: int = 90, height: int = 60) -> list[Camera]:
+    return [
+        Camera(
+            f"{i}", width, height, c["fx"], c["fy"], width / 2, height / 2,
+            np.array(c["rotation"]).T, np.array(c["position"]), "test" if i % 3 == 1 else "train",
+        )
+        for i, c in enumerate(orbit_cameras(count, width, height))
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return generate(4000, 2, 5)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return Plan(Steps(), cameras(18))
+
+
+def quality(original: Scene, decoded: Scene, views: list[Camera]) -> float:
+    return draw_targets(original, views, (0, 0, 0)).quality(decoded).psnr
+
+
+def test_by_views_the_same_bytes_show_more(scene, plan):
+    held_out = [camera for camera in plan.cameras if camera.split == "test"]
+    blind = {p: encode_scene(scene, Config(p))[0] for p in LATTICE_PROFILES}
+    guided = encode_scene(scene, Config("m"), guide=guide_of(scene, plan, Config("m")))[0]
+    shown = quality(scene, decode_scene(guided), held_out)
+    for profile, data in blind.items():
+        if quality(scene, decode_scene(data), held_out) >= shown:
+            assert len(data) > 1.1 * len(guided), profile
+    assert quality(scene, decode_scene(blind["l"]), held_out) >= shown, "nothing is compared"
+
+
+def test_profiles_are_in_order(scene, plan):
+    held_out = [camera for camera in plan.cameras if camera.split == "test"]
+    sizes, shown = [], []
+    for profile in ("l", "m", "s"):
+        config = Config(profile)
+        data, _ = encode_scene(scene, config, guide=guide_of(scene, plan, config))
+        sizes.append(len(data))
+        shown.append(quality(scene, decode_scene(data), held_out))
+    assert sizes == sorted(sizes, reverse=True)
+    assert shown == sorted(shown, reverse=True)
+
+
+def test_threads_do_not_change_the_bytes(scene, plan):
+    streams = set()
+    for threads in (1, 2, 5):
+        config = Config("m", threads=threads)
+        streams.add(encode_scene(scene, config, guide=guide_of(scene, plan, config))[0])
+    assert len(streams) == 1
+
+
+def test_colours_make_up_for_what_shapes_lose(scene, plan):
+    views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    found = guide(scene, views, LATTICE_PROFILES["m"])
+    rng = np.random.default_rng(7)
+    noise = rng.normal(scale=0.2, size=scene.opacity.shape).astype(np.float32)
+    worse = replace(scene, opacity=scene.opacity + noise)
+    mended = found.recolour(worse, np.full(scene.count, 1e-4, np.float32))
+    assert views.error(mended) < 0.8 * views.error(worse)
+    for group in set(GROUPS) - {"f_dc", "f_rest"}:
+        np.testing.assert_array_equal(getattr(mended, group), getattr(worse, group))
+
+
+def test_coarse_steps_leave_few_coefficients(scene, plan):
+    views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    found = guide(scene, views, LATTICE_PROFILES["m"])
+    steps = np.where(np.arange(scene.count) % 2, 1e3, 1e-3).astype(np.float32)
+    coloured = found.recolour(scene, steps)
+    assert not coloured.f_rest[:, 1::2].any()
+    assert coloured.f_rest[:, ::2].any()
+
+
+def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
+    whole = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    pruned = scene.take(np.arange(scene.count) % 3 > 0)
+    assert guide(scene, whole, LATTICE_PROFILES["m"]).loss == 0.0
+    assert guide(pruned, whole, LATTICE_PROFILES["m"]).loss == pytest.approx(whole.error(pruned))
+
+    def opacity_bytes(targets: Targets) -> int:
+        found = guide(pruned, targets, LATTICE_PROFILES["m"])
+        unchanged = replace(found, recolour=lambda decoded, steps: decoded)
+        return encode_scene(pruned, Config("m"), guide=lambda _: unchanged)[1].section_bytes[
+            "opacity"
+        ]
+
+    own = draw_targets(pruned, plan.cameras, (0.0, 0.0, 0.0))
+    assert opacity_bytes(whole) < opacity_bytes(own)
+
+
+def test_only_profiles_that_ask_are_guided(scene, plan):
+    assert guide_of(scene, plan, Config("paper-m")) is None
+    assert guide_of(scene, plan, Config("lossless")) is None
+    assert guide_of(scene.take(np.arange(0)), plan, Config("m")) is None
+
+
+def test_files_api_and_command_line_agree(scene, plan, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_ply("scene.ply", scene)
+    with open("cameras.json", "w") as file:
+        json.dump(orbit_cameras(9, 90, 60), file)
+    options = ["encode", "scene.ply", "cli.egs", "-p", "m", "--cameras", "cameras.json"]
+    result = CliRunner().invoke(app, options)
+    assert result.exit_code == 0, result.output
+    encode_file("scene.ply", "file.egs", Config("m"), plan=Plan(Steps(), "cameras.json"))
+    stream = gs_codec.encode(gs_codec.read("scene.ply"), Config("m"), "cameras.json")
+    assert (tmp_path / "cli.egs").read_bytes() == (tmp_path / "file.egs").read_bytes() == stream
+    classes = {p.name: p.tables for p in inspect_bytes(stream).passes}
+    assert classes["colour class"] > 0
+    assert stream != encode_scene(scene, Config("m"))[0]
+
+
+def test_pruned_and_encoded_by_the_same_views(scene, plan, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_ply("scene.ply", scene)
+    pruning = replace(plan, steps=Steps(prune_loo=40.0))
+    report = encode_file("scene.ply", "out.egs", Config("m"), plan=pruning, report_folder="report")
+    assert report.count == scene.count - 1600
+    assert read_scene("out.egs").count == report.count
+    told = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert told["steps"][-1]["gaussians"] == report.count
+
+
+def test_photographs_without_a_step_are_refused(tmp_path):
+    options = ["encode", "a.ply", "b.egs", "--cameras", "auto", "--against-gt", str(tmp_path)]
+    result = CliRunner().invoke(app, options)
+    assert isinstance(result.exception, InvalidInput)
+    assert "--against-gt needs a step" in str(result.exception)

@@ -149,7 +149,8 @@ def test_pruned_and_encoded_by_the_same_views(scene, plan, tmp_path, monkeypatch
     assert report.count == scene.count - 1600
     assert read_scene("out.egs").count == report.count
     told = json.loads((tmp_path / "report" / "report.json").read_text())
-    assert told["steps"][-1]["gaussians"] == report.count
+    assert told["steps"][-1]["name"] == "coding (m)"
+    assert told["steps"][-1]["size_bytes"] == (tmp_path / "out.egs").stat().st_size
 
 
 def test_photographs_without_a_step_are_refused(tmp_path):

@@ -15,7 +15,7 @@ from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
 #: Conjugate-gradient steps of the refit.
-_REFIT = 6
+_REFIT = 10
 
 
 def guide(

@@ -38,12 +38,12 @@ def cameras(count: int, width: int = 90, height: int = 60) -> list[Camera]:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return generate(4000, 2, 5)
+    return generate(2500, 2, 5)
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return Plan(Steps(), cameras(18))
+    return Plan(Steps(), cameras(12))
 
 
 def quality(original: Scene, decoded: Scene, views: list[Camera]) -> float:
@@ -146,7 +146,7 @@ def test_pruned_and_encoded_by_the_same_views(scene, plan, tmp_path, monkeypatch
     write_ply("scene.ply", scene)
     pruning = replace(plan, steps=Steps(prune_loo=40.0))
     report = encode_file("scene.ply", "out.egs", Config("m"), plan=pruning, report_folder="report")
-    assert report.count == scene.count - 1600
+    assert report.count == scene.count - 1000
     assert read_scene("out.egs").count == report.count
     told = json.loads((tmp_path / "report" / "report.json").read_text())
     assert told["steps"][-1]["name"] == "coding (m)"

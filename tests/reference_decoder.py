@@ -16,9 +16,10 @@ from itertools import pairwise
 import numpy as np
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
-CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA = 1, 2, 3, 4, 11, 12
+CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOUNDS = 1, 2, 3, 4, 11, 12, 16
 RANS_STREAMS = (5, 6, 7, 8, 9, 10)
 BLOCK_SECTIONS = (GEOMETRY, SH_DC, STATES, *RANS_STREAMS)
+BLOCK_SECTIONS_OF_LATTICES = (14, 15)
 EXTRA_DTYPES = ("<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 LANES = 32
 STATE_MIN = 1 << 16
@@ -84,7 +85,7 @@ def crc32c(data):
 
 
 def read_header(data):
-    """Return flags, count, sh_degree, block_size, and sections as {(id, block): bytes}."""
+    """Return flags, count, sh_degree, profile, block_size, {(id, block): bytes of section}."""
     reader = Reader(data, "header")
     check(reader.bytes(8) == MAGIC, "magic: not an .egs file")
     version, flags, header_size = reader.take("HHI")
@@ -97,12 +98,12 @@ def read_header(data):
     check(reader.take("I") == crc32c(data[: header_size - 4]), "header: checksum")
     check(flags <= 1 and reserved == 0, "header: reserved bits")
     check(
-        sh_degree <= 3 and profile <= 2 and 1 <= block_size <= 65536,
+        sh_degree <= 3 and profile <= 5 and 1 <= block_size <= 65536,
         "header: SH degree, profile or block size",
     )
     sections = read_sections(reader, table, -(-count // block_size))
     check(not reader.rest(), "bytes after the last section")
-    return flags, count, sh_degree, block_size, sections
+    return flags, count, sh_degree, profile, block_size, sections
 
 
 def read_sections(reader, table, blocks):
@@ -113,9 +114,10 @@ def read_sections(reader, table, blocks):
         check(flags <= 1, f"{place}: reserved bits")
         check((number, block) not in seen, f"{place}: twice")
         seen.add((number, block))
-        known = CHANNELS <= number <= EXTRA
+        known = CHANNELS <= number <= BOUNDS
         check(known or flags == 1, f"{place}: unknown and not optional")
-        limit = blocks if number in BLOCK_SECTIONS else 1 if known else max(blocks, 1)
+        of_block = number in (*BLOCK_SECTIONS, *BLOCK_SECTIONS_OF_LATTICES)
+        limit = blocks if of_block else 1 if known else max(blocks, 1)
         check(block < limit, f"{place}: no such block")
         if known:
             sections[number, block] = content
@@ -127,6 +129,7 @@ def check_presence(sections, channels, blocks):
     if needed & set(RANS_STREAMS):
         needed.add(STATES)
     found = [number for number, _ in sections]
+    check(CHANNELS in found and not any(13 <= number <= BOUNDS for number in found), "sections")
     for number in BLOCK_SECTIONS:
         expected = blocks if number in needed else 0
         text = f"section {number}: in {found.count(number)} blocks, expected {expected}"
@@ -564,15 +567,34 @@ def decode(data):
     -------
     dict
         count, sh_degree, has_normals, comments (list of str), extra (name -> array),
-        symbols (PLY property -> list of int, constant channels absent) and values
-        (PLY property -> float32 array), all in stream order.
+        symbols (PLY property -> list of int; constant channels absent, and all of lattices) and
+        values (PLY property -> float32 array), all in stream order.
 
     Raises
     ------
     ValueError
         The file is truncated, corrupt or of another version.
     """
-    flags, count, sh_degree, block_size, sections = read_header(data)
+    from reference_lattice import lattice_values
+
+    flags, count, sh_degree, profile, block_size, sections = read_header(data)
+    if profile >= 3:
+        symbols, values = {}, lattice_values(count, sh_degree, block_size, sections)
+    else:
+        symbols, values = channels_of_file(count, sh_degree, block_size, sections)
+    return {
+        "count": count,
+        "sh_degree": sh_degree,
+        "has_normals": bool(flags & 1),
+        "comments": read_comments(sections[COMMENTS, 0]) if (COMMENTS, 0) in sections else [],
+        "extra": read_extra(sections[EXTRA, 0], count) if (EXTRA, 0) in sections else {},
+        "symbols": symbols,
+        "values": values,
+    }
+
+
+def channels_of_file(count, sh_degree, block_size, sections):
+    """Return symbols and float32 values of each channel."""
     check((CHANNELS, 0) in sections, "section 1: missing")
     channels = read_channels(sections[CHANNELS, 0], sh_degree)
     blocks = -(-count // block_size)
@@ -582,15 +604,7 @@ def decode(data):
         points = min(block_size, count - block * block_size)
         for name, values in decode_block(sections, block, channels, points).items():
             symbols[name] += values
-    return {
-        "count": count,
-        "sh_degree": sh_degree,
-        "has_normals": bool(flags & 1),
-        "comments": read_comments(sections[COMMENTS, 0]) if (COMMENTS, 0) in sections else [],
-        "extra": read_extra(sections[EXTRA, 0], count) if (EXTRA, 0) in sections else {},
-        "symbols": symbols,
-        "values": {c.name: channel_values(c, symbols.get(c.name), count) for c in channels},
-    }
+    return symbols, {c.name: channel_values(c, symbols.get(c.name), count) for c in channels}
 
 
 def decode_block(sections, block, channels, points):

@@ -24,7 +24,6 @@ from gs_codec.config import Config  # noqa: E402
 from gs_codec.container.file import VERSION  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
 
-
 #: What tells the encoder of what views see, by name.
 GUIDES = {"guided": made_up_guide(seed=103)}
 

@@ -54,7 +54,8 @@ class EncodeReport:
     costs : list of ChannelCost
         Code lengths of the rANS-coded channels beside their entropy.
     rectified : int
-        SH-AC values moved to the edge of their Laplace range.
+        SH-AC values moved to the edge of their Laplace range; of profiles `l`, `m` and `s`, all
+        values moved to the largest that lattices have.
     zero_quaternions : int
         Quaternions of norm 0, coded as the identity.
     dropped : int
@@ -81,7 +82,7 @@ class EncodeReport:
     def entropy_overhead(self) -> float:
         """Size of words, states, models and quantisers over Shannon entropy, less 1."""
         entropy = sum(cost.shannon_bits for cost in self.costs)
-        coded = {cost.stream for cost in self.costs} | {"states", "channels"}
+        coded = {cost.stream for cost in self.costs} | {"states", "channels", "lattice"}
         bits = 8 * sum(self.section_bytes.get(name, 0) for name in coded)
         return bits / entropy - 1 if entropy else 0.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -87,30 +88,31 @@ def decode_part(
     _check_size(header, limit)
     degree = part.degree_of(header.sh_degree)
     blocks = _chosen_blocks(described, part)
+    chosen = blocks if isinstance(blocks, range) else frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
     file = read_file(
         data,
         lambda section, block: (
-            section not in unread and (section in SCENE_SECTIONS or int(block) in blocks)
+            section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
         ),
     )
     decode = _decode_lattice if header.profile in LATTICE_PROFILES else _decode_channels
-    groups = decode(file, sorted(blocks), degree, threads, progress)
-    scene = _assemble(file, groups, sorted(blocks))
+    groups = decode(file, blocks, degree, threads, progress)
+    scene = _assemble(file, groups, blocks)
     if part.box is not None:
         scene = scene.take(part.contains(scene.positions))
     return scene, file.bytes_read
 
 
-def _chosen_blocks(file: EgsFile, part: Part) -> set[int]:
+def _chosen_blocks(file: EgsFile, part: Part) -> Sequence[int]:
     """Blocks that may have something in the part's box."""
     every = range(file.header.block_count)
     if part.box is None or file.header.profile not in LATTICE_PROFILES or not every:
-        return set(every)
-    return {int(block) for block in np.flatnonzero(part.meets(*block_boxes(file)))}
+        return every
+    return np.flatnonzero(part.meets(*block_boxes(file))).tolist()
 
 
-def _spans(header: Header, blocks: list[int]) -> list[tuple[int, int]]:
+def _spans(header: Header, blocks: Sequence[int]) -> list[tuple[int, int]]:
     """Where the Gaussians of chosen blocks go."""
     spans, end = [], 0
     for block in blocks:
@@ -122,14 +124,15 @@ def _spans(header: Header, blocks: list[int]) -> list[tuple[int, int]]:
 
 def _decode_lattice(
     file: EgsFile,
-    blocks: list[int],
+    blocks: Sequence[int],
     degree: int,
     threads: int | None,
     progress: Progress | None,
 ) -> dict[str, NDArray[np.float32]]:
+    of_scene = {SectionId.LATTICE, SectionId.BOUNDS} if file.header.count else {SectionId.LATTICE}
+    _check_sections(file, of_scene, lattice_sections(file.header.sh_degree))
     spans = _spans(file.header, blocks)
     decoder = LatticeDecoder.of(file, degree, spans[-1][1] if spans else 0)
-    _check_sections(file, lattice_sections(file.header.sh_degree))
     jobs = [
         partial(decoder.decode, block, *span) for block, span in zip(blocks, spans, strict=True)
     ]
@@ -139,7 +142,7 @@ def _decode_lattice(
 
 def _decode_channels(
     file: EgsFile,
-    blocks: list[int],
+    blocks: Sequence[int],
     degree: int,
     threads: int | None,
     progress: Progress | None,
@@ -172,11 +175,15 @@ def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
     expected = {SectionId.of_stream(stream) for stream in streams}
     if streams & set(RANS_STREAMS):
         expected.add(SectionId.STATES)
-    _check_sections(file, expected)
+    _check_sections(file, {SectionId.CHANNELS}, expected)
 
 
-def _check_sections(file: EgsFile, expected: set) -> None:
-    """Refuse a file whose blocks do not have exactly the sections expected."""
+def _check_sections(file: EgsFile, of_scene: set[SectionId], expected: set) -> None:
+    """Refuse a file that is not described, or whose blocks are not coded, as expected."""
+    for description in sorted(DESCRIPTIONS):
+        if ((description, 0) in file.sizes) != (description in of_scene):
+            problem = "missing" if description in of_scene else "not of such a scene"
+            raise CorruptStream(f"section '{description.label}' of block 0: {problem}")
     known = set(SectionId)
     found = [place for place in file.sizes if place[0] in known - SCENE_SECTIONS]
     for section_id, block in found:
@@ -188,7 +195,9 @@ def _check_sections(file: EgsFile, expected: set) -> None:
         raise CorruptStream(f"header: {len(found)} sections of blocks, expected {needed}")
 
 
-def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: list[int]) -> Scene:
+def _assemble(
+    file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: Sequence[int]
+) -> Scene:
     """The scene of the decoded groups, and what the file carries beside them."""
     comments = file.sections.get((SectionId.COMMENTS, 0))
     extra = file.sections.get((SectionId.EXTRA, 0))
@@ -200,7 +209,7 @@ def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: lis
     )
 
 
-def _of_blocks(extra: memoryview, header: Header, blocks: list[int]) -> dict[str, NDArray]:
+def _of_blocks(extra: memoryview, header: Header, blocks: Sequence[int]) -> dict[str, NDArray]:
     """Extra properties of the Gaussians of chosen blocks."""
     columns = read_extra(extra, header.count)
     if len(blocks) == header.block_count:

@@ -129,7 +129,7 @@ class EgsFile:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
 
 
-#: Profile numbers in the header; they inform, the decoder does not need them.
+#: Profile numbers in the header: the first three are coded by channels, the others by lattices.
 PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s")
 
 

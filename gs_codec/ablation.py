@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gs_codec.codec import decode_scene
-from gs_codec.config import Config
+from gs_codec.config import LOSSLESS, Config
 from gs_codec.preparation.report import StepReport
 from gs_codec.preparation.targets import Targets
 from gs_codec.report import EncodeReport
@@ -17,9 +17,12 @@ def coding_steps(
 
     Quantised attributes take the bits of their depths; with entropy coding, all but positions and
     SH-DC; with geometry coding these too, and the file is whole. Quality is lost at the first.
-    `data` and `report` are what encoding the scene gave.
+    Without quantisation there is one step. `data` and `report` are what encoding the scene gave.
     """
     quality = held_out.quality(decode_scene(data))
+    if config.profile == LOSSLESS:
+        took = sum(report.seconds.values())
+        return [StepReport("lossless coding", report.count, report.file_bytes, quality, took)]
     quantised = _quantised_bytes(scene, config)
     coded = report.file_bytes - sum(report.section_bytes.get(s, 0) for s in ("geometry", "sh-dc"))
     plain = quantised["geometry"] + quantised["sh-dc"]

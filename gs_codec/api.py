@@ -95,7 +95,7 @@ def encode(
 
 
 def decode(data: bytes, max_bytes: int | None = None) -> PointCloud:
-    """Decode an `.egs` stream; the Gaussians come in Morton order.
+    """Decode an `.egs` stream; the Gaussians come in Morton order, if theirs was not kept.
 
     Parameters
     ----------

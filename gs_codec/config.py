@@ -31,6 +31,10 @@ PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
 )
 
 
+#: The profile that keeps every bit, and so has no depths.
+LOSSLESS = "lossless"
+
+
 @dataclass(frozen=True)
 class LatticeProfile:
     """A profile whose steps follow how much is seen of each Gaussian.
@@ -59,7 +63,7 @@ LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
     }
 )
 
-KNOWN_PROFILES = (*LATTICE_PROFILES, *PROFILES)
+PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
 
 
 @dataclass(frozen=True)
@@ -68,15 +72,16 @@ class Config:
 
     Parameters
     ----------
-    profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s"}
-        Steps that follow how much is seen of each Gaussian, or quantisation depths of the
-        paper's Table 1. Default ``paper-m``.
+    profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s", "lossless"}
+        Steps that follow how much is seen of each Gaussian, quantisation depths of the paper's
+        Table 1, or every bit as it is. Default ``paper-m``.
     depths : mapping of str to int
         Bits per group that override the profile (the paper's rate control, Section 4.4).
         Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``, ``rotation``,
         ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
     nonfinite : {"error", "drop"}
-        What to do with Gaussians that hold NaN or infinity. Default ``error``.
+        What to do with Gaussians that hold NaN or infinity. Default ``error``, which
+        ``lossless`` has no need of: it keeps them.
     extra : {"error", "keep", "drop"}
         What to do with properties beyond the INRIA layout and with normals that are not
         all zero. ``keep`` stores them bit-exactly. Default ``error``.
@@ -84,6 +89,8 @@ class Config:
         Worker threads, 1-256; None is one for each available processor. Never changes the bytes.
     block_size : int
         Most Gaussians in an independently decodable block, 1024-65536. Default 65536.
+    keep_order : bool
+        With ``lossless``, keep the order of the Gaussians too, at some cost. Default False.
 
     Raises
     ------
@@ -97,21 +104,25 @@ class Config:
     extra: Literal["error", "keep", "drop"] = "error"
     threads: int | None = None
     block_size: int = 1 << 16
+    keep_order: bool = False
 
     def __post_init__(self) -> None:
-        _check_choice("profile", self.profile, KNOWN_PROFILES)
+        _check_choice("profile", self.profile, PROFILE_CHOICES)
         _check_choice("nonfinite", self.nonfinite, ("error", "drop"))
         _check_choice("extra", self.extra, ("error", "keep", "drop"))
         _check_range("threads", 1 if self.threads is None else self.threads, 1, 256)
         _check_range("block_size", self.block_size, 1 << 10, 1 << 16)
-        self.resolved_depths()
+        if self.profile in PROFILES:
+            self.resolved_depths()
+        elif self.depths:
+            raise InvalidInput(f"depths: profile '{self.profile}' has none")
+        if self.keep_order and self.profile != LOSSLESS:
+            raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
 
     def resolved_depths(self) -> dict[str, int]:
         """Bits of every group in `DEPTH_GROUPS`, overrides applied."""
-        if self.profile in LATTICE_PROFILES:
-            if self.depths:
-                raise InvalidInput(f"depths: profile '{self.profile}' has none")
-            return {}
+        if self.profile not in PROFILES:
+            raise InvalidInput(f"profile '{self.profile}': has no depths, expected a paper profile")
         depths = dict(PROFILES[self.profile])
         for group, bits in self.depths.items():
             members = ("sh1", "sh2", "sh3") if group == "sh-ac" else (group,)

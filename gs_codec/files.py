@@ -69,7 +69,9 @@ def encode_file(
     config = config or Config()
     _check_target(source, target)
     start = time.perf_counter()
-    scene = without_order(read_ply(source, config.extra))
+    scene = read_ply(source, config.extra)
+    if not config.keep_order:
+        scene = without_order(scene)
     read = time.perf_counter() - start
     with located(source):
         prepared, guide = None, None
@@ -209,8 +211,8 @@ def decode_file(
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
-    A comment line in the PLY says in which order the Gaussians are, so that `compare` can
-    match them with the original's.
+    A comment line in the PLY says in which order the Gaussians are, unless it is the
+    original's, so that `compare` can match them.
 
     Raises
     ------
@@ -270,6 +272,7 @@ def _decode_ordered(
     """A scene, or a part of it, and the bytes read; what is whole tells its order."""
     with opened(path) as view, located(path):
         scene, bytes_read = decode_part(view, part, threads, max_bytes, progress)
-        if part.box is None:
-            scene = with_order(scene, order_of_file(inspect_bytes(view)))
+        order = order_of_file(inspect_bytes(view))
+        if part.box is None and order is not None:
+            scene = with_order(scene, order)
     return scene, bytes_read

@@ -1,4 +1,4 @@
-"""What a file says of itself, read from its header and `channels` section alone."""
+"""What a file says of itself, read from its header and `channels` or `box` section alone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gs_codec.config import LATTICE_PROFILES
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS
+from gs_codec.container.box import Box, read_box
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import DESCRIPTIONS, VERSION, EgsFile, SectionId, read_file
 from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
@@ -42,7 +43,7 @@ class Info:
 
     Attributes
     ----------
-    version, count, sh_degree, profile, blocks, block_size, has_normals
+    version, count, sh_degree, profile, blocks, block_size, has_normals, keeps_order
         As in the header.
     bounds : tuple of two tuples of float
         Lowest and highest x, y, z of the centres.
@@ -66,7 +67,8 @@ class Info:
     blocks: int
     block_size: int
     has_normals: bool
-    bounds: tuple[tuple[float, ...], tuple[float, ...]]
+    keeps_order: bool
+    bounds: Box
     file_bytes: int
     raw_bytes: int
     streams: tuple[StreamInfo, ...]
@@ -90,7 +92,7 @@ class Info:
 
 
 def inspect_bytes(data: bytes | memoryview) -> Info:
-    """Read the header and the `channels` section of a stream; the rest is not touched.
+    """Read the header and what is read with it of a stream; the rest is not touched.
 
     Raises
     ------
@@ -107,10 +109,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         grid, bounds = lattice.grid, _bounds_of(file, lattice)
         listed = _inspect_passes(lattice, models, coefficients)
     else:
-        channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
-        axes = [channel.quantiser for channel in channels[:3]]
-        top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
-        bounds = (tuple(axis.origin for axis in axes), tuple(top))
+        channels, bounds = _channels_and_bounds(file)
     sizes = {"header": file.header_size}
     for (section_id, _), size in sorted(file.sizes.items()):
         known = section_id in set(SectionId)
@@ -124,6 +123,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         blocks=header.block_count,
         block_size=header.block_size,
         has_normals=header.has_normals,
+        keeps_order=header.keeps_order,
         bounds=bounds,
         file_bytes=len(data),
         raw_bytes=header.float_bytes,
@@ -163,6 +163,17 @@ def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
         return 1.0, 0
     limit = lattice.rules[rules.get(item.stream, "colour")].limit
     return lattice.units[item.stream] / (1 << PLACES), limit
+
+
+def _channels_and_bounds(file: EgsFile) -> tuple[list[Channel], Box]:
+    """The channels, if there are quantisers, and the box of the centres."""
+    if file.header.profile == LOSSLESS:
+        return [], read_box(file.section(SectionId.BOX))
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
+    axes = [channel.quantiser for channel in channels[:3]]
+    top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
+    return channels, (tuple(axis.origin for axis in axes), tuple(top))
 
 
 def _channel_dict(channel: Channel) -> dict:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gs_codec.codec.lossless import lossless_order
 from gs_codec.codec.order import order_like
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info
@@ -24,6 +25,7 @@ from gs_codec.transform.morton import encode_morton
 #: Begins the comment line.
 _MARK = "gs_codec order "
 _GRID = "grid"
+_FLOATS = "floats"
 
 _UNRELATED = "neither scene was decoded from the other: compare with the original"
 
@@ -90,13 +92,32 @@ class GridOrder:
         return encode_morton(cells, grid.bits)
 
 
-Order = DepthOrder | GridOrder
+@dataclass(frozen=True)
+class FloatOrder:
+    """Sorted by the floats themselves (profile `lossless`)."""
+
+    def __str__(self) -> str:
+        return _FLOATS
+
+    def apply(self, original: Scene, decoded: Scene) -> Scene:
+        """The original in the decoded scene's order."""
+        ordered = original.take(lossless_order(original))
+        if ordered.positions.tobytes() != decoded.positions.tobytes():
+            raise InvalidInput(_UNRELATED)
+        return ordered
 
 
-def order_of_file(info: Info) -> Order:
-    """The order of what a file decodes to."""
+Order = DepthOrder | GridOrder | FloatOrder
+
+
+def order_of_file(info: Info) -> Order | None:
+    """The order of what a file decodes to; None where it is the original's."""
+    if info.keeps_order:
+        return None
     if info.grid is not None:
         return GridOrder(info.grid)
+    if not info.channels:
+        return FloatOrder()
     return DepthOrder(tuple(channel.quantiser.depth for channel in info.channels[:6]))
 
 
@@ -112,6 +133,8 @@ def order_of(scene: Scene) -> Order | None:
     if not marks:
         return None
     fields = marks[-1].removeprefix(_MARK).split()
+    if fields == [_FLOATS]:
+        return FloatOrder()
     if fields[:1] == [_GRID]:
         return GridOrder(_grid_of(marks[-1], fields[1:]))
     if len(fields) != 6 or not all(field.isdigit() and int(field) <= 21 for field in fields):

@@ -2,7 +2,7 @@
 
 It shares no code with ``gs_codec``, so that the tests tell an error of the text from an error of
 the codec. The comments name the sections of the text. numpy only rounds binary64 to binary32 and
-holds the results.
+holds the results; columns of lossless files are pcodec's own business.
 """
 
 import struct
@@ -12,11 +12,14 @@ from dataclasses import dataclass, field
 from functools import cache
 from heapq import heapify, heapreplace
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
+from pcodec.wrapped import FileDecompressor
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
-CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOUNDS = 1, 2, 3, 4, 11, 12, 16
+CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOX = 1, 2, 3, 4, 11, 12, 17
+LOSSLESS = 6
 RANS_STREAMS = (5, 6, 7, 8, 9, 10)
 BLOCK_SECTIONS = (GEOMETRY, SH_DC, STATES, *RANS_STREAMS)
 BLOCK_SECTIONS_OF_LATTICES = (14, 15)
@@ -85,7 +88,7 @@ def crc32c(data):
 
 
 def read_header(data):
-    """Return flags, count, sh_degree, profile, block_size, {(id, block): bytes of section}."""
+    """Return flags, count, sh_degree, profile, block_size, sections as {(id, block): bytes}."""
     reader = Reader(data, "header")
     check(reader.bytes(8) == MAGIC, "magic: not an .egs file")
     version, flags, header_size = reader.take("HHI")
@@ -96,9 +99,9 @@ def read_header(data):
     )
     table = [reader.take("HHIQI") for _ in range(entries)]
     check(reader.take("I") == crc32c(data[: header_size - 4]), "header: checksum")
-    check(flags <= 1 and reserved == 0, "header: reserved bits")
+    check(flags <= (3 if profile == LOSSLESS else 1) and reserved == 0, "header: reserved bits")
     check(
-        sh_degree <= 3 and profile <= 5 and 1 <= block_size <= 65536,
+        sh_degree <= 3 and profile <= LOSSLESS and 1 <= block_size <= 65536,
         "header: SH degree, profile or block size",
     )
     sections = read_sections(reader, table, -(-count // block_size))
@@ -114,7 +117,7 @@ def read_sections(reader, table, blocks):
         check(flags <= 1, f"{place}: reserved bits")
         check((number, block) not in seen, f"{place}: twice")
         seen.add((number, block))
-        known = CHANNELS <= number <= BOUNDS
+        known = CHANNELS <= number <= BOX
         check(known or flags == 1, f"{place}: unknown and not optional")
         of_block = number in (*BLOCK_SECTIONS, *BLOCK_SECTIONS_OF_LATTICES)
         limit = blocks if of_block else 1 if known else max(blocks, 1)
@@ -129,7 +132,7 @@ def check_presence(sections, channels, blocks):
     if needed & set(RANS_STREAMS):
         needed.add(STATES)
     found = [number for number, _ in sections]
-    check(CHANNELS in found and not any(13 <= number <= BOUNDS for number in found), "sections")
+    check(CHANNELS in found and not any(13 <= number <= BOX for number in found), "sections")
     for number in BLOCK_SECTIONS:
         expected = blocks if number in needed else 0
         text = f"section {number}: in {found.count(number)} blocks, expected {expected}"
@@ -528,6 +531,126 @@ def decode_symbol(channel, states, lane, words):
     return symbol
 
 
+# Lossless
+
+
+def decode_lossless(sections, count, sh_degree, block_size):
+    blocks = -(-count // block_size)
+    check((BOX, 0) in sections, "section 17: missing")
+    reader = Reader(sections[BOX, 0], "box")
+    box = np.array(reader.take("6f"))
+    check(not reader.rest() and np.isfinite(box).all() and (box[:3] <= box[3:]).all(), "box")
+    numbers = [GEOMETRY, SH_DC, 5, 6, 7, *range(8, 8 + sh_degree)]
+    found = {key for key in sections if key[0] not in (BOX, COMMENTS, EXTRA)}
+    check(found == {(n, block) for n in numbers for block in range(blocks)}, "sections of blocks")
+    names = [channel.name for channel in channel_list(sh_degree)]
+    values = {name: [] for name in names}
+    for block in range(blocks):
+        points = min(block_size, count - block * block_size)
+        for name, patterns in lossless_block(sections, block, sh_degree, points).items():
+            values[name] += patterns
+    return {name: np.array(values[name], np.uint32).view(np.float32) for name in names}
+
+
+def lossless_block(sections, block, sh_degree, points):
+    def reader(number):
+        return Reader(sections[number, block], f"section {number} of block {block}")
+
+    readers = {number: reader(number) for number in (GEOMETRY, SH_DC, 5, 6, 7)}
+    values = dict(zip("xyz", read_stack(readers[GEOMETRY], 3, points), strict=True))
+    names = [f"f_dc_{c}" for c in range(3)]
+    values |= read_triple(readers[SH_DC], [[name] for name in names], [[True] * points] * 3)
+    values["opacity"] = read_stack(readers[5], 1, points)[0]
+    values |= {f"scale_{i}": v for i, v in enumerate(read_stack(readers[6], 3, points))}
+    values |= {f"rot_{i}": v for i, v in enumerate(read_quaternions(readers[7], points))}
+    coefficients, has = (sh_degree + 1) ** 2 - 1, []
+    for degree in range(1, sh_degree + 1):
+        readers[7 + degree] = reader(7 + degree)
+        if degree == 1:
+            (mask,) = read_columns(readers[8], [points])
+            check(max(mask) <= 7, "mask")
+            has = [[m >> c & 1 for m in mask] for c in range(3)]
+        indices = range(degree**2 - 1, (degree + 1) ** 2 - 1)
+        names = [[f"f_rest_{c * coefficients + i}" for i in indices] for c in range(3)]
+        values |= read_triple(readers[7 + degree], names, has)
+    check(not any(r.rest() for r in readers.values()), f"block {block}: bytes left over")
+    return values
+
+
+def read_columns(reader, counts):
+    sizes = [reader.take("I") for _ in counts]
+    return [read_column(reader.bytes(s), n) for s, n in zip(sizes, counts, strict=True)]
+
+
+def read_column(content, count):
+    if not count:
+        check(not content, "column: bytes of no values")
+        return []
+    check(len(content) > 2 and content[0] == 4, "column: not of major version 4")
+    check(content[2] % 16 == 0 and content[2] // 16 <= 1, "column: mode or delta encoding")
+    content, values = bytes(content), np.zeros(count, np.uint32)
+    try:
+        file, header = FileDecompressor.new(content)
+        chunk, meta = file.chunk_decompressor(content[header:], "u32")
+        progress, page = chunk.read_page_into(content[header + meta :], count, values)
+    except RuntimeError as error:
+        raise ValueError(f"column: {error}") from error
+    check(progress.n_processed == count and header + meta + page == len(content), "column: size")
+    return values.tolist()
+
+
+def ordered_integer(pattern):
+    return 2**32 - 1 - pattern if pattern >= 2**31 else pattern + 2**31
+
+
+def pattern_of(integer):
+    return integer - 2**31 if integer >= 2**31 else 2**32 - 1 - integer
+
+
+def read_stack(reader, columns, count):
+    return [[pattern_of(n) for n in column] for column in read_columns(reader, [count] * columns)]
+
+
+def read_guided(reader, guide):
+    classes = [
+        [min(max(g >> 23 & 255, 116), 131) - 116 + 16 * (g >> 31) for g in column]
+        for column in guide
+    ]
+    counts = [sum(column.count(k) for column in classes) for k in range(32)]
+    values = [iter(column) for column in read_columns(reader, counts)]
+    return [[pattern_of(next(values[k])) for k in column] for column in classes]
+
+
+def read_triple(reader, names, has):
+    """Values by name; ``names[c]`` are those of colour c, ``has[c]`` says who has it."""
+    values = {}
+    for c in (1, 0, 2):
+        members = [i for i, there in enumerate(has[c]) if there]
+        if c == 1:
+            columns = read_stack(reader, len(names[c]), len(members))
+        else:
+            columns = read_guided(reader, [[values[g][i] for i in members] for g in names[1]])
+        for name, column in zip(names[c], columns, strict=True):
+            values[name] = [0] * len(has[c])
+            for i, value in zip(members, column, strict=True):
+                values[name][i] = value
+    return values
+
+
+def read_quaternions(reader, count):
+    kind = reader.take("B")
+    check(kind <= 1, f"quaternions of kind {kind}")
+    stack = read_stack(reader, 4, count)
+    if kind == 1:
+        for i, pattern in enumerate(stack[0]):
+            x, y, z = np.array([column[i] for column in stack[1:]], np.uint32).view(np.float32)
+            t = 1.0 - float(x) * float(x) - float(y) * float(y) - float(z) * float(z)
+            unit = np.float32(sqrt(t) if t > 0 else 0.0).view(np.uint32)
+            integer = ordered_integer(pattern) - 2**31 + ordered_integer(int(unit))
+            stack[0][i] = pattern_of(integer % 2**32)
+    return stack
+
+
 # Comments and extra
 
 
@@ -567,7 +690,7 @@ def decode(data):
     -------
     dict
         count, sh_degree, has_normals, comments (list of str), extra (name -> array),
-        symbols (PLY property -> list of int; constant channels absent, and all of lattices) and
+        symbols (PLY property -> list of int; constant channels absent, all of profiles 3-6) and
         values (PLY property -> float32 array), all in stream order.
 
     Raises
@@ -578,23 +701,20 @@ def decode(data):
     from reference_lattice import lattice_values
 
     flags, count, sh_degree, profile, block_size, sections = read_header(data)
-    if profile >= 3:
-        symbols, values = {}, lattice_values(count, sh_degree, block_size, sections)
-    else:
-        symbols, values = channels_of_file(count, sh_degree, block_size, sections)
-    return {
+    common = {
         "count": count,
         "sh_degree": sh_degree,
         "has_normals": bool(flags & 1),
         "comments": read_comments(sections[COMMENTS, 0]) if (COMMENTS, 0) in sections else [],
         "extra": read_extra(sections[EXTRA, 0], count) if (EXTRA, 0) in sections else {},
-        "symbols": symbols,
-        "values": values,
     }
-
-
-def channels_of_file(count, sh_degree, block_size, sections):
-    """Return symbols and float32 values of each channel."""
+    if profile == LOSSLESS:
+        values = decode_lossless(sections, count, sh_degree, block_size)
+        return {**common, "symbols": {}, "values": values}
+    if profile > 2:
+        values = lattice_values(count, sh_degree, block_size, sections)
+        return {**common, "symbols": {}, "values": values}
+    check((BOX, 0) not in sections, "section 17: without profile 6")
     check((CHANNELS, 0) in sections, "section 1: missing")
     channels = read_channels(sections[CHANNELS, 0], sh_degree)
     blocks = -(-count // block_size)
@@ -604,7 +724,11 @@ def channels_of_file(count, sh_degree, block_size, sections):
         points = min(block_size, count - block * block_size)
         for name, values in decode_block(sections, block, channels, points).items():
             symbols[name] += values
-    return symbols, {c.name: channel_values(c, symbols.get(c.name), count) for c in channels}
+    return {
+        **common,
+        "symbols": symbols,
+        "values": {c.name: channel_values(c, symbols.get(c.name), count) for c in channels},
+    }
 
 
 def decode_block(sections, block, channels, points):

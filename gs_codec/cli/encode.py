@@ -18,7 +18,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.config import DEPTH_GROUPS, KNOWN_PROFILES, LATTICE_PROFILES, Config
+from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport
 
@@ -27,8 +27,7 @@ def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Scene, a 3DGS .ply.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
     profile: Annotated[
-        str,
-        typer.Option("--profile", "-p", help=f"One of {', '.join(KNOWN_PROFILES)}."),
+        str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILE_CHOICES)}.")
     ] = "paper-m",
     depth: Annotated[
         list[str] | None,
@@ -43,6 +42,9 @@ def command(
     extra: Annotated[
         str, typer.Option(help="Properties beyond the 3DGS layout: error, keep or drop.")
     ] = "error",
+    keep_order: Annotated[
+        bool, typer.Option("--keep-order", help="With lossless: keep the order of Gaussians too.")
+    ] = False,
     threads: Annotated[
         int | None, typer.Option(help="Worker threads.", show_default="all processors")
     ] = None,
@@ -65,7 +67,14 @@ def command(
 ) -> None:
     """Encode a scene to an .egs file, prepared or as it is."""
     plan = steps.plan_of(locals())
-    config = Config(profile, parse_depths(depth or []), nonfinite, extra, threads)  # type: ignore[arg-type]
+    config = Config(
+        profile,
+        parse_depths(depth or []),
+        nonfinite,  # type: ignore[arg-type]
+        extra,  # type: ignore[arg-type]
+        threads,
+        keep_order=keep_order,
+    )
     from gs_codec.files import encode_file
 
     with progress_bar(not json) as progress:

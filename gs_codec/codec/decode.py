@@ -10,10 +10,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.lattice_decode import LatticeDecoder, block_boxes, lattice_sections
+from gs_codec.codec.lattice_decode import block_boxes, decode_lattice, lattice_sections
+from gs_codec.codec.lossless import block_sections, decode_lossless
 from gs_codec.codec.order import triple_depths
 from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS
 from gs_codec.container.carried import read_comments, read_extra
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import (
@@ -75,7 +76,7 @@ def decode_part(
     Returns
     -------
     scene : Scene
-        In canonical order.
+        In the order of the stream.
     bytes_read : int
 
     Raises
@@ -96,8 +97,15 @@ def decode_part(
             section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
         ),
     )
-    decode = _decode_lattice if header.profile in LATTICE_PROFILES else _decode_channels
-    groups = decode(file, blocks, degree, threads, progress)
+    if header.profile == LOSSLESS:
+        _check_sections(file, {SectionId.BOX}, set(block_sections(header.sh_degree)))
+        groups = decode_lossless(file, _spans(header, blocks), degree, threads, progress)
+    elif header.profile in LATTICE_PROFILES:
+        own = {SectionId.LATTICE, SectionId.BOUNDS} if header.count else {SectionId.LATTICE}
+        _check_sections(file, own, lattice_sections(header.sh_degree))
+        groups = decode_lattice(file, _spans(header, blocks), degree, threads, progress)
+    else:
+        groups = _decode_channels(file, blocks, degree, threads, progress)
     scene = _assemble(file, groups, blocks)
     if part.box is not None:
         scene = scene.take(part.contains(scene.positions))
@@ -112,32 +120,14 @@ def _chosen_blocks(file: EgsFile, part: Part) -> Sequence[int]:
     return np.flatnonzero(part.meets(*block_boxes(file))).tolist()
 
 
-def _spans(header: Header, blocks: Sequence[int]) -> list[tuple[int, int]]:
+def _spans(header: Header, blocks: Sequence[int]) -> dict[int, slice]:
     """Where the Gaussians of chosen blocks go."""
-    spans, end = [], 0
+    spans, end = {}, 0
     for block in blocks:
         start, stop = header.block_range(block)
-        spans.append((end, end + stop - start))
+        spans[block] = slice(end, end + stop - start)
         end += stop - start
     return spans
-
-
-def _decode_lattice(
-    file: EgsFile,
-    blocks: Sequence[int],
-    degree: int,
-    threads: int | None,
-    progress: Progress | None,
-) -> dict[str, NDArray[np.float32]]:
-    of_scene = {SectionId.LATTICE, SectionId.BOUNDS} if file.header.count else {SectionId.LATTICE}
-    _check_sections(file, of_scene, lattice_sections(file.header.sh_degree))
-    spans = _spans(file.header, blocks)
-    decoder = LatticeDecoder.of(file, degree, spans[-1][1] if spans else 0)
-    jobs = [
-        partial(decoder.decode, block, *span) for block, span in zip(blocks, spans, strict=True)
-    ]
-    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
-    return decoder.groups
 
 
 def _decode_channels(
@@ -151,11 +141,10 @@ def _decode_channels(
         file.section(SectionId.CHANNELS), SH_COEFFICIENTS[file.header.sh_degree]
     )
     _check_expected(file, channels)
-    spans = _spans(file.header, blocks)
     decoder = _Blocks.of(file, channels, degree)
     jobs = [
-        partial(stage, block, *span)
-        for block, span in zip(blocks, spans, strict=True)
+        partial(stage, block, span.start, span.stop)
+        for block, span in _spans(file.header, blocks).items()
         for stage in (decoder.decode_points, decoder.decode_attributes)
     ]
     run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
@@ -178,21 +167,18 @@ def _check_expected(file: EgsFile, channels: list[Channel]) -> None:
     _check_sections(file, {SectionId.CHANNELS}, expected)
 
 
-def _check_sections(file: EgsFile, of_scene: set[SectionId], expected: set) -> None:
-    """Refuse a file that is not described, or whose blocks are not coded, as expected."""
-    for description in sorted(DESCRIPTIONS):
-        if ((description, 0) in file.sizes) != (description in of_scene):
-            problem = "missing" if description in of_scene else "not of such a scene"
-            raise CorruptStream(f"section '{description.label}' of block 0: {problem}")
-    known = set(SectionId)
-    found = [place for place in file.sizes if place[0] in known - SCENE_SECTIONS]
-    for section_id, block in found:
+def _check_sections(file: EgsFile, own: set[SectionId], expected: set[SectionId]) -> None:
+    """Refuse a file that has not exactly a profile's `own` sections, and those of blocks."""
+    for section_id, block in file.sizes:
+        if section_id not in set(SectionId) - own - {SectionId.COMMENTS, SectionId.EXTRA}:
+            continue
         if section_id not in expected:
             label = SectionId(section_id).label
             raise CorruptStream(f"section '{label}' of block {block}: nothing is coded there")
-    if len(found) != len(expected) * file.header.block_count:
+    found = sum(section_id in expected for section_id, _ in file.sizes)
+    if found != len(expected) * file.header.block_count:
         needed = len(expected) * file.header.block_count
-        raise CorruptStream(f"header: {len(found)} sections of blocks, expected {needed}")
+        raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
 
 
 def _assemble(

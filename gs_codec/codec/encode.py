@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,12 +9,20 @@ from functools import partial
 from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
 from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_encode import encode_lattice
+from gs_codec.codec.lossless import encode_lossless
 from gs_codec.codec.order import Ordered, order_scene
 from gs_codec.codec.symbols import Coded, quantise_and_model
-from gs_codec.config import LATTICE_PROFILES, Config
-from gs_codec.container.carried import write_comments, write_extra
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS, Config
+from gs_codec.container.carried import carried_sections
 from gs_codec.container.channels import RANS_STREAMS, channel_places, write_channels
-from gs_codec.container.file import Header, Section, SectionId, write_file
+from gs_codec.container.file import (
+    Header,
+    Section,
+    SectionId,
+    even_block_size,
+    section_sizes,
+    write_file,
+)
 from gs_codec.entropy.rans import TableSet, encode_symbols
 from gs_codec.geometry.colour import encode_colour
 from gs_codec.geometry.count_tree import encode_geometry
@@ -52,7 +59,8 @@ def encode_scene(
         If values are not finite and `config` does not say to drop them.
     """
     config = config or Config()
-    depths = config.resolved_depths()
+    if config.profile == LOSSLESS:
+        return encode_lossless(scene, config, progress)
     times = StageTimes()
     with times.stage("check"):
         scene, dropped = drop_nonfinite(scene, config)
@@ -63,6 +71,7 @@ def encode_scene(
         return data, replace(
             report, zero_quaternions=zero_quaternions, dropped=dropped, seconds=seconds
         )
+    depths = config.resolved_depths()
     with times.stage("order"):
         ordered = order_scene(scene, depths["geometry"], depths["sh-dc"])
     with times.stage("quantise and model"):
@@ -72,15 +81,12 @@ def encode_scene(
         block_sections = _encode_blocks(header, ordered, coded, config.threads, progress)
     with times.stage("container"):
         sections = [_channels_section(scene, ordered, coded), *block_sections]
-        sections += _carried_sections(scene, ordered)
+        sections += carried_sections(scene, ordered.order)
         data = write_file(header, sections)
-    sizes = Counter({"header": len(data) - sum(len(section.data) for section in sections)})
-    for section in sections:
-        sizes[section.id.label] += len(section.data)
     return data, EncodeReport(
         count=scene.count,
         raw_bytes=scene.float_bytes,
-        section_bytes=dict(sizes),
+        section_bytes=section_sizes(data, sections),
         costs=coded.costs,
         rectified=coded.rectified,
         zero_quaternions=zero_quaternions,
@@ -90,9 +96,7 @@ def encode_scene(
 
 
 def _header(scene: Scene, config: Config) -> Header:
-    """Blocks as large as the limit allows, all of nearly the same size."""
-    blocks = max(-(-scene.count // config.block_size), 1)
-    size = max(-(-scene.count // blocks), 1)
+    size = even_block_size(scene.count, config.block_size)
     return Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
 
 
@@ -102,15 +106,6 @@ def _channels_section(scene: Scene, ordered: Ordered, coded: Coded) -> Section:
     places = channel_places(len(scene.f_rest) // 3)
     data = write_channels(by_place[group, index] for group, index, _ in places)
     return Section(SectionId.CHANNELS, 0, data)
-
-
-def _carried_sections(scene: Scene, ordered: Ordered) -> list[Section]:
-    sections = []
-    if scene.comments:
-        sections.append(Section(SectionId.COMMENTS, 0, write_comments(scene.comments)))
-    if scene.extra:
-        sections.append(Section(SectionId.EXTRA, 0, write_extra(scene.extra, ordered.order)))
-    return sections
 
 
 def _encode_blocks(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +22,39 @@ from gs_codec.lattice.place import centres, from_grid
 from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places
 from gs_codec.lattice.shape import Shape, walk_shape
 from gs_codec.lattice.tokens import BitReader
+from gs_codec.report import Progress, step_counter
 from gs_codec.scene import SH_COEFFICIENTS
 from gs_codec.transform.axes import quaternions
 from gs_codec.transform.ycocg import from_ycocg
+from gs_codec.workers import run_all
 
 #: Fixed-point values beyond this do not come from an encoder.
 _TOO_LARGE = int(4 * LARGEST) << PLACES
 
 
-def lattice_sections(sh_degree: int) -> set[int]:
+def lattice_sections(sh_degree: int) -> set[SectionId]:
     """Sections that each block of a scene has, or that are read for a lower degree."""
     streams = {item.stream for item in passes(SH_COEFFICIENTS[sh_degree])}
     listed = {SectionId.of_stream(stream) for stream in streams}
     return {*listed, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
+
+
+def decode_lattice(
+    file: EgsFile,
+    spans: dict[int, slice],
+    degree: int,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """The attribute groups of blocks, in the order of the stream.
+
+    `spans` tells where each block goes; SH is decoded up to `degree`.
+    """
+    count = max((span.stop for span in spans.values()), default=0)
+    decoder = LatticeDecoder.of(file, degree, count)
+    jobs = [partial(decoder.decode, block, span.start, span.stop) for block, span in spans.items()]
+    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
+    return decoder.groups
 
 
 def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -20,8 +19,15 @@ from gs_codec.codec.lattice_symbols import (
     shape_passes,
 )
 from gs_codec.config import LATTICE_PROFILES, Config
-from gs_codec.container.carried import write_comments, write_extra
-from gs_codec.container.file import Header, Section, SectionId, write_file
+from gs_codec.container.carried import carried_sections
+from gs_codec.container.file import (
+    Header,
+    Section,
+    SectionId,
+    even_block_size,
+    section_sizes,
+    write_file,
+)
 from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
 from gs_codec.entropy.passes import PassTables, PassWriter
 from gs_codec.geometry.count_tree import encode_tree
@@ -64,14 +70,8 @@ def encode_lattice(
             guidance = guide(scene)
     with times.stage("quantise"):
         shaped = shape_scene(scene, profile, guidance)
-        blocks = max(-(-scene.count // config.block_size), 1)
-        header = Header(
-            scene.count,
-            scene.sh_degree,
-            config.profile,
-            max(-(-scene.count // blocks), 1),
-            scene.has_normals,
-        )
+        size = even_block_size(scene.count, config.block_size)
+        header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
         ranges = [header.block_range(block) for block in range(header.block_count)]
         placed = run_all(lambda r: _place(shaped, *r), ranges, config.threads)
         places = np.concatenate([np.zeros((3, 0), np.int64), *(p.places for p in placed)], axis=1)
@@ -106,20 +106,12 @@ def encode_lattice(
         if header.block_count:
             sections.append(Section(SectionId.BOUNDS, 0, _bounds(places, ranges)))
         sections += [section for block in done for section in block]
-        if scene.comments:
-            sections.append(Section(SectionId.COMMENTS, 0, write_comments(scene.comments)))
-        if scene.extra:
-            in_order = np.arange(scene.count)
-            extra = write_extra(shaped.scene.extra, in_order)
-            sections.append(Section(SectionId.EXTRA, 0, extra))
+        sections += carried_sections(shaped.scene, np.arange(scene.count))
         data = write_file(header, sections)
-    sizes = Counter({"header": len(data) - sum(len(section.data) for section in sections)})
-    for section in sections:
-        sizes[section.id.label] += len(section.data)
     return data, EncodeReport(
         count=scene.count,
         raw_bytes=scene.float_bytes,
-        section_bytes=dict(sizes),
+        section_bytes=section_sizes(data, sections),
         costs=costs,
         rectified=shaped.quantiser.clamped + clamped,
         zero_quaternions=0,

@@ -10,12 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.container.bytes import ByteReader
+from gs_codec.container.file import Section, SectionId
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.scene import is_extra_name
+from gs_codec.scene import Scene, is_extra_name
 
 _DTYPES = tuple(np.dtype(t) for t in ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8"))
 _LEVEL = 6
 _COMMENT_BYTES = 1 << 20
+
+
+def carried_sections(scene: Scene, order: NDArray[np.int64]) -> list[Section]:
+    """Sections of what a scene has beside its attributes, Gaussians in the given order."""
+    sections = []
+    if scene.comments:
+        sections.append(Section(SectionId.COMMENTS, 0, write_comments(scene.comments)))
+    if scene.extra:
+        sections.append(Section(SectionId.EXTRA, 0, write_extra(scene.extra, order)))
+    return sections
 
 
 def write_comments(comments: Iterable[str]) -> bytes:

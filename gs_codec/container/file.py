@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
 from crc32c import crc32c
 
+from gs_codec.config import LOSSLESS
 from gs_codec.container.bytes import ByteReader
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import SH_COEFFICIENTS
@@ -19,6 +21,7 @@ MAX_BLOCK_SIZE = 1 << 16
 _FIXED = "<8sHHIQBBHII"
 _ENTRY = "<HHIQI"
 _NORMALS_FLAG = 1
+_ORDER_FLAG = 2
 _OPTIONAL_FLAG = 1
 
 
@@ -41,6 +44,7 @@ class SectionId(IntEnum):
     CLASSES = 14
     LOW_BITS = 15
     BOUNDS = 16
+    BOX = 17
 
     @property
     def label(self) -> str:
@@ -61,11 +65,12 @@ SCENE_SECTIONS = frozenset(
         SectionId.EXTRA,
         SectionId.LATTICE,
         SectionId.BOUNDS,
+        SectionId.BOX,
     }
 )
 
 #: Sections that say how the others are coded.
-DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE, SectionId.BOUNDS})
+DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE, SectionId.BOUNDS, SectionId.BOX})
 
 #: Whether a section, of an id and a block, is to be read.
 Wanted = Callable[[int, int], bool]
@@ -80,6 +85,7 @@ class Header:
     profile: str
     block_size: int
     has_normals: bool = False
+    keeps_order: bool = False
 
     @property
     def block_count(self) -> int:
@@ -129,8 +135,23 @@ class EgsFile:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
 
 
-#: Profile numbers in the header: the first three are coded by channels, the others by lattices.
-PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s")
+#: Profile numbers in the header.
+PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
+
+
+def even_block_size(count: int, limit: int) -> int:
+    """Size of blocks as large as the limit allows, all of nearly the same size."""
+    blocks = max(-(-count // limit), 1)
+    return max(-(-count // blocks), 1)
+
+
+def section_sizes(data: bytes, sections: Iterable[Section]) -> dict[str, int]:
+    """Bytes of a file by section, header and section table together first."""
+    sizes = Counter({"header": len(data)})
+    for section in sections:
+        sizes[section.id.label] += len(section.data)
+        sizes["header"] -= len(section.data)
+    return dict(sizes)
 
 
 def write_file(header: Header, sections: Iterable[Section]) -> bytes:
@@ -141,7 +162,7 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
         _FIXED,
         MAGIC,
         VERSION,
-        _NORMALS_FLAG if header.has_normals else 0,
+        _NORMALS_FLAG * header.has_normals | _ORDER_FLAG * header.keeps_order,
         header_size,
         header.count,
         header.sh_degree,
@@ -188,11 +209,14 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     checksum = crc32c(view[: reader.position])
     if reader.unpack("I")[0] != checksum:
         raise CorruptStream("header: checksum does not match")
-    if flags & ~_NORMALS_FLAG or reserved or profile >= len(PROFILE_NAMES):
+    exact = profile == PROFILE_NAMES.index(LOSSLESS)
+    known = _NORMALS_FLAG | _ORDER_FLAG * exact
+    if flags & ~known or reserved or profile >= len(PROFILE_NAMES):
         raise CorruptStream("header: a reserved field is not 0")
     if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
-    header = Header(count, degree, PROFILE_NAMES[profile], block_size, bool(flags))
+    normals, ordered = bool(flags & _NORMALS_FLAG), bool(flags & _ORDER_FLAG)
+    header = Header(count, degree, PROFILE_NAMES[profile], block_size, normals, ordered)
     return _read_sections(view, reader.position, header, table, wanted)
 
 

@@ -132,7 +132,9 @@ def _read_rest(
     rest = [name for name in data.dtype.names or () if name not in used]
     normals = [name for name in _NORMALS if name in rest]
     has_normals = len(normals) == 3
-    if has_normals and not any(np.any(data[name]) for name in normals):
+    # Zeros are written back as +0: who asks to keep what is there may have others.
+    differs = np.signbit if extra == "keep" else np.zeros_like
+    if has_normals and not any(np.any(data[n]) or np.any(differs(data[n])) for n in normals):
         rest = [name for name in rest if name not in normals]
     if rest and extra == "error":
         what = f"properties {', '.join(rest[:4])}" + (" ..." if len(rest) > 4 else "")

@@ -41,6 +41,15 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
     flat.positions[2] = 1.5
     flat.f_dc[1] = 0.25
     flat.rot[:] = np.array([[1], [0], [0], [0]], np.float32)
+    bits = replace(random_scene(1100, 1, seed=103), extra={"label": np.arange(1100, dtype="<u2")})
+    bits.f_rest[0:3, 5:400] = 0
+    bits.f_rest[3:6, 300:500] = 0
+    bits.f_rest[:, 600:700] = 0
+    for row, pattern in enumerate((0x7FC12345, 0xFF812345, 0x80000000, 0x7F800000, 0x00000001)):
+        for group in GROUPS:
+            getattr(bits, group)[0, 10 * row] = np.array(pattern, "<u4").view("<f4")
+    unit = random_scene(60, 3, seed=104)
+    unit.rot[:] = unit.rot / np.linalg.norm(unit.rot, axis=0) * np.where(unit.rot[0] < 0, -1, 1)
     return {
         "paper-l": (plain, Config("paper-l", block_size=1024)),
         "paper-m": (plain, Config("paper-m", block_size=1024)),
@@ -48,6 +57,8 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
         "carried": (carried, Config(extra="keep")),
         "constant": (flat, Config()),
         "deep": (plain.take(np.arange(200)), Config(depths={"geometry": 21, "sh-ac": 12})),
+        "lossless": (bits, Config("lossless", extra="keep", block_size=1024)),
+        "lossless-kept": (unit, Config("lossless", keep_order=True)),
         "empty": (random_scene(0, 3), Config()),
         "l": (plain.take(np.arange(200)), Config("l")),
         "m": (plain, Config("m", block_size=1024)),

@@ -107,14 +107,18 @@ def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
         parametric = sum(cost.parametric_bits for cost in members)
         result[group] = {
             "bits_per_symbol": entropy / (report.count * len(members)),
-            "coded_overhead_percent": 100 * (size / entropy - 1),
-            "parametric_overhead_percent": 100 * (parametric / entropy - 1),
-            "paper_overhead_percent": paper.OVERHEAD_PERCENT[group],
-            "paper_bits_per_symbol": paper.ENTROPY_BITS[group],
+            "coded_overhead_percent": _over(size, entropy),
+            "parametric_overhead_percent": _over(parametric, entropy),
+            "paper_overhead_percent": paper.OVERHEAD_PERCENT.get(group),
+            "paper_bits_per_symbol": paper.ENTROPY_BITS.get(group),
         }
     if report.costs:
         result["total"] = {"coded_overhead_percent": 100 * report.entropy_overhead}
     return result
+
+
+def _over(bits: float, entropy: float) -> float:
+    return 100 * (bits / entropy - 1) if entropy else 0.0
 
 
 def _error(ply: Path, config: Config) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import Config
+from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.files import guide_of
 from gs_codec.io.ply import vertex_rows
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.report import PrepareReport
@@ -59,12 +60,16 @@ def measure_frontier(
     ply_bytes = vertex_rows(scene).nbytes
     views = choose_views(scene, plan)
     before = views.held_out.quality(scene)
+    # Profiles that go by views compact and refit by themselves.
+    by_views = config.profile in LATTICE_PROFILES
     for percent in FRONTIER:
         pruned, _ = prepare_scene(scene, replace(plan, steps=Steps(prune_loo=percent)), views=views)
-        for strength in STRENGTHS:
-            steps = Steps(compact_sh=strength, refit_colour=6 if percent or strength else 0)
+        for strength in STRENGTHS[:1] if by_views else STRENGTHS:
+            refit = 6 if not by_views and (percent or strength) else 0
+            steps = Steps(compact_sh=strength, refit_colour=refit)
             prepared, _ = prepare_scene(pruned, replace(plan, steps=steps), views=views)
-            data, _ = encode_scene(prepared, config)
+            guide = guide_of(prepared, plan, config, views=views)
+            data, _ = encode_scene(prepared, config, guide=guide)
             after = views.held_out.quality(decode_scene(data))
             yield {
                 "kind": "frontier",

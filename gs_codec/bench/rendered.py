@@ -11,29 +11,44 @@ from typing import Any
 from gs_codec.bench.measure import spread
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
+from gs_codec.files import guide_of
+from gs_codec.io.ply import vertex_rows
 from gs_codec.metrics.views import compare_views
+from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 
 
 def measure_quality(
-    scene: Scene, name: str, cameras: Sequence[Camera], truth: Path | None, config: Config
+    scene: Scene,
+    name: str,
+    cameras: Sequence[Camera],
+    truth: Path | None,
+    config: Config,
+    plan: Plan | None = None,
 ) -> dict[str, Any]:
     """PSNR and SSIM of the decoded scene's views against the scene's own, and the paper's deltas.
 
-    `truth` is the folder of the ground-truth images, without which there are no deltas.
+    `truth` is the folder of the ground-truth images, without which there are no deltas. With a
+    `plan`, the scene is encoded by its views.
     """
-    data, _ = encode_scene(scene, config)
+    start = time.perf_counter()
+    guide = guide_of(scene, plan, config) if plan is not None else None
+    data, _ = encode_scene(scene, config, guide=guide)
+    seconds = time.perf_counter() - start
     comparison = compare_views(scene, decode_scene(data), cameras, truth, device="cpu")
     mean = comparison.mean
     result: dict[str, Any] = {
         "kind": "rendered",
         "scene": name,
         "profile": config.profile,
+        "by_views": plan is not None,
+        "encode_seconds": seconds,
         "gaussians": scene.count,
         "views": len(comparison.views),
         "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
+        "ratio": vertex_rows(scene).nbytes / len(data),
         "mean": asdict(mean.between),
         "worst_psnr": comparison.worst.between.psnr,
     }

@@ -14,7 +14,7 @@ import typer
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_table, print_text
 from gs_codec.cli.views import CAMERAS, Width
-from gs_codec.config import PROFILES, Config
+from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def command(
         raise InvalidInput("--against-gt and --width need --cameras")
     configs = [
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
-        for name in profile or PROFILES
+        for name in profile or PROFILE_CHOICES
     ]
     if (prepare or plot) and not (prepare and cameras):
         raise InvalidInput("--prepare needs --cameras, and --plot needs --prepare")
@@ -95,6 +95,8 @@ def _measure(
     from gs_codec.bench.coders import measure_coders
     from gs_codec.bench.measure import machine, measure_scene
     from gs_codec.bench.rendered import measure_quality, measure_speed
+    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.preparation.steps import Steps
     from gs_codec.rendering.cameras import find_cameras
 
     yield machine()
@@ -104,10 +106,13 @@ def _measure(
         cameras = find_cameras(source, scene, "held-out", width) if source else []
         for config in configs:
             yield from measure_scene(scene, name, config, repeats)
-            if coders:
+            if coders and config.profile in PROFILES:
                 yield from measure_coders(scene, name, config, repeats)
             if cameras:
                 yield measure_quality(scene, name, cameras, truth, config)
+            if source and config.profile in LATTICE_PROFILES:
+                plan = Plan(Steps(), source, width=width)
+                yield measure_quality(scene, name, cameras, truth, config, plan)
         if cameras:
             yield measure_speed(scene, name, cameras, threads, repeats)
     for device, seconds in paper.SECONDS.items():
@@ -179,6 +184,12 @@ def _add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
         ]
     elif kind == "memory":
         rows[name][6] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
+    elif kind == "rendered" and line["by_views"]:
+        label = f"{name}, by views"
+        size = [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}", ""]
+        loss = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
+        quality = [f"{line['mean']['psnr']:.2f}", loss, ""]
+        rows[label] = [label, *size, f"{line['encode_seconds']:.1f}", "", "", *quality]
     elif kind == "rendered":
         rows[name][7] = f"{line['mean']['psnr']:.2f}"
         rows[name][8] = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""

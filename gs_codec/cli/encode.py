@@ -160,8 +160,9 @@ def _stream_row(name: str, size: int, report: EncodeReport) -> list[str]:
     if not costs:
         return [*row, "", "", "", ""]
     entropy = sum(cost.shannon_bits for cost in costs)
-    parametric = sum(cost.parametric_bits for cost in costs) / entropy - 1
-    published = paper.OVERHEAD_PERCENT["sh-ac" if name.startswith("sh") else name]
+    over = sum(cost.parametric_bits for cost in costs) / entropy - 1 if entropy else 0.0
+    published = paper.OVERHEAD_PERCENT.get("sh-ac" if name.startswith("sh") else name)
+    stated = "" if published is None else f"+{published:.2f}%"
     kinds = [cost.model for cost in costs]
     models = ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds)))
-    return [*row, f"{entropy / count:.3f}", f"+{parametric:.2%}", f"+{published:.2f}%", models]
+    return [*row, f"{entropy / count:.3f}", f"+{over:.2%}", stated, models]

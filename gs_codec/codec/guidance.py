@@ -19,6 +19,8 @@ class Guidance:
     Attributes
     ----------
     sensitivity : Sensitivity
+    loss : float
+        Mean squared error of an image value that the scene has already, pruned as it may be.
     pixels : int
         Of all views together.
     recolour : callable
@@ -28,5 +30,6 @@ class Guidance:
     """
 
     sensitivity: Sensitivity
+    loss: float
     pixels: int
     recolour: Callable[[Scene, NDArray[np.float32]], Scene]

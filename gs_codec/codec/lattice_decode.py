@@ -16,16 +16,16 @@ from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.geometry.colour_lattice import decode_colours
 from gs_codec.geometry.count_tree import decode_tree
-from gs_codec.lattice.fixed import LARGEST, PLACES, from_lattice, to_float
+from gs_codec.lattice.fixed import LARGEST, PLACES, to_float
 from gs_codec.lattice.lattice import Lattice
 from gs_codec.lattice.place import centres, from_grid
 from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places
 from gs_codec.lattice.shape import Shape, walk_shape
-from gs_codec.lattice.tokens import BitReader
+from gs_codec.lattice.tokens import BitReader, read_pass
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import SH_COEFFICIENTS
 from gs_codec.transform.axes import quaternions
-from gs_codec.transform.ycocg import from_ycocg
+from gs_codec.transform.ycocg import fill_colours, from_ycocg
 from gs_codec.workers import run_all
 
 #: Fixed-point values beyond this do not come from an encoder.
@@ -172,14 +172,15 @@ class LatticeDecoder:
             raise CorruptStream(f"{where}: an SH energy out of range")
         some = np.flatnonzero(energy)
         context, scale = energy[some], shifts[some]
-        values = np.zeros((3, self.kept, len(some)), np.int64)
+        levels = np.empty((3, self.kept, len(some)), np.int64)
+        units = np.empty(self.kept, np.int64)
         for band, colour, k in sh_places(self.kept):
             streams.open(f"sh{band}")
-            unit = self.lattice.units[f"sh{band}"]
-            values[colour, k] = from_lattice(streams.read(context), 0, unit, scale)
-        _check_range(values.reshape(3 * self.kept, -1), where)
+            units[k] = self.lattice.units[f"sh{band}"]
+            levels[colour, k] = streams.read(context)
         rows = self.groups["f_rest"].reshape(3, self.kept, -1)[:, :, span]
-        rows[:, :, some] = from_ycocg(to_float(values))
+        if not fill_colours(levels, units, scale, some, _TOO_LARGE, rows):
+            raise CorruptStream(f"{where}: a value out of range")
 
 
 class _Streams:
@@ -226,7 +227,7 @@ class _Streams:
     def read(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels ``(n,)`` of the next pass, under contexts ``(n,)``."""
         rows = self._rows()
-        return self.bits.complete(self.reader.read(rows[contexts].astype(np.uint16)))
+        return read_pass(self.reader, self.bits, rows, contexts)
 
     def read_attribute(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels of an attribute of the shape."""

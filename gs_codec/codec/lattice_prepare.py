@@ -17,7 +17,7 @@ from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.place import to_grid
 from gs_codec.lattice.rules import StepRule
 from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, gather
 from gs_codec.transform.axes import sort_axes
 from gs_codec.transform.morton import encode_morton
 
@@ -28,6 +28,10 @@ _COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
 _FINEST = -18
 
 _AXIS_BITS = 21
+
+#: Share of what pruning has lost that quantisation may lose too: neither is worth its bits if
+#: the other saves them at less.
+_OF_LOSS = 0.3
 
 
 @dataclass(frozen=True)
@@ -66,9 +70,10 @@ def shape_scene(scene: Scene, profile: LatticeProfile, guidance: Guidance | None
     cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
     codes = encode_morton(cells, grid.bits)
     order = np.argsort(codes, kind="stable")
-    classes = np.stack([steps.shape_class, steps.colour_class])[:, order]
+    classes = gather(np.stack([steps.shape_class, steps.colour_class]), order)
     scene = scene.take(order)
-    quantiser = ShapeQuantiser(lattice, scene.opacity[0], scales[:, order], vectors[:, order])
+    scales, vectors = gather(scales, order), gather(vectors, order)
+    quantiser = ShapeQuantiser(lattice, scene.opacity[0], scales, vectors)
     shape = walk_shape(lattice, classes[0], quantiser)
     return Shaped(scene, lattice, codes[order], classes, quantiser, shape)
 
@@ -87,7 +92,8 @@ def _steps(
     sensitivity = guidance.sensitivity._replace(log_scale=sorted_axes)
     # What all may add together, over the parameters that there are.
     parameters = scene.count * (14 + len(scene.f_rest))
-    error = profile.error * 3 * guidance.pixels / parameters
+    total = profile.error + _OF_LOSS * guidance.loss
+    error = total * 3 * guidance.pixels / parameters
     return fit_steps(sensitivity, scene.opacity[0], scales, error)
 
 

@@ -75,23 +75,6 @@ def pull(words, position, states, lane, span_row, slot_row):
     return symbol, position + short
 
 
-@kernel
-def _pull_all(words, position, end, states, rows, spans, slots, symbols):
-    """Decode a pass into `symbols`; returns the position after it, or -1 beyond the end.
-
-    `words` is padded by a row of zeros, so that a row needs no check of its own.
-    """
-    for first in range(0, len(symbols), LANES):
-        if position > end:
-            return -1
-        for i in range(first, min(first + LANES, len(symbols))):
-            row = rows[i]
-            symbols[i], position = pull(
-                words, position, states, i & (LANES - 1), spans[row], slots[row]
-            )
-    return position
-
-
 @dataclass
 class PassWriter:
     """Collects the passes of a block, section by section, in the order they are decoded."""
@@ -141,15 +124,6 @@ class PassReader:
         self.end, self.position = len(data) // 2, 0
         self.words = np.zeros(self.end + LANES, np.uint16)
         self.words[: self.end] = np.frombuffer(data, "<u2")
-
-    def read(self, rows: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """The symbols of a pass under the tables ``rows (n,)``."""
-        symbols = np.empty(len(rows), np.uint16)
-        packed = (self.tables.spans, self.tables.slots)
-        self.advance(
-            _pull_all(self.words, self.position, self.end, self.states, rows, *packed, symbols)
-        )
-        return symbols
 
     def advance(self, position: int) -> None:
         """Take note of what a kernel has read; -1 or beyond the end is corrupt."""

@@ -14,7 +14,7 @@ from gs_codec.entropy.binary import bit_length, code_bit, decode_binary, encode_
 from gs_codec.errors import CorruptStream
 from gs_codec.kernels import inlined, kernel
 
-_WINDOW = 32
+WINDOW = 32
 NEIGHBOURS = 4
 _MAGNITUDES = 14  # bit lengths of a residual of 12-bit colours: 0..13
 _ACTIVITIES = 14
@@ -46,19 +46,25 @@ def _code_residual(state, data, contexts, base, residual):
 
 
 @inlined
-def find_nearest(cells, i, near, distances):
+def find_nearest(cells, i, near, distances, window):
     """Fill `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
 
-    Ties go to the later point; `distances` are squared, in position steps.
+    Ties go to the later point; `distances` are squared, in position steps, and exact: below 2^53.
+    `window (WINDOW,)` float64 is for its own use.
     """
+    first = max(i - WINDOW, 0)
+    x, y, z = np.float64(cells[0, i]), np.float64(cells[1, i]), np.float64(cells[2, i])
+    for j in range(i - first):
+        dx = np.float64(cells[0, first + j]) - x
+        dy = np.float64(cells[1, first + j]) - y
+        dz = np.float64(cells[2, first + j]) - z
+        window[j] = dx * dx + dy * dy + dz * dz
     found = 0
-    for j in range(i - 1, max(i - 1 - _WINDOW, -1), -1):
-        dx = np.int64(cells[0, i]) - np.int64(cells[0, j])
-        dy = np.int64(cells[1, i]) - np.int64(cells[1, j])
-        dz = np.int64(cells[2, i]) - np.int64(cells[2, j])
-        distance = dx * dx + dy * dy + dz * dz
-        if found == NEIGHBOURS and distance >= distances[found - 1]:
+    farthest = np.inf
+    for j in range(i - first - 1, -1, -1):
+        if found == NEIGHBOURS and window[j] >= farthest:
             continue
+        distance = np.int64(window[j])
         if found < NEIGHBOURS:
             found += 1
         place = found - 1
@@ -67,7 +73,8 @@ def find_nearest(cells, i, near, distances):
             near[place] = near[place - 1]
             place -= 1
         distances[place] = distance
-        near[place] = j
+        near[place] = first + j
+        farthest = np.float64(distances[found - 1])
     return found
 
 
@@ -94,8 +101,9 @@ def _walk(cells, values, coded, state, data, contexts, encoding):
     near = np.zeros(NEIGHBOURS, np.int64)
     distances = np.zeros(NEIGHBOURS, np.int64)
     weights = np.zeros(NEIGHBOURS, np.int64)
+    window = np.empty(WINDOW)
     for i in range(values.shape[1]):
-        found = find_nearest(cells, i, near, distances)
+        found = find_nearest(cells, i, near, distances, window)
         for k in range(found):
             weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
         previous = 0

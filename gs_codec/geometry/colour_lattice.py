@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.entropy.binary import bit_length, code_raw
 from gs_codec.entropy.passes import LANES, PassReader, pull
-from gs_codec.geometry.colour import NEIGHBOURS, find_nearest
+from gs_codec.geometry.colour import NEIGHBOURS, WINDOW, find_nearest
 from gs_codec.kernels import inlined, kernel
 from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS
 from gs_codec.lattice.tokens import BitReader, raw_width, value_of
@@ -45,8 +45,9 @@ def _code(cells, colours, unit, shifts, levels, contexts, values):
     near = np.zeros(NEIGHBOURS, np.int64)
     distances = np.zeros(NEIGHBOURS, np.int64)
     weights = np.zeros(NEIGHBOURS, np.int64)
+    window = np.empty(WINDOW)
     for i in range(len(shifts)):
-        found = find_nearest(cells, i, near, distances)
+        found = find_nearest(cells, i, near, distances, window)
         _weigh(distances, found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
@@ -66,11 +67,12 @@ def _decode(
     near = np.zeros(NEIGHBOURS, np.int64)
     distances = np.zeros(NEIGHBOURS, np.int64)
     weights = np.zeros(NEIGHBOURS, np.int64)
+    window = np.empty(WINDOW)
     symbol = 0
     for i in range(len(shifts)):
         if position > end:
             return -1, used
-        found = find_nearest(cells, i, near, distances)
+        found = find_nearest(cells, i, near, distances, window)
         _weigh(distances, found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)

@@ -8,11 +8,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.geometry.colour import NEIGHBOURS, find_nearest
+from gs_codec.geometry.colour import NEIGHBOURS, WINDOW, find_nearest
 from gs_codec.kernels import kernel
 
 #: Share of the neighbours' errors that a Gaussian takes over.
 _SHARE = 0.6
+
+
+#: Gaussians whose values are moved together, so that planes are read a cache line at a time.
+_CHUNK = 64
 
 
 @kernel
@@ -20,24 +24,38 @@ def _diffuse(cells, values, share, levels):
     channels, count = values.shape
     near = np.zeros(NEIGHBOURS, np.int64)
     distances = np.zeros(NEIGHBOURS, np.int64)
-    weights = np.zeros(NEIGHBOURS)
-    errors = np.zeros((count, channels), np.float32)
-    for i in range(count):
-        found = find_nearest(cells, i, near, distances)
-        total = 0.0
-        for k in range(found):
-            weights[k] = 1.0 / (1.0 + distances[0] + distances[k])
-            total += weights[k]
+    weights = np.zeros(NEIGHBOURS, np.float32)
+    window = np.empty(WINDOW)
+    # Errors of the last Gaussians, twice what neighbours are looked for in.
+    errors = np.zeros((2 * WINDOW, channels), np.float32)
+    chunk = np.empty((_CHUNK, channels), np.float32)
+    for first in range(0, count, _CHUNK):
+        size = min(_CHUNK, count - first)
         for channel in range(channels):
-            value = np.float64(values[channel, i])
-            taken = 0.0
+            for i in range(size):
+                chunk[i, channel] = values[channel, first + i]
+        for i in range(size):
+            found = find_nearest(cells, first + i, near, distances, window)
+            total = 0.0
             for k in range(found):
-                taken += weights[k] * errors[near[k], channel]
-            if found > 0:
-                taken = min(max(share * taken / total, -1.0), 1.0)
-            level = np.floor(value + taken + 0.5)
-            errors[i, channel] = value + taken - level
-            levels[channel, i] = np.int64(level)
+                total += 1.0 / (1.0 + distances[0] + distances[k])
+            for k in range(found):
+                weights[k] = share / total / (1.0 + distances[0] + distances[k])
+            own = errors[(first + i) % (2 * WINDOW)]
+            own[:] = 0.0
+            for k in range(found):
+                theirs = errors[near[k] % (2 * WINDOW)]
+                for channel in range(channels):
+                    own[channel] += weights[k] * theirs[channel]
+            for channel in range(channels):
+                taken = min(max(own[channel], np.float32(-1.0)), np.float32(1.0))
+                wanted = chunk[i, channel] + taken
+                level = np.floor(wanted + np.float32(0.5))
+                own[channel] = wanted - level
+                chunk[i, channel] = level
+        for channel in range(channels):
+            for i in range(size):
+                levels[channel, first + i] = np.int64(chunk[i, channel])
 
 
 def round_diffusing(places: NDArray[np.int64], values: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.entropy.binary import code_raw
+from gs_codec.entropy.passes import LANES, PassReader, pull
 from gs_codec.errors import CorruptStream
 from gs_codec.kernels import inlined, kernel
 
@@ -92,16 +93,26 @@ def _read_fields(widths, position, bits, values):
 
 
 @kernel
-def _read_raw(tokens, position, bits, values):
-    for i in range(len(tokens)):
-        token = np.int64(tokens[i])
-        width = raw_width(token)
-        rest = 0
-        if width:
-            rest = code_raw(bits, position, width, 0, False)
-            position += width
-        values[i] = value_of(token, rest)
-    return position
+def _read_values(
+    words, position, end, states, spans, slots, rows, contexts, bits, used, values
+):  # fmt: skip
+    """Decode a pass into `values`; positions after what is read of words (-1: beyond) and bits.
+
+    `words` is padded by a row of zeros, so that a row needs no check of its own.
+    """
+    for first in range(0, len(values), LANES):
+        if position > end:
+            return -1, used
+        for i in range(first, min(first + LANES, len(values))):
+            row = rows[contexts[i]]
+            token, position = pull(words, position, states, i & (LANES - 1), spans[row], slots[row])
+            rest = 0
+            if token >= 2 * _DIRECT:
+                width = raw_width(token)
+                rest = code_raw(bits, used, width, 0, False)
+                used += width
+            values[i] = value_of(token, rest)
+    return position, used
 
 
 def tokenise(values: NDArray[np.int64]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
@@ -140,12 +151,6 @@ class BitReader:
         self.position = 0
         self.where = where
 
-    def complete(self, tokens: NDArray[np.uint16]) -> NDArray[np.int64]:
-        """The integers ``(n,)`` of tokens, with their raw bits."""
-        values = np.empty(len(tokens), np.int64)
-        self.position = _read_raw(tokens, self.position, self.bits, values)
-        return values
-
     def fields(self, widths: NDArray[np.int64]) -> NDArray[np.int64]:
         """Numbers ``(n,)`` of so many bits."""
         values = np.empty(len(widths), np.int64)
@@ -160,3 +165,23 @@ class BitReader:
             )
         if self.position % 8 and self.bits[-1] & (0xFF >> self.position % 8):
             raise CorruptStream(f"{self.where}: padding bits that are not 0")
+
+
+def read_pass(
+    reader: PassReader, bits: BitReader, rows: NDArray[np.int64], contexts: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The integers ``(n,)`` of a pass, whose tables are ``rows[contexts]``.
+
+    Raises
+    ------
+    CorruptStream
+        If there are fewer words than symbols.
+    """
+    values = np.empty(len(contexts), np.int64)
+    tables = (reader.tables.spans, reader.tables.slots)
+    position, bits.position = _read_values(
+        reader.words, reader.position, reader.end, reader.states, *tables, rows, contexts,
+        bits.bits, bits.position, values,
+    )  # fmt: skip
+    reader.advance(position)
+    return values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,20 +33,22 @@ def share_tables(histograms: NDArray[np.int64]) -> ContextTables:
     used = [int(c) for c in np.flatnonzero(histograms.any(axis=1))]
     if not used:
         return ContextTables(np.zeros(len(histograms), np.int64), histograms[:1])
-    groups = [histograms[c].copy() for c in used]
+    tokens = int(np.flatnonzero(histograms.any(axis=0))[-1]) + 1
+    groups = [histograms[c, :tokens] for c in used]
     starts = [0, *used[1:]]
     costs = [_cost(group) for group in groups]
+    merged = [_cost(a + b) for a, b in pairwise(groups)]
     while len(groups) > 1:
-        gains = [
-            costs[i] + costs[i + 1] - _cost(groups[i] + groups[i + 1])
-            for i in range(len(groups) - 1)
-        ]
+        gains = [costs[i] + costs[i + 1] - merged[i] for i in range(len(merged))]
         best = int(np.argmax(gains))
         if gains[best] <= 0:
             break
+        costs[best : best + 2] = [merged[best]]
         groups[best : best + 2] = [groups[best] + groups[best + 1]]
-        costs[best : best + 2] = [_cost(groups[best])]
-        del starts[best + 1]
+        del starts[best + 1], merged[best]
+        for i in (best - 1, best):
+            if 0 <= i < len(merged):
+                merged[i] = _cost(groups[i] + groups[i + 1])
     marks = np.zeros(len(histograms), np.int64)
     marks[starts[1:]] = 1
     return ContextTables(np.cumsum(marks), np.array(groups))

@@ -53,4 +53,4 @@ def guide(
         return refitted
 
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, pixels, recolour)
+    return Guidance(found, views.error(scene), pixels, recolour)

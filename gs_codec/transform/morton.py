@@ -45,14 +45,30 @@ def _encode(cells, tables, codes):
         codes[i] = code
 
 
+def _axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
+    """What each value of each byte of a code gives each axis, shape (8, 256, 3)."""
+    layout = bit_layout(depths)
+    tables = np.zeros((8, 256, 3), np.uint32)
+    values = np.arange(256)
+    left = list(depths)
+    for position, axis in enumerate(layout):
+        left[axis] -= 1
+        byte, bit = divmod(len(layout) - 1 - position, 8)
+        tables[byte, :, axis] |= (((values >> bit) & 1) << left[axis]).astype(np.uint32)
+    return tables
+
+
 @kernel
-def _decode(codes, layout, cells):
-    cells[:] = 0
+def _decode(codes, size, tables, cells):
     for i in range(codes.size):
-        for position in range(layout.size):
-            bit = (codes[i] >> (layout.size - 1 - position)) & 1
-            axis = layout[position]
-            cells[axis, i] = (cells[axis, i] << 1) | bit
+        code = codes[i]
+        x = y = z = np.uint32(0)
+        for byte in range(size):
+            row = tables[byte, (code >> (8 * byte)) & 255]
+            x |= row[0]
+            y |= row[1]
+            z |= row[2]
+        cells[0, i], cells[1, i], cells[2, i] = x, y, z
 
 
 def encode_morton(cells: NDArray[np.uint32], depths: tuple[int, int, int]) -> NDArray[np.int64]:
@@ -65,7 +81,7 @@ def encode_morton(cells: NDArray[np.uint32], depths: tuple[int, int, int]) -> ND
 def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDArray[np.uint32]:
     """Quantised positions ``(3, N)`` of Morton codes ``(N,)``."""
     cells = np.empty((3, codes.size), np.uint32)
-    _decode(codes, bit_layout(depths), cells)
+    _decode(codes, -(-sum(depths) // 8), _axis_tables(depths), cells)
     return cells
 
 

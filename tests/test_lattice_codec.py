@@ -166,6 +166,15 @@ def test_steps_are_finer_where_more_is_seen():
         assert rms[0] < 0.25 * rms[1], group
 
 
+def test_steps_are_coarser_where_pruning_has_lost_more():
+    scene = random_scene(1000, 1, seed=51)
+    sizes = []
+    for loss in (0.0, 1e-4, 1e-2):
+        told = replace(made_up_guide(seed=51)(scene), loss=loss)
+        sizes.append(len(encode_scene(scene, Config("m"), guide=lambda _, told=told: told)[0]))
+    assert sizes[0] > sizes[1] > sizes[2]
+
+
 def shaped_order(scene: Scene, shaped: Shaped) -> np.ndarray:
     """Place in the stream of each Gaussian, told by its opacity."""
     places = {value: i for i, value in enumerate(shaped.scene.opacity[0].tolist())}

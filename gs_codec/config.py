@@ -72,8 +72,9 @@ class Config:
 
     Parameters
     ----------
-    profile : {"paper-l", "paper-m", "paper-s", "lossless"}
-        Quantisation depths of the paper's Table 1, or every bit as it is. Default ``paper-m``.
+    profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s", "lossless"}
+        Steps that follow how much is seen of each Gaussian, quantisation depths of the paper's
+        Table 1, or every bit as it is. Default ``paper-m``.
     depths : mapping of str to int
         Bits per group that override the profile (the paper's rate control, Section 4.4).
         Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``, ``rotation``,

@@ -54,7 +54,8 @@ class EncodeReport:
     costs : list of ChannelCost
         Code lengths of the rANS-coded channels beside their entropy.
     rectified : int
-        SH-AC values moved to the edge of their Laplace range.
+        SH-AC values moved to the edge of their Laplace range; of profiles `l`, `m` and `s`, all
+        values moved to the largest that lattices have.
     zero_quaternions : int
         Quaternions of norm 0, coded as the identity.
     dropped : int

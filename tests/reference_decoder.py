@@ -22,6 +22,7 @@ CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOX = 1, 2, 3, 4, 11, 12, 17
 LOSSLESS = 6
 RANS_STREAMS = (5, 6, 7, 8, 9, 10)
 BLOCK_SECTIONS = (GEOMETRY, SH_DC, STATES, *RANS_STREAMS)
+BLOCK_SECTIONS_OF_LATTICES = (14, 15)
 EXTRA_DTYPES = ("<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 LANES = 32
 STATE_MIN = 1 << 16
@@ -116,9 +117,10 @@ def read_sections(reader, table, blocks):
         check(flags <= 1, f"{place}: reserved bits")
         check((number, block) not in seen, f"{place}: twice")
         seen.add((number, block))
-        known = CHANNELS <= number <= EXTRA or number == BOX
+        known = CHANNELS <= number <= BOX
         check(known or flags == 1, f"{place}: unknown and not optional")
-        limit = blocks if number in BLOCK_SECTIONS else 1 if known else max(blocks, 1)
+        of_block = number in (*BLOCK_SECTIONS, *BLOCK_SECTIONS_OF_LATTICES)
+        limit = blocks if of_block else 1 if known else max(blocks, 1)
         check(block < limit, f"{place}: no such block")
         if known:
             sections[number, block] = content
@@ -130,6 +132,7 @@ def check_presence(sections, channels, blocks):
     if needed & set(RANS_STREAMS):
         needed.add(STATES)
     found = [number for number, _ in sections]
+    check(CHANNELS in found and not any(13 <= number <= BOX for number in found), "sections")
     for number in BLOCK_SECTIONS:
         expected = blocks if number in needed else 0
         text = f"section {number}: in {found.count(number)} blocks, expected {expected}"
@@ -687,14 +690,16 @@ def decode(data):
     -------
     dict
         count, sh_degree, has_normals, comments (list of str), extra (name -> array),
-        symbols (PLY property -> list of int, constant channels absent) and values
-        (PLY property -> float32 array), all in stream order.
+        symbols (PLY property -> list of int; constant channels absent, all of profiles 3-6) and
+        values (PLY property -> float32 array), all in stream order.
 
     Raises
     ------
     ValueError
         The file is truncated, corrupt or of another version.
     """
+    from reference_lattice import lattice_values
+
     flags, count, sh_degree, profile, block_size, sections = read_header(data)
     common = {
         "count": count,
@@ -705,6 +710,9 @@ def decode(data):
     }
     if profile == LOSSLESS:
         values = decode_lossless(sections, count, sh_degree, block_size)
+        return {**common, "symbols": {}, "values": values}
+    if profile > 2:
+        values = lattice_values(count, sh_degree, block_size, sections)
         return {**common, "symbols": {}, "values": values}
     check((BOX, 0) not in sections, "section 17: without profile 6")
     check((CHANNELS, 0) in sections, "section 1: missing")

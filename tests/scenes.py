@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gs_codec.codec.guidance import Guidance
+from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
@@ -67,6 +70,27 @@ def edge_scenes() -> dict[str, Scene]:
         "all colours constant": replace(base, f_dc=np.ones_like(base.f_dc)),
         "negative zero": replace(base, opacity=np.where(base.opacity > 0, -0.0, base.opacity)),
     }
+
+
+def made_up_guide(seed: int = 0, spread: float = 3.0) -> Callable[[Scene], Guidance]:
+    """What views could say of a scene, drawn by chance; colours stay as they are.
+
+    Sensitivities of a Gaussian go up and down together by ``exp(spread)``, so that there are
+    classes.
+    """
+
+    def guide(scene: Scene) -> Guidance:
+        rng = np.random.default_rng(seed)
+        level = rng.normal(0.0, spread, scene.count)
+
+        def draw(*shape: int) -> np.ndarray:
+            return np.exp(level + rng.normal(0.0, 0.5, (*shape, scene.count)))
+
+        colour = 100.0 * np.exp(rng.normal(0.0, spread, scene.count))
+        drawn = Sensitivity(100.0 * draw(), draw(3), draw(), draw(), colour)
+        return Guidance(drawn, 0.0, 1000 * scene.count, lambda decoded, steps: decoded)
+
+    return guide
 
 
 def shared_scene_path(name: str) -> Path:

@@ -21,7 +21,7 @@ from scenes import random_scene
 
 from gs_codec import __version__
 from gs_codec.cli import main as cli
-from gs_codec.config import PROFILES
+from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
 from gs_codec.container.carried import write_extra
 from gs_codec.container.file import Section, SectionId, read_file, write_file
 from gs_codec.files import encode_file
@@ -288,6 +288,146 @@ def test_name_that_is_not_text_can_be_printed(folder, trio):
     assert (folder.path / name).read_bytes() == trio.egs.read_bytes()
 
 
+# Lattices, and parts of scenes
+
+
+@pytest.fixture
+def lattice(folder) -> Folder:
+    """The folder with `l.egs` to `s.egs` beside the others."""
+    for profile in LATTICE_PROFILES:
+        encode_file("scene.ply", f"{profile}.egs", Config(profile, block_size=1024))
+    return folder
+
+
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+def test_encode_to_lattices_writes_what_the_library_does(folder, profile):
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", profile)
+    assert (status, err) == (0, "")
+    encode_file("scene.ply", "library.egs", Config(profile))
+    assert Path("out.egs").read_bytes() == Path("library.egs").read_bytes()
+    assert out.startswith("out.egs: 1,500 Gaussians, 355.48 kB -> ")
+    header, *rows = [line.split() for line in out.splitlines()[1:-1]]
+    assert header == ["stream", "bytes", "bits/Gaussian", "entropy"]
+    sizes = {row[0]: int(row[1].replace(",", "")) for row in rows}
+    assert sum(sizes.values()) == Path("out.egs").stat().st_size
+    assert set(sizes) >= {"lattice", "bounds", "classes", "low-bits", "geometry", "sh3"}
+    assert out.endswith("% over Shannon entropy\n")
+
+
+def test_encode_to_lattices_reports_as_json(folder):
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", "m", "--json")
+    report = strict_json(out)
+    assert (status, err, report["profile"], report["count"]) == (0, "", "m", 1500)
+    assert sum(report["section_bytes"].values()) == report["file_bytes"]
+    assert len(report["costs"]) == 10 + 1 + 45
+    for cost in report["costs"]:
+        assert cost["coded_bits"] >= cost["shannon_bits"] * (1 - 1e-12), cost["name"]
+
+
+def test_values_beyond_the_lattices_are_told(folder):
+    scene = read_ply("scene.ply")
+    scene.opacity[0, :3] = 1e6
+    write_ply("far.ply", scene)
+    status, out, _ = folder.run("encode", "far.ply", "out.egs", "-p", "m")
+    assert status == 0
+    assert out.splitlines()[-1] == "values beyond 400, moved to 400: 3"
+
+
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+def test_inspect_says_what_lattices_hold(lattice, profile):
+    scene, name = read_ply("scene.ply"), f"{profile}.egs"
+    status, out, err = lattice.run("inspect", name, "--json")
+    info = strict_json(out)
+    assert (status, err) == (0, "")
+    assert (info["profile"], info["count"], info["blocks"]) == (profile, 1500, 2)
+    assert info["channels"] == []
+    assert sum(stream["bytes"] for stream in info["streams"]) == info["file_bytes"]
+    assert [p["name"] for p in info["passes"][:3]] == ["shape class", "colour class", "opacity"]
+    assert len(info["passes"]) == 10 + 1 + 45
+    for item in info["passes"]:
+        assert 0 < item["finest_step"] <= item["coarsest_step"]
+        assert item["tables"] >= 1
+    assert len(info["grid"]["bits"]) == 3
+    np.testing.assert_allclose(
+        info["bounds"], [scene.positions.min(axis=1), scene.positions.max(axis=1)], atol=0.1
+    )
+    plain = lattice.run("inspect", name).out
+    assert plain.startswith(f"{name}: version 1, profile {profile}, 1,500 Gaussians, SH degree 3")
+    listed = lattice.run("inspect", name, "--channels").out
+    assert listed.startswith(plain)
+    header, *rows = [line.split() for line in listed[len(plain) :].splitlines()]
+    assert header == ["symbols", "stream", "tables", "finest", "step", "coarsest", "step"]
+    assert {row[0] for row in rows} >= {"opacity", "scale_2", "rot_3", "f_dc", "SH", "f_rest"}
+    tables = {line.split()[0]: line.split()[-2] for line in plain.splitlines() if "tables" in line}
+    for stream, number in tables.items():
+        listed_tables = [int(p["tables"]) for p in info["passes"] if p["stream"] == stream]
+        assert int(number) == sum(listed_tables)
+
+
+@pytest.mark.parametrize("name", ["m.egs", "scene.egs"])
+def test_decode_of_a_lower_degree(lattice, name):
+    status, out, err = lattice.run("decode", name, "out.ply", "--sh-degree", "1")
+    assert (status, err) == (0, "")
+    first, second = out.splitlines()
+    assert first.startswith("out.ply: 1,500 Gaussians, SH degree 1, ")
+    assert re.fullmatch(rf"read [0-9.]+ kB of {name}, [0-9]+% of it", second)
+    scene = read_ply("out.ply")
+    assert scene.sh_degree == 1
+    report = strict_json(lattice.run("decode", name, "o.ply", "--sh-degree", "0", "--json").out)
+    assert report["sh_degree"] == 0
+    assert report["bytes_read"] < report["file_bytes"] == Path(name).stat().st_size
+    assert lattice.run("compare", "scene.ply", "out.ply").status == 0
+
+
+@pytest.mark.parametrize("name", ["m.egs", "scene.egs"])
+def test_decode_of_a_box(lattice, name):
+    assert lattice.run("decode", name, "whole.ply").status == 0
+    status, out, err = lattice.run("decode", name, "out.ply", "--bbox", "-9,-9,-9,0,9,9.5")
+    assert (status, err) == (0, "")
+    whole, part = read_ply("whole.ply"), read_ply("out.ply")
+    inside = whole.positions[0] <= 0
+    assert out.startswith(f"out.ply: {inside.sum():,} Gaussians, SH degree 3, ")
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(part, group), getattr(whole, group)[:, inside])
+    assert part.comments == ()
+    status, out, err = lattice.run("decode", name, "none.ply", "--bbox", "8,8,8,9,9,9")
+    assert (status, err) == (0, "")
+    assert out.startswith("none.ply: 0 Gaussians, SH degree 3, ")
+    assert read_ply("none.ply").count == 0
+    arguments = ["decode", name, "o.ply", "--bbox", "8,8,8,9,9,9", "--json"]
+    report = strict_json(lattice.run(*arguments).out)
+    assert report["count"] == 0
+    assert (report["bytes_read"] < report["file_bytes"]) == (name == "m.egs")
+
+
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("count", [0, 1])
+def test_smallest_scenes_go_all_the_way_through_lattices(folder, profile, count):
+    write_ply("small.ply", random_scene(count, 3))
+    for arguments in (
+        ["encode", "small.ply", "small.egs", "-p", profile],
+        ["inspect", "small.egs", "--channels"],
+        ["decode", "small.egs", "back.ply"],
+        ["decode", "small.egs", "part.ply", "--bbox", "0,0,0,1,1,1", "--sh-degree", "2"],
+        ["compare", "small.ply", "back.ply"],
+    ):
+        status, out, err = folder.run(*arguments)
+        assert (status, err) == (0, "")
+        assert out
+    for arguments in (["inspect", "small.egs"], ["compare", "small.ply", "back.ply"]):
+        assert strict_json(folder.run(*arguments, "--json").out)["count"] == count
+
+
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+def test_lattices_are_compared_with_their_original(lattice, profile):
+    for pair in (["scene.ply", f"{profile}.egs"], [f"{profile}.egs", "scene.ply"]):
+        result = strict_json(lattice.run("compare", *pair, "--json").out)
+        assert result["matched_by"] == "stored order"
+        errors = {(group["name"], group["unit"]): group["rms"] for group in result["groups"]}
+        assert 0 < errors["positions", "scene units"] < 0.02
+    assert "differently" in lattice.refuse("compare", "l.egs", "s.egs")
+
+
 # What is refused
 
 
@@ -391,7 +531,7 @@ REFUSED = {
     "compare missing": ("compare scene.ply missing.ply", "missing.ply: No such file"),
     "compare directory": ("compare some.dir scene.ply", "some.dir: .*directory"),
     "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians"),
-    "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of paper-l"),
+    "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of l, m, s, "),
     "depth group": ("encode scene.ply out.egs --depth colour=3", "'colour': expected one of"),
     "depth 0": ("encode scene.ply out.egs --depth opacity=0", "integer from 1 to 12"),
     "depth 13": ("encode scene.ply out.egs --depth sh-ac=13", "integer from 1 to 12"),
@@ -404,6 +544,17 @@ REFUSED = {
     "depth of 5000 digits": (f"encode scene.ply out.egs --depth sh-ac={'9' * 5000}", "expected"),
     "nonfinite": ("encode scene.ply out.egs --nonfinite keep", "nonfinite 'keep'"),
     "extra": ("encode scene.ply out.egs --extra maybe", "extra 'maybe'"),
+    "depth of a lattice": ("encode scene.ply out.egs -p m --depth sh1=3", "'m' has none"),
+    "box of five": ("decode scene.egs out.ply --bbox 0,0,0,1,1", "--bbox 0,0,0,1,1: expected six"),
+    "box of seven": ("decode scene.egs out.ply --bbox 0,0,0,1,1,1,1", "expected six numbers"),
+    "box of words": ("decode scene.egs out.ply --bbox a,b,c,d,e,f", "expected six numbers"),
+    "box empty": ("decode scene.egs out.ply --bbox=", "expected six numbers"),
+    "box upside down": ("decode scene.egs out.ply --bbox 0,0,1,1,1,0", "box 0, 0, 1, 1, 1, 0: "),
+    "box of NaN": ("decode scene.egs out.ply --bbox 0,0,0,1,1,nan", "expected lowest x, y, z"),
+    "box without end": ("decode scene.egs out.ply --bbox 0,0,0,1,1,inf", "expected lowest x, y"),
+    "degree 4": ("decode scene.egs out.ply --sh-degree 4", "SH degree 4: expected 0-3"),
+    "degree -1": ("decode scene.egs out.ply --sh-degree -1", "SH degree -1: expected 0-3"),
+    "degree word": ("decode scene.egs out.ply --sh-degree all", "--sh-degree.*valid int"),
     "threads of encode": ("encode scene.ply out.egs --threads 0", "1"),
     "threads of decode": ("decode scene.egs out.ply --threads 0", "1"),
     "too large": ("decode scene.egs out.ply --max-bytes 9", "354000 bytes, the limit is 9"),

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference_decoder import Channel, Reader, decode, read_model, set_frequencies
-from scenes import random_scene
+from reference_decoder import Channel, Reader, decode, read_header, read_model, set_frequencies
+from reference_lattice import read_lattice
+from scenes import edge_scenes, made_up_guide, random_scene
 
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import DEPTH_GROUPS, Config
+from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, Config
 from gs_codec.io.ply import read_ply
 from gs_codec.model.mixture import Component, MixtureModel
 from gs_codec.model.table import normalise
@@ -32,6 +33,10 @@ def config(profile="paper-m", extra="error", **depths):
     return Config(profile, {"rotation": 6, **depths}, extra=extra, threads=1, block_size=1024)
 
 
+def lattice_config(profile="m", extra="error"):
+    return Config(profile, extra=extra, threads=1, block_size=1024)
+
+
 def scene_of(seed, count, sh_degree=3):
     return random_scene(count, sh_degree, seed)
 
@@ -42,6 +47,15 @@ def with_rows(scene, group, values):
     for row, value in values.items():
         plane[row] = value
     return replace(scene, **{group: plane})
+
+
+def far_apart(seed, count):
+    """Positions up to the largest float32, whose cells reach beyond it."""
+    scene = random_scene(count, seed=seed)
+    largest = np.finfo(np.float32).max
+    positions = scene.positions / np.abs(scene.positions).max() * largest
+    positions[:, 0], positions[:, 1] = -largest, largest
+    return replace(scene, positions=positions)
 
 
 def identical(seed, count):
@@ -178,6 +192,52 @@ def test_identical_gaussians_have_no_symbols():
 def test_cases_cover_every_model():
     models = {cost.model for case in CASES for cost in encoded(case)[1].costs}
     assert {"laplace", "mixture", "table"} <= models
+
+
+LATTICE_CASES = {
+    **{f"degree{degree}-seed{degree}": (scene_of, (degree, 200, degree)) for degree in range(4)},
+    **{f"count{count}-seed5": (scene_of, (5, count)) for count in (0, 1, 2, 31, 33)},
+    "blocks-seed5": (scene_of, (5, 1500)),
+    "blocks-of-degree0-seed5": (scene_of, (5, 2049, 0)),
+    "identical-seed6": (identical, (6, 1100)),
+    "duplicated-seed7": (duplicated, (7, 1100)),
+    "one-place-seed8": (one_place, (8, 200)),
+    "few-levels-seed9": (few_levels, (9, 300)),
+    "far-apart-seed16": (far_apart, (16, 50)),
+}
+
+
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("case", LATTICE_CASES)
+def test_reference_decoder_gives_the_same_bits_of_lattices(case, profile, guided):
+    make, arguments = LATTICE_CASES[case]
+    guide = made_up_guide(seed=arguments[0]) if guided else None
+    data, _ = encode_scene(make(*arguments), lattice_config(profile), guide=guide)
+    assert assert_same(data)["count"] == arguments[1]
+
+
+@pytest.mark.parametrize("name", edge_scenes())
+def test_reference_decoder_gives_the_same_bits_of_edge_scenes(name):
+    data, _ = encode_scene(edge_scenes()[name], lattice_config("m"))
+    assert_same(data)
+
+
+def test_extra_of_lattices_is_carried_seed15():
+    assert_same(encode_scene(with_extra(15, 1100), lattice_config("m", extra="keep"))[0])
+
+
+def test_lattice_cases_have_classes_shifts_and_shared_tables():
+    """What the text says of these is only tested where they differ."""
+    scene, guide = scene_of(5, 1500), made_up_guide(seed=5)
+    data, _ = encode_scene(scene, lattice_config("m"), guide=guide)
+    _, _, degree, _, _, sections = read_header(data)
+    lattice = read_lattice(sections[13, 0], degree)
+    assert min(lattice.classes) > 4
+    assert lattice.rules["positions"].limit > 0
+    assert any(c for rule in lattice.rules.values() for c in rule.c)
+    assert any(len({id(table) for table in tables}) > 1 for tables in lattice.tables)
+    assert any(len({id(table) for table in tables}) < len(tables) for tables in lattice.tables)
 
 
 def test_tiny_scene():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from golden.make import golden_scenes
+from golden.make import GUIDES, golden_scenes
 from reference_decoder import decode as reference_decode
 
 from gs_codec.codec import decode_scene, encode_scene
@@ -34,7 +34,8 @@ def test_golden_file_decodes_to_the_same_floats(path):
 def test_reference_decoder_agrees_on_golden_files(path):
     values = reference_decode(path.read_bytes())["values"]
     decoded = decode_scene(path.read_bytes())
-    for name, row in {"x": decoded.positions[0], "opacity": decoded.opacity[0]}.items():
+    rows = {"x": decoded.positions[0], "opacity": decoded.opacity[0], "rot_3": decoded.rot[3]}
+    for name, row in rows.items():
         np.testing.assert_array_equal(values[name].view(np.uint32), row.view(np.uint32))
 
 
@@ -42,4 +43,4 @@ def test_reference_decoder_agrees_on_golden_files(path):
 def test_encoder_still_writes_the_same_bytes(name):
     scene, config = golden_scenes()[name]
     golden = Path(__file__).parent / "golden" / f"v{VERSION}-{name}.egs"
-    assert encode_scene(scene, config)[0] == golden.read_bytes()
+    assert encode_scene(scene, config, guide=GUIDES.get(name))[0] == golden.read_bytes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -88,38 +89,38 @@ def decode_part(
     _check_size(header, limit)
     degree = part.degree_of(header.sh_degree)
     blocks = _chosen_blocks(described, part)
+    chosen = blocks if isinstance(blocks, range) else frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
     file = read_file(
         data,
         lambda section, block: (
-            section not in unread and (section in SCENE_SECTIONS or int(block) in blocks)
+            section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
         ),
     )
-    spans = _spans(header, sorted(blocks))
     if header.profile == LOSSLESS:
         _check_sections(file, {SectionId.BOX}, set(block_sections(header.sh_degree)))
-        groups = decode_lossless(file, spans, degree, threads, progress)
+        groups = decode_lossless(file, _spans(header, blocks), degree, threads, progress)
     elif header.profile in LATTICE_PROFILES:
-        own = {SectionId.LATTICE, SectionId.BOUNDS}
+        own = {SectionId.LATTICE, SectionId.BOUNDS} if header.count else {SectionId.LATTICE}
         _check_sections(file, own, lattice_sections(header.sh_degree))
-        groups = decode_lattice(file, spans, degree, threads, progress)
+        groups = decode_lattice(file, _spans(header, blocks), degree, threads, progress)
     else:
-        groups = _decode_channels(file, spans, degree, threads, progress)
-    scene = _assemble(file, groups, sorted(blocks))
+        groups = _decode_channels(file, blocks, degree, threads, progress)
+    scene = _assemble(file, groups, blocks)
     if part.box is not None:
         scene = scene.take(part.contains(scene.positions))
     return scene, file.bytes_read
 
 
-def _chosen_blocks(file: EgsFile, part: Part) -> set[int]:
+def _chosen_blocks(file: EgsFile, part: Part) -> Sequence[int]:
     """Blocks that may have something in the part's box."""
     every = range(file.header.block_count)
     if part.box is None or file.header.profile not in LATTICE_PROFILES or not every:
-        return set(every)
-    return {int(block) for block in np.flatnonzero(part.meets(*block_boxes(file)))}
+        return every
+    return np.flatnonzero(part.meets(*block_boxes(file))).tolist()
 
 
-def _spans(header: Header, blocks: list[int]) -> dict[int, slice]:
+def _spans(header: Header, blocks: Sequence[int]) -> dict[int, slice]:
     """Where the Gaussians of chosen blocks go."""
     spans, end = {}, 0
     for block in blocks:
@@ -131,7 +132,7 @@ def _spans(header: Header, blocks: list[int]) -> dict[int, slice]:
 
 def _decode_channels(
     file: EgsFile,
-    spans: dict[int, slice],
+    blocks: Sequence[int],
     degree: int,
     threads: int | None,
     progress: Progress | None,
@@ -143,7 +144,7 @@ def _decode_channels(
     decoder = _Blocks.of(file, channels, degree)
     jobs = [
         partial(stage, block, span.start, span.stop)
-        for block, span in spans.items()
+        for block, span in _spans(file.header, blocks).items()
         for stage in (decoder.decode_points, decoder.decode_attributes)
     ]
     run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
@@ -180,7 +181,9 @@ def _check_sections(file: EgsFile, own: set[SectionId], expected: set[SectionId]
         raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
 
 
-def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: list[int]) -> Scene:
+def _assemble(
+    file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: Sequence[int]
+) -> Scene:
     """The scene of the decoded groups, and what the file carries beside them."""
     comments = file.sections.get((SectionId.COMMENTS, 0))
     extra = file.sections.get((SectionId.EXTRA, 0))
@@ -192,7 +195,7 @@ def _assemble(file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: lis
     )
 
 
-def _of_blocks(extra: memoryview, header: Header, blocks: list[int]) -> dict[str, NDArray]:
+def _of_blocks(extra: memoryview, header: Header, blocks: Sequence[int]) -> dict[str, NDArray]:
     """Extra properties of the Gaussians of chosen blocks."""
     columns = read_extra(extra, header.count)
     if len(blocks) == header.block_count:

@@ -75,7 +75,8 @@ def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]
 class LatticeDecoder:
     """Decoder of single blocks into the groups of a scene.
 
-    ``coefficients`` of SH-AC are coded for each colour, of which ``kept`` are decoded.
+    ``coefficients`` of SH-AC are coded for each colour, of which ``kept`` are decoded; ``boxes``
+    are the blocks' bounds, in half steps.
     """
 
     file: EgsFile
@@ -84,6 +85,7 @@ class LatticeDecoder:
     tables: PassTables
     coefficients: int
     kept: int
+    boxes: NDArray[np.int64]
     groups: dict[str, NDArray[np.float32]]
 
     @classmethod
@@ -102,7 +104,10 @@ class LatticeDecoder:
         }
         groups = {g: np.zeros((n, count), np.float32) for g, n in rows.items()}
         tables = PassTables.pack(models.tables())
-        return cls(file, lattice, models, tables, coefficients, kept, groups)
+        boxes = np.zeros((0, 6), np.int64)
+        if file.header.count:
+            boxes = read_bounds(file.section(SectionId.BOUNDS), file.header.block_count)
+        return cls(file, lattice, models, tables, coefficients, kept, boxes, groups)
 
     def decode(self, block: int, start: int, stop: int) -> None:
         """Fill the groups of a block."""
@@ -153,7 +158,10 @@ class LatticeDecoder:
         bits = BitReader(self.file.section(SectionId.LOW_BITS, block), where)
         codes |= bits.fields(lefts - dropped) << dropped
         bits.close()
-        return centres(codes, dropped, self.lattice.grid.bits)
+        places = centres(codes, dropped, self.lattice.grid.bits)
+        if np.any(self.boxes[block] != [*places.min(axis=1), *places.max(axis=1)]):
+            raise CorruptStream(f"section 'bounds': not those of block {block}")
+        return places
 
     def _decode_ac(
         self, streams: _Streams, shifts: NDArray[np.int64], span: slice, where: str

@@ -142,11 +142,11 @@ def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[Posi
     low = scene.positions.min(axis=1).astype(np.float64)
     extent = scene.positions.max(axis=1).astype(np.float64) - low
     widest = math.frexp(max(float(extent.max()), 1e-30))[1]
-    unit = finest_step(wanted, max(widest - _AXIS_BITS, -120), widest)
+    unit = finest_step(wanted, max(widest - _AXIS_BITS, -120), min(widest, 127))
     step = float(np.float32(2.0**unit))
-    bits = [math.frexp(size / step)[1] if size > 0 else 0 for size in extent]
+    bits = [max(math.frexp(size / step)[1], 0) for size in extent]
     # The middle of the one cell of a flat axis is where it is.
-    flat = np.array(bits) == 0
+    flat = extent == 0
     origin = (low - 0.5 * step * flat).astype(np.float32).astype(float)
     grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))
     return grid, make_rule(steps.coefficients["position"], unit, unit + 31, thirds=True)

@@ -1,4 +1,4 @@
-"""The `lattice` section: units, rules and tables of a scene. FORMAT.md, section "Lattice"."""
+"""The `lattice` section: units, rules and tables of a scene. FORMAT.md, section "Lattices"."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Closed-loop prediction of SH-DC on lattices of unequal steps, in Y, Co, Cg.
 
 A point's colour is predicted from the nearest of those just before, as `colour` does, and the
-difference is rounded to the point's own step. FORMAT.md, section "SH-DC on lattices".
+difference is rounded to the point's own step. FORMAT.md, section "Lattices", "Colours".
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from gs_codec.transform.morton import bit_layout, decode_morton
 
+_LARGEST = float(np.finfo(np.float32).max)
+
 
 def centres(
     codes: NDArray[np.int64], dropped: NDArray[np.int64], bits: tuple[int, int, int]
@@ -44,5 +46,6 @@ def to_grid(
 def from_grid(
     half_steps: NDArray[np.int64], origin: NDArray[np.float64], step: float
 ) -> NDArray[np.float32]:
-    """Positions ``(3, N)`` of places in half steps."""
-    return (origin[:, None] + half_steps * (0.5 * step)).astype(np.float32)
+    """Positions ``(3, N)`` of places in half steps, clamped to what float32 holds."""
+    positions = origin[:, None] + half_steps * (0.5 * step)
+    return np.clip(positions, -_LARGEST, _LARGEST, out=positions).astype(np.float32)

@@ -17,12 +17,15 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from scenes import random_scene  # noqa: E402
+from scenes import made_up_guide, random_scene  # noqa: E402
 
 from gs_codec.codec import decode_scene, encode_scene  # noqa: E402
 from gs_codec.config import Config  # noqa: E402
 from gs_codec.container.file import VERSION  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
+
+#: What tells the encoder of what views see, by name.
+GUIDES = {"guided": made_up_guide(seed=103)}
 
 
 def golden_scenes() -> dict[str, tuple[Scene, Config]]:
@@ -57,6 +60,12 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
         "lossless": (bits, Config("lossless", extra="keep", block_size=1024)),
         "lossless-kept": (unit, Config("lossless", keep_order=True)),
         "empty": (random_scene(0, 3), Config()),
+        "l": (plain.take(np.arange(200)), Config("l")),
+        "m": (plain, Config("m", block_size=1024)),
+        "s": (plain.take(np.arange(200)), Config("s")),
+        "guided": (random_scene(1100, 1, seed=104), Config("m", block_size=1024)),
+        "carried-m": (carried, Config("m", extra="keep")),
+        "empty-m": (random_scene(0, 3), Config("m")),
     }
 
 
@@ -67,7 +76,7 @@ def main() -> None:
         if stem.with_suffix(".egs").exists():
             print(f"{stem.name}: exists already, left as it is")
             continue
-        data, _ = encode_scene(scene, config)
+        data, _ = encode_scene(scene, config, guide=GUIDES.get(name))
         decoded = decode_scene(data)
         stem.with_suffix(".egs").write_bytes(data)
         planes = {group: getattr(decoded, group) for group in GROUPS}

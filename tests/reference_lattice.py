@@ -1,0 +1,417 @@
+"""Lattices (profiles 3-5) of the reference decoder, written from ``gs_codec/FORMAT.md`` alone.
+
+Integers are Python's; numpy only rounds binary64 to binary32.
+"""
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import isfinite, sqrt
+
+import numpy as np
+from reference_decoder import (
+    GEOMETRY,
+    LANES,
+    SH_DC,
+    STATE_MIN,
+    STATES,
+    BinaryDecoder,
+    Channel,
+    Reader,
+    check,
+    decode_split,
+    morton_axes,
+    sent_weights,
+    set_frequencies,
+    weighted_neighbours,
+)
+
+LATTICE, CLASSES, LOW_BITS, BOUNDS = 13, 14, 15, 16
+OPACITY, SCALING, ROTATION, SH1 = 5, 6, 7, 8
+BANDS = (range(3), range(3, 8), range(8, 15))
+ONE = 1 << 20
+BOUND = 1600 * ONE
+UNITS = ("opacity", "scaling", "rotation", "sh-dc", "sh1", "sh2", "sh3")
+RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "positions", "colour")
+
+
+@dataclass
+class Rule:
+    a: int
+    b: int
+    c: tuple
+    limit: int
+    weight: int = 1
+
+    def shift(self, k, o=0, s=()):
+        total = self.a + (self.weight * k << 16) + ((self.b * min(o, 0)) >> 20)
+        total += sum((c * value) >> 20 for c, value in zip(self.c, s, strict=False))
+        return max(0, min(self.limit, total >> 16))
+
+
+@dataclass
+class Lattice:
+    origin: tuple
+    step: float
+    bits: tuple
+    classes: tuple
+    centres: tuple
+    units: dict
+    rules: dict
+    tables: list = field(default_factory=list)  # of each pass, the table of each context
+
+
+# The lattice section
+
+
+def pass_contexts(sh_degree):
+    """Number of contexts of each pass."""
+    sizes = [1, 16, *[32] * 7, 288]
+    return sizes + ([32] + [9] * (3 * len(sh_bands(sh_degree))) if sh_degree else [])
+
+
+def sh_bands(sh_degree):
+    """(band, coefficient) of every SH-AC coefficient."""
+    return [(band, i) for band in range(1, sh_degree + 1) for i in BANDS[band - 1]]
+
+
+def read_lattice(content, sh_degree):
+    reader = Reader(content, "lattice")
+    origin, step = reader.take("3f"), reader.take("f")
+    check(all(isfinite(x) for x in (*origin, step)) and step > 0, "lattice: grid")
+    bits, classes = reader.take("3B"), reader.take("2B")
+    check(max(bits) <= 21, f"lattice: bits {bits}")
+    check(all(1 <= number <= 16 for number in classes), f"lattice: classes {classes}")
+    centres, units = reader.take("2i"), dict(zip(UNITS, reader.take("7I"), strict=True))
+    check(max(map(abs, centres)) <= 400 * ONE, f"lattice: centres {centres}")
+    check(min(units.values()) > 0, f"lattice: units {units}")
+    rules = {}
+    for name in RULES:
+        a, b, *c = reader.take("5i")
+        limit = reader.take("B")
+        rules[name] = Rule(a, b, tuple(c), limit, 3 if name == "positions" else 1)
+    check_limits(units, rules)
+    lattice = Lattice(origin, step, bits, classes, centres, units, rules)
+    read_tables(reader, lattice, sh_degree)
+    return lattice
+
+
+def check_limits(units, rules):
+    limits = dict.fromkeys(UNITS, rules["colour"].limit)
+    limits["opacity"], limits["rotation"] = rules["opacity"].limit, rules["rotation"].limit
+    limits["scaling"] = max(rules[f"scale_{i}"].limit for i in range(3))
+    for name, unit in units.items():
+        check(unit.bit_length() + limits[name] <= 31, f"lattice: {name}: unit and limit")
+    check(rules["positions"].limit <= 93, "lattice: limit of positions")
+
+
+def read_tables(reader, lattice, sh_degree):
+    used, number = [], -1
+    for contexts in pass_contexts(sh_degree):
+        bits = list(bits_of(reader.bytes(-(-contexts // 8))))
+        check(not bits[0] and not any(bits[contexts:]), "lattice: bits of contexts")
+        tables = []
+        for i in range(contexts):
+            number += int(i == 0 or bits[i])
+            tables.append(number)
+        used.append(tables)
+    check(reader.take("H") == number + 1, f"lattice: expected {number + 1} tables")
+    alphabets = [reader.take("H") for _ in range(number + 1)]
+    check(all(1 <= size <= 240 for size in alphabets), "lattice: alphabet")
+    coder, tables = BinaryDecoder(reader.rest(), 94, "weights"), []
+    for size in alphabets:
+        weights = sent_weights(coder, size, 3)
+        tables.append(Channel(f"table {len(tables)}", 0, precision=12, weights=weights))
+        set_frequencies(tables[-1])
+    coder.finish()
+    lattice.tables = [[tables[t] for t in each] for each in used]
+
+
+# Passes
+
+
+def bits_of(content):
+    for byte in content:
+        for position in range(7, -1, -1):
+            yield (byte >> position) & 1
+
+
+class Bits:
+    """Raw bits of a section, most significant first."""
+
+    def __init__(self, content, place):
+        self.content, self.place, self.used = content, place, 0
+
+    def take(self, count):
+        value = 0
+        for _ in range(count):
+            check(self.used < 8 * len(self.content), f"{self.place}: raw bits are missing")
+            byte = self.content[self.used >> 3]
+            value = 2 * value + ((byte >> (7 - (self.used & 7))) & 1)
+            self.used += 1
+        return value
+
+    def finish(self):
+        check(len(self.content) == -(-self.used // 8), f"{self.place}: raw bytes left over")
+        padding = -self.used % 8
+        check(not padding or not self.content[-1] & ((1 << padding) - 1), f"{self.place}: padding")
+
+
+class Passes:
+    """rANS over the streams of a block."""
+
+    def __init__(self, content, tables, place):
+        check(len(content) == 4 * LANES, f"{place}: {len(content)} bytes of states")
+        self.states = list(Reader(content, place).take(f"{LANES}I"))
+        check(min(self.states) >= STATE_MIN, f"{place}: a state is below 2^16")
+        self.tables: Iterator = iter(tables)
+        self.place = place
+
+    def open(self, content, stream):
+        reader = Reader(content, f"section {stream}, {self.place}")
+        self.words = Reader(reader.bytes(reader.take("I")), reader.place)
+        self.raw = Bits(reader.rest(), reader.place)
+
+    def start(self):
+        self.table, self.symbol = next(self.tables), 0
+
+    def close(self):
+        check(not self.words.rest(), f"{self.words.place}: words left over")
+        self.raw.finish()
+
+    def finish(self):
+        check(self.states == [STATE_MIN] * LANES, f"{self.place}: states are not 2^16")
+
+    def integer(self, context):
+        table, lane = self.table[context], self.symbol % LANES
+        x = self.states[lane]
+        slot = x & 4095
+        token = bisect_right(table.starts, slot) - 1
+        x = table.frequencies[token] * (x >> 12) + slot - table.starts[token]
+        self.states[lane] = (x << 16) + self.words.take("H") if x < STATE_MIN else x
+        self.symbol += 1
+        m, negative = token >> 1, token & 1
+        if m >= 16:
+            n = ((m - 16) >> 2) + 2
+            m = ((4 + ((m - 16) & 3)) << n) + self.raw.take(n)
+        return -m if negative else m
+
+
+# Positions
+
+
+def decode_tree(content, total, points):
+    """Return (code, missing bits) of the points of a block."""
+    coder, found = BinaryDecoder(content, 864, "geometry"), []
+    nodes = [(points, total, 0, 0)]
+    while nodes:
+        n, left, prefix, one_sided = nodes.pop()
+        if n == 1 or left == 0:
+            found += [(prefix, left)] * n
+            continue
+        k = decode_split(coder, n, one_sided)
+        one_sided = int(k in (0, n))
+        children = [
+            (n - k, left - 1, 2 * prefix + 1, one_sided),
+            (k, left - 1, 2 * prefix, one_sided),
+        ]
+        nodes += [child for child in children if child[0]]
+    coder.finish()
+    return found
+
+
+def place_of(code, dropped, axes):
+    """Place of a code whose lowest bits were dropped."""
+    cell, width = [0, 0, 0], [0, 0, 0]
+    for bit, axis in enumerate(axes):
+        lower = len(axes) - 1 - bit
+        cell[axis] = 2 * cell[axis] + ((code >> lower) & 1)
+        width[axis] += lower < dropped
+    return tuple(2 * c + (1 << w) for c, w in zip(cell, width, strict=True))
+
+
+def decode_places(lattice, content, low_bits, shifts):
+    axes, raw, places = morton_axes(lattice.bits), Bits(low_bits, "low-bits"), []
+    found = decode_tree(content, len(axes), len(shifts))
+    for (prefix, missing), shift in zip(found, shifts, strict=True):
+        dropped = min(shift, missing)
+        kept = missing - dropped
+        places.append(place_of(((prefix << kept) + raw.take(kept)) << dropped, dropped, axes))
+    raw.finish()
+    return places
+
+
+# Blocks
+
+
+def bounded(values):
+    check(all(abs(value) < BOUND for value in values), "a value is 1600 or more")
+    return values
+
+
+def decode_classes(passes, classes, points):
+    passes.start()
+    shape = [passes.integer(0) for _ in range(points)]
+    passes.start()
+    colour = [passes.integer(k) for k in shape]
+    for name, values, number in zip(("shape", "colour"), (shape, colour), classes, strict=True):
+        check(all(0 <= k < number for k in values), f"{name} class out of range")
+    return shape, colour
+
+
+def decode_shapes(lattice, passes, sections, block, shape):
+    """Return o, and s and q as three lists each."""
+    o, s, q = [], [], []
+    passes.open(sections[OPACITY, block], OPACITY)
+    passes.start()
+    for k in shape:
+        shift = lattice.rules["opacity"].shift(k)
+        level = passes.integer(min(shift, 31))
+        o.append(lattice.centres[0] + level * (lattice.units["opacity"] << shift))
+    passes.close()
+    bounded(o)
+    passes.open(sections[SCALING, block], SCALING)
+    for axis in range(3):
+        passes.start()
+        column = []
+        for i, k in enumerate(shape):
+            shift = lattice.rules[f"scale_{axis}"].shift(k, o[i], [each[i] for each in s])
+            step = passes.integer(min(shift, 31)) * (lattice.units["scaling"] << shift)
+            column.append(s[-1][i] - step if axis else lattice.centres[1] + step)
+        s.append(bounded(column))
+    passes.close()
+    passes.open(sections[ROTATION, block], ROTATION)
+    for _ in range(3):
+        passes.start()
+        column = []
+        for i, k in enumerate(shape):
+            shift = lattice.rules["rotation"].shift(k, o[i], [each[i] for each in s])
+            column.append(passes.integer(min(shift, 31)) * (lattice.units["rotation"] << shift))
+        q.append(bounded(column))
+    passes.close()
+    return o, s, q
+
+
+def decode_f_dc(lattice, passes, places, shifts):
+    """Return [Y, Co, Cg] of each Gaussian."""
+    passes.start()
+    values = []
+    for point, shift in enumerate(shifts):
+        step, current = lattice.units["sh-dc"] << shift, []
+        neighbours = weighted_neighbours(places, point)
+        for channel in range(3):
+            u = activity = 0
+            if neighbours:
+                near = [(w, values[i][channel]) for w, i in neighbours]
+                total = sum(w for w, _ in near)
+                u = (2 * sum(w * v for w, v in near) + total) // (2 * total)
+                spread = (4 * sum(w * abs(v - u) for w, v in near)) // (total * step)
+                activity = min(5, spread.bit_length())
+            context = 96 * channel + 6 * min(shift, 15) + activity
+            current.append(u + passes.integer(context) * step)
+        values.append(bounded(current))
+    return values
+
+
+def decode_f_rest(lattice, passes, sections, block, sh_degree, shifts):
+    """Return {coefficient: [Y, Co, Cg], each a list}."""
+    found = {}
+    for band in range(1, sh_degree + 1):
+        passes.open(sections[SH1 + band - 1, block], SH1 + band - 1)
+        if band == 1:
+            passes.start()
+            energy = [passes.integer(min(shift, 31)) for shift in shifts]
+            check(all(0 <= e <= 8 for e in energy), "energy class out of range")
+        for channel in range(3):
+            for i in BANDS[band - 1]:
+                passes.start()
+                column = [
+                    passes.integer(e) * (lattice.units[f"sh{band}"] << shift) if e else 0
+                    for e, shift in zip(energy, shifts, strict=True)
+                ]
+                found.setdefault(i, [None] * 3)[channel] = bounded(column)
+        passes.close()
+    return found
+
+
+def decode_block(lattice, sections, block, sh_degree, points):
+    """Return the binary64 values of each property of a block, and its places."""
+    passes = Passes(sections[STATES, block], lattice.tables, f"block {block}")
+    passes.open(sections[CLASSES, block], CLASSES)
+    shape, colour = decode_classes(passes, lattice.classes, points)
+    passes.close()
+    o, s, q = decode_shapes(lattice, passes, sections, block, shape)
+    scales = list(zip(*s, strict=True))
+    shifts = {
+        name: [lattice.rules[name].shift(*each) for each in zip(classes, o, scales, strict=True)]
+        for name, classes in (("positions", shape), ("colour", colour))
+    }
+    low_bits = sections[LOW_BITS, block]
+    places = decode_places(lattice, sections[GEOMETRY, block], low_bits, shifts["positions"])
+    passes.open(sections[SH_DC, block], SH_DC)
+    f_dc = list(zip(*decode_f_dc(lattice, passes, places, shifts["colour"]), strict=True))
+    passes.close()
+    f_rest = decode_f_rest(lattice, passes, sections, block, sh_degree, shifts["colour"])
+    passes.finish()
+    columns = {"opacity": [v / ONE for v in o]}
+    columns |= {f"scale_{i}": [v / ONE for v in s[i]] for i in range(3)}
+    columns |= dict(zip([f"rot_{i}" for i in range(4)], rotations(q), strict=True))
+    columns |= dict(zip([f"f_dc_{c}" for c in range(3)], colours(f_dc), strict=True))
+    for i, channels in f_rest.items():
+        names = [f"f_rest_{c * len(f_rest) + i}" for c in range(3)]
+        columns |= dict(zip(names, colours(channels), strict=True))
+    for axis, name in enumerate("xyz"):
+        columns[name] = [lattice.origin[axis] + p[axis] * (lattice.step / 2) for p in places]
+    return columns, places
+
+
+def rotations(q):
+    rows = []
+    for x, y, z in zip(*q, strict=True):
+        a, b, c = x / ONE, y / ONE, z / ONE
+        total = (a * a + b * b) + c * c
+        n = sqrt(max(total, 1.0))
+        rows.append((sqrt(max(1.0 - total, 0.0)), a / n, b / n, c / n))
+    return zip(*rows, strict=True)
+
+
+def colours(channels):
+    """R, G and B columns of Y, Co and Cg columns."""
+    roots = [1.0 / sqrt(3.0), 1.0 / sqrt(2.0), 1.0 / sqrt(6.0)]
+    rows = []
+    for each in zip(*channels, strict=True):
+        a, b, c = ((v / ONE) * root for v, root in zip(each, roots, strict=True))
+        rows.append(((a - c) + b, a + 2.0 * c, (a - c) - b))
+    return zip(*rows, strict=True)
+
+
+def check_sections(sections, sh_degree, blocks):
+    block_sections = {GEOMETRY, SH_DC, STATES, OPACITY, SCALING, ROTATION, CLASSES, LOW_BITS}
+    block_sections |= {SH1 + band for band in range(sh_degree)}
+    expected = {(number, block) for number in block_sections for block in range(blocks)}
+    expected |= {(LATTICE, 0), (BOUNDS, 0)} if blocks else {(LATTICE, 0)}
+    found = {key for key in sections if key[0] not in (11, 12)}
+    check(found == expected, f"sections {sorted(found ^ expected)} missing or too many")
+
+
+def lattice_values(count, sh_degree, block_size, sections):
+    """Return PLY property -> float32 array of a file of lattices."""
+    blocks = -(-count // block_size)
+    check_sections(sections, sh_degree, blocks)
+    lattice = read_lattice(sections[LATTICE, 0], sh_degree)
+    names = ["x", "y", "z", "opacity", *[f"f_dc_{c}" for c in range(3)]]
+    names += [f"scale_{i}" for i in range(3)] + [f"rot_{i}" for i in range(4)]
+    names += [f"f_rest_{i}" for i in range(3 * len(sh_bands(sh_degree)))]
+    values = {name: [] for name in names}
+    bounds = Reader(sections.get((BOUNDS, 0), b""), "bounds")
+    for block in range(blocks):
+        points = min(block_size, count - block * block_size)
+        columns, places = decode_block(lattice, sections, block, sh_degree, points)
+        for name in names:
+            values[name] += columns[name]
+        box = [f(p[axis] for p in places) for f in (min, max) for axis in range(3)]
+        check(list(bounds.take("6I")) == box, f"bounds of block {block}")
+    check(not bounds.rest(), "bounds: bytes left over")
+    return {
+        name: np.array(column, np.float64).astype(np.float32) for name, column in values.items()
+    }

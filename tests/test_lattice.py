@@ -1,0 +1,591 @@
+"""Each module of the lattices by itself: tokens, passes, rules, axes, colours, places, steps."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scenes import random_scene
+
+from gs_codec.entropy.passes import LANES, PRECISION, PassReader, PassTables, PassWriter
+from gs_codec.errors import CorruptStream
+from gs_codec.geometry.colour_lattice import code_colours, decode_colours
+from gs_codec.geometry.count_tree import decode_tree, encode_tree
+from gs_codec.geometry.diffusion import round_diffusing
+from gs_codec.lattice.fit import features, fit_steps, make_rule
+from gs_codec.lattice.fixed import LARGEST, PLACES, from_lattice, to_float, to_lattice
+from gs_codec.lattice.place import centres, from_grid, to_grid
+from gs_codec.lattice.plan import ENERGIES, energy_class, passes, sh_places
+from gs_codec.lattice.rules import StepRule
+from gs_codec.lattice.sensitivity import Sensitivity
+from gs_codec.lattice.tokens import ALPHABET, MAX_BITS, BitReader, BitWriter, read_pass, tokenise
+from gs_codec.model.contexts import share_tables
+from gs_codec.model.table import normalise, shannon_bits
+from gs_codec.transform.axes import quaternions, sort_axes
+from gs_codec.transform.morton import encode_morton
+from gs_codec.transform.ycocg import from_ycocg, to_ycocg
+
+ONE = 1 << PLACES
+
+# Tokens
+
+EDGES = sorted(
+    {0, 1, 15, 16, 17, 2**MAX_BITS - 1}
+    | {2**k + d for k in range(1, MAX_BITS) for d in (-1, 0, 1)}
+    | {(4 + j << k) + d for k in range(2, MAX_BITS - 2) for j in range(4) for d in (-1, 0)}
+)
+SIGNED = np.array([sign * size for size in EDGES for sign in (1, -1)], np.int64)
+
+
+EVEN = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)])
+
+
+def coded(values: np.ndarray) -> tuple[PassReader, bytes]:
+    """A pass under one table, its section opened, and its raw bits."""
+    tokens, widths = tokenise(values)
+    bits, writer = BitWriter(), PassWriter(EVEN)
+    bits.add(values, widths)
+    writer.add("s", tokens, np.zeros(len(values), np.uint16))
+    states, words = writer.finish()
+    reader = PassReader(memoryview(states), EVEN, "test")
+    reader.open(memoryview(words["s"]))
+    return reader, bits.finish()
+
+
+def read_all(reader: PassReader, bits: BitReader, count: int) -> np.ndarray:
+    """Values of what `coded` gave."""
+    none = np.zeros(count, np.int64)
+    return read_pass(reader, bits, np.zeros(1, np.int64), none)
+
+
+def round_trip(values: np.ndarray) -> np.ndarray:
+    reader, raw = coded(values)
+    bits = BitReader(memoryview(raw), "test")
+    decoded = read_all(reader, bits, len(values))
+    bits.close()
+    reader.close()
+    reader.finish()
+    return decoded
+
+
+def test_tokens_round_trip_at_every_border():
+    np.testing.assert_array_equal(round_trip(SIGNED), SIGNED)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tokens_round_trip_seed(seed):
+    rng = np.random.default_rng(seed)
+    values = (2 ** rng.uniform(0, MAX_BITS, 5000)).astype(np.int64) * rng.choice([-1, 1], 5000)
+    np.testing.assert_array_equal(round_trip(values), values)
+
+
+@pytest.mark.parametrize(
+    ("value", "token", "width"),
+    [
+        (0, 0, 0), (1, 2, 0), (-1, 3, 0), (15, 30, 0), (-15, 31, 0), (16, 32, 2), (17, 32, 2),
+        (19, 32, 2), (20, 34, 2), (31, 38, 2), (32, 40, 3), (-33, 41, 3),
+        (2**30 - 1, ALPHABET - 2, 27), (1 - 2**30, ALPHABET - 1, 27),
+    ],
+)  # fmt: skip
+def test_token(value, token, width):
+    tokens, widths = tokenise(np.array([value]))
+    assert (int(tokens[0]), int(widths[0])) == (token, width)
+
+
+def test_raw_bits_too_few_too_many_or_not_padded_are_refused():
+    values = np.array([1000, -77, 5, 123456])
+    data = coded(values)[1]
+    assert tokenise(values)[1].sum() % 8 != 0
+    padded = data[:-1] + bytes([data[-1] | 1])
+    for bad in (data[:-1], b"", data + b"\0", padded):
+        bits = BitReader(memoryview(bad), "test")
+        read_all(coded(values)[0], bits, len(values))
+        with pytest.raises(CorruptStream, match="test: "):
+            bits.close()
+
+
+def test_fields_of_any_width_round_trip_seed4():
+    rng = np.random.default_rng(4)
+    widths = np.concatenate([[0, 63, 1], rng.integers(0, 64, 500)])
+    values = np.array([int(rng.integers(0, 2**62)) & ((1 << int(w)) - 1) for w in widths])
+    writer = BitWriter()
+    writer.add(values, widths.astype(np.uint8))
+    reader = BitReader(memoryview(writer.finish()), "test")
+    np.testing.assert_array_equal(reader.fields(widths), values)
+    reader.close()
+
+
+# Passes
+
+
+def random_tables(rng: np.random.Generator, number: int) -> PassTables:
+    """Tables of 1 to 32 tokens, which have no raw bits; some never occur."""
+    tables = []
+    for _ in range(number):
+        weights = rng.integers(0, 1000, rng.integers(1, 33))
+        weights *= rng.integers(0, 2, weights.size)
+        weights[rng.integers(weights.size)] = 1 + rng.integers(1000)
+        tables.append(normalise(weights.astype(np.int64), PRECISION))
+    return PassTables.pack(tables)
+
+
+def random_passes(seed: int, sizes: list[int]) -> tuple[PassTables, list[tuple]]:
+    """(section, symbols, rows), every symbol under a table of its own."""
+    rng = np.random.default_rng(seed)
+    tables = random_tables(rng, 50)
+    made = []
+    for i, size in enumerate(sizes):
+        rows = rng.integers(0, 50, size).astype(np.uint16)
+        slots = rng.integers(0, 1 << PRECISION, size)
+        made.append((f"s{i // 2}", tables.slots[rows, slots], rows))
+    return tables, made
+
+
+def encode_passes(tables: PassTables, made: list[tuple]) -> tuple[bytes, dict[str, bytes]]:
+    writer = PassWriter(tables)
+    for item in made:
+        writer.add(*item)
+    return writer.finish()
+
+
+def decode_passes(
+    tables: PassTables, made: list[tuple], states: bytes, words: dict[str, bytes]
+) -> list[np.ndarray]:
+    reader = PassReader(memoryview(states), tables, "test")
+    decoded, last = [], ""
+    none = BitReader(memoryview(b""), "test")
+    for section, _, rows in made:
+        if section != last:
+            if last:
+                reader.close()
+            reader.open(memoryview(words[section]))
+            last = section
+        decoded.append(read_pass(reader, none, np.arange(50), rows.astype(np.int64)))
+    reader.close()
+    reader.finish()
+    return decoded
+
+
+@pytest.mark.parametrize(
+    "sizes", [[0], [1], [31], [33, 0, 5], [1000] * 9, [0, 0, 700, 1, 0, 0]], ids=str
+)
+def test_passes_round_trip_seed5(sizes):
+    tables, made = random_passes(5, sizes)
+    states, words = encode_passes(tables, made)
+    assert len(states) == 4 * LANES
+    assert set(words) == {section for section, _, _ in made}
+    for (_, symbols, _), decoded in zip(
+        made, decode_passes(tables, made, states, words), strict=True
+    ):
+        sizes = symbols.astype(np.int64) >> 1
+        np.testing.assert_array_equal(decoded, np.where(symbols & 1, -sizes, sizes))
+
+
+def test_passes_cost_about_their_entropy_seed6():
+    tables, made = random_passes(6, [20_000])
+    _, symbols, rows = made[0]
+    frequencies = (tables.spans[rows, symbols] & 0xFFFF).astype(float)
+    bits = np.sum(PRECISION - np.log2(frequencies))
+    states, words = encode_passes(tables, made)
+    assert 8 * (len(words["s0"]) + len(states)) < 1.001 * bits + 32 * LANES
+
+
+@pytest.mark.parametrize("damage", ["word", "cut", "more", "odd", "state", "low state", "states"])
+def test_corrupted_passes_are_refused(damage):
+    tables, made = random_passes(7, [500, 300, 200])
+    states, words = encode_passes(tables, made)
+    assert len(words["s0"]) > 100
+    if damage == "word":
+        words["s0"] = words["s0"][:50] + bytes([words["s0"][50] ^ 4]) + words["s0"][51:]
+    elif damage in ("cut", "odd"):
+        words["s0"] = words["s0"][: -2 if damage == "cut" else -1]
+    elif damage == "more":
+        words["s1"] += b"\0\0"
+    elif damage == "state":
+        states = bytes([states[0] ^ 1]) + states[1:]
+    elif damage == "low state":
+        states = b"\xff\xff\0\0" + states[4:]
+    else:
+        states = states[:-4]
+    with pytest.raises(CorruptStream, match="test: "):
+        decode_passes(tables, made, states, words)
+
+
+# Tables of contexts
+
+
+def test_contexts_alike_share_a_table_and_others_do_not():
+    histograms = np.zeros((8, 10), np.int64)
+    histograms[1] = histograms[2] = 1000
+    histograms[4, 0], histograms[6, 9] = 5000, 5000
+    shared = share_tables(histograms)
+    assert shared.table_of.tolist() == [0, 0, 0, 0, 1, 1, 2, 2]
+    np.testing.assert_array_equal(shared.histograms.sum(axis=0), histograms.sum(axis=0))
+
+
+def test_tokens_that_do_not_occur_are_left_out():
+    histograms = np.zeros((3, 10), np.int64)
+    histograms[:, 4] = 7
+    assert share_tables(histograms).histograms.tolist() == [[0, 0, 0, 0, 21]]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_shared_tables_hold_all_symbols_of_their_contexts_seed(seed):
+    rng = np.random.default_rng(seed)
+    histograms = rng.integers(0, 2 ** rng.integers(1, 12), (32, 20)) * rng.integers(0, 2, (32, 1))
+    shared = share_tables(histograms)
+    assert set(np.diff(shared.table_of)) <= {0, 1}
+    assert shared.table_of[0] == 0
+    assert shared.table_of[-1] + 1 == len(shared.histograms)
+    for table, histogram in enumerate(shared.histograms):
+        expected = histograms[shared.table_of == table].sum(axis=0)
+        np.testing.assert_array_equal(histogram, expected[: len(histogram)])
+        assert not expected[len(histogram) :].any()
+    together = shannon_bits(histograms.sum(axis=0))
+    assert sum(map(shannon_bits, shared.histograms)) <= together + 1e-6
+
+
+def test_contexts_that_do_not_occur_have_one_table():
+    shared = share_tables(np.zeros((9, 10), np.int64))
+    assert shared.table_of.tolist() == [0] * 9
+    assert shared.histograms.shape == (1, 10)
+
+
+# Rules and fixed-point values
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("weight", [1, 3])
+def test_rule_is_the_text_s_sum_in_integers_seed(seed, weight):
+    rng = np.random.default_rng(seed)
+    a, b, *c = (int(x) for x in rng.integers(-(2**19), 2**19, 5))
+    limit = int(rng.integers(0, 94))
+    classes, opacity = rng.integers(0, 16, 300), rng.integers(-400 * ONE, 400 * ONE, 300)
+    scales = rng.integers(-20 * ONE, 5 * ONE, (3, 300))
+    rule = StepRule(a, b, (c[0], c[1], c[2]), limit)
+    found = rule.shifts(classes, weight, opacity, scales)
+    for i, shift in enumerate(found.tolist()):
+        total = a + 2**16 * weight * int(classes[i]) + b * min(int(opacity[i]), 0) // 2**20
+        total += sum(c[k] * int(scales[k, i]) // 2**20 for k in range(3))
+        assert shift == max(0, min(limit, total // 2**16))
+    assert len(set(found.tolist())) > 1 or limit == 0
+
+
+@pytest.mark.parametrize(("logit", "shift"), [(5, 2), (0, 2), (-1, 3), (-3, 5), (-1.5, 3)])
+def test_rule_counts_logits_below_0_alone_and_rounds_down(logit, shift):
+    rule = StepRule(2 << 16, -(1 << 16), (0, 0, 0), 31)
+    opacity = np.array([int(logit * ONE)])
+    none = np.zeros(1, np.int64)
+    assert rule.shifts(none, 1, opacity, np.zeros((3, 1), np.int64)).tolist() == [shift]
+
+
+def test_rule_of_numbers_that_do_not_fit_is_clipped():
+    rule = make_rule(np.array([1e9, -1e9, 1e9, 0, np.float64(0.5)]), -10.0, 2.0)
+    assert rule.limit == 12
+    assert (rule.intercept, rule.opacity) == (2**31 - 1, -(2**31))
+    assert len(rule.pack()) == 21
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lattice_is_within_half_a_step_seed(seed):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0, 100, 4000)
+    shifts = rng.integers(0, 24, 4000)
+    levels, clamped = to_lattice(values, -7 * ONE, 5, shifts)
+    back = to_float(from_lattice(levels, -7 * ONE, 5, shifts))
+    steps = 5 * 2.0**shifts / ONE
+    error = np.abs(np.clip(values, -LARGEST, LARGEST) - back)
+    assert np.all(error <= 0.5 * steps + 0.5 / ONE)
+    assert np.max(error / steps) > 0.45
+    assert clamped == np.count_nonzero(np.abs(values) > LARGEST)
+
+
+def test_values_beyond_the_largest_are_clamped():
+    values = np.array([1e38, -1e38, LARGEST, 400.0001], np.float32)
+    levels, clamped = to_lattice(values, 0, 1, np.zeros(4, np.int64))
+    assert clamped == 3
+    assert levels.tolist() == [400 * ONE, -400 * ONE, 400 * ONE, 400 * ONE]
+
+
+# Axes
+
+
+def covariance(log_scale: np.ndarray, rot: np.ndarray) -> np.ndarray:
+    """R S^2 R^T ``(N, 3, 3)`` in float64."""
+    w, x, y, z = rot.astype(np.float64) / np.linalg.norm(rot.astype(np.float64), axis=0)
+    r = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)
+    squares = np.exp(2 * log_scale.astype(np.float64)).T
+    return np.einsum("nik,nk,njk->nij", r, squares, r)
+
+
+def whole(vectors: np.ndarray) -> np.ndarray:
+    """Quaternions of their vector parts, in float64."""
+    real = np.sqrt(np.maximum(1 - np.sum(vectors**2, axis=0), 0))
+    return np.concatenate([real[None], vectors])
+
+
+def test_sorted_axes_are_the_same_gaussian_seed8():
+    scene = random_scene(2000, 0, seed=8)
+    order, scales, vectors = sort_axes(scene.log_scale, scene.rot)
+    assert np.all(np.diff(scales, axis=0) <= 0)
+    np.testing.assert_array_equal(scales, np.take_along_axis(scene.log_scale, order, 0))
+    rot = whole(vectors)
+    assert np.all(np.abs(vectors) <= rot[0] + 1e-12)
+    before = covariance(scene.log_scale, scene.rot)
+    size = np.abs(before).max(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(covariance(scales, rot) / size, before / size, atol=1e-12)
+
+
+def test_all_24_ways_to_write_a_gaussian_are_one_seed9():
+    """Axes in any order, under any half turns; and the quaternion's sign and norm."""
+    rng = np.random.default_rng(9)
+    rot = rng.normal(size=4)
+    log_scale = np.array([-1.0, -2.5, -4.0])
+    a, b, c, d = (rot / np.linalg.norm(rot)).tolist()
+    unit = [
+        np.array(q, float) / np.linalg.norm(q)
+        for q in itertools.product((0, 1, -1), repeat=4)
+        if sum(map(abs, q)) in (1, 2, 4)
+    ]
+    ways = []
+    for p, q, r, s in unit:
+        turned = [
+            a * p - b * q - c * r - d * s,
+            a * q + b * p + c * s - d * r,
+            a * r - b * s + c * p + d * q,
+            a * s + b * r - c * q + d * p,
+        ]
+        matrix = covariance(np.log([[2.0], [3.0], [5.0]]), np.array([[p], [q], [r], [s]]))[0]
+        axes = [(4, 9, 25).index(round(value)) for value in np.diag(matrix)]
+        scales = np.empty(3)
+        scales[axes] = log_scale
+        ways.append((scales, 3.0 * np.array(turned)))
+    assert len(ways) == 48
+    written = sort_axes(
+        np.array([w[0] for w in ways], np.float32).T, np.array([w[1] for w in ways], np.float32).T
+    )
+    np.testing.assert_array_equal(written[1], np.repeat(log_scale[:, None], 48, axis=1))
+    matrices = covariance(written[1], whole(written[2]))
+    expected = covariance(log_scale[:, None], rot[:, None])
+    np.testing.assert_allclose(matrices, np.repeat(expected, 48, axis=0), atol=1e-6)
+    # Up to rounding of float32 there is one quaternion for all.
+    np.testing.assert_allclose(written[2], np.repeat(written[2][:, :1], 48, axis=1), atol=1e-6)
+
+
+def test_equal_scales_keep_their_order():
+    rot = np.array([[0.1], [0.9], [0.3], [-0.2]], np.float32)
+    for scales in itertools.product((-3.0, -2.0), repeat=3):
+        given = np.array(scales, np.float32)[:, None]
+        order, coded, vectors = sort_axes(given, rot)
+        assert order[:, 0].tolist() == sorted(range(3), key=lambda k: -scales[k])
+        np.testing.assert_allclose(
+            covariance(coded, whole(vectors)), covariance(given, rot), atol=1e-9
+        )
+
+
+def test_quaternions_have_norm_1_whatever_was_rounded():
+    vectors = np.array([[0, 0.5, 1.0, 3.0, -2.0], [0, 0.5, 0, 4.0, 0], [0, 0.5, 0, 0, 1.0]])
+    rot = quaternions(vectors)
+    assert rot.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(rot, axis=0), 1, atol=1e-6)
+    assert rot[0].tolist() == [1.0, 0.5, 0.0, 0.0, 0.0]
+
+
+# Colours
+
+
+def test_ycocg_round_trip_and_length_seed10():
+    rgb = np.random.default_rng(10).normal(size=(3, 1000)).astype(np.float32)
+    values = to_ycocg(rgb)
+    np.testing.assert_allclose(from_ycocg(values), rgb, atol=1e-6)
+    np.testing.assert_allclose(
+        np.sum(values**2, axis=0), np.sum(rgb.astype(np.float64) ** 2, axis=0), rtol=1e-12
+    )
+
+
+def test_grey_has_luma_alone():
+    values = to_ycocg(np.full((3, 1), 2.0, np.float32))
+    np.testing.assert_allclose(values[:, 0], [2 * np.sqrt(3), 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 700])
+def test_colours_round_trip_seed11(count):
+    rng = np.random.default_rng(11)
+    places = np.sort(rng.integers(0, 2**12, (3, count)), axis=1)
+    colours = rng.integers(-2 * ONE, 2 * ONE, (3, count))
+    shifts = rng.integers(0, 18, count)
+    levels, contexts, values = code_colours(places, colours, 300, shifts)
+    assert np.all(2 * np.abs(values - colours) <= 300 << shifts)
+    assert contexts.size == 0 or 0 <= contexts.min() <= contexts.max() < 288
+    tables = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)] * 2)
+    tokens, widths = tokenise(levels.T.ravel())
+    rows = np.arange(288) % 2
+    writer = PassWriter(tables)
+    writer.add("sh-dc", tokens, rows[contexts.T.ravel()].astype(np.uint16))
+    bits = BitWriter()
+    bits.add(levels.T.ravel(), widths)
+    states, words = writer.finish()
+    reader = PassReader(memoryview(states), tables, "test")
+    reader.open(memoryview(words["sh-dc"]))
+    raw = BitReader(memoryview(bits.finish()), "test")
+    np.testing.assert_array_equal(decode_colours(places, 300, shifts, rows, reader, raw), values)
+    reader.close()
+    reader.finish()
+    raw.close()
+
+
+def test_diffused_rounding_is_near_and_its_errors_cancel_seed12():
+    rng = np.random.default_rng(12)
+    places = np.sort(rng.integers(0, 2**10, (3, 4000)), axis=1)
+    values = np.full((2, 4000), 0.3, np.float32)
+    levels = round_diffusing(places, values)
+    assert np.all(np.abs(levels - values) <= 1.5)
+    assert abs(levels.mean() - 0.3) < 0.15
+    assert round_diffusing(places[:, :1], values[:, :1]).tolist() == [[0], [0]]
+    assert round_diffusing(places[:, :0], values[:, :0]).shape == (2, 0)
+
+
+@pytest.mark.parametrize("coefficients", [0, 3, 8, 15])
+def test_every_coefficient_has_a_pass(coefficients):
+    assert len(set(sh_places(coefficients))) == 3 * coefficients
+    extra = 3 * coefficients + 1 if coefficients else 0
+    assert len(passes(coefficients)) == 10 + extra
+    streams = [item.stream for item in passes(coefficients)]
+    assert streams == sorted(streams, key=streams.index), "a stream's passes are together"
+
+
+def test_energy_classes():
+    levels = np.zeros((4, 60), np.int64)
+    levels[1], levels[3] = -(np.arange(60) // 2), (np.arange(60) + 1) // 2
+    sums = np.abs(levels).sum(axis=0)
+    for total, found in zip(sums.tolist(), energy_class(levels).tolist(), strict=True):
+        assert ENERGIES[found] <= total
+        assert found == 8 or total < ENERGIES[found + 1]
+    assert set(energy_class(levels).tolist()) == set(range(9))
+
+
+# Places
+
+
+@pytest.mark.parametrize("bits", [(0, 0, 0), (5, 0, 7), (1, 2, 3), (21, 21, 21), (0, 0, 9)])
+def test_cell_contains_the_original_whatever_is_dropped_seed13(bits):
+    rng = np.random.default_rng(13)
+    origin, step = np.array([-3.0, 1.0, 0.5]), 2.0**-10
+    size = step * (2.0 ** np.array(bits))[:, None]
+    positions = (origin[:, None] + rng.uniform(0, 1, (3, 500)) * size * 0.999).astype(np.float32)
+    cells = to_grid(positions, origin, step, bits)
+    codes = encode_morton(cells, bits)
+    dropped = rng.integers(0, sum(bits) + 1, 500)
+    found = centres(codes >> dropped << dropped, dropped, bits)
+    axes = [axis for level in range(20, -1, -1) for axis in range(3) if bits[axis] > level][::-1]
+    for i in range(500):
+        widths = [axes[: dropped[i]].count(axis) for axis in range(3)]
+        reach = step * 2.0 ** np.array(widths) / 2
+        middle = origin + found[:, i] * step / 2
+        assert np.all(np.abs(positions[:, i] - middle) <= reach * (1 + 1e-9) + 1e-6)
+        lowest = (cells[:, i].astype(np.int64) >> widths) << widths
+        assert found[:, i].tolist() == (2 * lowest + (1 << np.array(widths))).tolist()
+
+
+def test_places_beyond_float32_are_clamped():
+    far = from_grid(np.array([[2**22], [1], [0]]), np.array([1e38, 0, -1e38]), 2.0**120)
+    assert far[0, 0] == np.finfo(np.float32).max
+    assert np.isfinite(far).all()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 700])
+def test_tree_gives_codes_down_to_where_each_is_alone_seed14(count):
+    rng = np.random.default_rng(14)
+    codes = np.sort(np.repeat(rng.integers(0, 2**40, count), rng.integers(1, 3, count)))
+    data, lefts = encode_tree(codes, 40)
+    decoded, known = decode_tree(memoryview(data), codes.size, 40, "test")
+    np.testing.assert_array_equal(known, lefts)
+    np.testing.assert_array_equal(decoded, codes >> lefts << lefts)
+    for i, left in enumerate(lefts.tolist()):
+        alone = np.count_nonzero(codes >> left == codes[i] >> left) == 1
+        parent = left < 40 and np.count_nonzero(codes >> left + 1 == codes[i] >> left + 1) > 1
+        assert (alone and (parent or count == 1)) or (left == 0 and parent)
+    with pytest.raises(CorruptStream):
+        decode_tree(memoryview(data + b"\0"), codes.size, 40, "test")
+
+
+# Steps
+
+
+def made_up(seed: int, count: int = 3000) -> tuple[Sensitivity, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    level = rng.normal(0, 3, count)
+    draw = lambda *shape: np.exp(level + rng.normal(0, 1, (*shape, count)))  # noqa: E731
+    scales = np.sort(rng.normal(-5, 1, (3, count)), axis=0)[::-1]
+    found = Sensitivity(100 * draw(), draw(3), draw(), draw(), draw())
+    return found, rng.normal(0, 3, count), scales
+
+
+def octaves(steps, known) -> dict[str, np.ndarray]:
+    return {
+        name: (steps.colour_class if name == "colour" else steps.shape_class) + row @ known
+        for name, row in steps.coefficients.items()
+    }
+
+
+def test_sensitivities_four_times_as_high_make_steps_an_octave_finer():
+    sensitivity, opacity, scales = made_up(15)
+    known = features(opacity, scales)
+    before = octaves(fit_steps(sensitivity, opacity, scales, 1e-3), known)
+    higher = Sensitivity(*(4 * values for values in sensitivity))
+    after = octaves(fit_steps(higher, opacity, scales, 1e-3), known)
+    for name, values in before.items():
+        np.testing.assert_allclose(after[name], values - 1, atol=1e-6, err_msg=name)
+    coarser = octaves(fit_steps(sensitivity, opacity, scales, 4e-3), known)
+    for name, values in before.items():
+        np.testing.assert_allclose(coarser[name], values + 1, atol=1e-9, err_msg=name)
+
+
+def test_steps_add_about_the_error_asked_for():
+    sensitivity, opacity, scales = made_up(16)
+    steps = octaves(fit_steps(sensitivity, opacity, scales, 1e-3), features(opacity, scales))
+    added = {
+        "opacity": sensitivity.opacity,
+        "rotation": 4 * sensitivity.rot,
+        "position": sensitivity.positions,
+        "scale_1": sensitivity.log_scale[1],
+    }
+    for name, values in added.items():
+        error = values * 4.0 ** steps[name] / 12
+        assert 0.2e-3 < np.median(error) < 3e-3, name
+
+
+def test_gaussians_seen_more_have_finer_classes():
+    sensitivity, opacity, scales = made_up(17)
+    steps = fit_steps(sensitivity, opacity, scales, 1e-3)
+    assert 4 < steps.shape_class.max() < 16
+    seen = np.log(sensitivity.opacity)
+    assert np.corrcoef(seen, steps.shape_class)[0, 1] < -0.7
+    colours = np.log(sensitivity.colour)
+    assert np.corrcoef(colours, steps.colour_class)[0, 1] < -0.7
+
+
+@pytest.mark.parametrize("zeros", [0.5, 0.999, 1.0])
+def test_steps_are_finite_where_nothing_is_seen(zeros):
+    sensitivity, opacity, scales = made_up(18, 500)
+    hidden = np.random.default_rng(18).random(500) < zeros
+    sensitivity = Sensitivity(*(np.where(hidden, 0.0, values) for values in sensitivity))
+    steps = fit_steps(sensitivity, opacity, scales, 1e-3)
+    for name, row in steps.coefficients.items():
+        assert np.isfinite(row).all(), name
+    assert 0 <= steps.shape_class.min() <= steps.shape_class.max() < 16
+    assert 0 <= steps.colour_class.min() <= steps.colour_class.max() < 16
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_steps_of_few_gaussians_are_finite(count):
+    sensitivity, opacity, scales = made_up(19, count)
+    steps = fit_steps(sensitivity, opacity, scales, 1e-3)
+    assert all(np.isfinite(row).all() for row in steps.coefficients.values())

@@ -1,0 +1,665 @@
+"""Profiles l, m and s: what they decode to, parts of it, and files that are damaged."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, made_up_guide, random_scene
+from test_damage import decode_hostile, with_checksums
+
+from gs_codec.codec import decode_part, decode_scene, encode_scene
+from gs_codec.codec.clean import identity_for_zero
+from gs_codec.codec.guidance import Guidance
+from gs_codec.codec.lattice_prepare import Shaped, shape_scene
+from gs_codec.codec.part import Part
+from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
+from gs_codec.container.file import Section, SectionId, read_file, write_file
+from gs_codec.container.lattice import UNITS, read_lattice
+from gs_codec.entropy.tables import encode_tables
+from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
+from gs_codec.files import compare_files, decode_file, encode_file
+from gs_codec.geometry.count_tree import encode_tree
+from gs_codec.inspection import inspect_bytes
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.lattice.fixed import LARGEST, to_float
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.transform.axes import quaternions
+from gs_codec.transform.morton import bit_layout
+from gs_codec.transform.ycocg import to_ycocg
+
+EDGES = edge_scenes()
+BLOCK = 1024
+
+
+def shaped_like(scene: Scene, profile: str, guide=None) -> Shaped:
+    """What the encoder makes of a scene before it codes."""
+    clean, _ = identity_for_zero(scene)
+    guidance = guide(clean) if guide is not None and clean.count else None
+    return shape_scene(clean, LATTICE_PROFILES[profile], guidance)
+
+
+def assert_same(first: Scene, second: Scene) -> None:
+    for group in GROUPS:
+        a, b = getattr(first, group), getattr(second, group)
+        np.testing.assert_array_equal(a.view(np.uint32), b.view(np.uint32), err_msg=group)
+
+
+def assert_on_lattices(shaped: Shaped, data: bytes, ac_steps: float) -> None:
+    """Shapes are those of `shaped`; and all is within half a step of the original.
+
+    SH-AC are within `ac_steps` steps. Values beyond `LARGEST` are clamped.
+    """
+    decoded, lattice, shape = decode_scene(data), shaped.lattice, shaped.shape
+    assert (decoded.count, decoded.sh_degree) == (shaped.scene.count, shaped.scene.sh_degree)
+    for group in GROUPS:
+        plane = getattr(decoded, group)
+        assert plane.dtype == np.float32
+        assert plane.shape == getattr(shaped.scene, group).shape
+        assert np.isfinite(plane).all()
+    np.testing.assert_array_equal(decoded.opacity[0], np.float32(to_float(shape.opacity)))
+    np.testing.assert_array_equal(decoded.log_scale, np.float32(to_float(shape.scales)))
+    np.testing.assert_array_equal(decoded.rot, quaternions(to_float(shape.vectors)))
+    quantiser, units = shaped.quantiser, lattice.units
+    originals = {"opacity": (quantiser.opacity, to_float(shape.opacity))}
+    for k in range(3):
+        originals[f"scale_{k}"] = (quantiser.scales[k], to_float(shape.scales[k]))
+        originals[f"rot_{k + 1}"] = (quantiser.vectors[k], to_float(shape.vectors[k]))
+    for name, (original, values) in originals.items():
+        group = {"o": "opacity", "s": "scaling", "r": "rotation"}[name[0]]
+        steps = to_float(units[group] << quantiser.shifts[name])
+        usual = np.abs(quantiser.scales).max(axis=0, initial=0) <= LARGEST
+        error = np.abs(original.astype(np.float64) - values)
+        assert np.all(error[usual] <= 0.5 * steps[usual] + 2.0**-20), name
+    assert_in_cells(shaped, decoded, data)
+    rule = lattice.rules["colour"]
+    shifts = rule.shifts(shaped.classes[1], 1, shape.opacity, shape.scales)
+    for name, groups, reach in colour_groups(shaped.scene, decoded, ac_steps):
+        steps = to_float(units[name] << shifts)
+        original, values = (np.clip(to_ycocg(g), -LARGEST, LARGEST) for g in groups)
+        rounding = 2.0**-19 + np.abs(original) * 2.0**-21
+        assert np.all(np.abs(original - values) <= reach * steps + rounding), name
+
+
+def colour_groups(scene: Scene, decoded: Scene, ac_steps: float):
+    yield "sh-dc", (scene.f_dc, decoded.f_dc), 0.5
+    coefficients = SH_COEFFICIENTS[scene.sh_degree]
+    pairs = [s.f_rest.reshape(3, coefficients, scene.count) for s in (scene, decoded)]
+    for k in range(coefficients):
+        band = 1 + (k > 2) + (k > 7)
+        yield f"sh{band}", (pairs[0][:, k], pairs[1][:, k]), ac_steps
+
+
+def assert_in_cells(shaped: Shaped, decoded: Scene, data: bytes) -> None:
+    """Positions are in the middle of cells as wide as the rule says, or narrower."""
+    header, lattice = read_file(data).header, shaped.lattice
+    shape, grid = shaped.shape, lattice.grid
+    dropped = lattice.rules["position"].shifts(shaped.classes[0], 3, shape.opacity, shape.scales)
+    axes = np.array(bit_layout(grid.bits)[::-1])
+    for block in range(header.block_count):
+        span = slice(*header.block_range(block))
+        _, lefts = encode_tree(shaped.codes[span], grid.total_bits)
+        bits = np.minimum(dropped[span], lefts)
+        for axis in range(3):
+            width = np.concatenate([[0], np.cumsum(axes == axis)])[bits]
+            original = shaped.scene.positions[axis, span].astype(np.float64)
+            error = np.abs(original - decoded.positions[axis, span])
+            largest = max(np.abs(s.positions[axis]).max() for s in (shaped.scene, decoded))
+            rounding = 2 * np.spacing(largest)
+            assert np.all(error <= 0.5 * grid.step * 2.0**width + rounding)
+
+
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("name", EDGES)
+def test_edge_scene_is_on_its_lattices(name, profile):
+    data, report = encode_scene(EDGES[name], Config(profile))
+    assert report.file_bytes == len(data)
+    assert_on_lattices(shaped_like(EDGES[name], profile), data, 1.5001)
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_guided_edge_scene_is_on_its_lattices(name):
+    guide = made_up_guide(seed=30)
+    data, _ = encode_scene(EDGES[name], Config("m"), guide=guide)
+    assert_on_lattices(shaped_like(EDGES[name], "m", guide), data, 0.5001)
+
+
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+@pytest.mark.parametrize("sh_degree", range(4))
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+def test_blocks_and_degrees_are_on_their_lattices(profile, sh_degree, guided):
+    scene = random_scene(2500, sh_degree, seed=sh_degree)
+    guide = made_up_guide(seed=31) if guided else None
+    data, _ = encode_scene(scene, Config(profile, block_size=BLOCK), guide=guide)
+    assert read_file(data).header.block_count == 3
+    assert_on_lattices(shaped_like(scene, profile, guide), data, 0.5001 if guided else 1.5001)
+
+
+def test_profiles_are_finer_or_smaller():
+    scene = random_scene(2000, 3, seed=32)
+    coded = {profile: encode_scene(scene, Config(profile))[0] for profile in "lms"}
+    assert len(coded["l"]) > len(coded["m"]) > len(coded["s"])
+
+
+def test_steps_are_finer_where_more_is_seen():
+    scene = random_scene(2000, 0, seed=33)
+    scene = replace(scene, opacity=np.abs(scene.opacity))
+    seen = np.random.default_rng(33).random(scene.count) < 0.5
+
+    def guide(clean: Scene) -> Guidance:
+        even = made_up_guide(seed=33, spread=0.0)(clean)
+        higher = [np.where(seen, 4.0**4 * values, values) for values in even.sensitivity]
+        return replace(even, sensitivity=type(even.sensitivity)(*higher))
+
+    shaped = shaped_like(scene, "m", guide)
+    is_seen = seen[np.argsort(shaped_order(scene, shaped))]
+    finest = shaped.classes[:, is_seen]
+    coarsest = shaped.classes[:, ~is_seen]
+    assert np.all(coarsest.mean(axis=1) - finest.mean(axis=1) > 3)
+    decoded = decode_scene(encode_scene(scene, Config("m"), guide=guide)[0])
+    for group in ("positions", "opacity", "f_dc"):
+        error = np.abs(getattr(decoded, group) - getattr(shaped.scene, group))
+        rms = [np.sqrt(np.mean(error[:, part] ** 2)) for part in (is_seen, ~is_seen)]
+        assert rms[0] < 0.25 * rms[1], group
+
+
+def test_steps_are_coarser_where_pruning_has_lost_more():
+    scene = random_scene(1000, 1, seed=51)
+    sizes = []
+    for loss in (0.0, 1e-4, 1e-2):
+        told = replace(made_up_guide(seed=51)(scene), loss=loss)
+        sizes.append(len(encode_scene(scene, Config("m"), guide=lambda _, told=told: told)[0]))
+    assert sizes[0] > sizes[1] > sizes[2]
+
+
+def shaped_order(scene: Scene, shaped: Shaped) -> np.ndarray:
+    """Place in the stream of each Gaussian, told by its opacity."""
+    places = {value: i for i, value in enumerate(shaped.scene.opacity[0].tolist())}
+    assert len(places) == scene.count
+    return np.array([places[value] for value in scene.opacity[0].tolist()])
+
+
+def test_a_guide_is_asked_once_and_its_colours_are_coded():
+    scene, calls = random_scene(300, 2, seed=34), []
+    even = made_up_guide(seed=34)
+
+    def recolour(decoded: Scene, steps: np.ndarray) -> Scene:
+        calls.append(decoded)
+        assert steps.shape == (300,)
+        assert steps.dtype == np.float32
+        assert np.all(steps > 0)
+        return replace(decoded, f_dc=np.zeros_like(decoded.f_dc), f_rest=0 * decoded.f_rest)
+
+    data, _ = encode_scene(
+        scene, Config("m"), guide=lambda clean: replace(even(clean), recolour=recolour)
+    )
+    decoded = decode_scene(data)
+    assert len(calls) == 1
+    assert not decoded.f_dc.any()
+    assert not decoded.f_rest.any()
+    for group in ("positions", "opacity", "log_scale", "rot"):
+        np.testing.assert_array_equal(getattr(calls[0], group), getattr(decoded, group))
+    assert calls[0].f_rest.any()
+
+
+def test_a_guide_that_sees_nothing_gives_finite_scenes():
+    def guide(clean: Scene) -> Guidance:
+        even = made_up_guide(seed=35)(clean)
+        return replace(even, sensitivity=type(even.sensitivity)(*(0 * s for s in even.sensitivity)))
+
+    scene = random_scene(500, 1, seed=35)
+    data, _ = encode_scene(scene, Config("s"), guide=guide)
+    assert_on_lattices(shaped_like(scene, "s", guide), data, 0.5001)
+
+
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+def test_bytes_and_floats_do_not_depend_on_threads(guided):
+    scene = random_scene(5000, 3, seed=36)
+    guide = made_up_guide(seed=36) if guided else None
+    coded = [
+        encode_scene(scene, Config("m", threads=t, block_size=BLOCK), guide=guide)[0]
+        for t in (1, 2, 7, 7)
+    ]
+    assert len(set(coded)) == 1
+    decoded = [decode_scene(coded[0], threads=t) for t in (1, 2, 7)]
+    assert_same(decoded[0], decoded[1])
+    assert_same(decoded[0], decoded[2])
+
+
+def test_order_of_the_input_does_not_matter():
+    scene = random_scene(3000, 1, seed=37)
+    shuffled = scene.take(np.random.default_rng(37).permutation(scene.count))
+    assert encode_scene(scene, Config("m"))[0] == encode_scene(shuffled, Config("m"))[0]
+
+
+def test_no_argument_is_changed():
+    scene = random_scene(1000, 3, seed=38)
+    scene.rot[:, 0] = 0
+    before = {group: getattr(scene, group).copy() for group in GROUPS}
+    _, report = encode_scene(scene, Config("m"), guide=made_up_guide(seed=38))
+    assert report.zero_quaternions == 1
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(scene, group), before[group])
+
+
+def test_extra_follows_its_gaussians():
+    scene = random_scene(1500, 0, seed=39)
+    scene = replace(
+        scene, extra={"label": np.arange(1500, dtype="<i4")}, comments=("a", ""), has_normals=True
+    )
+    data, _ = encode_scene(scene, Config("l", extra="keep", block_size=BLOCK))
+    decoded = decode_scene(data)
+    assert (decoded.comments, decoded.has_normals) == (scene.comments, True)
+    error = np.abs(decoded.opacity[0] - scene.opacity[0, decoded.extra["label"]])
+    assert error.max() < 0.1
+    box = (-1.0, -1.0, -1.0, 0.5, 1.0, 1.0)
+    part, _ = decode_part(data, Part(box))
+    inside = Part(box).contains(decoded.positions)
+    assert 0 < part.count < 1500
+    np.testing.assert_array_equal(part.extra["label"], decoded.extra["label"][inside])
+
+
+# Parts
+
+ALL_PROFILES = (*LATTICE_PROFILES, *PROFILES)
+
+
+@cache
+def large(profile: str) -> bytes:
+    return encode_scene(random_scene(6000, 3, seed=40), Config(profile, block_size=BLOCK))[0]
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("profile", ALL_PROFILES)
+def test_lower_degree_is_the_whole_without_its_bands(profile, degree):
+    data = large(profile)
+    whole, everything = decode_part(data, Part())
+    part, bytes_read = decode_part(data, Part(sh_degree=degree))
+    bands = whole.f_rest.reshape(3, 15, -1)[:, : SH_COEFFICIENTS[degree]]
+    assert_same(part, replace(whole, f_rest=np.ascontiguousarray(bands.reshape(-1, whole.count))))
+    assert part.sh_degree == degree
+    assert everything == len(data)
+    unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
+    skipped = sum(size for (i, _), size in read_file(data).sizes.items() if i in unread)
+    assert bytes_read == len(data) - skipped
+    assert skipped > 0 or degree == 3
+
+
+@pytest.mark.parametrize("profile", ALL_PROFILES)
+def test_higher_degree_than_there_is_changes_nothing(profile):
+    data, _ = encode_scene(random_scene(50, 1, seed=41), Config(profile))
+    assert_same(decode_part(data, Part(sh_degree=3))[0], decode_scene(data))
+
+
+BOXES = {
+    "half": (-9.0, -9.0, -9.0, 0.0, 9.0, 9.0),
+    "corner": (0.2, 0.2, 0.2, 1.0, 1.0, 1.0),
+    "slab": (-9.0, 0.1, -9.0, 9.0, 0.15, 9.0),
+    "all": (-99.0, -99.0, -99.0, 99.0, 99.0, 99.0),
+}
+
+
+@pytest.mark.parametrize("degree", [None, 1])
+@pytest.mark.parametrize("box", BOXES)
+@pytest.mark.parametrize("profile", ALL_PROFILES)
+def test_box_is_the_whole_masked(profile, box, degree):
+    part = Part(BOXES[box], degree)
+    whole, _ = decode_part(large(profile), Part(sh_degree=degree))
+    found, bytes_read = decode_part(large(profile), part, threads=2)
+    low, high = np.array(BOXES[box][:3]), np.array(BOXES[box][3:])
+    inside = np.all((low <= whole.positions.T) & (high >= whole.positions.T), axis=1)
+    assert inside.sum() > 0
+    assert inside.all() == (box == "all")
+    assert_same(found, whole.take(np.flatnonzero(inside)))
+    assert bytes_read <= len(large(profile))
+
+
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+def test_box_reads_few_blocks(profile):
+    whole = decode_scene(large(profile))
+    at = whole.positions[:, 17].astype(float)
+    found, bytes_read = decode_part(large(profile), Part((*at, *at)))
+    assert found.count >= 1
+    np.testing.assert_array_equal(found.positions[:, 0], whole.positions[:, 17])
+    assert bytes_read < 0.6 * len(large(profile))
+
+
+@pytest.mark.parametrize("profile", ALL_PROFILES)
+def test_box_of_nothing_is_empty(profile):
+    found, bytes_read = decode_part(large(profile), Part((50.0, 50, 50, 51, 51, 51)))
+    assert (found.count, found.sh_degree) == (0, 3)
+    for group in GROUPS:
+        assert getattr(found, group).shape[1] == 0
+    if profile in LATTICE_PROFILES:
+        assert bytes_read < 0.2 * len(large(profile))
+
+
+@pytest.mark.parametrize("profile", ALL_PROFILES)
+def test_box_of_an_empty_scene_is_empty(profile):
+    data, _ = encode_scene(random_scene(0, 2), Config(profile))
+    assert decode_part(data, Part((0.0, 0, 0, 1, 1, 1), 1))[0].count == 0
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        (0.0,) * 5, (0.0,) * 7, (), (1.0, 0, 0, 0, 1, 1), (0.0, 0, 1, 1, 1, 0),
+        (np.nan, 0, 0, 1, 1, 1), (0.0, 0, 0, np.inf, 1, 1), (-np.inf, 0, 0, 1, 1, 1),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_bad_boxes_are_refused(box):
+    with pytest.raises(InvalidInput, match=r"^box .*expected lowest"):
+        Part(box)
+
+
+@pytest.mark.parametrize("degree", [-1, 4, 100])
+def test_bad_degrees_are_refused(degree):
+    with pytest.raises(InvalidInput, match=f"SH degree {degree}: expected 0-3"):
+        Part(sh_degree=degree)
+
+
+# Files
+
+
+@pytest.mark.parametrize("second", ["scene.egs", "decoded.ply"])
+def test_a_file_is_matched_with_its_original(tmp_path, monkeypatch, second):
+    monkeypatch.chdir(tmp_path)
+    write_ply("scene.ply", random_scene(1500, 3, seed=42))
+    encode_file("scene.ply", "scene.egs", Config("m"))
+    decode_file("scene.egs", "decoded.ply")
+    for pair in (("scene.ply", second), (second, "scene.ply")):
+        result = compare_files(*pair)
+        assert (result.count, result.matched_by) == (1500, "stored order")
+        errors = {(group.name, group.unit): group.rms for group in result.groups}
+        assert 0 < errors["positions", "scene units"] < 0.01
+        assert 0 < errors["opacity", "0-1"] < 0.005
+        assert 0 < errors["f_dc", "SH"] < 0.25
+        assert 0 < errors["scaling", "log"] < 0.25
+    assert compare_files("scene.egs", "decoded.ply").matched_by == "index"
+
+
+def test_duplicates_are_matched_with_their_originals(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_ply("scene.ply", EDGES["pairs"])
+    encode_file("scene.ply", "scene.egs", Config("l"))
+    errors = {g.name: g.rms for g in compare_files("scene.ply", "scene.egs").groups}
+    assert errors["positions"] < 0.01
+    assert errors["f_dc"] < 0.25
+
+
+def test_other_scenes_are_not_matched(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_ply("scene.ply", random_scene(1500, 0, seed=43))
+    write_ply("other.ply", random_scene(1500, 0, seed=44))
+    encode_file("scene.ply", "scene.egs", Config("m"))
+    with pytest.raises(InvalidInput, match="neither scene was decoded from the other"):
+        compare_files("other.ply", "scene.egs")
+
+
+def test_decoded_file_can_be_encoded_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_ply("scene.ply", random_scene(1500, 1, seed=45))
+    encode_file("scene.ply", "once.egs", Config("m"))
+    decode_file("once.egs", "once.ply")
+    encode_file("once.ply", "twice.egs", Config("m"))
+    decode_file("twice.egs", "twice.ply")
+    once, twice = read_ply("once.ply"), read_ply("twice.ply")
+    assert [len(scene.comments) for scene in (once, twice)] == [1, 1]
+    assert once.comments != twice.comments
+    assert twice.count == 1500
+
+
+# Damage
+
+
+@cache
+def small(guided: bool) -> bytes:
+    scene = random_scene(20, 1, seed=46)
+    return encode_scene(scene, Config("m"), guide=made_up_guide(seed=46) if guided else None)[0]
+
+
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+def test_every_truncation_is_refused(guided):
+    stream = small(guided)
+    for size in range(len(stream)):
+        with pytest.raises((TruncatedStream, CorruptStream)):
+            decode_scene(stream[:size])
+        with pytest.raises((TruncatedStream, CorruptStream)):
+            inspect_bytes(stream[:size])
+
+
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+def test_every_flipped_bit_is_refused(guided):
+    damaged = bytearray(small(guided))
+    for bit in range(8 * len(damaged)):
+        damaged[bit >> 3] ^= 1 << (bit & 7)
+        with pytest.raises(GsCodecError):
+            decode_scene(bytes(damaged), threads=1)
+        damaged[bit >> 3] ^= 1 << (bit & 7)
+
+
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+def test_flipped_bits_under_right_checksums_are_survived(guided):
+    stream = small(guided)
+    for bit in range(int(guided), 8 * len(stream), 9):  # a bit of each byte: all take a minute
+        damaged = bytearray(stream)
+        damaged[bit >> 3] ^= 1 << (bit & 7)
+        decode_hostile(with_checksums(damaged))
+
+
+@cache
+def damageable(seed: int) -> bytes:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(int(rng.integers(1, 2500)), int(rng.integers(0, 4)), seed)
+    guide = made_up_guide(seed) if seed % 2 else None
+    return encode_scene(scene, Config("lms"[seed % 3], block_size=BLOCK), guide=guide)[0]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_changes_under_right_checksums_are_survived(seed):
+    rng = np.random.default_rng(seed)
+    data = bytearray(damageable(seed % 12))
+    for _ in range(rng.integers(1, 6)):
+        end = min(len(data), 2000) if rng.random() < 0.5 else len(data)
+        data[rng.integers(36, end)] = rng.integers(256)
+    decode_hostile(with_checksums(data))
+    try:
+        decode_part(with_checksums(data), Part((-1.0, -1, -1, 0, 0, 0), 1), max_bytes=1 << 20)
+    except GsCodecError:
+        return
+
+
+def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> bytes:
+    """The file with the bytes of a section changed; None removes it."""
+    file = read_file(data)
+    content = change(bytes(file.sections.get((section_id, block), b"")))
+    sections = {**file.sections, (section_id, block): content}
+    return write_file(
+        file.header,
+        [Section(SectionId(i), b, d) for (i, b), d in sections.items() if d is not None],
+    )
+
+
+def patched(data: bytes, offset: int, layout: str, *values) -> bytes:
+    """The file with fields of its lattice section replaced."""
+
+    def change(content: bytes) -> bytes:
+        changed = bytearray(content)
+        struct.pack_into("<" + layout, changed, offset, *values)
+        return bytes(changed)
+
+    return with_section(data, SectionId.LATTICE, change)
+
+
+UNIT, RULE = 29, 57
+TABLES = RULE + 7 * 21 + 1 + 2 + 7 * 4 + 36 + 4 + 9 * 2
+HOSTILE = {
+    "origin NaN": (0, "f", np.nan),
+    "origin infinite": (8, "f", np.inf),
+    "step 0": (12, "f", 0.0),
+    "step negative": (12, "f", -1.0),
+    "step NaN": (12, "f", np.nan),
+    "step infinite": (12, "f", np.inf),
+    "22 bits": (17, "B", 22),
+    "255 bits": (16, "3B", 255, 255, 255),
+    "0 classes": (19, "B", 0),
+    "17 classes": (19, "B", 17),
+    "17 classes of colour": (20, "B", 17),
+    "centre too high": (21, "i", 401 << 20),
+    "centre too low": (25, "i", -(1 << 31)),
+    **{f"unit of {name} 0": (UNIT + 4 * i, "I", 0) for i, name in enumerate(UNITS)},
+    **{f"unit of {name} huge": (UNIT + 4 * i, "I", 2**32 - 1) for i, name in enumerate(UNITS)},
+    **{f"limit {i} of 255": (RULE + 21 * i + 20, "B", 255) for i in range(7)},
+    "limit of positions 94": (RULE + 21 * 5 + 20, "B", 94),
+    "first bit of contexts": (RULE + 7 * 21, "B", 0x80),
+    "padding of contexts": (RULE + 7 * 21, "B", 0x01),
+    "no tables": (TABLES, "H", 0),
+    "65535 tables": (TABLES, "H", 65535),
+    "alphabet 0": (TABLES + 2, "H", 0),
+    "alphabet 241": (TABLES + 2, "H", 241),
+    "alphabet 65535": (TABLES + 2, "H", 65535),
+}
+
+
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_lattice_is_refused(name, guided):
+    data = patched(small(guided), *HOSTILE[name])
+    for read in (decode_scene, inspect_bytes):
+        with pytest.raises((CorruptStream, TruncatedStream), match=r"section 'lattice'") as error:
+            read(data)
+        assert "\n" not in str(error.value)
+
+
+def test_offsets_of_the_hostile_lattice_are_right():
+    """Else the test above would test something else."""
+    content = read_file(small(False)).section(SectionId.LATTICE)
+    lattice, models = read_lattice(content, 3)
+    assert struct.unpack_from("<7I", content, UNIT) == tuple(lattice.units[u] for u in UNITS)
+    assert content[RULE + 20] == lattice.rules["opacity"].limit
+    assert struct.unpack_from("<H", content, TABLES)[0] == len(models.weights)
+    assert struct.unpack_from("<H", content, TABLES + 2)[0] == len(models.weights[0])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_hostile_rules_are_survived_seed(seed):
+    """Any numbers are rules; only what they make of the stream may be corrupt."""
+    rng = np.random.default_rng(seed)
+    for rule in range(7):
+        numbers = rng.choice([-(2**31), 2**31 - 1, 0, -1, 1 << 16, -(1 << 20)], 5).tolist()
+        decode_hostile(patched(small(bool(seed % 2)), RULE + 21 * rule, "5i", *numbers))
+
+
+def test_far_grid_gives_finite_positions():
+    data = patched(small(False), 0, "4f", 3e38, -3e38, 3e38, 3e38)
+    decode_hostile(data)
+    assert np.isfinite(decode_scene(data).positions).all()
+    assert np.isfinite(inspect_bytes(data).bounds).all()
+
+
+def test_table_without_symbols_is_refused():
+    def change(content: bytes) -> bytes:
+        number = struct.unpack_from("<H", content, TABLES)[0]
+        sizes = struct.unpack_from(f"<{number}H", content, TABLES + 2)
+        weights = [np.zeros(size, np.int64) for size in sizes]
+        return content[: TABLES + 2 + 2 * number] + encode_tables(weights, [3] * number)
+
+    with pytest.raises(CorruptStream, match="section 'lattice': a table without symbols"):
+        decode_scene(with_section(small(False), SectionId.LATTICE, change))
+
+
+@pytest.mark.parametrize("corner", range(6))
+def test_bounds_that_are_not_the_blocks_are_refused(corner):
+    def change(content: bytes) -> bytes:
+        places = list(struct.unpack("<6I", content))
+        places[corner] += 1 if corner > 2 else -1 if places[corner] else 1
+        return struct.pack("<6I", *places)
+
+    with pytest.raises(CorruptStream, match="section 'bounds'"):
+        decode_scene(with_section(small(False), SectionId.BOUNDS, change))
+
+
+@pytest.mark.parametrize(
+    ("section_id", "change"),
+    [
+        (SectionId.BOUNDS, lambda content: content[:-1]),
+        (SectionId.BOUNDS, lambda content: content * 2),
+        (SectionId.BOUNDS, lambda content: None),
+        (SectionId.BOUNDS, lambda content: content[12:] + content[:12]),
+        (SectionId.LATTICE, lambda content: None),
+        (SectionId.LATTICE, lambda content: content + b"\1"),
+        (SectionId.CHANNELS, lambda content: b"channels"),
+        (SectionId.CLASSES, lambda content: None),
+        (SectionId.CLASSES, lambda content: b"\0\0"),
+        (SectionId.OPACITY, lambda content: b"\xff\xff\xff\xff" + content[4:]),
+        (SectionId.OPACITY, lambda content: content + b"\0"),
+        (SectionId.ROTATION, lambda content: content[:-1]),
+        (SectionId.LOW_BITS, lambda content: content + b"\0"),
+        (SectionId.LOW_BITS, lambda content: content[:-1]),
+        (SectionId.SH2, lambda content: b"\0\0\0\0"),
+        (SectionId.SH1, lambda content: b""),
+        (SectionId.STATES, lambda content: content[:-4]),
+        (SectionId.STATES, lambda content: b"\0" * 128),
+        (SectionId.GEOMETRY, lambda content: content + b"\0"),
+    ],
+)  # fmt: skip
+def test_wrong_sections_are_refused(section_id, change):
+    with pytest.raises((CorruptStream, TruncatedStream)):
+        decode_scene(with_section(small(False), section_id, change))
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("section_id", [SectionId.LATTICE, SectionId.BOUNDS, SectionId.LOW_BITS])
+def test_paper_profiles_have_no_lattices(profile, section_id):
+    data, _ = encode_scene(random_scene(20, 0, seed=47), Config(profile))
+    with pytest.raises(CorruptStream):
+        decode_scene(with_section(data, section_id, lambda content: b"\0" * 24))
+
+
+@pytest.mark.parametrize("profile", [*LATTICE_PROFILES, *PROFILES])
+@pytest.mark.parametrize("count", [1 << 14, 1 << 40, (1 << 64) - 1])
+def test_a_false_count_does_not_allocate(profile, count):
+    """With blocks of one Gaussian, so that there would be as many."""
+    stream = encode_scene(random_scene(20, 1, seed=48), Config(profile))[0]
+    data = bytearray(stream)
+    struct.pack_into("<Q", data, 16, count)
+    struct.pack_into("<I", data, 28, 1)
+    with pytest.raises(GsCodecError):
+        decode_scene(with_checksums(data))
+    with pytest.raises(GsCodecError):
+        decode_part(with_checksums(data), Part((0.0, 0, 0, 1, 1, 1)))
+
+
+def test_decoder_refuses_more_than_it_may_hold():
+    with pytest.raises(CorruptStream, match="the limit is 1000"):
+        decode_scene(small(False), max_bytes=1000)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("group", GROUPS)
+def test_nonfinite_values_are_refused_or_dropped(group, value):
+    scene = random_scene(50, 3, seed=49)
+    getattr(scene, group)[0, [3, 17]] = value
+    with pytest.raises(InvalidInput, match=f"2 in {group}"):
+        encode_scene(scene, Config("m"))
+    data, report = encode_scene(scene, Config("m", nonfinite="drop"))
+    assert report.dropped == 2
+    kept = scene.take(np.delete(np.arange(50), [3, 17]))
+    assert_on_lattices(shaped_like(kept, "m"), data, 1.5001)
+
+
+def test_progress_counts_every_stage_to_its_end():
+    seen = {}
+
+    def progress(stage, done, total):
+        assert done == seen.get(stage, (0, total))[0] + 1
+        seen[stage] = (done, total)
+
+    scene = random_scene(3000, 1, seed=50)
+    data, _ = encode_scene(scene, Config("m", block_size=BLOCK), progress)
+    decode_scene(data, progress=progress)
+    assert seen == {"quantise": (3, 3), "code": (3, 3), "decode": (3, 3)}

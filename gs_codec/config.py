@@ -74,9 +74,9 @@ class Config:
     ----------
     profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s", "lossless"}
         Steps that follow how much is seen of each Gaussian, quantisation depths of the paper's
-        Table 1, or every bit as it is. Default ``paper-m``.
+        Table 1, or every bit as it is. Default ``m``.
     depths : mapping of str to int
-        Bits per group that override the profile (the paper's rate control, Section 4.4).
+        Bits per group that override a paper profile (its rate control, Section 4.4).
         Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``, ``rotation``,
         ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
     nonfinite : {"error", "drop"}
@@ -98,7 +98,7 @@ class Config:
         If a value is outside its range.
     """
 
-    profile: str = "paper-m"
+    profile: str = "m"
     depths: Mapping[str, int] = field(default_factory=dict)
     nonfinite: Literal["error", "drop"] = "error"
     extra: Literal["error", "keep", "drop"] = "error"

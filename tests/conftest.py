@@ -8,6 +8,7 @@ from typing import NamedTuple
 import pytest
 from scenes import random_scene
 
+from gs_codec.config import Config
 from gs_codec.files import decode_file, encode_file
 from gs_codec.io.ply import write_ply
 
@@ -26,6 +27,6 @@ def trio(tmp_path_factory: pytest.TempPathFactory) -> Trio:
     folder = tmp_path_factory.mktemp("trio")
     paths = Trio(folder / "scene.ply", folder / "scene.egs", folder / "decoded.ply")
     write_ply(paths.ply, random_scene(1500, 3, seed=100))
-    encode_file(paths.ply, paths.egs)
+    encode_file(paths.ply, paths.egs, Config("paper-m"))
     decode_file(paths.egs, paths.decoded)
     return paths

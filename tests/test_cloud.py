@@ -96,7 +96,7 @@ def test_changing_the_scene_made_of_a_cloud_leaves_the_cloud_alone():
     cloud = to_cloud(scene)
     made = from_cloud(cloud)
     before = {name: cloud.point[name].numpy().copy() for name in cloud.point}
-    encode_scene(made)
+    encode_scene(made, gs_codec.Config("paper-m"))
     for name, array in before.items():
         np.testing.assert_array_equal(cloud.point[name].numpy(), array)
 
@@ -126,7 +126,7 @@ def test_scale_of_zero_is_refused_when_encoding():
     del cloud.point["log_scale"]
     cloud.point["scale"] = tensor(np.zeros((40, 3), np.float32))
     with pytest.raises(InvalidInput, match="120 in log_scale"):
-        gs_codec.encode(cloud)
+        gs_codec.encode(cloud, gs_codec.Config("paper-m"))
 
 
 def test_f_rest_may_be_missing():
@@ -192,7 +192,7 @@ def test_extra_attributes_of_every_type(dtype):
     assert from_cloud(cloud, "drop").extra == {}
     with pytest.raises(InvalidInput, match="label; choose"):
         from_cloud(cloud)
-    decoded = decode_scene(encode_scene(scene)[0])
+    decoded = decode_scene(encode_scene(scene, gs_codec.Config("paper-m"))[0])
     assert_same_scene(decoded, from_cloud(to_cloud(decoded), "keep"))
 
 
@@ -212,7 +212,7 @@ def test_extra_property_never_takes_the_place_of_an_attribute(name):
 
 def test_changing_an_extra_attribute_is_possible_after_decoding():
     scene = replace(random_scene(40, 0), extra={"label": np.arange(40, dtype="u1")})
-    decoded = decode_scene(encode_scene(scene)[0])
+    decoded = decode_scene(encode_scene(scene, gs_codec.Config("paper-m"))[0])
     assert decoded.extra["label"].flags.writeable
 
 
@@ -326,7 +326,7 @@ def test_egs_through_the_api_is_that_of_the_codec_seed13(tmp_path):
 
 def test_empty_cloud_through_the_api(tmp_path):
     cloud = to_cloud(random_scene(0, 3))
-    data = gs_codec.encode(cloud)
+    data = gs_codec.encode(cloud, gs_codec.Config("paper-m"))
     assert gs_codec.inspect(data).count == 0
     assert from_cloud(gs_codec.decode(data)).count == 0
     gs_codec.write(tmp_path / "a.ply", cloud)
@@ -406,6 +406,6 @@ def test_nothing_is_printed(trio, tmp_path, capfd, caplog):
         cloud = gs_codec.read(trio.ply)
         gs_codec.write(tmp_path / "a.egs", cloud)
         gs_codec.compare(trio.ply, trio.egs)
-        gs_codec.decode(gs_codec.encode(cloud))
+        gs_codec.decode(gs_codec.encode(cloud, gs_codec.Config("paper-m")))
     assert capfd.readouterr() == ("", "")
     assert caplog.text == ""

@@ -90,7 +90,7 @@ def test_depths_override_the_profile(depths):
 
 def test_extremes_decode_exactly():
     scene = random_scene(3000, 0, seed=4)
-    decoded = decode_scene(encode_scene(scene)[0])
+    decoded = decode_scene(encode_scene(scene, Config("paper-m"))[0])
     for group in ("positions", "f_dc", "opacity", "log_scale", "rot"):
         for before, after in zip(getattr(scene, group), getattr(decoded, group), strict=True):
             assert before.min() == after.min()
@@ -108,7 +108,9 @@ def test_coding_what_was_decoded_changes_nothing_but_sh_ac(profile):
 
 def test_bytes_and_floats_do_not_depend_on_threads():
     scene = random_scene(9000, 3, seed=6)
-    streams = [encode_scene(scene, Config(threads=t, block_size=1024))[0] for t in (1, 2, 7)]
+    streams = [
+        encode_scene(scene, Config("paper-m", threads=t, block_size=1024))[0] for t in (1, 2, 7)
+    ]
     assert streams[0] == streams[1] == streams[2]
     decoded = [decode_scene(streams[0], threads=t) for t in (1, 2, 7)]
     for group in GROUPS:
@@ -120,14 +122,14 @@ def test_bytes_and_floats_do_not_depend_on_threads():
 def test_order_of_the_input_does_not_matter():
     scene = random_scene(4000, 1, seed=7)
     shuffled = scene.take(np.random.default_rng(7).permutation(scene.count))
-    assert encode_scene(scene)[0] == encode_scene(shuffled)[0]
+    assert encode_scene(scene, Config("paper-m"))[0] == encode_scene(shuffled, Config("paper-m"))[0]
 
 
 def test_no_argument_is_changed():
     scene = random_scene(1000, 3, seed=8)
     scene.rot[:, 0] = 0
     before = {group: getattr(scene, group).copy() for group in GROUPS}
-    encode_scene(scene)
+    encode_scene(scene, Config("paper-m"))
     for group in GROUPS:
         np.testing.assert_array_equal(getattr(scene, group), before[group])
 
@@ -137,7 +139,7 @@ def test_duplicates_keep_their_own_attributes():
     positions = np.repeat(scene.positions[:, :200], 3, axis=1)
     f_dc = np.repeat(scene.f_dc[:, :200], 3, axis=1)
     scene = replace(scene, positions=positions, f_dc=f_dc)
-    assert_within_half_steps(scene, encode_scene(scene)[0])
+    assert_within_half_steps(scene, encode_scene(scene, Config("paper-m"))[0])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -146,8 +148,8 @@ def test_nonfinite_values_are_refused_or_dropped(group, value):
     scene = random_scene(50, 3, seed=10)
     getattr(scene, group)[0, [3, 17]] = value
     with pytest.raises(InvalidInput, match=f"2 in {group}"):
-        encode_scene(scene)
-    data, report = encode_scene(scene, Config(nonfinite="drop"))
+        encode_scene(scene, Config("paper-m"))
+    data, report = encode_scene(scene, Config("paper-m", nonfinite="drop"))
     assert report.dropped == 2
     assert_within_half_steps(scene.take(np.delete(np.arange(50), [3, 17])), data)
 
@@ -155,7 +157,7 @@ def test_nonfinite_values_are_refused_or_dropped(group, value):
 def test_zero_quaternions_become_the_identity():
     scene = random_scene(50, 0, seed=11)
     scene.rot[:, [4, 9]] = 0
-    data, report = encode_scene(scene)
+    data, report = encode_scene(scene, Config("paper-m"))
     assert report.zero_quaternions == 2
     scene.rot[0, [4, 9]] = 1
     assert_within_half_steps(scene, data)
@@ -165,7 +167,7 @@ def test_absent_bands_and_constant_channels_cost_a_flag():
     flat = random_scene(2000, 3, seed=12)
     flat = replace(flat, f_rest=np.full_like(flat.f_rest, 0.5))
     flat = replace(flat, opacity=np.full_like(flat.opacity, 2), rot=np.ones_like(flat.rot))
-    report = encode_scene(flat)[1]
+    report = encode_scene(flat, Config("paper-m"))[1]
     assert {"sh1", "sh2", "sh3", "opacity", "rotation"}.isdisjoint(report.section_bytes)
     without = encode_scene(replace(flat, f_rest=flat.f_rest[:0]))[1]
     assert report.file_bytes - without.file_bytes == 45 * 5
@@ -175,7 +177,7 @@ def test_carried_properties_and_comments_follow_their_gaussians():
     scene = random_scene(300, 0, seed=13)
     extra = {"label": np.arange(300, dtype="<i4"), "weight": scene.positions[0].astype("<f8")}
     scene = replace(scene, extra=extra, comments=("made by a test", ""), has_normals=True)
-    decoded = decode_scene(encode_scene(scene, Config(depths={"geometry": 21}))[0])
+    decoded = decode_scene(encode_scene(scene, Config("paper-m", depths={"geometry": 21}))[0])
     assert decoded.comments == scene.comments
     assert decoded.has_normals
     np.testing.assert_array_equal(decoded.extra["weight"], extra["weight"][decoded.extra["label"]])
@@ -196,6 +198,6 @@ def test_progress_counts_every_stage_to_its_end():
         assert done == seen.get(stage, (0, total))[0] + 1
         seen[stage] = (done, total)
 
-    data, _ = encode_scene(scene, Config(block_size=1024), progress)
+    data, _ = encode_scene(scene, Config("paper-m", block_size=1024), progress)
     decode_scene(data, progress=progress)
     assert seen == {"quantise": (17, 17), "code": (9, 9), "decode": (6, 6)}

@@ -103,7 +103,7 @@ def test_random_changes_under_right_checksums_are_survived(seed):
     extra = {"label": np.arange(scene.count, dtype="<i4")}
     object.__setattr__(scene, "extra", extra)
     object.__setattr__(scene, "comments", ("a comment",))
-    data = bytearray(encode_scene(scene, Config(extra="keep", block_size=1024))[0])
+    data = bytearray(encode_scene(scene, Config("paper-m", extra="keep", block_size=1024))[0])
     for _ in range(rng.integers(1, 6)):
         # Half of the changes hit the header and the channels, where the structure is.
         end = min(len(data), 2000) if rng.random() < 0.5 else len(data)

@@ -237,10 +237,10 @@ SCENES = {
     **{f"edge {name}": scene for name, scene in EDGES.items()},
 }
 CONFIGS = {
-    "paper-m": Config(),
+    "paper-m": Config("paper-m"),
     "paper-s": Config("paper-s", block_size=1024),
-    "coarse": Config(depths={"geometry": 3, "sh-dc": 1}),
-    "fine": Config(depths={"geometry": 21, "sh-dc": 12}),
+    "coarse": Config("paper-m", depths={"geometry": 3, "sh-dc": 1}),
+    "fine": Config("paper-m", depths={"geometry": 21, "sh-dc": 12}),
 }
 
 
@@ -281,7 +281,7 @@ def test_original_is_matched_with_its_decoded_version(name, config, tmp_path):
 @pytest.mark.parametrize("name", REAL_SCENES)
 def test_real_scene_is_matched_with_its_encoded_version(name, tmp_path):
     ply, egs = shared_scene_path(name), tmp_path / "scene.egs"
-    encode_file(ply, egs)
+    encode_file(ply, egs, Config("paper-m"))
     assert_matched(compare_files(ply, egs), egs)
 
 
@@ -322,7 +322,7 @@ def test_originals_are_matched_by_index(trio, tmp_path):
 
 def test_versions_in_different_orders_are_refused(trio, tmp_path):
     coarse = tmp_path / "coarse.egs"
-    encode_file(trio.ply, coarse, Config(depths={"geometry": 9}))
+    encode_file(trio.ply, coarse, Config("paper-m", depths={"geometry": 9}))
     with pytest.raises(InvalidInput, match="compare with the original"):
         compare_files(trio.egs, coarse)
 

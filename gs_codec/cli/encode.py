@@ -28,7 +28,7 @@ def command(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
     profile: Annotated[
         str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILE_CHOICES)}.")
-    ] = "paper-m",
+    ] = "m",
     depth: Annotated[
         list[str] | None,
         typer.Option(

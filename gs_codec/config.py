@@ -115,7 +115,8 @@ class Config:
         if self.profile in PROFILES:
             self.resolved_depths()
         elif self.depths:
-            raise InvalidInput(f"depths: profile '{self.profile}' has none")
+            known = ", ".join(PROFILES)
+            raise InvalidInput(f"depths: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
 

@@ -108,11 +108,11 @@ def prepare_file(
     _check_target(source, target)
     suffix = _format_of(target)
     scene = without_order(read_scene(source, "keep"))
-    config = Config(extra="keep")
+    # The paper's profile has the stages of the paper's ablation.
+    config = Config("paper-m", extra="keep")
     with located(source):
         scene, prepared = _prepare(scene, plan, report_folder, progress)
-        guide = guide_of(scene, plan, config, progress, prepared.views)
-        data, report = encode_scene(scene, config, guide=guide)
+        data, report = encode_scene(scene, config)
         prepared = _finish_report(prepared, scene, config, data, report, report_folder)
     if suffix == ".ply":
         write_ply(target, scene)

@@ -103,11 +103,13 @@ def test_deltas_against_ground_truth(tmp_path):
     [view] = read_cameras(tmp_path / "cameras.json")
     write_png(tmp_path / "v.png", render(scene, view).colour)
     options = ["--cameras", str(tmp_path), "--against-gt", str(tmp_path), "--repeats", "1"]
+    options += ["-p", "m", "-p", "paper-m"]
     result = CliRunner().invoke(app, ["bench", str(tmp_path / "scene.ply"), *options])
     assert result.exit_code == 0, result.output
     found = [json.loads(line) for line in result.stdout.splitlines()]
     rendered = [line for line in found if line["kind"] == "rendered"]
-    assert [line["profile"] for line in rendered] == ["paper-l", "paper-m", "paper-s"]
+    expected = [("m", False), ("m", True), ("paper-m", False)]
+    assert [(line["profile"], line["by_views"]) for line in rendered] == expected
     for line in rendered:
         assert line["truth"]["psnr"] > 50
         assert line["delta"]["psnr"] < 0

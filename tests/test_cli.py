@@ -112,7 +112,7 @@ def python(*arguments: str, cwd: Path = ROOT) -> Result:
 
 
 def test_encode_and_decode_write_what_the_library_does(folder, trio):
-    status, out, err = folder.run("encode", "scene.ply", "out.egs")
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m")
     assert (status, err) == (0, "")
     assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
     assert out.startswith("out.egs: 1,500 Gaussians, 355.48 kB -> ")
@@ -126,7 +126,7 @@ def test_encode_and_decode_write_what_the_library_does(folder, trio):
 
 
 def test_encode_reports_as_json(folder):
-    status, out, err = folder.run("encode", "scene.ply", "out.egs", "--json")
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "--json", "-p", "paper-m")
     report = strict_json(out)
     assert (status, err) == (0, "")
     size = (folder.path / "out.egs").stat().st_size
@@ -154,7 +154,7 @@ def test_profile_decides_the_depths(folder, profile):
 
 
 def test_depth_may_be_given_several_times(folder):
-    depths = ["--depth", "sh-ac=5", "--depth", "sh3=2", "--depth", "geometry=12"]
+    depths = ["-p", "paper-m", "--depth", "sh-ac=5", "--depth", "sh3=2", "--depth", "geometry=12"]
     assert folder.run("encode", "scene.ply", "out.egs", *depths).status == 0
     info = strict_json(folder.run("inspect", "out.egs", "--json").out)
     used = {channel["stream"]: channel["depth"] for channel in info["channels"]}
@@ -257,7 +257,7 @@ def test_zero_quaternions_are_reported(folder):
 def test_an_existing_file_is_replaced(folder, trio):
     for name in ("out.egs", "out.ply"):
         (folder.path / name).write_bytes(b"old" * 1_000_000)
-    assert folder.run("encode", "scene.ply", "out.egs").status == 0
+    assert folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m").status == 0
     assert folder.run("decode", "out.egs", "out.ply").status == 0
     assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
     assert (folder.path / "out.ply").read_bytes() == trio.decoded.read_bytes()
@@ -284,7 +284,7 @@ def test_version(folder):
 def test_name_that_is_not_text_can_be_printed(folder, trio):
     name = os.fsdecode(b"out\xff.egs")
     assert folder.run("encode", "scene.ply", name, "--json").status == 0
-    assert folder.run("encode", "scene.ply", name).status == 0
+    assert folder.run("encode", "scene.ply", name, "-p", "paper-m").status == 0
     assert (folder.path / name).read_bytes() == trio.egs.read_bytes()
 
 
@@ -532,10 +532,13 @@ REFUSED = {
     "compare directory": ("compare some.dir scene.ply", "some.dir: .*directory"),
     "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians"),
     "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of l, m, s, "),
-    "depth group": ("encode scene.ply out.egs --depth colour=3", "'colour': expected one of"),
-    "depth 0": ("encode scene.ply out.egs --depth opacity=0", "integer from 1 to 12"),
-    "depth 13": ("encode scene.ply out.egs --depth sh-ac=13", "integer from 1 to 12"),
-    "depth 22": ("encode scene.ply out.egs --depth geometry=22", "integer from 1 to 21"),
+    "depth group": (
+        "encode scene.ply out.egs -p paper-m --depth colour=3",
+        "'colour': expected one of",
+    ),
+    "depth 0": ("encode scene.ply out.egs -p paper-m --depth opacity=0", "integer from 1 to 12"),
+    "depth 13": ("encode scene.ply out.egs -p paper-m --depth sh-ac=13", "integer from 1 to 12"),
+    "depth 22": ("encode scene.ply out.egs -p paper-m --depth geometry=22", "integer from 1 to 21"),
     "depth word": ("encode scene.ply out.egs --depth sh-ac=x", "expected GROUP=BITS"),
     "depth empty": ("encode scene.ply out.egs --depth sh-ac=", "expected GROUP=BITS"),
     "depth negative": ("encode scene.ply out.egs --depth sh-ac=-1", "expected GROUP=BITS"),
@@ -602,7 +605,12 @@ def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
 
 
 def test_scenes_in_different_orders_are_refused(folder):
-    assert folder.run("encode", "scene.ply", "out.egs", "--depth", "geometry=9").status == 0
+    assert (
+        folder.run(
+            "encode", "scene.ply", "out.egs", "-p", "paper-m", "--depth", "geometry=9"
+        ).status
+        == 0
+    )
     assert "differently" in folder.refuse("compare", "out.egs", "scene.egs")
 
 
@@ -625,7 +633,7 @@ main()
 @pytest.mark.parametrize(
     ("command", "place"),
     [
-        ("encode scene.ply out.egs", "gs_codec.codec.encode encode_colour"),
+        ("encode scene.ply out.egs -p paper-m", "gs_codec.codec.encode encode_colour"),
         ("encode scene.ply out.egs", "os fsync"),
         ("decode scene.egs out.ply", "gs_codec.codec.decode decode_colour"),
         ("decode scene.egs out.ply", "os fsync"),
@@ -740,12 +748,12 @@ def test_heavy_packages_load_where_they_are_used(folder, run, loaded, absent):
 
 def test_decoded_file_can_be_encoded_again(folder, trio):
     scene = read_ply("scene.ply")
-    assert folder.run("encode", "decoded.ply", "again.egs").status == 0
+    assert folder.run("encode", "decoded.ply", "again.egs", "-p", "paper-m").status == 0
     assert folder.run("decode", "again.egs", "again.ply").status == 0
     again, decoded = read_ply("again.ply"), read_ply("decoded.ply")
     assert again.comments == decoded.comments
     for group in set(GROUPS) - {"f_rest"}:
         np.testing.assert_array_equal(getattr(again, group), getattr(decoded, group))
     assert again.count == scene.count
-    encode_file("decoded.ply", "by_library.egs")
+    encode_file("decoded.ply", "by_library.egs", Config("paper-m"))
     assert Path("again.egs").read_bytes() == Path("by_library.egs").read_bytes()

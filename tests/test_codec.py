@@ -169,7 +169,7 @@ def test_absent_bands_and_constant_channels_cost_a_flag():
     flat = replace(flat, opacity=np.full_like(flat.opacity, 2), rot=np.ones_like(flat.rot))
     report = encode_scene(flat, Config("paper-m"))[1]
     assert {"sh1", "sh2", "sh3", "opacity", "rotation"}.isdisjoint(report.section_bytes)
-    without = encode_scene(replace(flat, f_rest=flat.f_rest[:0]))[1]
+    without = encode_scene(replace(flat, f_rest=flat.f_rest[:0]), Config("paper-m"))[1]
     assert report.file_bytes - without.file_bytes == 45 * 5
 
 

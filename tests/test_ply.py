@@ -231,7 +231,7 @@ def test_extra_of_every_type_stays_with_its_gaussian_bit_for_bit_seed7(byte_orde
     extra["id"] = np.arange(count, dtype="<u4")
     rows = with_columns(vertex_rows(scene), extra)
     path = write_rows(tmp_path / "a.ply", rows, ("a comment",), byte_order=byte_order)
-    data, _ = encode_scene(read_ply(path, "keep"), Config(block_size=1024))
+    data, _ = encode_scene(read_ply(path, "keep"), Config("paper-m", block_size=1024))
     write_ply(tmp_path / "b.ply", decode_scene(data))
     back = read_ply(tmp_path / "b.ply", "keep")
     assert back.comments == ("a comment",)

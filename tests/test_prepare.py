@@ -335,7 +335,7 @@ REFUSALS = {
         "none: no such folder",
     ),
     "report": ("prepare scene.ply o.ply --rectify --report scene.ply", "scene.ply: "),
-    "report alone": ("encode scene.ply o.egs --report r", "need a step, for example"),
+    "report alone": ("encode scene.ply o.egs --report r", "needs a step, for example"),
     "background": ("prepare scene.ply o.ply --rectify --background red", "black or white"),
     "width": ("prepare scene.ply o.ply --rectify --width -4", "width -4"),
 }

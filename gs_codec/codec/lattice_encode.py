@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,15 +80,15 @@ def encode_lattice(
         with times.stage("recolour"):
             shaped = _recolour(shaped, places, guidance)
     with times.stage("colour"):
-        colours, clamped = _colours(shaped)
+        shifts = _colour_shifts(shaped)
         advance = step_counter(progress, "quantise", len(ranges))
-        work = list(zip(placed, ranges, strict=True))
-        coded = run_all(
-            lambda item: _symbols(shaped, colours, guidance is None, item[0], *item[1]),
-            work,
-            config.threads,
-            advance,
-        )
+        jobs = [
+            partial(_symbols, shaped, shifts, guidance is None, block, *span)
+            for block, span in zip(placed, ranges, strict=True)
+        ]
+        found = run_all(lambda job: job(), jobs, config.threads, advance)
+        coded = [block for block, _ in found]
+        clamped = sum(beyond for _, beyond in found)
     with times.stage("model"):
         models, costs = _models(shaped, coded, config.threads)
         tables = PassTables.pack(models.tables())
@@ -162,58 +163,52 @@ def _colour_shifts(shaped: Shaped) -> NDArray[np.int64]:
     return rule.shifts(shaped.classes[1], 1, shaped.shape.opacity, shaped.shape.scales)
 
 
-@dataclass(frozen=True)
-class _Colours:
-    """Shifts ``(N,)``, fixed-point SH-DC ``(3, N)``, and SH-AC in steps ``(3, K, N)``."""
+def _symbols(
+    shaped: Shaped,
+    shifts: NDArray[np.int64],
+    diffusing: bool,
+    placed: _Block,
+    start: int,
+    stop: int,
+) -> tuple[_Block, int]:
+    """All passes of a block, and how many colour values were clamped.
 
-    shifts: NDArray[np.int64]
-    dc: NDArray[np.int64]
-    ac: NDArray[np.float32]
-
-
-def _colours(shaped: Shaped) -> tuple[_Colours, int]:
-    """Colours in Y, Co, Cg; and how many values were clamped."""
-    scene, units = shaped.scene, shaped.lattice.units
-    shifts = _colour_shifts(shaped)
-    dc = to_ycocg(scene.f_dc)
+    Errors of SH-AC are diffused where no views have chosen them.
+    """
+    classes, shifts = shaped.classes[:, start:stop], shifts[start:stop]
+    units = shaped.lattice.units
+    dc = to_ycocg(shaped.scene.f_dc[:, start:stop])
     clamped = int(np.count_nonzero(np.abs(dc) > LARGEST))
     fixed = np.floor(np.clip(dc, -LARGEST, LARGEST) * (1 << PLACES) + 0.5).astype(np.int64)
-    coefficients = len(scene.f_rest) // 3
-    ac = np.zeros((3, coefficients, scene.count), np.float32)
-
-    def work(k: int) -> int:
-        planes = to_ycocg(scene.f_rest.reshape(3, coefficients, scene.count)[:, k])
-        band = 1 + (k > 2) + (k > 7)
-        largest = np.clip(planes, -LARGEST, LARGEST)
-        ac[:, k] = largest / to_float(units[f"sh{band}"] << shifts)
-        return int(np.count_nonzero(np.abs(planes) > LARGEST))
-
-    clamped += sum(run_all(work, range(coefficients)))
-    return _Colours(shifts, fixed, ac), clamped
-
-
-def _symbols(
-    shaped: Shaped, colours: _Colours, diffusing: bool, placed: _Block, start: int, stop: int
-) -> _Block:
-    """All passes of a block; errors of SH-AC are diffused where no views have chosen them."""
-    classes = shaped.classes[:, start:stop]
-    shifts = colours.shifts[start:stop]
-    unit = shaped.lattice.units["sh-dc"]
     listed = [
         *class_passes(classes[0], classes[1]),
         *shape_passes(shaped.quantiser, start, stop),
-        dc_pass(placed.places, colours.dc[:, start:stop], unit, shifts),
+        dc_pass(placed.places, fixed, units["sh-dc"], shifts),
     ]
-    coefficients = colours.ac.shape[1]
+    coefficients = len(shaped.scene.f_rest) // 3
     if coefficients:
-        steps = colours.ac[:, :, start:stop]
-        if diffusing:
-            planes = steps.reshape(3 * coefficients, -1)
-            levels = round_diffusing(placed.places, planes).reshape(steps.shape)
-        else:
-            levels = np.floor(steps + 0.5).astype(np.int64)
-        listed += ac_passes(levels, shifts)
-    return replace(placed, passes=listed)
+        ac, beyond = _in_steps(shaped, shifts, start, stop)
+        clamped += beyond
+        levels = round_diffusing(placed.places, ac) if diffusing else np.floor(ac + 0.5)
+        listed += ac_passes(levels.astype(np.int64).reshape(3, coefficients, -1), shifts)
+    return replace(placed, passes=listed), clamped
+
+
+def _in_steps(
+    shaped: Shaped, shifts: NDArray[np.int64], start: int, stop: int
+) -> tuple[NDArray[np.float32], int]:
+    """SH-AC of a block in Y, Co, Cg and in steps ``(3 K, n)``, and how many were clamped."""
+    coefficients = len(shaped.scene.f_rest) // 3
+    planes = shaped.scene.f_rest[:, start:stop].reshape(3, coefficients, -1)
+    ac = np.empty(planes.shape, np.float32)
+    clamped = 0
+    for k in range(coefficients):
+        band = 1 + (k > 2) + (k > 7)
+        values = to_ycocg(planes[:, k])
+        clamped += int(np.count_nonzero(np.abs(values) > LARGEST))
+        steps = to_float(shaped.lattice.units[f"sh{band}"] << shifts)
+        ac[:, k] = np.clip(values, -LARGEST, LARGEST) / steps
+    return ac.reshape(3 * coefficients, -1), clamped
 
 
 def _models(
@@ -240,7 +235,7 @@ def _models(
             table.code_length(histogram[: len(table.frequencies)])
             for table, histogram in zip(models, found.histograms, strict=True)
         )
-        raw = sum(int(block.passes[p].widths.sum(dtype=np.int64)) for block in blocks)
+        raw = sum(int(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
         entropy = raw + sum(shannon_bits(histogram) for histogram in found.histograms)
         costs.append(
             ChannelCost(item.name, item.stream, "table", raw + coded, raw + coded, entropy)
@@ -257,7 +252,7 @@ def _sections(
     bits: dict[str, BitWriter] = {}
     for item, data, rows in zip(listed, block.passes, models.rows, strict=True):
         writer.add(item.stream, data.tokens, rows[data.contexts].astype(np.uint16))
-        bits.setdefault(item.stream, BitWriter()).add(data.levels, data.widths)
+        bits.setdefault(item.stream, BitWriter()).add(data.raw_levels, data.raw_widths)
     states, words = writer.finish()
     sections = [
         Section(SectionId.GEOMETRY, number, block.tree),

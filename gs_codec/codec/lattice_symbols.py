@@ -16,17 +16,23 @@ from gs_codec.lattice.tokens import ALPHABET, tokenise
 
 @dataclass(frozen=True)
 class PassData:
-    """Levels ``(n,)`` of a pass, the context of each, its token, and the width of its raw bits."""
+    """A pass: the token of each symbol ``(n,)``, its context, and the raw bits of some.
 
-    levels: NDArray[np.int64]
-    contexts: NDArray[np.int64]
+    ``raw_levels`` and ``raw_widths`` are of the symbols that have raw bits, in their order.
+    """
+
     tokens: NDArray[np.uint16]
-    widths: NDArray[np.uint8]
+    contexts: NDArray[np.uint16]
+    raw_levels: NDArray[np.int64]
+    raw_widths: NDArray[np.uint8]
 
     @classmethod
-    def of(cls, levels: NDArray[np.int64], contexts: NDArray[np.int64]) -> PassData:
+    def of(cls, levels: NDArray[np.int64], contexts: NDArray[np.integer]) -> PassData:
         """Tokenise levels."""
-        return cls(levels, contexts, *tokenise(levels))
+        tokens, widths = tokenise(levels)
+        raw = np.flatnonzero(widths)
+        # The same array for all passes of SH-AC, where it is of this type already.
+        return cls(tokens, contexts.astype(np.uint16, copy=False), levels[raw], widths[raw])
 
     def histograms(self, contexts: int) -> NDArray[np.int64]:
         """Counts of tokens ``(contexts, ALPHABET)``."""
@@ -73,7 +79,7 @@ def ac_passes(levels: NDArray[np.int64], shifts: NDArray[np.int64]) -> list[Pass
     energy = energy_class(levels.reshape(3 * coefficients, -1))
     listed = [PassData.of(energy, shift_context(shifts))]
     some = np.flatnonzero(energy)
-    context = energy[some]
+    context = energy[some].astype(np.uint16)
     for _, colour, k in sh_places(coefficients):
         listed.append(PassData.of(levels[colour, k, some], context))
     return listed

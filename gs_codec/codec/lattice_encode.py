@@ -107,7 +107,7 @@ def encode_lattice(
         if header.block_count:
             sections.append(Section(SectionId.BOUNDS, 0, _bounds(places, ranges)))
         sections += [section for block in done for section in block]
-        sections += carried_sections(shaped.scene, np.arange(scene.count))
+        sections += carried_sections(scene, shaped.order)
         data = write_file(header, sections)
     return data, EncodeReport(
         count=scene.count,
@@ -144,9 +144,9 @@ def _dropped(shaped: Shaped, start: int, stop: int) -> NDArray[np.int64]:
 
 def _recolour(shaped: Shaped, places: NDArray[np.int64], guidance: Guidance) -> Shaped:
     """Let views choose colours that make up for what shapes have lost."""
-    lattice, shape = shaped.lattice, shaped.shape
+    lattice, shape, scene = shaped.lattice, shaped.shape, shaped.scene
     decoded = replace(
-        shaped.scene,
+        scene,
         positions=from_grid(places, np.array(lattice.grid.origin), lattice.grid.step),
         opacity=to_float(shape.opacity)[None].astype(np.float32),
         log_scale=to_float(shape.scales).astype(np.float32),
@@ -154,8 +154,7 @@ def _recolour(shaped: Shaped, places: NDArray[np.int64], guidance: Guidance) -> 
     )
     steps = to_float(lattice.units["sh1"] << _colour_shifts(shaped)).astype(np.float32)
     coloured = guidance.recolour(decoded, steps)
-    scene = replace(shaped.scene, f_dc=coloured.f_dc, f_rest=coloured.f_rest)
-    return replace(shaped, scene=scene)
+    return replace(shaped, source=coloured, order=np.arange(coloured.count))
 
 
 def _colour_shifts(shaped: Shaped) -> NDArray[np.int64]:
@@ -177,7 +176,7 @@ def _symbols(
     """
     classes, shifts = shaped.classes[:, start:stop], shifts[start:stop]
     units = shaped.lattice.units
-    dc = to_ycocg(shaped.scene.f_dc[:, start:stop])
+    dc = to_ycocg(shaped.source.f_dc[:, shaped.order[start:stop]])
     clamped = int(np.count_nonzero(np.abs(dc) > LARGEST))
     fixed = np.floor(np.clip(dc, -LARGEST, LARGEST) * (1 << PLACES) + 0.5).astype(np.int64)
     listed = [
@@ -185,7 +184,7 @@ def _symbols(
         *shape_passes(shaped.quantiser, start, stop),
         dc_pass(placed.places, fixed, units["sh-dc"], shifts),
     ]
-    coefficients = len(shaped.scene.f_rest) // 3
+    coefficients = len(shaped.source.f_rest) // 3
     if coefficients:
         ac, beyond = _in_steps(shaped, shifts, start, stop)
         clamped += beyond
@@ -198,13 +197,14 @@ def _in_steps(
     shaped: Shaped, shifts: NDArray[np.int64], start: int, stop: int
 ) -> tuple[NDArray[np.float32], int]:
     """SH-AC of a block in Y, Co, Cg and in steps ``(3 K, n)``, and how many were clamped."""
-    coefficients = len(shaped.scene.f_rest) // 3
-    planes = shaped.scene.f_rest[:, start:stop].reshape(3, coefficients, -1)
-    ac = np.empty(planes.shape, np.float32)
+    coefficients = len(shaped.source.f_rest) // 3
+    planes = shaped.source.f_rest.reshape(3, coefficients, -1)
+    members = shaped.order[start:stop]
+    ac = np.empty((3, coefficients, len(members)), np.float32)
     clamped = 0
     for k in range(coefficients):
         band = 1 + (k > 2) + (k > 7)
-        values = to_ycocg(planes[:, k])
+        values = to_ycocg(np.take(planes[:, k], members, axis=1))
         clamped += int(np.count_nonzero(np.abs(values) > LARGEST))
         steps = to_float(shaped.lattice.units[f"sh{band}"] << shifts)
         ac[:, k] = np.clip(values, -LARGEST, LARGEST) / steps
@@ -215,7 +215,7 @@ def _models(
     shaped: Shaped, blocks: list[_Block], threads: int | None
 ) -> tuple[PassModels, list[ChannelCost]]:
     """Tables for the passes of all blocks together."""
-    listed = passes(len(shaped.scene.f_rest) // 3)
+    listed = passes(len(shaped.source.f_rest) // 3)
 
     def share(p: int) -> ContextTables:
         counts = np.zeros((listed[p].contexts, ALPHABET), np.int64)

@@ -36,29 +36,37 @@ _OF_LOSS = 0.3
 
 @dataclass(frozen=True)
 class Shaped:
-    """A scene in stream order, its lattices, and all but its colours on them.
+    """A scene, its stream order and lattices, and all but its colours on them.
 
     Attributes
     ----------
-    scene : Scene
-        As given, in stream order.
+    source : Scene
+        As given.
+    order : ndarray, shape (N,), int64
+        Which Gaussian of it each of the stream is.
     lattice : Lattice
     codes : ndarray, shape (N,), int64
         Morton codes, ascending.
     classes : ndarray, shape (2, N), int64
-        Of shape and of colour.
+        Of shape and of colour, in stream order, as are:
     quantiser : ShapeQuantiser
         Levels and shifts.
     shape : Shape
         What they decode to.
     """
 
-    scene: Scene
+    source: Scene
+    order: NDArray[np.int64]
     lattice: Lattice
     codes: NDArray[np.int64]
     classes: NDArray[np.int64]
     quantiser: ShapeQuantiser
     shape: Shape
+
+    @property
+    def scene(self) -> Scene:
+        """The scene in stream order; made anew each time."""
+        return self.source.take(self.order)
 
 
 def shape_scene(scene: Scene, profile: LatticeProfile, guidance: Guidance | None) -> Shaped:
@@ -71,11 +79,10 @@ def shape_scene(scene: Scene, profile: LatticeProfile, guidance: Guidance | None
     codes = encode_morton(cells, grid.bits)
     order = np.argsort(codes, kind="stable")
     classes = gather(np.stack([steps.shape_class, steps.colour_class]), order)
-    scene = scene.take(order)
     scales, vectors = gather(scales, order), gather(vectors, order)
-    quantiser = ShapeQuantiser(lattice, scene.opacity[0], scales, vectors)
+    quantiser = ShapeQuantiser(lattice, scene.opacity[0, order], scales, vectors)
     shape = walk_shape(lattice, classes[0], quantiser)
-    return Shaped(scene, lattice, codes[order], classes, quantiser, shape)
+    return Shaped(scene, order, lattice, codes[order], classes, quantiser, shape)
 
 
 def _steps(

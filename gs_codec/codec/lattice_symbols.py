@@ -55,7 +55,9 @@ def class_passes(shape: NDArray[np.int64], colour: NDArray[np.int64]) -> list[Pa
 def shape_passes(coded: ShapeQuantiser, start: int, stop: int) -> list[PassData]:
     """Passes of opacity, scales and rotation of Gaussians `start` to `stop`."""
     return [
-        PassData.of(levels[start:stop], shift_context(coded.shifts[name][start:stop]))
+        PassData.of(
+            levels[start:stop].astype(np.int64), shift_context(coded.shifts[name][start:stop])
+        )
         for name, levels in coded.levels.items()
     ]
 

@@ -64,7 +64,7 @@ class ShapeQuantiser:
         self.opacity = opacity
         self.scales = scales
         self.vectors = vectors
-        self.levels: dict[str, NDArray[np.int64]] = {}
+        self.levels: dict[str, NDArray[np.int32]] = {}
         self.shifts: dict[str, NDArray[np.int64]] = {}
         self.clamped = 0
         self._last = np.zeros(0)
@@ -83,7 +83,7 @@ class ShapeQuantiser:
             values = self._last - self.scales[int(name[-1])]
         levels, clamped = to_lattice(values, centre, unit, shifts)
         self.clamped += clamped
-        self.levels[name], self.shifts[name] = levels, shifts
+        self.levels[name], self.shifts[name] = levels.astype(np.int32), shifts
         if group == "scaling":
             coded = to_float(from_lattice(levels, centre, unit, shifts))
             self._last = coded if name == "scale_0" else self._last - coded

@@ -27,7 +27,7 @@ from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.lattice.fixed import LARGEST, to_float
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
-from gs_codec.transform.axes import quaternions
+from gs_codec.transform.axes import quaternions, sort_axes
 from gs_codec.transform.morton import bit_layout
 from gs_codec.transform.ycocg import to_ycocg
 
@@ -64,14 +64,15 @@ def assert_on_lattices(shaped: Shaped, data: bytes, ac_steps: float) -> None:
     np.testing.assert_array_equal(decoded.log_scale, np.float32(to_float(shape.scales)))
     np.testing.assert_array_equal(decoded.rot, quaternions(to_float(shape.vectors)))
     quantiser, units = shaped.quantiser, lattice.units
-    originals = {"opacity": (quantiser.opacity, to_float(shape.opacity))}
+    _, scales, vectors = sort_axes(shaped.scene.log_scale, shaped.scene.rot)
+    originals = {"opacity": (shaped.scene.opacity[0], to_float(shape.opacity))}
     for k in range(3):
-        originals[f"scale_{k}"] = (quantiser.scales[k], to_float(shape.scales[k]))
-        originals[f"rot_{k + 1}"] = (quantiser.vectors[k], to_float(shape.vectors[k]))
+        originals[f"scale_{k}"] = (scales[k], to_float(shape.scales[k]))
+        originals[f"rot_{k + 1}"] = (vectors[k], to_float(shape.vectors[k]))
     for name, (original, values) in originals.items():
         group = {"o": "opacity", "s": "scaling", "r": "rotation"}[name[0]]
-        steps = to_float(units[group] << quantiser.shifts[name])
-        usual = np.abs(quantiser.scales).max(axis=0, initial=0) <= LARGEST
+        steps = to_float(units[group] << quantiser.shifts[name].astype(np.int64))
+        usual = np.abs(scales).max(axis=0, initial=0) <= LARGEST
         error = np.abs(original.astype(np.float64) - values)
         assert np.all(error[usual] <= 0.5 * steps[usual] + 2.0**-20), name
     assert_in_cells(shaped, decoded, data)

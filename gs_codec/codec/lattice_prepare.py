@@ -47,7 +47,7 @@ class Shaped:
     lattice : Lattice
     codes : ndarray, shape (N,), int64
         Morton codes, ascending.
-    classes : ndarray, shape (2, N), int64
+    classes : ndarray, shape (2, N), uint8
         Of shape and of colour, in stream order, as are:
     quantiser : ShapeQuantiser
         Levels and shifts.
@@ -59,7 +59,7 @@ class Shaped:
     order: NDArray[np.int64]
     lattice: Lattice
     codes: NDArray[np.int64]
-    classes: NDArray[np.int64]
+    classes: NDArray[np.uint8]
     quantiser: ShapeQuantiser
     shape: Shape
 
@@ -78,10 +78,12 @@ def shape_scene(scene: Scene, profile: LatticeProfile, guidance: Guidance | None
     cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
     codes = encode_morton(cells, grid.bits)
     order = np.argsort(codes, kind="stable")
-    classes = gather(np.stack([steps.shape_class, steps.colour_class]), order)
+    both = np.stack([steps.shape_class, steps.colour_class])
+    classes = gather(both.astype(np.uint8), order)
     scales, vectors = gather(scales, order), gather(vectors, order)
     quantiser = ShapeQuantiser(lattice, scene.opacity[0, order], scales, vectors)
     shape = walk_shape(lattice, classes[0], quantiser)
+    quantiser.forget()
     return Shaped(scene, order, lattice, codes[order], classes, quantiser, shape)
 
 

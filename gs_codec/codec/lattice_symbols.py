@@ -21,7 +21,7 @@ class PassData:
     ``raw_levels`` and ``raw_widths`` are of the symbols that have raw bits, in their order.
     """
 
-    tokens: NDArray[np.uint16]
+    tokens: NDArray[np.uint8]
     contexts: NDArray[np.uint16]
     raw_levels: NDArray[np.int64]
     raw_widths: NDArray[np.uint8]
@@ -47,9 +47,10 @@ def _count(tokens, contexts, counts):
         counts[contexts[i], tokens[i]] += 1
 
 
-def class_passes(shape: NDArray[np.int64], colour: NDArray[np.int64]) -> list[PassData]:
+def class_passes(shape: NDArray[np.uint8], colour: NDArray[np.uint8]) -> list[PassData]:
     """Passes of the classes; that of colour follows the shape's."""
-    return [PassData.of(shape, np.zeros_like(shape)), PassData.of(colour, shape)]
+    alone = PassData.of(shape.astype(np.int64), np.zeros_like(shape))
+    return [alone, PassData.of(colour.astype(np.int64), shape)]
 
 
 def shape_passes(coded: ShapeQuantiser, start: int, stop: int) -> list[PassData]:
@@ -62,7 +63,7 @@ def shape_passes(coded: ShapeQuantiser, start: int, stop: int) -> list[PassData]
     ]
 
 
-def shift_context(shifts: NDArray[np.int64]) -> NDArray[np.int64]:
+def shift_context(shifts: NDArray) -> NDArray:
     """Contexts ``(n,)`` of shifts."""
     return np.minimum(shifts, SHIFT_CONTEXTS - 1)
 

@@ -80,9 +80,13 @@ class PassWriter:
     """Collects the passes of a block, section by section, in the order they are decoded."""
 
     tables: PassTables
-    passes: list[tuple[str, NDArray[np.uint16], NDArray[np.uint16]]] = field(default_factory=list)
+    passes: list[tuple[str, NDArray[np.unsignedinteger], NDArray[np.uint16]]] = field(
+        default_factory=list
+    )
 
-    def add(self, section: str, symbols: NDArray[np.uint16], rows: NDArray[np.uint16]) -> None:
+    def add(
+        self, section: str, symbols: NDArray[np.unsignedinteger], rows: NDArray[np.uint16]
+    ) -> None:
         """Add a pass of ``symbols (n,)`` under the tables ``rows (n,)``."""
         self.passes.append((section, symbols, rows))
 

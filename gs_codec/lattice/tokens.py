@@ -115,9 +115,9 @@ def _read_values(
     return position, used
 
 
-def tokenise(values: NDArray[np.int64]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+def tokenise(values: NDArray[np.int64]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Tokens ``(n,)`` of integers below 2**30 in magnitude, and the widths of their raw bits."""
-    tokens = np.empty(len(values), np.uint16)
+    tokens = np.empty(len(values), np.uint8)
     widths = np.empty(len(values), np.uint8)
     _tokenise(values, tokens, widths)
     return tokens, widths

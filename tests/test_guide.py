@@ -119,6 +119,18 @@ def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
     assert opacity_bytes(whole) < opacity_bytes(own)
 
 
+def test_carried_properties_follow_their_gaussians(scene, plan):
+    extra = {"x0": scene.positions[0].copy(), "label": np.arange(scene.count, dtype="<i4")}
+    carrying = replace(scene, extra=extra, comments=("made by a test",))
+    config = Config("m", extra="keep")
+    data, _ = encode_scene(carrying, config, guide=guide_of(carrying, plan, config))
+    decoded = decode_scene(data)
+    assert decoded.comments == carrying.comments
+    assert sorted(decoded.extra["label"]) == list(range(scene.count))
+    near = np.abs(decoded.positions[0] - decoded.extra["x0"])
+    assert np.quantile(near, 0.9) < 0.05
+
+
 def test_only_profiles_that_ask_are_guided(scene, plan):
     assert guide_of(scene, plan, Config("paper-m")) is None
     assert guide_of(scene, plan, Config("lossless")) is None

@@ -107,7 +107,7 @@ def encode_lattice(
         if header.block_count:
             sections.append(Section(SectionId.BOUNDS, 0, _bounds(places, ranges)))
         sections += [section for block in done for section in block]
-        sections += carried_sections(scene, shaped.order)
+        sections += carried_sections(shaped.source, shaped.order)
         data = write_file(header, sections)
     return data, EncodeReport(
         count=scene.count,

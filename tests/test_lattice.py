@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
-from gs_codec.entropy.passes import LANES, PRECISION, PassReader, PassTables, PassWriter
+from gs_codec.entropy.bits import BitReader, BitWriter
+from gs_codec.entropy.passes import PRECISION, PassReader, PassTables, PassWriter
+from gs_codec.entropy.rans import LANES
 from gs_codec.errors import CorruptStream
 from gs_codec.geometry.colour_lattice import code_colours, decode_colours
 from gs_codec.geometry.count_tree import decode_tree, encode_tree
@@ -19,7 +21,7 @@ from gs_codec.lattice.place import centres, from_grid, to_grid
 from gs_codec.lattice.plan import ENERGIES, energy_class, passes, sh_places
 from gs_codec.lattice.rules import StepRule
 from gs_codec.lattice.sensitivity import Sensitivity
-from gs_codec.lattice.tokens import ALPHABET, MAX_BITS, BitReader, BitWriter, read_pass, tokenise
+from gs_codec.lattice.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
 from gs_codec.model.contexts import share_tables
 from gs_codec.model.table import normalise, shannon_bits
 from gs_codec.transform.axes import quaternions, sort_axes

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.codec.lattice_symbols import shift_context
 from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
+from gs_codec.entropy.bits import BitReader
 from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.geometry.colour_lattice import decode_colours
@@ -21,7 +22,7 @@ from gs_codec.lattice.lattice import Lattice
 from gs_codec.lattice.place import centres, from_grid
 from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places
 from gs_codec.lattice.shape import Shape, walk_shape
-from gs_codec.lattice.tokens import BitReader, read_pass
+from gs_codec.lattice.tokens import read_pass
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import SH_COEFFICIENTS
 from gs_codec.transform.axes import quaternions

@@ -30,13 +30,14 @@ from gs_codec.container.file import (
     write_file,
 )
 from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
+from gs_codec.entropy.bits import BitWriter
 from gs_codec.entropy.passes import PassTables, PassWriter
 from gs_codec.geometry.count_tree import encode_tree
 from gs_codec.geometry.diffusion import round_diffusing
 from gs_codec.lattice.fixed import LARGEST, PLACES, to_float
 from gs_codec.lattice.place import centres, from_grid
 from gs_codec.lattice.plan import Pass, passes
-from gs_codec.lattice.tokens import ALPHABET, BitWriter
+from gs_codec.lattice.tokens import ALPHABET
 from gs_codec.model.contexts import ContextTables, share_tables
 from gs_codec.model.table import shannon_bits
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter

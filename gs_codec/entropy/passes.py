@@ -13,14 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.entropy.rans import LANES, LOWEST, push
 from gs_codec.errors import CorruptStream
-from gs_codec.kernels import inlined, kernel
+from gs_codec.kernels import kernel
 from gs_codec.model.table import FrequencyTable
 
-LANES = 32
 PRECISION = 12
-_LOWEST = 1 << 16
-_MASK = (1 << PRECISION) - 1
 
 
 @dataclass(frozen=True)
@@ -44,35 +42,12 @@ class PassTables:
 
 
 @kernel
-def _push(symbols, rows, spans, states, words, position):
+def _push_all(symbols, rows, spans, states, words, position):
     """Code a pass backwards, words before `position`; returns where they begin."""
     for i in range(len(symbols) - 1, -1, -1):
-        lane = i & (LANES - 1)
         span = np.int64(spans[rows[i], symbols[i]])
-        frequency = span & 0xFFFF
-        state = states[lane]
-        full = np.int64(state >= frequency << (32 - PRECISION))
-        words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
-        position -= full
-        state >>= full << 4
-        # Exact: both are below 2**32, so the quotient is not rounded up to an integer.
-        quotient = np.int64(np.float64(state) / np.float64(frequency))
-        states[lane] = (quotient << PRECISION) + state - quotient * frequency + (span >> 16)
+        position = push(words, position, states, i & (LANES - 1), span, PRECISION)
     return position
-
-
-@inlined
-def pull(words, position, states, lane, span_row, slot_row):
-    """Decode one symbol; returns it and the position after the words it reads."""
-    state = states[lane]
-    slot = state & _MASK
-    symbol = np.int64(slot_row[slot])
-    span = np.int64(span_row[symbol])
-    state = (span & 0xFFFF) * (state >> PRECISION) + slot - (span >> 16)
-    short = np.int64(state < _LOWEST)
-    word = np.int64(words[position]) & -short  # no branch: it would often be missed
-    states[lane] = (state << (short << 4)) | word
-    return symbol, position + short
 
 
 @dataclass
@@ -92,12 +67,12 @@ class PassWriter:
 
     def finish(self) -> tuple[bytes, dict[str, bytes]]:
         """The initial states, and the words of each section."""
-        states = np.full(LANES, _LOWEST, np.int64)
+        states = np.full(LANES, LOWEST, np.int64)
         words = np.empty(1 + sum(len(symbols) for _, symbols, _ in self.passes), np.uint16)
         position = words.size
         begins: dict[str, int] = {}
         for section, symbols, rows in reversed(self.passes):
-            position = _push(symbols, rows, self.tables.spans, states, words, position)
+            position = _push_all(symbols, rows, self.tables.spans, states, words, position)
             begins[section] = position
         words = words.astype("<u2")
         coded, end = {}, words.size
@@ -114,8 +89,8 @@ class PassReader:
         if len(states) != 4 * LANES:
             raise CorruptStream(f"{where}: {len(states)} bytes of states, expected {4 * LANES}")
         self.states = np.frombuffer(states, "<u4").astype(np.int64)
-        if np.any(self.states < _LOWEST):
-            raise CorruptStream(f"{where}: a rANS state below {_LOWEST}")
+        if np.any(self.states < LOWEST):
+            raise CorruptStream(f"{where}: a rANS state below {LOWEST}")
         self.tables = tables
         self.where = where
         self.words = np.zeros(LANES, np.uint16)
@@ -142,5 +117,5 @@ class PassReader:
 
     def finish(self) -> None:
         """Check that the states end as the encoder began, after the last section."""
-        if np.any(self.states != _LOWEST):
+        if np.any(self.states != LOWEST):
             raise CorruptStream(f"{self.where}: the rANS states do not end where they must")

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import CorruptStream
-from gs_codec.kernels import kernel
+from gs_codec.kernels import inlined, kernel
 from gs_codec.model.table import FrequencyTable
 
 LANES = 32
-_LOWEST = 1 << 16
+LOWEST = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,35 @@ class TableSet:
         return cls(precisions, spans, packed, offsets)
 
 
+@inlined
+def push(words, position, states, lane, span, precision):
+    """Code a symbol of a span, backwards; returns where the words begin now."""
+    frequency = span & 0xFFFF
+    state = states[lane]
+    full = np.int64(state >= frequency << (32 - precision))
+    words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
+    position -= full
+    state >>= full << 4
+    # Exact: both are below 2**32, so the quotient is not rounded up to an integer.
+    quotient = np.int64(np.float64(state) / np.float64(frequency))
+    states[lane] = (quotient << precision) + state - quotient * frequency + (span >> 16)
+    return position
+
+
+@inlined
+def pull(words, position, states, lane, spans, slots, precision):
+    """Decode a symbol under a table; returns it and the position after the words it reads."""
+    state = states[lane]
+    slot = state & ((1 << precision) - 1)
+    symbol = np.int64(slots[slot])
+    span = np.int64(spans[symbol])
+    state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
+    short = np.int64(state < LOWEST)
+    word = np.int64(words[position]) & -short  # no branch: it would often be missed
+    states[lane] = (state << (short << 4)) | word
+    return symbol, position + short
+
+
 @kernel
 def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
     """Code symbols[:, start:stop] backwards into the end of `words`; fills each channel's first."""
@@ -52,17 +81,8 @@ def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
     for channel in range(symbols.shape[0] - 1, -1, -1):
         precision = precisions[channel]
         for i in range(stop - start - 1, -1, -1):
-            lane = i & (LANES - 1)
             span = np.int64(spans[channel, symbols[channel, start + i]])
-            frequency = span & 0xFFFF
-            state = states[lane]
-            full = np.int64(state >= frequency << (32 - precision))
-            words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
-            position -= full
-            state >>= full << 4
-            # Exact: both are below 2**32, so the quotient is not rounded up to an integer.
-            quotient = np.int64(np.float64(state) / np.float64(frequency))
-            states[lane] = (quotient << precision) + state - quotient * frequency + (span >> 16)
+            position = push(words, position, states, i & (LANES - 1), span, precision)
         firsts[channel] = position
 
 
@@ -76,7 +96,6 @@ def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, sy
     count = symbols.shape[1]
     for channel in range(symbols.shape[0]):
         precision = precisions[channel]
-        mask = (1 << precision) - 1
         slot_of = slots[offsets[channel] :]
         row = spans[channel]
         out = symbols[channel]
@@ -84,16 +103,8 @@ def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, sy
             if position > bounds[channel]:
                 return channel
             for i in range(first, min(first + LANES, count)):
-                state = states[i & (LANES - 1)]
-                slot = state & mask
-                symbol = slot_of[slot]
-                span = np.int64(row[symbol])
-                state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
-                short = np.int64(state < _LOWEST)
-                word = np.int64(words[position]) & -short  # no branch: it would often be missed
-                states[i & (LANES - 1)] = (state << (short << 4)) | word
-                position += short
-                out[i] = symbol
+                lane = i & (LANES - 1)
+                out[i], position = pull(words, position, states, lane, row, slot_of, precision)
         if position > bounds[channel] or (closed[channel] and position != bounds[channel]):
             return channel
     return symbols.shape[0]
@@ -114,7 +125,7 @@ def encode_symbols(
         16-bit words each channel reads.
     """
     channels, count = len(symbols), stop - start
-    states = np.full(LANES, _LOWEST, np.int64)
+    states = np.full(LANES, LOWEST, np.int64)
     words = np.empty(1 + channels * count, np.uint16)
     firsts = np.full(channels + 1, words.size, np.int64)
     _encode(symbols, start, stop, tables.precisions, tables.spans, states, words, firsts)
@@ -159,10 +170,10 @@ def decode_symbols(
         raise CorruptStream(f"{where}: {len(states)} bytes of states, expected {4 * lanes}")
     if any(len(data) % 2 for _, data in groups):
         raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
-    lane_states = np.full(LANES, _LOWEST, np.int64)
+    lane_states = np.full(LANES, LOWEST, np.int64)
     lane_states[:lanes] = np.frombuffer(states, "<u4")
-    if np.any(lane_states < _LOWEST):
-        raise CorruptStream(f"{where}: a rANS state below {_LOWEST}")
+    if np.any(lane_states < LOWEST):
+        raise CorruptStream(f"{where}: a rANS state below {LOWEST}")
     sizes = [len(data) // 2 for _, data in groups]
     words = np.zeros(sum(sizes) + LANES, np.uint16)
     words[: sum(sizes)] = np.frombuffer(b"".join(data for _, data in groups), "<u2")
@@ -175,6 +186,6 @@ def decode_symbols(
     decoded = _decode(words, bounds, closed, lane_states, *packed, symbols)
     if decoded < bounds.size:
         raise CorruptStream(f"{where}: channel {decoded} does not end where its words do")
-    if whole and np.any(lane_states != _LOWEST):
+    if whole and np.any(lane_states != LOWEST):
         raise CorruptStream(f"{where}: the rANS states do not end where they must")
     return symbols

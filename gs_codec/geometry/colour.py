@@ -79,20 +79,27 @@ def find_nearest(cells, i, near, distances, window):
 
 
 @inlined
-def _predict(channel, near, weights, found, values):
-    """Weighted mean of the neighbours' values, and the class of their disagreement."""
+def weigh(distances, found, weights):
+    """Fill `weights` of the nearest points by their squared distances."""
+    for k in range(found):
+        weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
+
+
+@inlined
+def predict(values, near, weights, found, step, activities):
+    """Weighted mean of the neighbours' values, and the class of their disagreement in steps."""
     if found == 0:
         return 0, 0
     total = 0
     mass = 0
     for k in range(found):
-        total += weights[k] * values[channel, near[k]]
+        total += weights[k] * values[near[k]]
         mass += weights[k]
     mean = (2 * total + mass) // (2 * mass)
     spread = 0
     for k in range(found):
-        spread += weights[k] * abs(values[channel, near[k]] - mean)
-    return mean, min(bit_length(4 * spread // mass), _ACTIVITIES - 1)
+        spread += weights[k] * abs(values[near[k]] - mean)
+    return mean, min(bit_length(4 * spread // (mass * step)), activities - 1)
 
 
 @kernel
@@ -104,13 +111,12 @@ def _walk(cells, values, coded, state, data, contexts, encoding):
     window = np.empty(WINDOW)
     for i in range(values.shape[1]):
         found = find_nearest(cells, i, near, distances, window)
-        for k in range(found):
-            weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
+        weigh(distances, found, weights)
         previous = 0
         for channel in range(3):
             if coded[channel] == 0:
                 continue
-            mean, activity = _predict(channel, near, weights, found, values)
+            mean, activity = predict(values[channel], near, weights, found, 1, _ACTIVITIES)
             before = min(bit_length(previous) >> 1, _PREVIOUS - 1)
             base = ((channel * _ACTIVITIES + activity) * _PREVIOUS + before) * _PER_CLASS
             residual = 0

@@ -9,35 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.entropy.binary import bit_length, code_raw
-from gs_codec.entropy.passes import LANES, PassReader, pull
-from gs_codec.geometry.colour import NEIGHBOURS, WINDOW, find_nearest
-from gs_codec.kernels import inlined, kernel
+from gs_codec.entropy.binary import code_raw
+from gs_codec.entropy.bits import BitReader
+from gs_codec.entropy.passes import PRECISION, PassReader
+from gs_codec.entropy.rans import LANES, pull
+from gs_codec.geometry.colour import NEIGHBOURS, WINDOW, find_nearest, predict, weigh
+from gs_codec.kernels import kernel
 from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS
-from gs_codec.lattice.tokens import BitReader, raw_width, value_of
-
-
-@inlined
-def _weigh(distances, found, weights):
-    for k in range(found):
-        weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
-
-
-@inlined
-def _predict(values, near, weights, found, step):
-    """Weighted mean of the neighbours' values, and the class of their disagreement in steps."""
-    if found == 0:
-        return 0, 0
-    total = 0
-    mass = 0
-    for k in range(found):
-        total += weights[k] * values[near[k]]
-        mass += weights[k]
-    mean = (2 * total + mass) // (2 * mass)
-    spread = 0
-    for k in range(found):
-        spread += weights[k] * abs(values[near[k]] - mean)
-    return mean, min(bit_length(4 * spread // (mass * step)), ACTIVITIES - 1)
+from gs_codec.lattice.tokens import raw_width, value_of
 
 
 @kernel
@@ -48,11 +27,11 @@ def _code(cells, colours, unit, shifts, levels, contexts, values):
     window = np.empty(WINDOW)
     for i in range(len(shifts)):
         found = find_nearest(cells, i, near, distances, window)
-        _weigh(distances, found, weights)
+        weigh(distances, found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
         for channel in range(3):
-            mean, activity = _predict(values[channel], near, weights, found, step)
+            mean, activity = predict(values[channel], near, weights, found, step, ACTIVITIES)
             level = (2 * (colours[channel, i] - mean) + step) // (2 * step)
             levels[channel, i] = level
             contexts[channel, i] = channel * COLOUR_SHIFTS * ACTIVITIES + base + activity
@@ -73,14 +52,14 @@ def _decode(
         if position > end:
             return -1, used
         found = find_nearest(cells, i, near, distances, window)
-        _weigh(distances, found, weights)
+        weigh(distances, found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
         for channel in range(3):
-            mean, activity = _predict(values[channel], near, weights, found, step)
+            mean, activity = predict(values[channel], near, weights, found, step, ACTIVITIES)
             row = rows[channel * COLOUR_SHIFTS * ACTIVITIES + base + activity]
             token, position = pull(
-                words, position, states, symbol & (LANES - 1), spans[row], slots[row]
+                words, position, states, symbol & (LANES - 1), spans[row], slots[row], PRECISION
             )
             symbol += 1
             rest = 0

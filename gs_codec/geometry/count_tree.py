@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from gs_codec.entropy.binary import (
     code_bit,
-    code_raw,
     decode_binary,
     encode_binary,
     new_contexts,
 )
-from gs_codec.errors import CorruptStream, TruncatedStream
+from gs_codec.entropy.bits import BitReader, BitWriter
+from gs_codec.errors import TruncatedStream
 from gs_codec.kernels import inlined, kernel
 
 _CLASSES = 24
@@ -129,18 +129,6 @@ def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
             top += 1
 
 
-@kernel
-def _low_bits(codes, lefts, bits, encoding):
-    """Code what the tree leaves of `codes`, raw; returns the bits used."""
-    used = 0
-    for i in range(codes.size):
-        value = code_raw(bits, used, lefts[i], codes[i], encoding)
-        used += lefts[i]
-        if not encoding:
-            codes[i] |= value
-    return used
-
-
 def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArray[np.int64]]:
     """Code sorted Morton codes down to where each is alone.
 
@@ -187,9 +175,9 @@ def decode_tree(
 def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
     """Code sorted Morton codes ``(N,)``, int64, of 0-63 bits."""
     coded, lefts = encode_tree(codes, total_bits)
-    bits = np.zeros((int(lefts.sum()) + 7) // 8, np.uint8)
-    _low_bits(codes, lefts, bits, True)
-    return struct.pack("<I", len(coded)) + coded + bits.tobytes()
+    bits = BitWriter()
+    bits.add(codes, lefts.astype(np.uint8))
+    return struct.pack("<I", len(coded)) + coded + bits.finish()
 
 
 def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -> NDArray[np.int64]:
@@ -205,11 +193,8 @@ def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -
     size = struct.unpack_from("<I", data)[0]
     if size > len(data) - 4:
         raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
-    bits = np.frombuffer(data[4 + size :], np.uint8).copy()
     codes, lefts = decode_tree(data[4 : 4 + size], count, total_bits, where)
-    used = _low_bits(codes, lefts, bits, False)
-    if bits.size != (used + 7) // 8:
-        raise CorruptStream(f"{where}: {bits.size} raw bytes, expected {(used + 7) // 8}")
-    if used % 8 and bits[-1] & (0xFF >> used % 8):
-        raise CorruptStream(f"{where}: padding bits that are not 0")
+    bits = BitReader(data[4 + size :], where)
+    codes |= bits.fields(lefts)
+    bits.close()
     return codes

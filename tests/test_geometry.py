@@ -44,7 +44,7 @@ def test_canonical_order_is_by_code_colour_and_index(seed):
     colours = rng.integers(0, 3, (3, 500)).astype(np.uint16)
     keys = list(zip(codes, *colours, range(500), strict=True))
     expected = sorted(range(500), key=keys.__getitem__)
-    np.testing.assert_array_equal(canonical_order(codes, colours), expected)
+    np.testing.assert_array_equal(canonical_order(codes, *colours), expected)
 
 
 def test_count_tree_refuses_padding_that_is_not_zero():

@@ -15,6 +15,7 @@ from gs_codec.errors import CorruptStream
 from gs_codec.geometry.colour_lattice import code_colours, decode_colours
 from gs_codec.geometry.count_tree import decode_tree, encode_tree
 from gs_codec.geometry.diffusion import round_diffusing
+from gs_codec.geometry.nearest import NEIGHBOURS, WINDOW, find_all_nearest
 from gs_codec.lattice.fit import features, fit_steps, make_rule
 from gs_codec.lattice.fixed import LARGEST, PLACES, from_lattice, to_float, to_lattice
 from gs_codec.lattice.place import centres, from_grid, to_grid
@@ -26,7 +27,7 @@ from gs_codec.model.contexts import share_tables
 from gs_codec.model.table import normalise, shannon_bits
 from gs_codec.transform.axes import quaternions, sort_axes
 from gs_codec.transform.morton import encode_morton
-from gs_codec.transform.ycocg import from_ycocg, to_ycocg
+from gs_codec.transform.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg
 
 ONE = 1 << PLACES
 
@@ -45,10 +46,10 @@ EVEN = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)])
 
 def coded(values: np.ndarray) -> tuple[PassReader, bytes]:
     """A pass under one table, its section opened, and its raw bits."""
-    tokens, widths = tokenise(values)
+    tokens, *raw = tokenise(values)
     bits, writer = BitWriter(), PassWriter(EVEN)
-    bits.add(values, widths)
-    writer.add("s", tokens, np.zeros(len(values), np.uint16))
+    bits.add(*raw)
+    writer.add("s", tokens, np.zeros(len(values), np.uint16), np.zeros(1, np.int64))
     states, words = writer.finish()
     reader = PassReader(memoryview(states), EVEN, "test")
     reader.open(memoryview(words["s"]))
@@ -57,8 +58,14 @@ def coded(values: np.ndarray) -> tuple[PassReader, bytes]:
 
 def read_all(reader: PassReader, bits: BitReader, count: int) -> np.ndarray:
     """Values of what `coded` gave."""
-    none = np.zeros(count, np.int64)
-    return read_pass(reader, bits, np.zeros(1, np.int64), none)
+    return read_symbols(reader, bits, np.zeros(1, np.int64), np.zeros(count, np.int64))
+
+
+def read_symbols(reader, bits, rows: np.ndarray, contexts: np.ndarray) -> np.ndarray:
+    """The integers of a pass, read backwards into their places to see that these are heeded."""
+    values = np.empty(len(contexts), np.int64)
+    read_pass(reader, bits, rows, contexts, np.arange(len(contexts))[::-1].copy(), values)
+    return values[::-1]
 
 
 def round_trip(values: np.ndarray) -> np.ndarray:
@@ -91,14 +98,16 @@ def test_tokens_round_trip_seed(seed):
     ],
 )  # fmt: skip
 def test_token(value, token, width):
-    tokens, widths = tokenise(np.array([value]))
-    assert (int(tokens[0]), int(widths[0])) == (token, width)
+    tokens, raw, widths = tokenise(np.array([value]))
+    assert (tokens.tolist(), raw.tolist(), widths.tolist()) == (
+        [token], [value] if width else [], [width] if width else []
+    )  # fmt: skip
 
 
 def test_raw_bits_too_few_too_many_or_not_padded_are_refused():
     values = np.array([1000, -77, 5, 123456])
     data = coded(values)[1]
-    assert tokenise(values)[1].sum() % 8 != 0
+    assert tokenise(values)[2].sum() % 8 != 0
     padded = data[:-1] + bytes([data[-1] | 1])
     for bad in (data[:-1], b"", data + b"\0", padded):
         bits = BitReader(memoryview(bad), "test")
@@ -133,14 +142,14 @@ def random_tables(rng: np.random.Generator, number: int) -> PassTables:
 
 
 def random_passes(seed: int, sizes: list[int]) -> tuple[PassTables, list[tuple]]:
-    """(section, symbols, rows), every symbol under a table of its own."""
+    """(section, symbols, contexts, rows), every symbol under a table of its own."""
     rng = np.random.default_rng(seed)
     tables = random_tables(rng, 50)
     made = []
     for i, size in enumerate(sizes):
         rows = rng.integers(0, 50, size).astype(np.uint16)
         slots = rng.integers(0, 1 << PRECISION, size)
-        made.append((f"s{i // 2}", tables.slots[rows, slots], rows))
+        made.append((f"s{i // 2}", tables.slots[rows, slots], rows, np.arange(50)))
     return tables, made
 
 
@@ -157,13 +166,13 @@ def decode_passes(
     reader = PassReader(memoryview(states), tables, "test")
     decoded, last = [], ""
     none = BitReader(memoryview(b""), "test")
-    for section, _, rows in made:
+    for section, _, contexts, rows in made:
         if section != last:
             if last:
                 reader.close()
             reader.open(memoryview(words[section]))
             last = section
-        decoded.append(read_pass(reader, none, np.arange(50), rows.astype(np.int64)))
+        decoded.append(read_symbols(reader, none, rows, contexts))
     reader.close()
     reader.finish()
     return decoded
@@ -176,8 +185,8 @@ def test_passes_round_trip_seed5(sizes):
     tables, made = random_passes(5, sizes)
     states, words = encode_passes(tables, made)
     assert len(states) == 4 * LANES
-    assert set(words) == {section for section, _, _ in made}
-    for (_, symbols, _), decoded in zip(
+    assert set(words) == {section for section, *_ in made}
+    for (_, symbols, *_), decoded in zip(
         made, decode_passes(tables, made, states, words), strict=True
     ):
         sizes = symbols.astype(np.int64) >> 1
@@ -186,7 +195,7 @@ def test_passes_round_trip_seed5(sizes):
 
 def test_passes_cost_about_their_entropy_seed6():
     tables, made = random_passes(6, [20_000])
-    _, symbols, rows = made[0]
+    _, symbols, rows, _ = made[0]
     frequencies = (tables.spans[rows, symbols] & 0xFFFF).astype(float)
     bits = np.sum(PRECISION - np.log2(frequencies))
     states, words = encode_passes(tables, made)
@@ -423,16 +432,16 @@ def test_colours_round_trip_seed11(count):
     places = np.sort(rng.integers(0, 2**12, (3, count)), axis=1)
     colours = rng.integers(-2 * ONE, 2 * ONE, (3, count))
     shifts = rng.integers(0, 18, count)
-    levels, contexts, values = code_colours(places, colours, 300, shifts)
+    levels, contexts, values = code_colours(find_all_nearest(places), colours, 300, shifts)
     assert np.all(2 * np.abs(values - colours) <= 300 << shifts)
     assert contexts.size == 0 or 0 <= contexts.min() <= contexts.max() < 288
     tables = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)] * 2)
-    tokens, widths = tokenise(levels.T.ravel())
+    tokens, *raw_bits = tokenise(levels.ravel())
     rows = np.arange(288) % 2
     writer = PassWriter(tables)
-    writer.add("sh-dc", tokens, rows[contexts.T.ravel()].astype(np.uint16))
+    writer.add("sh-dc", tokens, contexts.ravel(), rows)
     bits = BitWriter()
-    bits.add(levels.T.ravel(), widths)
+    bits.add(*raw_bits)
     states, words = writer.finish()
     reader = PassReader(memoryview(states), tables, "test")
     reader.open(memoryview(words["sh-dc"]))
@@ -447,11 +456,45 @@ def test_diffused_rounding_is_near_and_its_errors_cancel_seed12():
     rng = np.random.default_rng(12)
     places = np.sort(rng.integers(0, 2**10, (3, 4000)), axis=1)
     values = np.full((2, 4000), 0.3, np.float32)
-    levels = round_diffusing(places, values)
+    nearest = find_all_nearest(places)
+    levels = round_diffusing(nearest, values)
     assert np.all(np.abs(levels - values) <= 1.5)
     assert abs(levels.mean() - 0.3) < 0.15
-    assert round_diffusing(places[:, :1], values[:, :1]).tolist() == [[0], [0]]
-    assert round_diffusing(places[:, :0], values[:, :0]).shape == (2, 0)
+    for count in (1, 0):
+        few = find_all_nearest(places[:, :count])
+        assert round_diffusing(few, values[:, :count]).tolist() == [[0] * count] * 2
+
+
+@pytest.mark.parametrize("largest", [3, 2**12, 2**22])
+def test_nearest_are_the_nearest_of_the_window_and_the_later_of_equals_seed13(largest):
+    places = np.random.default_rng(13).integers(0, largest, (3, 300))
+    places[:, -1] = largest
+    near, distances = find_all_nearest(places)
+    for i in range(300):
+        earlier = range(max(i - WINDOW, 0), i)
+        squares = {j: int(np.sum((places[:, j] - places[:, i]) ** 2)) for j in earlier}
+        expected = sorted(earlier, key=lambda j: (squares[j], -j))[:NEIGHBOURS]
+        assert near[i, : len(expected)].tolist() == expected
+        assert distances[i, : len(expected)].tolist() == [squares[j] for j in expected]
+
+
+def test_colours_taken_in_steps_are_filled_in_again_seed14():
+    rng = np.random.default_rng(14)
+    planes = rng.normal(size=(3, 8, 100)).astype(np.float32)
+    planes[0, 2, 7] = 1e9
+    members = rng.permutation(100)[:60].astype(np.uint32)
+    members[0] = 7
+    units, shifts = rng.integers(1, 50, 8), rng.integers(0, 10, 60)
+    taken, clamped = take_colours(planes, members, units, shifts, 400.0)
+    assert clamped == 3
+    steps = (units[:, None] << shifts) / ONE
+    expected = np.clip(to_ycocg(planes[:, :, members]), -400, 400) / steps
+    np.testing.assert_array_equal(taken, expected.reshape(24, 60).astype(np.float32))
+    levels, out = np.rint(taken).astype(np.int32).reshape(3, 8, 60), np.zeros((3, 8, 60))
+    assert fill_colours(levels, units, shifts, 1e9, out)
+    np.testing.assert_array_equal(out.astype(np.float32), from_ycocg(levels * steps))
+    largest = np.abs(levels * steps).max()
+    assert not fill_colours(levels, units, shifts, largest, out)
 
 
 @pytest.mark.parametrize("coefficients", [0, 3, 8, 15])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -14,7 +14,7 @@ from test_damage import decode_hostile, with_checksums
 from gs_codec.codec import decode_part, decode_scene, encode_scene
 from gs_codec.codec.clean import identity_for_zero
 from gs_codec.codec.guidance import Guidance
-from gs_codec.codec.lattice_prepare import Shaped, shape_scene
+from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
 from gs_codec.container.file import Section, SectionId, read_file, write_file
@@ -26,6 +26,7 @@ from gs_codec.geometry.count_tree import encode_tree
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.lattice.fixed import LARGEST, to_float
+from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from gs_codec.transform.axes import quaternions, sort_axes
 from gs_codec.transform.morton import bit_layout
@@ -35,11 +36,26 @@ EDGES = edge_scenes()
 BLOCK = 1024
 
 
-def shaped_like(scene: Scene, profile: str, guide=None) -> Shaped:
-    """What the encoder makes of a scene before it codes."""
-    clean, _ = identity_for_zero(scene)
-    guidance = guide(clean) if guide is not None and clean.count else None
-    return shape_scene(clean, LATTICE_PROFILES[profile], guidance)
+@dataclass(frozen=True)
+class Shaped:
+    """A scene in stream order, and its shapes on their lattices."""
+
+    arranged: Arranged
+    scene: Scene
+    quantiser: ShapeQuantiser
+    shape: Shape
+
+    @classmethod
+    def of(cls, scene: Scene, profile: str, guide=None) -> Shaped:
+        """What the encoder makes of a scene before it codes."""
+        clean, _ = identity_for_zero(scene)
+        guidance = guide(clean) if guide is not None and clean.count else None
+        arranged = arrange_scene(clean, LATTICE_PROFILES[profile], guidance)
+        ordered = clean.take(arranged.order)
+        _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
+        quantiser = ShapeQuantiser(arranged.lattice, ordered.opacity[0], scales, vectors)
+        shape = walk_shape(arranged.lattice, arranged.classes[0], quantiser)
+        return cls(arranged, ordered, quantiser, shape)
 
 
 def assert_same(first: Scene, second: Scene) -> None:
@@ -53,7 +69,7 @@ def assert_on_lattices(shaped: Shaped, data: bytes, ac_steps: float) -> None:
 
     SH-AC are within `ac_steps` steps. Values beyond `LARGEST` are clamped.
     """
-    decoded, lattice, shape = decode_scene(data), shaped.lattice, shaped.shape
+    decoded, lattice, shape = decode_scene(data), shaped.arranged.lattice, shaped.shape
     assert (decoded.count, decoded.sh_degree) == (shaped.scene.count, shaped.scene.sh_degree)
     for group in GROUPS:
         plane = getattr(decoded, group)
@@ -77,7 +93,7 @@ def assert_on_lattices(shaped: Shaped, data: bytes, ac_steps: float) -> None:
         assert np.all(error[usual] <= 0.5 * steps[usual] + 2.0**-20), name
     assert_in_cells(shaped, decoded, data)
     rule = lattice.rules["colour"]
-    shifts = rule.shifts(shaped.classes[1], 1, shape.opacity, shape.scales)
+    shifts = rule.shifts(shaped.arranged.classes[1], 1, shape.opacity, shape.scales)
     for name, groups, reach in colour_groups(shaped.scene, decoded, ac_steps):
         steps = to_float(units[name] << shifts)
         original, values = (np.clip(to_ycocg(g), -LARGEST, LARGEST) for g in groups)
@@ -96,13 +112,15 @@ def colour_groups(scene: Scene, decoded: Scene, ac_steps: float):
 
 def assert_in_cells(shaped: Shaped, decoded: Scene, data: bytes) -> None:
     """Positions are in the middle of cells as wide as the rule says, or narrower."""
-    header, lattice = read_file(data).header, shaped.lattice
+    header, lattice = read_file(data).header, shaped.arranged.lattice
     shape, grid = shaped.shape, lattice.grid
-    dropped = lattice.rules["position"].shifts(shaped.classes[0], 3, shape.opacity, shape.scales)
+    dropped = lattice.rules["position"].shifts(
+        shaped.arranged.classes[0], 3, shape.opacity, shape.scales
+    )
     axes = np.array(bit_layout(grid.bits)[::-1])
     for block in range(header.block_count):
         span = slice(*header.block_range(block))
-        _, lefts = encode_tree(shaped.codes[span], grid.total_bits)
+        _, lefts = encode_tree(shaped.arranged.codes[span], grid.total_bits)
         bits = np.minimum(dropped[span], lefts)
         for axis in range(3):
             width = np.concatenate([[0], np.cumsum(axes == axis)])[bits]
@@ -118,14 +136,14 @@ def assert_in_cells(shaped: Shaped, decoded: Scene, data: bytes) -> None:
 def test_edge_scene_is_on_its_lattices(name, profile):
     data, report = encode_scene(EDGES[name], Config(profile))
     assert report.file_bytes == len(data)
-    assert_on_lattices(shaped_like(EDGES[name], profile), data, 1.5001)
+    assert_on_lattices(Shaped.of(EDGES[name], profile), data, 1.5001)
 
 
 @pytest.mark.parametrize("name", EDGES)
 def test_guided_edge_scene_is_on_its_lattices(name):
     guide = made_up_guide(seed=30)
     data, _ = encode_scene(EDGES[name], Config("m"), guide=guide)
-    assert_on_lattices(shaped_like(EDGES[name], "m", guide), data, 0.5001)
+    assert_on_lattices(Shaped.of(EDGES[name], "m", guide), data, 0.5001)
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
@@ -136,7 +154,7 @@ def test_blocks_and_degrees_are_on_their_lattices(profile, sh_degree, guided):
     guide = made_up_guide(seed=31) if guided else None
     data, _ = encode_scene(scene, Config(profile, block_size=BLOCK), guide=guide)
     assert read_file(data).header.block_count == 3
-    assert_on_lattices(shaped_like(scene, profile, guide), data, 0.5001 if guided else 1.5001)
+    assert_on_lattices(Shaped.of(scene, profile, guide), data, 0.5001 if guided else 1.5001)
 
 
 def test_profiles_are_finer_or_smaller():
@@ -155,10 +173,10 @@ def test_steps_are_finer_where_more_is_seen():
         higher = [np.where(seen, 4.0**4 * values, values) for values in even.sensitivity]
         return replace(even, sensitivity=type(even.sensitivity)(*higher))
 
-    shaped = shaped_like(scene, "m", guide)
+    shaped = Shaped.of(scene, "m", guide)
     is_seen = seen[np.argsort(shaped_order(scene, shaped))]
-    finest = shaped.classes[:, is_seen]
-    coarsest = shaped.classes[:, ~is_seen]
+    finest = shaped.arranged.classes[:, is_seen]
+    coarsest = shaped.arranged.classes[:, ~is_seen]
     assert np.all(coarsest.mean(axis=1) - finest.mean(axis=1) > 3)
     decoded = decode_scene(encode_scene(scene, Config("m"), guide=guide)[0])
     for group in ("positions", "opacity", "f_dc"):
@@ -213,7 +231,7 @@ def test_a_guide_that_sees_nothing_gives_finite_scenes():
 
     scene = random_scene(500, 1, seed=35)
     data, _ = encode_scene(scene, Config("s"), guide=guide)
-    assert_on_lattices(shaped_like(scene, "s", guide), data, 0.5001)
+    assert_on_lattices(Shaped.of(scene, "s", guide), data, 0.5001)
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
@@ -650,7 +668,7 @@ def test_nonfinite_values_are_refused_or_dropped(group, value):
     data, report = encode_scene(scene, Config("m", nonfinite="drop"))
     assert report.dropped == 2
     kept = scene.take(np.delete(np.arange(50), [3, 17]))
-    assert_on_lattices(shaped_like(kept, "m"), data, 1.5001)
+    assert_on_lattices(Shaped.of(kept, "m"), data, 1.5001)
 
 
 def test_progress_counts_every_stage_to_its_end():

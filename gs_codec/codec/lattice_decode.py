@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.lattice_symbols import shift_context
 from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
 from gs_codec.entropy.bits import BitReader
@@ -20,7 +19,7 @@ from gs_codec.geometry.count_tree import decode_tree
 from gs_codec.lattice.fixed import LARGEST, PLACES, to_float
 from gs_codec.lattice.lattice import Lattice
 from gs_codec.lattice.place import centres, from_grid
-from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places
+from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places, shift_context
 from gs_codec.lattice.shape import Shape, walk_shape
 from gs_codec.lattice.tokens import read_pass
 from gs_codec.report import Progress, step_counter
@@ -29,8 +28,8 @@ from gs_codec.transform.axes import quaternions
 from gs_codec.transform.ycocg import fill_colours, from_ycocg
 from gs_codec.workers import run_all
 
-#: Fixed-point values beyond this do not come from an encoder.
-_TOO_LARGE = int(4 * LARGEST) << PLACES
+#: Values beyond this do not come from an encoder.
+_TOO_LARGE = 4 * LARGEST
 
 
 def lattice_sections(sh_degree: int) -> set[SectionId]:
@@ -172,15 +171,15 @@ class LatticeDecoder:
         if energy.size and not 0 <= energy.min() <= energy.max() < len(ENERGIES):
             raise CorruptStream(f"{where}: an SH energy out of range")
         some = np.flatnonzero(energy)
-        context, scale = energy[some], shifts[some]
-        levels = np.empty((3, self.kept, len(some)), np.int64)
+        context = energy[some].astype(np.uint8)
+        levels = np.zeros((3, self.kept, len(energy)), np.int32)
         units = np.empty(self.kept, np.int64)
         for band, colour, k in sh_places(self.kept):
             streams.open(f"sh{band}")
             units[k] = self.lattice.units[f"sh{band}"]
-            levels[colour, k] = streams.read(context)
+            streams.read_into(context, some, levels[colour, k])
         rows = self.groups["f_rest"].reshape(3, self.kept, -1)[:, :, span]
-        if not fill_colours(levels, units, scale, some, _TOO_LARGE, rows):
+        if not fill_colours(levels, units, shifts, _TOO_LARGE, rows):
             raise CorruptStream(f"{where}: a value out of range")
 
 
@@ -227,8 +226,19 @@ class _Streams:
 
     def read(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels ``(n,)`` of the next pass, under contexts ``(n,)``."""
+        values = np.empty(len(contexts), np.int64)
+        self.read_into(contexts, np.arange(len(contexts)), values)
+        return values
+
+    def read_into(
+        self,
+        contexts: NDArray[np.integer],
+        places: NDArray[np.int64],
+        values: NDArray[np.integer],
+    ) -> None:
+        """Read the levels of the next pass into ``values[places]``."""
         rows = self._rows()
-        return read_pass(self.reader, self.bits, rows, contexts)
+        read_pass(self.reader, self.bits, rows, contexts, places, values)
 
     def read_attribute(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels of an attribute of the shape."""
@@ -250,6 +260,7 @@ class _Streams:
 
 
 def _check_range(values, where: str) -> None:
+    limit = int(_TOO_LARGE) << PLACES
     for row in values:
-        if row.size and not -_TOO_LARGE < row.min() <= row.max() < _TOO_LARGE:
+        if row.size and not -limit < row.min() <= row.max() < limit:
             raise CorruptStream(f"{where}: a value out of range")

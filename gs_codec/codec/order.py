@@ -78,4 +78,4 @@ def _sort(
         [quantise(row, q, as_given)[0] for row, q in zip(scene.f_dc, colours, strict=True)]
     )
     codes = encode_morton(cells, triple_depths(positions))
-    return canonical_order(codes, symbols), codes, cells, symbols
+    return canonical_order(codes, *symbols), codes, cells, symbols

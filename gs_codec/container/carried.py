@@ -19,7 +19,7 @@ _LEVEL = 6
 _COMMENT_BYTES = 1 << 20
 
 
-def carried_sections(scene: Scene, order: NDArray[np.int64]) -> list[Section]:
+def carried_sections(scene: Scene, order: NDArray[np.integer]) -> list[Section]:
     """Sections of what a scene has beside its attributes, Gaussians in the given order."""
     sections = []
     if scene.comments:
@@ -52,7 +52,7 @@ def _is_text(data: bytes) -> bool:
     return all(32 <= byte < 127 or byte in (9, 10) for byte in data)
 
 
-def write_extra(extra: Mapping[str, NDArray], order: NDArray[np.int64]) -> bytes:
+def write_extra(extra: Mapping[str, NDArray], order: NDArray[np.integer]) -> bytes:
     """Serialise columns ``(N,)`` in the given order: byte planes, deflated."""
     out = bytearray(struct.pack("<H", len(extra)))
     for name, column in extra.items():

@@ -20,6 +20,8 @@ from gs_codec.model.table import FrequencyTable
 
 PRECISION = 12
 
+Symbols = NDArray[np.unsignedinteger]
+
 
 @dataclass(frozen=True)
 class PassTables:
@@ -42,10 +44,10 @@ class PassTables:
 
 
 @kernel
-def _push_all(symbols, rows, spans, states, words, position):
+def _push_all(symbols, contexts, rows, spans, states, words, position):
     """Code a pass backwards, words before `position`; returns where they begin."""
     for i in range(len(symbols) - 1, -1, -1):
-        span = np.int64(spans[rows[i], symbols[i]])
+        span = np.int64(spans[rows[contexts[i]], symbols[i]])
         position = push(words, position, states, i & (LANES - 1), span, PRECISION)
     return position
 
@@ -55,24 +57,22 @@ class PassWriter:
     """Collects the passes of a block, section by section, in the order they are decoded."""
 
     tables: PassTables
-    passes: list[tuple[str, NDArray[np.unsignedinteger], NDArray[np.uint16]]] = field(
-        default_factory=list
-    )
+    passes: list[tuple[str, Symbols, Symbols, NDArray[np.int64]]] = field(default_factory=list)
 
     def add(
-        self, section: str, symbols: NDArray[np.unsignedinteger], rows: NDArray[np.uint16]
+        self, section: str, symbols: Symbols, contexts: Symbols, rows: NDArray[np.int64]
     ) -> None:
-        """Add a pass of ``symbols (n,)`` under the tables ``rows (n,)``."""
-        self.passes.append((section, symbols, rows))
+        """Add a pass of ``symbols (n,)`` under the tables ``rows[contexts]``."""
+        self.passes.append((section, symbols, contexts, rows))
 
     def finish(self) -> tuple[bytes, dict[str, bytes]]:
         """The initial states, and the words of each section."""
         states = np.full(LANES, LOWEST, np.int64)
-        words = np.empty(1 + sum(len(symbols) for _, symbols, _ in self.passes), np.uint16)
+        words = np.empty(1 + sum(len(symbols) for _, symbols, *_ in self.passes), np.uint16)
         position = words.size
         begins: dict[str, int] = {}
-        for section, symbols, rows in reversed(self.passes):
-            position = _push_all(symbols, rows, self.tables.spans, states, words, position)
+        for section, *coded_by in reversed(self.passes):
+            position = _push_all(*coded_by, self.tables.spans, states, words, position)
             begins[section] = position
         words = words.astype("<u2")
         coded, end = {}, words.size

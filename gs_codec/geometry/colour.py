@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from gs_codec.entropy.binary import bit_length, code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.errors import CorruptStream
+from gs_codec.geometry.nearest import NEIGHBOURS, WINDOW, find_nearest
 from gs_codec.kernels import inlined, kernel
 
-WINDOW = 32
-NEIGHBOURS = 4
 _MAGNITUDES = 14  # bit lengths of a residual of 12-bit colours: 0..13
 _ACTIVITIES = 14
 _PREVIOUS = 4
@@ -46,39 +45,6 @@ def _code_residual(state, data, contexts, base, residual):
 
 
 @inlined
-def find_nearest(cells, i, near, distances, window):
-    """Fill `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
-
-    Ties go to the later point; `distances` are squared, in position steps, and exact: below 2^53.
-    `window (WINDOW,)` float64 is for its own use.
-    """
-    first = max(i - WINDOW, 0)
-    x, y, z = np.float64(cells[0, i]), np.float64(cells[1, i]), np.float64(cells[2, i])
-    for j in range(i - first):
-        dx = np.float64(cells[0, first + j]) - x
-        dy = np.float64(cells[1, first + j]) - y
-        dz = np.float64(cells[2, first + j]) - z
-        window[j] = dx * dx + dy * dy + dz * dz
-    found = 0
-    farthest = np.inf
-    for j in range(i - first - 1, -1, -1):
-        if found == NEIGHBOURS and window[j] >= farthest:
-            continue
-        distance = np.int64(window[j])
-        if found < NEIGHBOURS:
-            found += 1
-        place = found - 1
-        while place > 0 and distances[place - 1] > distance:
-            distances[place] = distances[place - 1]
-            near[place] = near[place - 1]
-            place -= 1
-        distances[place] = distance
-        near[place] = first + j
-        farthest = np.float64(distances[found - 1])
-    return found
-
-
-@inlined
 def weigh(distances, found, weights):
     """Fill `weights` of the nearest points by their squared distances."""
     for k in range(found):
@@ -99,7 +65,11 @@ def predict(values, near, weights, found, step, activities):
     spread = 0
     for k in range(found):
         spread += weights[k] * abs(values[near[k]] - mean)
-    return mean, min(bit_length(4 * spread // (mass * step)), activities - 1)
+    # The bit length of what the spread is in quarter steps, without a division or a branch.
+    activity = 0
+    for length in range(activities - 1):
+        activity += np.int64(4 * spread >= (mass * step) << length)
+    return mean, activity
 
 
 @kernel

@@ -13,28 +13,26 @@ from gs_codec.entropy.binary import code_raw
 from gs_codec.entropy.bits import BitReader
 from gs_codec.entropy.passes import PRECISION, PassReader
 from gs_codec.entropy.rans import LANES, pull
-from gs_codec.geometry.colour import NEIGHBOURS, WINDOW, find_nearest, predict, weigh
+from gs_codec.geometry.colour import predict, weigh
+from gs_codec.geometry.nearest import NEIGHBOURS, WINDOW, Nearest, find_nearest
 from gs_codec.kernels import kernel
 from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS
 from gs_codec.lattice.tokens import raw_width, value_of
 
 
 @kernel
-def _code(cells, colours, unit, shifts, levels, contexts, values):
-    near = np.zeros(NEIGHBOURS, np.int64)
-    distances = np.zeros(NEIGHBOURS, np.int64)
+def _code(near, distances, colours, unit, shifts, levels, contexts, values):
     weights = np.zeros(NEIGHBOURS, np.int64)
-    window = np.empty(WINDOW)
     for i in range(len(shifts)):
-        found = find_nearest(cells, i, near, distances, window)
-        weigh(distances, found, weights)
+        found = min(i, NEIGHBOURS)
+        weigh(distances[i], found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
         for channel in range(3):
-            mean, activity = predict(values[channel], near, weights, found, step, ACTIVITIES)
+            mean, activity = predict(values[channel], near[i], weights, found, step, ACTIVITIES)
             level = (2 * (colours[channel, i] - mean) + step) // (2 * step)
-            levels[channel, i] = level
-            contexts[channel, i] = channel * COLOUR_SHIFTS * ACTIVITIES + base + activity
+            levels[i, channel] = level
+            contexts[i, channel] = channel * COLOUR_SHIFTS * ACTIVITIES + base + activity
             values[channel, i] = mean + level * step
 
 
@@ -72,21 +70,23 @@ def _decode(
 
 
 def code_colours(
-    cells: NDArray[np.int64], colours: NDArray[np.int64], unit: int, shifts: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Levels, contexts and decoded values, each ``(3, n)``, of colours in stream order.
+    nearest: Nearest, colours: NDArray[np.int64], unit: int, shifts: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.int64]]:
+    """Levels and contexts ``(n, 3)``, and decoded values ``(3, n)``, of colours in stream order.
 
     Parameters
     ----------
-    cells : ndarray, shape (3, n), int64
-        Decoded positions in half steps of the grid.
+    nearest : Nearest
+        Of decoded positions in half steps of the grid.
     colours : ndarray, shape (3, n), int64
         Fixed-point Y, Co, Cg.
     unit : int
     shifts : ndarray, shape (n,), int64
     """
-    levels, contexts, values = np.zeros((3, 3, len(shifts)), np.int64)
-    _code(cells, colours, unit, shifts, levels, contexts, values)
+    count = len(shifts)
+    levels, contexts = np.zeros((count, 3), np.int32), np.zeros((count, 3), np.uint16)
+    values = np.zeros((3, count), np.int64)
+    _code(*nearest, colours, unit, shifts, levels, contexts, values)
     return levels, contexts, values
 
 

@@ -8,24 +8,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.geometry.colour import NEIGHBOURS, WINDOW, find_nearest
+from gs_codec.geometry.nearest import NEIGHBOURS, WINDOW, Nearest
 from gs_codec.kernels import kernel
 
 #: Share of the neighbours' errors that a Gaussian takes over.
 _SHARE = 0.6
-
 
 #: Gaussians whose values are moved together, so that planes are read a cache line at a time.
 _CHUNK = 64
 
 
 @kernel
-def _diffuse(cells, values, share, levels):
+def _diffuse(near, distances, values, share, levels):
     channels, count = values.shape
-    near = np.zeros(NEIGHBOURS, np.int64)
-    distances = np.zeros(NEIGHBOURS, np.int64)
-    weights = np.zeros(NEIGHBOURS, np.float32)
-    window = np.empty(WINDOW)
     # Errors of the last Gaussians, twice what neighbours are looked for in.
     errors = np.zeros((2 * WINDOW, channels), np.float32)
     chunk = np.empty((_CHUNK, channels), np.float32)
@@ -34,35 +29,32 @@ def _diffuse(cells, values, share, levels):
         for channel in range(channels):
             for i in range(size):
                 chunk[i, channel] = values[channel, first + i]
-        for i in range(size):
-            found = find_nearest(cells, first + i, near, distances, window)
+        for i in range(first, first + size):
+            found = min(i, NEIGHBOURS)
             total = 0.0
             for k in range(found):
-                total += 1.0 / (1.0 + distances[0] + distances[k])
-            for k in range(found):
-                weights[k] = share / total / (1.0 + distances[0] + distances[k])
-            own = errors[(first + i) % (2 * WINDOW)]
+                total += 1.0 / (1.0 + distances[i, 0] + distances[i, k])
+            own = errors[i % (2 * WINDOW)]
             own[:] = 0.0
             for k in range(found):
-                theirs = errors[near[k] % (2 * WINDOW)]
+                weight = np.float32(share / total / (1.0 + distances[i, 0] + distances[i, k]))
+                theirs = errors[near[i, k] % (2 * WINDOW)]
                 for channel in range(channels):
-                    own[channel] += weights[k] * theirs[channel]
+                    own[channel] += weight * theirs[channel]
+            row = chunk[i - first]
             for channel in range(channels):
                 taken = min(max(own[channel], np.float32(-1.0)), np.float32(1.0))
-                wanted = chunk[i, channel] + taken
+                wanted = row[channel] + taken
                 level = np.floor(wanted + np.float32(0.5))
                 own[channel] = wanted - level
-                chunk[i, channel] = level
+                row[channel] = level
         for channel in range(channels):
             for i in range(size):
-                levels[channel, first + i] = np.int64(chunk[i, channel])
+                levels[channel, first + i] = np.int32(chunk[i, channel])
 
 
-def round_diffusing(places: NDArray[np.int64], values: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Levels ``(C, n)`` of values ``(C, n)``, in steps, of Gaussians in stream order.
-
-    `places` ``(3, n)``, int64, are their positions.
-    """
-    levels = np.empty(values.shape, np.int64)
-    _diffuse(places, values, _SHARE, levels)
+def round_diffusing(nearest: Nearest, values: NDArray[np.float32]) -> NDArray[np.int32]:
+    """Levels ``(C, n)`` of values ``(C, n)``, in steps, of Gaussians in stream order."""
+    levels = np.empty(values.shape, np.int32)
+    _diffuse(*nearest, values, _SHARE, levels)
     return levels

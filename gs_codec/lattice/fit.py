@@ -48,7 +48,7 @@ class Steps:
 
     Attributes
     ----------
-    shape_class, colour_class : ndarray, shape (N,), int64
+    shape_class, colour_class : ndarray, shape (N,), uint8
         Octaves coarser than the finest.
     coefficients : dict of str to ndarray, shape (5,)
         ``log2(step) = class + coefficients @ features`` for each rule.
@@ -56,8 +56,8 @@ class Steps:
         Steps of SH-AC over those of SH-DC.
     """
 
-    shape_class: NDArray[np.int64]
-    colour_class: NDArray[np.int64]
+    shape_class: NDArray[np.uint8]
+    colour_class: NDArray[np.uint8]
     coefficients: dict[str, NDArray[np.float64]]
     sh_ratio: float = 1.0
 
@@ -93,14 +93,14 @@ def fit_steps(sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error
     offsets = _fit_offsets({name: s[some] for name, s in shape.items()}, known[:, some])
     level = _level(shape, offsets, known)
     finest = float(np.quantile(level, 1 - _FINEST))
-    shape_class = np.clip(np.round(finest - level), 0, _CLASSES - 1).astype(np.int64)
+    shape_class = np.clip(np.round(finest - level), 0, _CLASSES - 1).astype(np.uint8)
     wanted = 0.5 * math.log2(12 * error)
     first = np.eye(5)[0]
     coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
     by_sh = _SH_C0**2 * sensitivity.colour
     colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
     finest = float(np.quantile(colour, 1 - _FINEST))
-    colour_class = np.clip(np.round(finest - colour), 0, _CLASSES - 1).astype(np.int64)
+    colour_class = np.clip(np.round(finest - colour), 0, _CLASSES - 1).astype(np.uint8)
     coefficients["colour"] = (wanted - finest) * first
     return Steps(shape_class, colour_class, coefficients)
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.kernels import kernel
+
 #: Classes of how much is seen of a Gaussian, of its shape and of its colour.
 MAX_CLASSES = 16
 
@@ -62,6 +64,25 @@ def sh_places(coefficients: int) -> list[tuple[int, int, int]]:
     ]
 
 
-def energy_class(levels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Energy class ``(n,)`` of SH-AC levels ``(channels, n)``."""
-    return np.searchsorted(ENERGIES, np.abs(levels).sum(axis=0), side="right") - 1
+def shift_context(shifts: NDArray) -> NDArray:
+    """Contexts ``(n,)`` of shifts."""
+    return np.minimum(shifts, SHIFT_CONTEXTS - 1)
+
+
+@kernel
+def _classify(levels, class_of, classes):
+    most = len(class_of) - 1
+    sums = np.zeros(len(classes), np.int32)
+    for row in levels:
+        for i in range(len(row)):
+            sums[i] = min(sums[i] + abs(row[i]), most)
+    for i in range(len(sums)):
+        classes[i] = class_of[sums[i]]
+
+
+def energy_class(levels: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """Energy class ``(n,)`` of SH-AC levels ``(channels, n)``, below 2**30 in magnitude."""
+    class_of = np.searchsorted(ENERGIES, np.arange(ENERGIES[-1] + 1), side="right") - 1
+    classes = np.empty(levels.shape[1], np.uint8)
+    _classify(levels, class_of.astype(np.uint8), classes)
+    return classes

@@ -64,15 +64,10 @@ class ShapeQuantiser:
         self.opacity = opacity
         self.scales = scales
         self.vectors = vectors
-        self.levels: dict[str, NDArray[np.int32]] = {}
-        self.shifts: dict[str, NDArray[np.uint8]] = {}
+        self.levels: dict[str, NDArray[np.int64]] = {}
+        self.shifts: dict[str, NDArray[np.int64]] = {}
         self.clamped = 0
         self._last = np.zeros(0)
-
-    def forget(self) -> None:
-        """Let go of the attributes, once all are rounded."""
-        self.opacity = self._last = np.zeros(0)
-        self.scales = self.vectors = np.zeros((3, 0))
 
     def __call__(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels of an attribute."""
@@ -88,8 +83,8 @@ class ShapeQuantiser:
             values = self._last - self.scales[int(name[-1])]
         levels, clamped = to_lattice(values, centre, unit, shifts)
         self.clamped += clamped
-        self.levels[name] = levels.astype(np.int32)
-        self.shifts[name] = shifts.astype(np.uint8)
+        self.levels[name] = levels
+        self.shifts[name] = shifts
         if group == "scaling":
             coded = to_float(from_lattice(levels, centre, unit, shifts))
             self._last = coded if name == "scale_0" else self._last - coded

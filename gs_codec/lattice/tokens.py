@@ -57,28 +57,38 @@ def value_of(token, rest):
 
 
 @kernel
-def _tokenise(values, tokens, widths):
-    total = 0
+def _tokenise(values, tokens):
+    raw = 0
     for i in range(len(values)):
-        token = token_of(values[i])
+        token = token_of(np.int64(values[i]))
         tokens[i] = token
-        widths[i] = raw_width(token)
-        total += widths[i]
-    return total
+        raw += 1 if token >= 2 * _DIRECT else 0
+    return raw
+
+
+@kernel
+def _find_raw(values, tokens, raw_values, widths):
+    found = 0
+    for i in range(len(values)):
+        if tokens[i] >= 2 * _DIRECT:
+            raw_values[found] = values[i]
+            widths[found] = raw_width(tokens[i])
+            found += 1
 
 
 @kernel
 def _read_values(
-    words, position, end, states, spans, slots, rows, contexts, bits, used, values
+    words, position, end, states, spans, slots, rows, contexts, bits, used, places, values
 ):  # fmt: skip
-    """Decode a pass into `values`; positions after what is read of words (-1: beyond) and bits.
+    """Decode a pass into `values[places]`; returns positions after what is read of words and bits.
 
-    `words` is padded by a row of zeros, so that a row needs no check of its own.
+    That of words is -1 if they end before. They are padded by a row of zeros, so that a row needs
+    no check of its own.
     """
-    for first in range(0, len(values), LANES):
+    for first in range(0, len(contexts), LANES):
         if position > end:
             return -1, used
-        for i in range(first, min(first + LANES, len(values))):
+        for i in range(first, min(first + LANES, len(contexts))):
             row = rows[contexts[i]]
             token, position = pull(
                 words, position, states, i & (LANES - 1), spans[row], slots[row], PRECISION
@@ -88,33 +98,43 @@ def _read_values(
                 width = raw_width(token)
                 rest = code_raw(bits, used, width, 0, False)
                 used += width
-            values[i] = value_of(token, rest)
+            values[places[i]] = value_of(token, rest)
     return position, used
 
 
-def tokenise(values: NDArray[np.int64]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Tokens ``(n,)`` of integers below 2**30 in magnitude, and the widths of their raw bits."""
+def tokenise(
+    values: NDArray[np.integer],
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8]]:
+    """Tokens ``(n,)`` of integers below 2**30 in magnitude, and what has raw bits.
+
+    That is the integers whose tokens raw bits complete, in their order, and how many each.
+    """
     tokens = np.empty(len(values), np.uint8)
-    widths = np.empty(len(values), np.uint8)
-    _tokenise(values, tokens, widths)
-    return tokens, widths
+    raw = _tokenise(values, tokens)
+    raw_values, widths = np.empty(raw, np.int64), np.empty(raw, np.uint8)
+    if raw:
+        _find_raw(values, tokens, raw_values, widths)
+    return tokens, raw_values, widths
 
 
 def read_pass(
-    reader: PassReader, bits: BitReader, rows: NDArray[np.int64], contexts: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """The integers ``(n,)`` of a pass, whose tables are ``rows[contexts]``.
+    reader: PassReader,
+    bits: BitReader,
+    rows: NDArray[np.int64],
+    contexts: NDArray[np.integer],
+    places: NDArray[np.integer],
+    values: NDArray[np.integer],
+) -> None:
+    """Read the integers of a pass, whose tables are ``rows[contexts]``, into ``values[places]``.
 
     Raises
     ------
     CorruptStream
         If there are fewer words than symbols.
     """
-    values = np.empty(len(contexts), np.int64)
     tables = (reader.tables.spans, reader.tables.slots)
     position, bits.position = _read_values(
         reader.words, reader.position, reader.end, reader.states, *tables, rows, contexts,
-        bits.bits, bits.position, values,
+        bits.bits, bits.position, places, values,
     )  # fmt: skip
     reader.advance(position)
-    return values

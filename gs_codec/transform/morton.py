@@ -85,14 +85,14 @@ def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDA
     return cells
 
 
-def canonical_order(codes: NDArray[np.int64], colours: NDArray[np.uint16]) -> NDArray[np.int64]:
-    """Permutation that sorts by (Morton code, R, G, B of SH-DC, original index).
+def canonical_order(codes: NDArray[np.int64], *keys: NDArray) -> NDArray[np.int64]:
+    """Permutation ``(N,)`` that sorts by (Morton code, keys, original index).
 
     Parameters
     ----------
     codes : ndarray, shape (N,), int64
-    colours : ndarray, shape (3, N), uint16
-        Quantised SH-DC, which orders Gaussians that share a cell.
+    *keys : ndarray, each shape (N,)
+        Order those that share a cell, the first before the next.
     """
     order = np.argsort(codes)
     ordered = codes[order]
@@ -101,6 +101,5 @@ def canonical_order(codes: NDArray[np.int64], colours: NDArray[np.uint16]) -> ND
     tied[1:] |= same
     tied[:-1] |= same
     ties = order[tied]
-    red, green, blue = colours[:, ties]
-    order[tied] = ties[np.lexsort((ties, blue, green, red, codes[ties]))]
+    order[tied] = ties[np.lexsort((ties, *(key[ties] for key in keys[::-1]), codes[ties]))]
     return order

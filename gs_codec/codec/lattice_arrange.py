@@ -1,4 +1,4 @@
-"""From a scene to its lattices: steps, grid, and everything but colours in stream order."""
+"""From a scene to its lattices and the order of its stream."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gs_codec.lattice.fixed import LARGEST, PLACES
 from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.place import to_grid
 from gs_codec.lattice.rules import StepRule
-from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
-from gs_codec.scene import Scene, gather
+from gs_codec.scene import Scene
 from gs_codec.transform.axes import sort_axes
-from gs_codec.transform.morton import encode_morton
+from gs_codec.transform.morton import canonical_order, encode_morton
+from gs_codec.workers import run_all
 
 #: Log2 of the coarsest steps: of logits, log-scales, quaternion components, colours.
 _COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
@@ -29,74 +29,61 @@ _FINEST = -18
 
 _AXIS_BITS = 21
 
+#: Units and centres are chosen by at most twice so many Gaussians.
+_SAMPLE = 100_000
+
+#: Gaussians that go to the grid at once.
+_CHUNK = 1 << 16
+
 #: Share of what pruning has lost that quantisation may lose too: neither is worth its bits if
 #: the other saves them at less.
 _OF_LOSS = 0.3
 
 
 @dataclass(frozen=True)
-class Shaped:
-    """A scene, its stream order and lattices, and all but its colours on them.
+class Arranged:
+    """A scene, its stream order, and its lattices.
 
     Attributes
     ----------
     source : Scene
         As given.
-    order : ndarray, shape (N,), int64
+    order : ndarray, shape (N,), uint32
         Which Gaussian of it each of the stream is.
     lattice : Lattice
     codes : ndarray, shape (N,), int64
         Morton codes, ascending.
     classes : ndarray, shape (2, N), uint8
-        Of shape and of colour, in stream order, as are:
-    quantiser : ShapeQuantiser
-        Levels and shifts.
-    shape : Shape
-        What they decode to.
+        Of shape and of colour, in stream order.
     """
 
     source: Scene
-    order: NDArray[np.int64]
+    order: NDArray[np.uint32]
     lattice: Lattice
     codes: NDArray[np.int64]
     classes: NDArray[np.uint8]
-    quantiser: ShapeQuantiser
-    shape: Shape
-
-    @property
-    def scene(self) -> Scene:
-        """The scene in stream order; made anew each time."""
-        return self.source.take(self.order)
 
 
-def shape_scene(scene: Scene, profile: LatticeProfile, guidance: Guidance | None) -> Shaped:
-    """Choose the lattices of a scene, sort it, and round its shapes."""
-    axes, scales, vectors = sort_axes(scene.log_scale, scene.rot)
-    steps = _steps(scene, axes, scales, profile, guidance)
-    lattice = _lattice(scene, scales, steps)
-    grid = lattice.grid
-    cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
-    codes = encode_morton(cells, grid.bits)
-    order = np.argsort(codes, kind="stable")
-    both = np.stack([steps.shape_class, steps.colour_class])
-    classes = gather(both.astype(np.uint8), order)
-    scales, vectors = gather(scales, order), gather(vectors, order)
-    quantiser = ShapeQuantiser(lattice, scene.opacity[0, order], scales, vectors)
-    shape = walk_shape(lattice, classes[0], quantiser)
-    quantiser.forget()
-    return Shaped(scene, order, lattice, codes[order], classes, quantiser, shape)
-
-
-def _steps(
-    scene: Scene,
-    axes: NDArray[np.uint8],
-    scales: NDArray[np.float64],
-    profile: LatticeProfile,
-    guidance: Guidance | None,
-) -> Steps:
+def arrange_scene(
+    scene: Scene, profile: LatticeProfile, guidance: Guidance | None, threads: int | None = None
+) -> Arranged:
+    """Choose the lattices and the stream order of a scene."""
+    some = slice(None, None, max(1, scene.count // _SAMPLE))
+    _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
     if guidance is None or not scene.count:
-        none = np.zeros(scene.count, np.int64)
-        return Steps(none, none, blind_coefficients(scales, profile.fineness), SH_RATIO)
+        none = np.zeros(scene.count, np.uint8)
+        steps = Steps(none, none, blind_coefficients(sampled, profile.fineness), SH_RATIO)
+    else:
+        steps = _guided_steps(scene, profile, guidance)
+    lattice = _lattice(scene, some, sampled, steps)
+    codes = _codes(scene, lattice.grid, threads)
+    order = canonical_order(codes)
+    classes = np.stack([steps.shape_class[order], steps.colour_class[order]])
+    return Arranged(scene, order.astype(np.uint32), lattice, codes[order], classes)
+
+
+def _guided_steps(scene: Scene, profile: LatticeProfile, guidance: Guidance) -> Steps:
+    axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     sorted_axes = np.take_along_axis(guidance.sensitivity.log_scale, axes.astype(np.int64), 0)
     sensitivity = guidance.sensitivity._replace(log_scale=sorted_axes)
     # What all may add together, over the parameters that there are.
@@ -106,12 +93,27 @@ def _steps(
     return fit_steps(sensitivity, scene.opacity[0], scales, error)
 
 
-def _lattice(scene: Scene, scales: NDArray[np.float64], steps: Steps) -> Lattice:
-    known = features(scene.opacity[0], scales)
+def _codes(scene: Scene, grid: PositionGrid, threads: int | None) -> NDArray[np.int64]:
+    """Morton codes ``(N,)``."""
+    codes = np.empty(scene.count, np.int64)
+
+    def work(start: int) -> None:
+        span = slice(start, start + _CHUNK)
+        cells = to_grid(scene.positions[:, span], np.array(grid.origin), grid.step, grid.bits)
+        codes[span] = encode_morton(cells, grid.bits)
+
+    run_all(work, range(0, scene.count, _CHUNK), threads)
+    return codes
+
+
+def _lattice(scene: Scene, some: slice, scales: NDArray[np.float64], steps: Steps) -> Lattice:
+    """Lattices by some of the Gaussians, whose sorted log-scales are `scales`."""
+    opacity = scene.opacity[0, some]
+    known = features(opacity, scales)
 
     def wanted(name: str) -> NDArray[np.float64]:
         octaves = steps.colour_class if name == "colour" else steps.shape_class
-        return octaves + steps.coefficients[name] @ known
+        return octaves[some] + steps.coefficients[name] @ known
 
     names = {
         "opacity": ["opacity"],
@@ -131,7 +133,7 @@ def _lattice(scene: Scene, scales: NDArray[np.float64], steps: Steps) -> Lattice
     for band in (1, 2, 3):
         units[f"sh{band}"] = max(round(units["sh-dc"] * steps.sh_ratio), 1)
     grid, rules["position"] = _grid(scene, steps, wanted("position"))
-    centres = (_median(scene.opacity[0]), _median(scales[0]))
+    centres = (_median(opacity), _median(scales[0]))
     classes = (
         1 + int(steps.shape_class.max(initial=0)),
         1 + int(steps.colour_class.max(initial=0)),

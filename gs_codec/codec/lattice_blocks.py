@@ -1,0 +1,162 @@
+"""Blocks of an encoder: the levels of every attribute, and the passes they are coded in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codec.lattice_arrange import Arranged
+from gs_codec.entropy.bits import BitWriter
+from gs_codec.geometry.colour_lattice import code_colours
+from gs_codec.geometry.count_tree import encode_tree
+from gs_codec.geometry.diffusion import round_diffusing
+from gs_codec.geometry.nearest import find_all_nearest
+from gs_codec.kernels import kernel
+from gs_codec.lattice.fixed import LARGEST, PLACES
+from gs_codec.lattice.place import centres
+from gs_codec.lattice.plan import energy_class, sh_places, shift_context
+from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
+from gs_codec.lattice.tokens import ALPHABET, tokenise
+from gs_codec.transform.axes import sort_axes
+from gs_codec.transform.ycocg import take_colours, to_ycocg
+
+
+@dataclass(frozen=True)
+class PassData:
+    """A pass: the token of each symbol ``(n,)``, its context, and the raw bits of some.
+
+    ``raw_levels`` and ``raw_widths`` are of the symbols that have raw bits, in their order.
+    """
+
+    tokens: NDArray[np.uint8]
+    contexts: NDArray[np.uint16]
+    raw_levels: NDArray[np.int64]
+    raw_widths: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, levels: NDArray[np.integer], contexts: NDArray[np.integer]) -> PassData:
+        """Tokenise levels."""
+        tokens, raw_levels, raw_widths = tokenise(levels)
+        # The same array for all passes of SH-AC, where it is of this type already.
+        return cls(tokens, contexts.astype(np.uint16, copy=False), raw_levels, raw_widths)
+
+    def histograms(self, contexts: int) -> NDArray[np.int64]:
+        """Counts of tokens ``(contexts, ALPHABET)``."""
+        counts = np.zeros((contexts, ALPHABET), np.int64)
+        _count(self.tokens, self.contexts, counts)
+        return counts
+
+
+@kernel
+def _count(tokens, contexts, counts):
+    for i in range(len(tokens)):
+        counts[contexts[i], tokens[i]] += 1
+
+
+@dataclass(frozen=True)
+class ShapedBlock:
+    """A block without its colours.
+
+    Attributes
+    ----------
+    start, stop : int
+        Its Gaussians, in stream order.
+    tree, low_bits : bytes
+        Its positions.
+    places : ndarray, shape (3, n), int64
+        What these decode to, in half steps.
+    shape : Shape
+        What opacity, scales and rotation decode to.
+    shifts : ndarray, shape (n,), int64
+        Of its colours.
+    passes : list of PassData
+        Of classes, opacity, scales and rotation.
+    clamped : int
+        How many values were beyond the largest.
+    """
+
+    start: int
+    stop: int
+    tree: bytes
+    low_bits: bytes
+    places: NDArray[np.int64]
+    shape: Shape
+    shifts: NDArray[np.int64]
+    passes: list[PassData]
+    clamped: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """Everything of a block that is to be coded; ``box (6,)`` are its lowest and highest places."""
+
+    tree: bytes
+    low_bits: bytes
+    box: tuple[int, ...]
+    passes: list[PassData]
+    clamped: int
+
+
+def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
+    """Round positions, opacity, scales and rotation of a block."""
+    source, lattice = arranged.source, arranged.lattice
+    members, classes = arranged.order[start:stop], arranged.classes[:, start:stop]
+    _, scales, vectors = sort_axes(source.log_scale[:, members], source.rot[:, members])
+    quantiser = ShapeQuantiser(lattice, source.opacity[0, members], scales, vectors)
+    shape = walk_shape(lattice, classes[0], quantiser)
+    listed = [
+        PassData.of(classes[0], np.zeros_like(classes[0])),
+        PassData.of(classes[1], classes[0]),
+    ]
+    for name, levels in quantiser.levels.items():
+        listed.append(PassData.of(levels, shift_context(quantiser.shifts[name])))
+    known = (shape.opacity, shape.scales)
+    codes = arranged.codes[start:stop]
+    tree, lefts = encode_tree(codes, lattice.grid.total_bits)
+    dropped = np.minimum(lattice.rules["position"].shifts(classes[0], 3, *known), lefts)
+    kept = codes >> dropped
+    bits = BitWriter()
+    bits.add(kept, (lefts - dropped).astype(np.uint8))
+    places = centres(kept << dropped, dropped, lattice.grid.bits)
+    shifts = lattice.rules["colour"].shifts(classes[1], 1, *known)
+    return ShapedBlock(
+        start, stop, tree, bits.finish(), places, shape, shifts, listed, quantiser.clamped
+    )
+
+
+def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Block:
+    """Round the colours of a block, handing on errors of SH-AC to neighbours if `diffusing`."""
+    source, units = arranged.source, arranged.lattice.units
+    members = arranged.order[shaped.start : shaped.stop]
+    nearest = find_all_nearest(shaped.places)
+    colours = to_ycocg(source.f_dc[:, members])
+    clamped = shaped.clamped + int(np.count_nonzero(np.abs(colours) > LARGEST))
+    fixed = np.floor(np.clip(colours, -LARGEST, LARGEST) * (1 << PLACES) + 0.5).astype(np.int64)
+    levels, contexts, _ = code_colours(nearest, fixed, units["sh-dc"], shaped.shifts)
+    listed = [*shaped.passes, PassData.of(levels.ravel(), contexts.ravel())]
+    coefficients = len(source.f_rest) // 3
+    if coefficients:
+        bands = [f"sh{1 + (k > 2) + (k > 7)}" for k in range(coefficients)]
+        planes = source.f_rest.reshape(3, coefficients, -1)
+        ac, beyond = take_colours(
+            planes, members, np.array([units[band] for band in bands]), shaped.shifts, LARGEST
+        )
+        clamped += beyond
+        levels = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
+        listed += _ac_passes(levels.reshape(3, coefficients, -1), shaped.shifts)
+    box = (*map(int, shaped.places.min(axis=1)), *map(int, shaped.places.max(axis=1)))
+    return Block(shaped.tree, shaped.low_bits, box, listed, clamped)
+
+
+def _ac_passes(levels: NDArray[np.int32], shifts: NDArray[np.int64]) -> list[PassData]:
+    """Passes of SH-AC ``levels (3, K, n)``: energy, then each coefficient where there is any."""
+    coefficients = levels.shape[1]
+    energy = energy_class(levels.reshape(3 * coefficients, -1))
+    listed = [PassData.of(energy, shift_context(shifts))]
+    some = np.flatnonzero(energy)
+    context = energy[some].astype(np.uint16)
+    for _, colour, k in sh_places(coefficients):
+        listed.append(PassData.of(levels[colour, k, some], context))
+    return listed

@@ -7,13 +7,21 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+
+from gs_codec.codec.lattice_blocks import Block
+from gs_codec.codec.lattice_encode import Modelled, code_blocks, model_lattice
 from gs_codec.codec.symbols import Coded, quantise_scene
-from gs_codec.config import Config
-from gs_codec.container.file import MAX_BLOCK_SIZE
+from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.container.file import MAX_BLOCK_SIZE, Section, SectionId
 from gs_codec.entropy import torchac_coder
+from gs_codec.entropy.bits import BitReader
+from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.entropy.rans import TableSet, decode_symbols, encode_symbols
 from gs_codec.errors import MissingTool
+from gs_codec.lattice.tokens import read_pass
 from gs_codec.model.table import shannon_bits
+from gs_codec.report import StageTimes
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
 
@@ -23,17 +31,21 @@ def measure_coders(
 ) -> Iterator[dict[str, Any]]:
     """A result line for each coder: bytes, bytes over Shannon entropy, seconds.
 
-    Seconds are medians for rANS; torchac, which takes a hundred times longer, runs once.
+    Seconds are medians for rANS; torchac, which takes a hundred times longer, runs once, and
+    not for profiles `l`, `m` and `s`, whose tables change with the context.
     """
-    coded = quantise_scene(scene, config)
-    entropy = sum(shannon_bits(histogram) for histogram in coded.histograms) / 8
     identity = {
         "kind": "coder",
         "scene": name,
         "profile": config.profile,
         "gaussians": scene.count,
-        "symbols": coded.symbols.size,
     }
+    if config.profile in LATTICE_PROFILES:
+        yield identity | {"coder": "rans", **_passes(scene, config, repeats)}
+        return
+    coded = quantise_scene(scene, config)
+    entropy = sum(shannon_bits(histogram) for histogram in coded.histograms) / 8
+    identity["symbols"] = coded.symbols.size
     yield identity | {"coder": "rans", **_rans(coded, entropy, config.threads, repeats)}
     try:
         theirs = _torchac(coded, entropy)
@@ -74,6 +86,50 @@ def _rans(coded: Coded, entropy: float, threads: int | None, repeats: int) -> di
         statistics.median(_timed(encode)[1] for _ in range(repeats)),
         statistics.median(_timed(lambda: decode(streams))[1] for _ in range(repeats)),
     )
+
+
+def _passes(scene: Scene, config: Config, repeats: int) -> dict[str, Any]:
+    modelled = model_lattice(scene, config, None, StageTimes())
+
+    def encode() -> list[list[Section]]:
+        return code_blocks(modelled, config.threads)
+
+    def decode(blocks: list[list[Section]]) -> None:
+        tables = PassTables.pack(modelled.models.tables())
+        items = list(zip(modelled.blocks, blocks, strict=True))
+        run_all(lambda item: _read_block(modelled, tables, *item), items, config.threads)
+
+    blocks = encode()
+    decode(blocks)
+    apart = (SectionId.GEOMETRY, SectionId.LOW_BITS)
+    coded = [s for block in blocks for s in block if s.id not in apart]
+    symbols = sum(data.tokens.size for block in modelled.blocks for data in block.passes)
+    entropy = sum(cost.shannon_bits for cost in modelled.costs) / 8
+    return {"symbols": symbols} | _result(
+        sum(len(section.data) for section in coded),
+        entropy,
+        statistics.median(_timed(encode)[1] for _ in range(repeats)),
+        statistics.median(_timed(lambda: decode(blocks))[1] for _ in range(repeats)),
+    )
+
+
+def _read_block(
+    modelled: Modelled, tables: PassTables, block: Block, sections: list[Section]
+) -> None:
+    """Decode the passes of a block, their contexts being known."""
+    by_id = {section.id: memoryview(section.data) for section in sections}
+    reader = PassReader(by_id[SectionId.STATES], tables, "bench")
+    places = np.arange(max(len(data.tokens) for data in block.passes))
+    stream, bits = "", BitReader(memoryview(b""), "bench")
+    for item, data, rows in zip(modelled.listed, block.passes, modelled.models.rows, strict=True):
+        if item.stream != stream:
+            stream, payload = item.stream, by_id[SectionId.of_stream(item.stream)]
+            size = int.from_bytes(payload[:4], "little")
+            reader.open(payload[4 : 4 + size])
+            bits = BitReader(payload[4 + size :], "bench")
+        values = np.empty(len(data.tokens), np.int32)
+        read_pass(reader, bits, rows, data.contexts, places, values)
+    reader.finish()
 
 
 def _torchac(coded: Coded, entropy: float) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,29 @@ from gs_codec.transform.axes import quaternions
 from gs_codec.workers import run_all
 
 
+@dataclass(frozen=True)
+class Modelled:
+    """A scene on its lattices, and the tables of its passes.
+
+    Attributes
+    ----------
+    header : Header
+    arranged : Arranged
+    blocks : list of Block
+    listed : list of Pass
+    models : PassModels
+    costs : list of ChannelCost
+        Of each pass, all blocks together.
+    """
+
+    header: Header
+    arranged: Arranged
+    blocks: list[Block]
+    listed: list[Pass]
+    models: PassModels
+    costs: list[ChannelCost]
+
+
 def encode_lattice(
     scene: Scene,
     config: Config,
@@ -45,6 +68,40 @@ def encode_lattice(
 ) -> tuple[bytes, EncodeReport]:
     """Encode a scene without values that are not finite; see `encode_scene`."""
     times = StageTimes()
+    modelled = model_lattice(scene, config, guide, times, progress)
+    blocks, arranged = modelled.blocks, modelled.arranged
+    with times.stage("code"):
+        advance = step_counter(progress, "code", len(blocks))
+        coded = code_blocks(modelled, config.threads, advance)
+    with times.stage("container"):
+        lattice = write_lattice(arranged.lattice, modelled.models)
+        sections = [Section(SectionId.LATTICE, 0, lattice)]
+        if blocks:
+            bounds = write_bounds([block.box for block in blocks])
+            sections.append(Section(SectionId.BOUNDS, 0, bounds))
+        sections += [section for block in coded for section in block]
+        sections += carried_sections(arranged.source, arranged.order)
+        data = write_file(modelled.header, sections)
+    return data, EncodeReport(
+        count=scene.count,
+        raw_bytes=scene.float_bytes,
+        section_bytes=section_sizes(data, sections),
+        costs=modelled.costs,
+        rectified=sum(block.clamped for block in blocks),
+        zero_quaternions=0,
+        dropped=0,
+        seconds=times.seconds,
+    )
+
+
+def model_lattice(
+    scene: Scene,
+    config: Config,
+    guide: Callable[[Scene], Guidance] | None,
+    times: StageTimes,
+    progress: Progress | None = None,
+) -> Modelled:
+    """Everything of `encode_lattice` before symbols are coded."""
     guidance = None
     if guide is not None and scene.count:
         with times.stage("views"):
@@ -58,25 +115,7 @@ def encode_lattice(
     listed = passes(len(scene.f_rest) // 3)
     with times.stage("model"):
         models, costs = _models(listed, blocks, config.threads)
-    with times.stage("code"):
-        coded = _code(listed, blocks, models, config.threads, progress)
-    with times.stage("container"):
-        sections = [Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models))]
-        if blocks:
-            bounds = write_bounds([block.box for block in blocks])
-            sections.append(Section(SectionId.BOUNDS, 0, bounds))
-        sections += coded + carried_sections(arranged.source, arranged.order)
-        data = write_file(header, sections)
-    return data, EncodeReport(
-        count=scene.count,
-        raw_bytes=scene.float_bytes,
-        section_bytes=section_sizes(data, sections),
-        costs=costs,
-        rectified=sum(block.clamped for block in blocks),
-        zero_quaternions=0,
-        dropped=0,
-        seconds=times.seconds,
-    )
+    return Modelled(header, arranged, blocks, listed, models, costs)
 
 
 def _quantise(
@@ -157,32 +196,21 @@ def _models(
     return PassModels(rows, weights), costs
 
 
-def _code(
-    listed: list[Pass],
-    blocks: list[Block],
-    models: PassModels,
-    threads: int | None,
-    progress: Progress | None,
-) -> list[Section]:
-    """Sections of all blocks, block after block."""
-    tables = PassTables.pack(models.tables())
-    advance = step_counter(progress, "code", len(blocks))
-    done = run_all(
-        lambda item: _sections(*item, listed, models, tables),
-        list(enumerate(blocks)),
-        threads,
-        advance,
-    )
-    return [section for sections in done for section in sections]
+def code_blocks(
+    modelled: Modelled, threads: int | None, advance: Callable[[], None] | None = None
+) -> list[list[Section]]:
+    """Sections of each block."""
+    tables = PassTables.pack(modelled.models.tables())
+    numbers = range(len(modelled.blocks))
+    return run_all(lambda number: _sections(modelled, number, tables), numbers, threads, advance)
 
 
-def _sections(
-    number: int, block: Block, listed: list[Pass], models: PassModels, tables: PassTables
-) -> list[Section]:
+def _sections(modelled: Modelled, number: int, tables: PassTables) -> list[Section]:
     """Sections of a block."""
+    block = modelled.blocks[number]
     writer = PassWriter(tables)
     bits: dict[str, BitWriter] = {}
-    for item, data, rows in zip(listed, block.passes, models.rows, strict=True):
+    for item, data, rows in zip(modelled.listed, block.passes, modelled.models.rows, strict=True):
         writer.add(item.stream, data.tokens, data.contexts, rows)
         bits.setdefault(item.stream, BitWriter()).add(data.raw_levels, data.raw_widths)
     states, words = writer.finish()

@@ -7,7 +7,7 @@ Gaussians' colours by their weights alpha T, which the rasteriser's own trace gi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.kernels import kernel
 from gs_codec.preparation.sh_weights import sh_row
+from gs_codec.preparation.traced_view import SQUARED, TracedView, trace_view
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.project import TILE
-from gs_codec.rendering.trace import tile_bounds, trace_splat
 from gs_codec.scene import Scene
 from gs_codec.workers import available_threads, run_all
 
@@ -28,14 +26,14 @@ Targets = Sequence[NDArray] | Callable[[int], NDArray]
 
 Advance = Callable[[], None] | None
 
-#: Column of (alpha T)^2 in what is summed over pixels, after R, G, B.
-_SQUARED = 3
-
 #: Gaussians whose gradient one call adds up.
 _CHUNK = 1 << 14
 
 #: Views worked on at a time: each takes some 300 bytes a Gaussian.
 _MOST_AT_ONCE = 4
+
+#: Traced views that are kept take at most this many bytes; others are traced anew each time.
+_KEPT_BYTES = 1 << 31
 
 
 class Linear(NamedTuple):
@@ -48,7 +46,7 @@ class Linear(NamedTuple):
     curvature : ndarray, shape (3, 1 + K, N)
         Diagonal of the normal equations.
     lit : ndarray, shape (views, N), uint8
-        Bit 0, 1, 2: whether R, G, B of the Gaussian are above black in the view.
+        Bit 0, 1, 2: whether R, G, B of the Gaussian are above black in the view, if it is seen.
     error : float
         Sum over views, pixels and colours of the squared residual.
     """
@@ -82,6 +80,7 @@ class ImageOperator:
     background: Sequence[float] = (0.0, 0.0, 0.0)
     antialiased: bool | None = None
     threads: int | None = None
+    kept: dict[int, TracedView] = field(default_factory=dict, init=False, repr=False)
 
     def linearise(self, coefficients: NDArray, targets: Targets, advance: Advance = None) -> Linear:
         """The residual ``target - image`` of all views, and what follows from it.
@@ -93,23 +92,22 @@ class ImageOperator:
         """
         gradient, curvature = np.zeros_like(coefficients), np.zeros_like(coefficients)
         lit = np.zeros((len(self.cameras), self.scene.count), np.uint8)
-        background = np.array(self.background, np.float64)
 
-        def gather(view: int) -> tuple[NDArray, float]:
+        def gather(view: int) -> _Gathered:
             target = _target(targets, view, self.cameras[view])
-            return self._gather(view, coefficients, True, lit[view], target, background)
+            return self._gather(view, coefficients, lit[view], target)
 
         error = self._add_up(gather, lit, gradient, curvature, advance)
         return Linear(gradient, curvature, lit, error)
 
     def error(self, coefficients: NDArray, targets: Targets, advance: Advance = None) -> float:
         """Sum over views, pixels and colours of the squared residual."""
-        background, nothing = np.array(self.background, np.float64), coefficients[:0]
+        nothing = coefficients[:0]
 
-        def gather(view: int) -> tuple[NDArray, float]:
+        def gather(view: int) -> _Gathered:
             lit = np.empty(self.scene.count, np.uint8)
             target = _target(targets, view, self.cameras[view])
-            return self._gather(view, coefficients, True, lit, target, background)
+            return self._gather(view, coefficients, lit, target)
 
         return self._add_up(gather, None, nothing, nothing, advance)
 
@@ -117,61 +115,69 @@ class ImageOperator:
         """The normal equations on a change of SH: transposed operator on what images change by."""
         product = np.zeros_like(direction)
 
-        def gather(view: int) -> tuple[NDArray, float]:
-            camera = self.cameras[view]
-            black = np.zeros((camera.height, camera.width, 3), np.float32)
-            return self._gather(view, direction, False, lit[view], black, np.zeros(3))
+        def gather(view: int) -> _Gathered:
+            return self._gather(view, direction, lit[view], None)
 
         self._add_up(gather, lit, product, product[:0], advance)
         return np.negative(product, out=product)
 
     def _gather(
-        self,
-        view: int,
-        coefficients: NDArray,
-        clamp: bool,
-        lit: NDArray[np.uint8],
-        target: NDArray,
-        background: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], float]:
-        """Sums ``(N, 4)`` of alpha T times a view's residual, and of (alpha T)^2; its error."""
+        self, view: int, coefficients: NDArray, lit: NDArray[np.uint8], target: NDArray | None
+    ) -> _Gathered:
+        """What a view's residual says; without a target, of a change of SH."""
         scene, camera = self.scene, self.cameras[view]
-        colours = np.empty((scene.count, 3))
-        _fill_colours(scene.positions, camera.position, coefficients, clamp, lit, colours)
-        # A thread for each view costs less than several for one.
-        frame = make_frame(scene, camera, self.antialiased, threads=1)
-        sums = np.zeros((frame.pairs, 4))
-        errors = np.zeros(frame.columns * frame.rows)
-        colours = colours[frame.splats.gaussians]
-        frame.over_tiles(_transpose_tiles, colours, target, background, sums, errors)
-        return frame.sum_pairs(scene.count, sums), float(errors.sum())
+        traced = self.kept.get(view) or trace_view(scene, camera, self.antialiased)
+        colours = np.empty((len(traced.seen), 3))
+        seen = (scene.positions, camera.position, traced.seen)
+        _fill_colours(*seen, coefficients, target is not None, lit, colours)
+        if target is None:
+            background = np.zeros(3)
+            target = np.zeros((camera.height, camera.width, 3), np.float32)
+        else:
+            background = np.array(self.background, np.float64)
+        return _Gathered(traced, *traced.transpose(colours, target, background))
 
     def _add_up(
         self,
-        gather: Callable[[int], tuple[NDArray, float]],
+        gather: Callable[[int], _Gathered],
         lit: NDArray[np.uint8] | None,
         gradient: NDArray,
         curvature: NDArray,
         advance: Advance,
     ) -> float:
         """Add views in order to what is not empty of the two, or None; returns the error."""
-        count, threads = self.scene.count, self.threads or available_threads()
+        threads = self.threads or available_threads()
         at_once = min(threads, _MOST_AT_ONCE)
         error = 0.0
         for first in range(0, len(self.cameras), at_once):
             views = range(first, min(first + at_once, len(self.cameras)))
-            gathered = run_all(gather, views, at_once, advance)
-            for view, (sums, squares) in zip(views, gathered, strict=True):
-                error += squares
+            for view, found in zip(views, run_all(gather, views, at_once, advance), strict=True):
+                error += found.error
+                self._keep(view, found.traced)
                 if lit is None:
                     continue
-                seen = (self.scene.positions, self.cameras[view].position, sums, lit[view])
+                seen, camera = found.traced.seen, self.cameras[view]
+                of_view = (self.scene.positions, camera.position, seen, found.sums, lit[view])
 
-                def add(start: int, seen: tuple = seen) -> None:
-                    _add_gradient(*seen, start, min(start + _CHUNK, count), gradient, curvature)
+                def add(start: int, of_view: tuple = of_view, count: int = len(seen)) -> None:
+                    stop = min(start + _CHUNK, count)
+                    _add_gradient(*of_view, start, stop, gradient, curvature)
 
-                run_all(add, range(0, count, _CHUNK), threads)
+                run_all(add, range(0, len(seen), _CHUNK), threads)
         return error
+
+    def _keep(self, view: int, traced: TracedView) -> None:
+        taken = sum(known.nbytes for known in self.kept.values())
+        if view not in self.kept and taken + traced.nbytes <= _KEPT_BYTES:
+            self.kept[view] = traced
+
+
+class _Gathered(NamedTuple):
+    """A view, sums ``(V, 4)`` over its pixels, and its squared error."""
+
+    traced: TracedView
+    sums: NDArray[np.float64]
+    error: float
 
 
 def _target(targets: Targets, view: int, camera: Camera) -> NDArray:
@@ -185,14 +191,15 @@ def _target(targets: Targets, view: int, camera: Camera) -> NDArray:
 
 
 @kernel
-def _fill_colours(positions, camera, coefficients, clamp, lit, colours):
-    """Fill ``colours (N, 3)``: those of SH clamped at black, or the change that SH make to them.
+def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
+    """Fill ``colours (V, 3)``: those of SH clamped at black, or the change that SH make to them.
 
     With `clamp`, bits 0-2 of ``lit (N,)`` are set where a colour is above black; without, they
     are read, because a change of SH does nothing to a colour that is clamped.
     """
     row = np.empty(coefficients.shape[1])
-    for i in range(len(colours)):
+    for j in range(len(seen)):
+        i = seen[j]
         sh_row(positions, i, camera, row)
         if clamp:
             lit[i] = 0
@@ -202,95 +209,21 @@ def _fill_colours(positions, camera, coefficients, clamp, lit, colours):
                 value += row[k] * coefficients[channel, k, i]
             if clamp and value > 0.0:
                 lit[i] |= 1 << channel
-            colours[i, channel] = value if lit[i] >> channel & 1 else 0.0
+            colours[j, channel] = value if lit[i] >> channel & 1 else 0.0
 
 
 @kernel
-def _transpose_tiles(
-    fields, splats, starts, first, end, columns, colours, target, background, sums, errors
-):
-    """Fill ``sums (pairs, 4)`` and ``errors (tiles,)`` of tiles `first` to `end`."""
-    height, width = target.shape[:2]
-    residual = np.empty((TILE * TILE, 3))
-    # What is traced forth is kept for the way back; of one tile that is little.
-    pixels = np.empty(1 << 14, np.uint8)
-    weights = np.empty(1 << 14)
-    for tile in range(first, end):
-        bounds = tile_bounds(tile, columns, width, height)
-        x0, x1, y0, y1 = bounds
-        residual[:] = 0.0
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                residual[(y - y0) * TILE + x - x0] = target[y, x]
-        listed = splats[starts[tile] : starts[tile + 1]]
-        ends = np.empty(len(listed), np.int64)
-        pixels, weights, drawn = _take_away(
-            fields, listed, bounds, colours, background, residual, pixels, weights, ends
-        )
-        errors[tile] = np.sum(residual * residual)
-        start = 0
-        for i in range(drawn):
-            total = sums[starts[tile] + i]
-            for j in range(start, ends[i]):
-                weight = weights[j]
-                light = residual[pixels[j]]
-                for channel in range(3):
-                    total[channel] += weight * light[channel]
-                total[_SQUARED] += weight * weight
-            start = ends[i]
-
-
-@kernel
-def _take_away(
-    fields, listed, bounds, colours, background, residual, pixels, weights, ends
-):  # fmt: skip
-    """Take a tile's splats and the background off ``residual (256, 3)``, and list their weights.
-
-    Splat i has entries ``ends[i - 1]`` to ``ends[i]`` of `pixels` and `weights`, which are
-    replaced by longer ones where needed; returns both, and how many splats have entries.
-    """
-    x0, x1, y0, y1 = bounds
-    left = np.ones(TILE * TILE)
-    traced = np.empty(TILE * TILE, np.int64)
-    alphas = np.empty(TILE * TILE)
-    before = np.empty(TILE * TILE)
-    still_open = (x1 - x0) * (y1 - y0)
-    used = drawn = 0
-    while drawn < len(listed) and still_open > 0:
-        splat = listed[drawn]
-        count, done = trace_splat(fields[splat], x0, x1, y0, y1, left, traced, alphas, before)
-        if used + count > len(pixels):
-            pixels = np.concatenate((pixels, np.empty_like(pixels)))
-            weights = np.concatenate((weights, np.empty_like(weights)))
-        for i in range(count):
-            weight = alphas[i] * before[i]
-            pixels[used] = traced[i]
-            weights[used] = weight
-            used += 1
-            for channel in range(3):
-                residual[traced[i], channel] -= weight * colours[splat, channel]
-        ends[drawn] = used
-        drawn += 1
-        still_open -= done
-    for y in range(y1 - y0):
-        for x in range(x1 - x0):
-            pixel = y * TILE + x
-            for channel in range(3):
-                residual[pixel, channel] -= abs(left[pixel]) * background[channel]
-    return pixels, weights, drawn
-
-
-@kernel
-def _add_gradient(positions, camera, sums, lit, start, stop, gradient, curvature):
+def _add_gradient(positions, camera, seen, sums, lit, start, stop, gradient, curvature):
     """Add a view's share to ``gradient (3, 1 + K, N)`` and, if it is not empty, `curvature`."""
     row = np.empty(gradient.shape[1])
-    for i in range(start, stop):
-        if sums[i, _SQUARED] == 0.0:
+    for j in range(start, stop):
+        if sums[j, SQUARED] == 0.0:
             continue
+        i = seen[j]
         sh_row(positions, i, camera, row)
         for channel in range(3):
             if lit[i] >> channel & 1:
                 for k in range(len(row)):
-                    gradient[channel, k, i] += row[k] * sums[i, channel]
+                    gradient[channel, k, i] += row[k] * sums[j, channel]
                     if len(curvature):
-                        curvature[channel, k, i] += row[k] * row[k] * sums[i, _SQUARED]
+                        curvature[channel, k, i] += row[k] * row[k] * sums[j, SQUARED]

@@ -65,9 +65,10 @@ def refit_colour(
 
     Minimises the sum over views, pixels and colours of ``(image - target)^2``, ``ridge`` times the
     squared change of SH, and the penalty on SH-AC of `compact_sh`, by conjugate gradients on the
-    normal equations, with their diagonal as preconditioner. Weights alpha T are traced anew in
-    each step, which keeps memory to six times the size of the SH. A colour that is clamped at
-    black in a view has no gradient there, and which are clamped is decided once, at the start.
+    normal equations, with their diagonal as preconditioner. Memory is six times the size of the
+    SH, and up to 2 GiB for the weights alpha T of views; those of views beyond are traced anew in
+    each step. A colour that is clamped at black in a view has no gradient there, and which are
+    clamped is decided once, at the start.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def refit_colour(
         Image ``(H, W, 3)`` for each camera, RGB, in the values of `render`; a callable is given
         the camera's number, in threads, twice.
     steps : int, from 0 up
-        Each takes as long as drawing all views twice.
+        Each takes about as long as drawing all views.
     ridge : float, from 0 up
         Squared weight that holds SH to what they are, in pixels: a Gaussian with a sum of
         (alpha T)^2 over all views of as much gives in to about half of what it is asked.

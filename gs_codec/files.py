@@ -14,7 +14,7 @@ from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, Config
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
-from gs_codec.inspection import Info, inspect_bytes
+from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import read_ply, write_ply
@@ -272,8 +272,8 @@ def _decode_ordered(
 ) -> tuple[Scene, int]:
     """A scene, or a part of it, and the bytes read; what is whole tells its order."""
     with opened(path) as view, located(path):
-        scene, bytes_read = decode_part(view, part, threads, max_bytes, progress)
-        order = order_of_file(inspect_bytes(view))
+        scene, file = decode_part(view, part, threads, max_bytes, progress)
+        order = order_of_file(describe(file))
         if part.box is None and order is not None:
             scene = with_order(scene, order)
-    return scene, bytes_read
+    return scene, file.bytes_read

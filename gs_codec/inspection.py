@@ -103,7 +103,11 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     ------
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
-    file = read_file(data, lambda section, _: section in DESCRIPTIONS)
+    return describe(read_file(data, lambda section, _: section in DESCRIPTIONS))
+
+
+def describe(file: EgsFile) -> Info:
+    """What the header of a file, and what is read with it, say."""
     header = file.header
     details = _lattice_details if header.profile in LATTICE_PROFILES else _channel_details
     return Info(
@@ -115,7 +119,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         block_size=header.block_size,
         has_normals=header.has_normals,
         keeps_order=header.keeps_order,
-        file_bytes=len(data),
+        file_bytes=len(file.data),
         raw_bytes=header.float_bytes,
         streams=_streams(file),
         **details(file),

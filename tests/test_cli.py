@@ -397,7 +397,7 @@ def test_decode_of_a_box(lattice, name):
     arguments = ["decode", name, "o.ply", "--bbox", "8,8,8,9,9,9", "--json"]
     report = strict_json(lattice.run(*arguments).out)
     assert report["count"] == 0
-    assert (report["bytes_read"] < report["file_bytes"]) == (name == "m.egs")
+    assert report["bytes_read"] < 0.3 * report["file_bytes"]
 
 
 @pytest.mark.parametrize("profile", LATTICE_PROFILES)
@@ -635,7 +635,7 @@ main()
     [
         ("encode scene.ply out.egs -p paper-m", "gs_codec.codec.encode encode_colour"),
         ("encode scene.ply out.egs", "os fsync"),
-        ("decode scene.egs out.ply", "gs_codec.codec.decode decode_colour"),
+        ("decode scene.egs out.ply", "gs_codec.codec.channel_decode decode_colour"),
         ("decode scene.egs out.ply", "os fsync"),
     ],
 )

@@ -70,8 +70,6 @@ def encode_file(
     _check_target(source, target)
     start = time.perf_counter()
     scene = read_ply(source, config.extra)
-    if not config.keep_order:
-        scene = without_order(scene)
     read = time.perf_counter() - start
     with located(source):
         prepared, guide = None, None

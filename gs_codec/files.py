@@ -75,7 +75,7 @@ def encode_file(
         prepared, guide = None, None
         if plan is not None:
             views = None
-            if plan.steps != type(plan.steps)():
+            if plan.steps.wanted:
                 scene, prepared = _prepare(scene, plan, report_folder, progress)
                 views = prepared.views
             guide = guide_of(scene, plan, config, progress, views)

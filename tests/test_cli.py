@@ -518,6 +518,7 @@ def test_egs_whose_properties_no_ply_can_have_is_refused(folder, names):
     assert "bad.egs: " in folder.refuse("decode", "bad.egs", "out.ply")
 
 
+THREADS = "threads {}: expected an integer from 1 to 256"
 REFUSED = {
     "encode missing": ("encode missing.ply out.egs", "missing.ply: No such file"),
     "encode directory": ("encode some.dir out.egs", "some.dir: .*directory"),
@@ -558,8 +559,11 @@ REFUSED = {
     "degree 4": ("decode scene.egs out.ply --sh-degree 4", "SH degree 4: expected 0-3"),
     "degree -1": ("decode scene.egs out.ply --sh-degree -1", "SH degree -1: expected 0-3"),
     "degree word": ("decode scene.egs out.ply --sh-degree all", "--sh-degree.*valid int"),
-    "threads of encode": ("encode scene.ply out.egs --threads 0", "1"),
-    "threads of decode": ("decode scene.egs out.ply --threads 0", "1"),
+    "threads of encode": ("encode scene.ply out.egs --threads 0", THREADS.format(0)),
+    "threads of decode": ("decode scene.egs out.ply --threads 0", THREADS.format(0)),
+    "many threads of encode": ("encode scene.ply out.egs --threads 257", THREADS.format(257)),
+    "many threads of decode": ("decode scene.egs out.ply --threads 257", THREADS.format(257)),
+    "threads of bench": ("bench scene.ply --threads 0", THREADS.format(0)),
     "too large": ("decode scene.egs out.ply --max-bytes 9", "354000 bytes, the limit is 9"),
     "encode to no folder": ("encode scene.ply no/out.egs", "no directory 'no'"),
     "decode to no folder": ("decode scene.egs no/out.ply", "no directory 'no'"),

@@ -17,7 +17,7 @@ from gs_codec.codec.channel_decode import (
 from gs_codec.codec.lattice_decode import block_boxes, decode_lattice, lattice_sections
 from gs_codec.codec.lossless import block_sections, decode_lossless, lossless_positions
 from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES, LOSSLESS
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS, check_threads
 from gs_codec.container.carried import read_comments, read_extra
 from gs_codec.container.file import (
     DESCRIPTIONS,
@@ -64,6 +64,7 @@ def decode_part(
     data : bytes
     part : Part
     threads : int, optional
+        Worker threads, 1-256; by default one for each available processor.
     max_bytes : int, optional
         Refuse a stream whose floats would be larger; by default `DECODED_BYTES` or
         `EXPANSION` times the stream's size, whichever is more.
@@ -79,8 +80,11 @@ def decode_part(
 
     Raises
     ------
+    InvalidInput
+        If there can be no such number of threads.
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
+    check_threads(threads)
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
     limit = max(DECODED_BYTES, EXPANSION * len(data)) if max_bytes is None else max_bytes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import groupby
 
 from gs_codec.container.channels import Channel
@@ -114,12 +115,12 @@ def _has_contexts(lattice: Lattice, item: Pass) -> bool:
     """Whether the rule that contexts of opacity, scales and rotation go by tells anything."""
     if item.stream not in ("opacity", "scaling", "rotation"):
         return item.contexts > 1
-    rule = lattice.rules[item.name if item.stream != "rotation" else "rotation"]
+    rule = lattice.rules["rotation" if item.stream == "rotation" else item.name]
     varies = lattice.classes[0] > 1 or rule.opacity or any(rule.scales)
     return bool(rule.limit and varies)
 
 
-def _bands(numbers) -> str:
+def _bands(numbers: Iterable[int]) -> str:
     listed = list(map(str, numbers))
     return f"SH band{'s' * (len(listed) > 1)} {', '.join(listed)}"
 

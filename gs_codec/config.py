@@ -110,7 +110,7 @@ class Config:
         _check_choice("profile", self.profile, PROFILE_CHOICES)
         _check_choice("nonfinite", self.nonfinite, ("error", "drop"))
         _check_choice("extra", self.extra, ("error", "keep", "drop"))
-        _check_range("threads", 1 if self.threads is None else self.threads, 1, 256)
+        check_threads(self.threads)
         _check_range("block_size", self.block_size, 1 << 10, 1 << 16)
         if self.profile in PROFILES:
             self.resolved_depths()
@@ -134,6 +134,11 @@ class Config:
                 _check_range(f"depth of {group}", bits, 1, MAX_DEPTH[member])
                 depths[member] = bits
         return depths
+
+
+def check_threads(threads: int | None) -> None:
+    """Refuse a number of worker threads that is not 1-256, or None for all processors."""
+    _check_range("threads", 1 if threads is None else threads, 1, 256)
 
 
 def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:

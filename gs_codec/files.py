@@ -14,7 +14,7 @@ from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, Config
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
-from gs_codec.inspection import Info, inspect_bytes
+from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import read_ply, write_ply
@@ -70,14 +70,12 @@ def encode_file(
     _check_target(source, target)
     start = time.perf_counter()
     scene = read_ply(source, config.extra)
-    if not config.keep_order:
-        scene = without_order(scene)
     read = time.perf_counter() - start
     with located(source):
         prepared, guide = None, None
         if plan is not None:
             views = None
-            if plan.steps != type(plan.steps)():
+            if plan.steps.wanted:
                 scene, prepared = _prepare(scene, plan, report_folder, progress)
                 views = prepared.views
             guide = guide_of(scene, plan, config, progress, views)
@@ -272,8 +270,8 @@ def _decode_ordered(
 ) -> tuple[Scene, int]:
     """A scene, or a part of it, and the bytes read; what is whole tells its order."""
     with opened(path) as view, located(path):
-        scene, bytes_read = decode_part(view, part, threads, max_bytes, progress)
-        order = order_of_file(inspect_bytes(view))
+        scene, file = decode_part(view, part, threads, max_bytes, progress)
+        order = order_of_file(describe(file))
         if part.box is None and order is not None:
             scene = with_order(scene, order)
-    return scene, bytes_read
+    return scene, file.bytes_read

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from gs_codec.lattice.fixed import PLACES
 from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.plan import Pass, passes
 from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.skipped import skipped_by_channels, skipped_by_header, skipped_by_lattice
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class Info:
         Kinds of symbols, of profiles `l`, `m` and `s`.
     grid : PositionGrid or None
         What positions are multiples of, likewise.
+    skipped : tuple of str
+        What takes no bits, in words, as far as it is known without the blocks.
     """
 
     version: int
@@ -75,6 +79,7 @@ class Info:
     channels: tuple[Channel, ...]
     passes: tuple[PassInfo, ...]
     grid: PositionGrid | None
+    skipped: tuple[str, ...]
 
     @property
     def ratio(self) -> float:
@@ -98,23 +103,13 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     ------
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
-    file = read_file(data, lambda section, _: section in DESCRIPTIONS)
+    return describe(read_file(data, lambda section, _: section in DESCRIPTIONS))
+
+
+def describe(file: EgsFile) -> Info:
+    """What the header of a file, and what is read with it, say."""
     header = file.header
-    coefficients = SH_COEFFICIENTS[header.sh_degree]
-    channels: list[Channel] = []
-    listed: list[PassInfo] = []
-    grid = None
-    if header.profile in LATTICE_PROFILES:
-        lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
-        grid, bounds = lattice.grid, _bounds_of(file, lattice)
-        listed = _inspect_passes(lattice, models, coefficients)
-    else:
-        channels, bounds = _channels_and_bounds(file)
-    sizes = {"header": file.header_size}
-    for (section_id, _), size in sorted(file.sizes.items()):
-        known = section_id in set(SectionId)
-        label = SectionId(section_id).label if known else f"section {section_id}"
-        sizes[label] = sizes.get(label, 0) + size
+    details = _lattice_details if header.profile in LATTICE_PROFILES else _channel_details
     return Info(
         version=VERSION,
         count=header.count,
@@ -124,16 +119,52 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
         block_size=header.block_size,
         has_normals=header.has_normals,
         keeps_order=header.keeps_order,
-        bounds=bounds,
-        file_bytes=len(data),
+        file_bytes=len(file.data),
         raw_bytes=header.float_bytes,
-        streams=tuple(
-            StreamInfo(name, size, 8 * size / max(header.count, 1)) for name, size in sizes.items()
-        ),
-        channels=tuple(channels),
-        passes=tuple(listed),
-        grid=grid,
+        streams=_streams(file),
+        **details(file),
     )
+
+
+def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
+    sizes = {"header": file.header_size}
+    for (section_id, _), size in sorted(file.sizes.items()):
+        known = section_id in set(SectionId)
+        label = SectionId(section_id).label if known else f"section {section_id}"
+        sizes[label] = sizes.get(label, 0) + size
+    count = max(file.header.count, 1)
+    return tuple(StreamInfo(name, size, 8 * size / count) for name, size in sizes.items())
+
+
+def _lattice_details(file: EgsFile) -> dict[str, Any]:
+    """What `Info` says of profiles `l`, `m` and `s`."""
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
+    skipped = skipped_by_header(file.header)
+    if file.header.count:
+        skipped += skipped_by_lattice(lattice, models, coefficients)
+    return {
+        "bounds": _bounds_of(file, lattice),
+        "channels": (),
+        "passes": tuple(_inspect_passes(lattice, models, coefficients)),
+        "grid": lattice.grid,
+        "skipped": tuple(skipped),
+    }
+
+
+def _channel_details(file: EgsFile) -> dict[str, Any]:
+    """What `Info` says of the other profiles."""
+    channels, bounds = _channels_and_bounds(file)
+    skipped = skipped_by_header(file.header)
+    if file.header.count:
+        skipped += skipped_by_channels(channels)
+    return {
+        "bounds": bounds,
+        "channels": tuple(channels),
+        "passes": (),
+        "grid": None,
+        "skipped": tuple(skipped),
+    }
 
 
 def _bounds_of(file: EgsFile, lattice: Lattice) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -1,7 +1,7 @@
 """Which Gaussian of a decoded scene is which of the scene it was encoded from.
 
 A decoded PLY has a comment line that tells how it was sorted; sorting the original likewise
-puts the two side by side.
+puts the two side by side. What was decoded, encoded and decoded again has a line for each time.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def order_of(scene: Scene) -> Order | None:
     InvalidInput
         If the comment makes no sense.
     """
-    marks = [line for line in scene.comments if line.startswith(_MARK)]
+    marks = _marks(scene)
     if not marks:
         return None
     fields = marks[-1].removeprefix(_MARK).split()
@@ -140,6 +140,11 @@ def order_of(scene: Scene) -> Order | None:
     if len(fields) != 6 or not all(field.isdigit() and int(field) <= 21 for field in fields):
         raise InvalidInput(f"comment '{marks[-1]}': expected six depths")
     return DepthOrder(tuple(int(field) for field in fields))
+
+
+def _marks(scene: Scene) -> tuple[str, ...]:
+    """The comments that tell orders, the last of which the scene is in."""
+    return tuple(line for line in scene.comments if line.startswith(_MARK))
 
 
 def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
@@ -155,14 +160,14 @@ def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
 
 
 def with_order(scene: Scene, order: Order) -> Scene:
-    """The scene with the comment that tells its order."""
+    """The scene with a further comment, that tells its order."""
     return replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
 
 
 def without_order(scene: Scene) -> Scene:
-    """The scene without such a comment."""
-    kept = tuple(line for line in scene.comments if not line.startswith(_MARK))
-    return replace(scene, comments=kept)
+    """The scene without such comments."""
+    marks = _marks(scene)
+    return replace(scene, comments=tuple(line for line in scene.comments if line not in marks))
 
 
 def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
@@ -173,12 +178,13 @@ def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
     InvalidInput
         If the orders cannot be brought together.
     """
-    orders = order_of(first), order_of(second)
-    if first.count != second.count or orders[0] == orders[1]:
+    marks = _marks(first), _marks(second)
+    if first.count != second.count or marks[0] == marks[1]:
         return first, second, "index"
-    if orders[0] is not None and orders[1] is not None:
-        raise InvalidInput("both scenes were reordered, differently: compare with the original")
-    if orders[1] is not None:
+    orders = order_of(first), order_of(second)
+    # A scene has the lines of what it was decoded from, unless that was an original, and its own.
+    if orders[1] is not None and marks[0] in ((), marks[1][:-1]):
         return orders[1].apply(first, second), second, "stored order"
-    assert orders[0] is not None
-    return first, orders[0].apply(second, first), "stored order"
+    if orders[0] is not None and marks[1] in ((), marks[0][:-1]):
+        return first, orders[0].apply(second, first), "stored order"
+    raise InvalidInput("both scenes were reordered, differently: compare with the original")

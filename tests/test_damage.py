@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
 from crc32c import crc32c
 from scenes import random_scene
 
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import Config
+from gs_codec.codec import decode_part, decode_scene, encode_scene
+from gs_codec.codec.part import Part
+from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.container.file import read_file
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 from gs_codec.inspection import inspect_bytes
+from gs_codec.scene import GROUPS
 
 HEADER = 36
 ENTRY = 20
@@ -117,6 +122,54 @@ def test_a_false_count_does_not_allocate(stream, count):
     struct.pack_into("<Q", data, 16, count)
     with pytest.raises(GsCodecError):
         decode_scene(with_checksums(data))
+
+
+def blocks_of_one(data: bytes, count: int) -> bytes:
+    """The stream with as many Gaussians, each in a block of its own."""
+    hostile = bytearray(data)
+    struct.pack_into("<Q", hostile, 16, count)
+    struct.pack_into("<I", hostile, 28, 1)
+    return with_checksums(hostile)
+
+
+def peak_of(work: Callable[[], object]) -> int:
+    """Most bytes allocated at once while it runs."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("part", [Part(), Part((-9.0,) * 3 + (9.0,) * 3)], ids=["all", "box"])
+@pytest.mark.parametrize("profile", PROFILES)
+def test_blocks_of_nothing_cost_nothing(profile, part):
+    """All channels constant: no section says that there are so many blocks."""
+    one = random_scene(1, 0, seed=62)
+    data = blocks_of_one(encode_scene(one, Config(profile))[0], 100_000)
+    jobs = []
+    scenes = []
+    decode = partial(decode_part, data, part, progress=lambda *state: jobs.append(state))
+    peak = peak_of(lambda: scenes.append(decode()[0]))
+    assert (len(data) < 250, jobs) == (True, [])
+    assert peak < 3 * scenes[0].float_bytes
+    assert scenes[0].count == 100_000
+    for group in GROUPS:
+        expected = np.repeat(getattr(one, group), 100_000, axis=1)
+        np.testing.assert_array_equal(getattr(scenes[0], group), expected)
+
+
+@pytest.mark.parametrize("part", [Part(), Part((-9.0,) * 3 + (9.0,) * 3)], ids=["all", "box"])
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_more_blocks_than_sections_are_refused_at_once(profile, part):
+    data = blocks_of_one(encode_scene(random_scene(20, 0, seed=63), Config(profile))[0], 1 << 24)
+
+    def refused() -> None:
+        with pytest.raises(CorruptStream, match="expected"):
+            decode_part(data, part)
+
+    assert peak_of(refused) < 1 << 20
 
 
 def test_unknown_sections_are_skipped_only_if_optional(stream):

@@ -351,3 +351,12 @@ def test_refusals_are_one_line_and_write_nothing(folder, monkeypatch, name):
     assert message in str(result.exception)
     assert "\n" not in str(result.exception)
     assert sorted(path.name for path in folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("prune_geometry", 1.0), ("prune_importance", 1.0), ("prune_loo", 30.0), ("max_drop", 0.0),
+    ("optimise", 1), ("compact_sh", 1e-5), ("refit_colour", 1), ("rectify", True),
+])  # fmt: skip
+def test_any_step_is_something_to_do(name, value):
+    assert not Steps().wanted
+    assert Steps(**{name: value}).wanted

@@ -13,6 +13,7 @@ import typer
 
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_table, print_text
+from gs_codec.cli.threads import Threads
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
@@ -40,9 +41,7 @@ def command(
         typer.Option(help="Tile each scene, jittered, to this many Gaussians.", min=1),
     ] = None,
     repeats: Annotated[int, typer.Option(help="Timed runs; medians are reported.", min=1)] = 5,
-    threads: Annotated[
-        int | None, typer.Option(help="Worker threads.", show_default="all processors")
-    ] = None,
+    threads: Threads = None,
     cameras: Annotated[
         str | None, typer.Option(metavar="C", help=f"Measure rendered quality too: {CAMERAS}")
     ] = None,

@@ -9,16 +9,14 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
+from gs_codec.cli.threads import Threads
 from gs_codec.errors import InvalidInput
 
 
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply.")],
-    threads: Annotated[
-        int | None,
-        typer.Option(help="Worker threads.", min=1, max=256, show_default="all processors"),
-    ] = None,
+    threads: Threads = None,
     max_bytes: Annotated[
         int | None,
         typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),

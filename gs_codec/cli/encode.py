@@ -18,6 +18,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
+from gs_codec.cli.threads import Threads
 from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport
@@ -45,9 +46,7 @@ def command(
     keep_order: Annotated[
         bool, typer.Option("--keep-order", help="With lossless: keep the order of Gaussians too.")
     ] = False,
-    threads: Annotated[
-        int | None, typer.Option(help="Worker threads.", show_default="all processors")
-    ] = None,
+    threads: Threads = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
     prune_importance: steps.PruneImportance = 0.0,

@@ -37,6 +37,8 @@ def command(
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],
         [_stream_row(stream, info) for stream in info.streams],
     )
+    if info.skipped:
+        print_text("\n".join(["skipped:", *(f"  {line}" for line in info.skipped)]))
     if channels and info.passes:
         print_table(
             ["symbols", "stream", "tables", "finest step", "coarsest step"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 from gs_codec.cli.output import print_table
 from gs_codec.cli.views import CAMERAS, drawing_options
 from gs_codec.errors import InvalidInput
+from gs_codec.preparation.steps import Steps
 
 _PANEL = {"rich_help_panel": "Preparation"}
 
@@ -85,23 +87,10 @@ Checkpoint = Annotated[
 ]
 
 
-#: Options of the steps themselves, and their values when not given.
-_STEPS = {
-    "prune_geometry": 0.0,
-    "prune_importance": 0.0,
-    "prune_loo": 0.0,
-    "max_drop": None,
-    "optimise": 0,
-    "compact_sh": 0.0,
-    "refit_colour": 0,
-    "rectify": False,
-}
-
-
 def plan_of(options: dict[str, Any]) -> Any:
     """The plan that options of these names ask for; None if they ask for nothing."""
-    chosen = {name: options[name] for name in _STEPS}
-    if chosen == _STEPS:
+    steps = Steps(**{field.name: options[field.name] for field in fields(Steps)})
+    if not steps.wanted:
         for name in ("report", "checkpoint", "against_gt"):
             if options[name]:
                 option = "--" + name.replace("_", "-")
@@ -109,10 +98,9 @@ def plan_of(options: dict[str, Any]) -> Any:
         if options["cameras"] is None:
             return None
     from gs_codec.preparation.pipeline import Plan
-    from gs_codec.preparation.steps import Steps
 
     return Plan(
-        Steps(**chosen),
+        steps,
         options["cameras"] or "auto",
         options["against_gt"],
         options["width"],

@@ -121,6 +121,14 @@ def decode_lossless(
     return {group: plane.view(np.float32) for group, plane in planes.items()}
 
 
+def lossless_positions(file: EgsFile, block: int) -> NDArray[np.float32]:
+    """Positions ``(3, n)`` of a block, from its section `geometry` alone."""
+    start, stop = file.header.block_range(block)
+    where = f"section 'geometry' of block {block}"
+    reader = ByteReader(file.section(SectionId.GEOMETRY, block), where)
+    return read_stack(reader, (3, stop - start), where).view(np.float32)
+
+
 def lossless_order(scene: Scene) -> NDArray[np.int64]:
     """The order in which a scene is coded, unless its own is kept."""
     others = [getattr(scene, group) for group in GROUPS if group != "positions"]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import NamedTuple
 
 from crc32c import crc32c
 
@@ -113,19 +114,33 @@ class Section:
     optional: bool = False
 
 
+class Entry(NamedTuple):
+    """Where a section is, and what its bytes must sum up to."""
+
+    position: int
+    size: int
+    checksum: int
+
+
 @dataclass(frozen=True)
 class EgsFile:
-    """A parsed file: header, and sections whose checksums hold."""
+    """A file whose header is checked, and of its sections those that were read and checked."""
 
     header: Header
-    sections: dict[tuple[int, int], memoryview]
+    data: memoryview
     header_size: int
-    sizes: dict[tuple[int, int], int] = field(default_factory=dict)
+    table: dict[tuple[int, int], Entry]
+    sections: dict[tuple[int, int], memoryview]
+
+    @property
+    def sizes(self) -> dict[tuple[int, int], int]:
+        """Bytes of each section, read or not."""
+        return {key: entry.size for key, entry in self.table.items()}
 
     @property
     def bytes_read(self) -> int:
         """Size of the header and of the sections that were read."""
-        return self.header_size + sum(len(data) for data in self.sections.values())
+        return self.header_size + sum(len(content) for content in self.sections.values())
 
     def section(self, section_id: SectionId, block: int = 0) -> memoryview:
         """Bytes of a section that must be there."""
@@ -133,6 +148,22 @@ class EgsFile:
             return self.sections[section_id, block]
         except KeyError:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
+
+    def read(self, wanted: Wanted | None = None) -> EgsFile:
+        """The file with sections read that were not; see `read_file`."""
+        sections = dict(self.sections)
+        known = set(SectionId)
+        for (section_id, block), (position, size, checksum) in self.table.items():
+            key = section_id, block
+            if key in sections or not (wanted is None or wanted(*key)):
+                continue
+            content = self.data[position : position + size]
+            if crc32c(content) != checksum:
+                where = f"section {section_id} of block {block}"
+                raise CorruptStream(f"{where}: checksum does not match")
+            if section_id in known:
+                sections[key] = content
+        return replace(self, sections=sections)
 
 
 #: Profile numbers in the header.
@@ -217,7 +248,8 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
         raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
     normals, ordered = bool(flags & _NORMALS_FLAG), bool(flags & _ORDER_FLAG)
     header = Header(count, degree, PROFILE_NAMES[profile], block_size, normals, ordered)
-    return _read_sections(view, reader.position, header, table, wanted)
+    entries = _locate(reader.position, len(view), header, table)
+    return EgsFile(header, view, reader.position, entries, {}).read(wanted)
 
 
 def _available(reader: ByteReader, view: memoryview, entries: int) -> int:
@@ -229,16 +261,15 @@ def _available(reader: ByteReader, view: memoryview, entries: int) -> int:
     return entries
 
 
-def _read_sections(
-    view: memoryview, position: int, header: Header, table: list[tuple], wanted: Wanted | None
-) -> EgsFile:
-    sections: dict[tuple[int, int], memoryview] = {}
-    sizes: dict[tuple[int, int], int] = {}
-    header_size = position
-    end = position + sum(entry[3] for entry in table)
-    if len(view) != end:
-        kind = TruncatedStream if len(view) < end else CorruptStream
-        raise kind(f"file: {len(view)} bytes, expected {end}")
+def _locate(
+    position: int, end: int, header: Header, table: list[tuple]
+) -> dict[tuple[int, int], Entry]:
+    """The checked section table of a file of `end` bytes, whose header ends at `position`."""
+    expected = position + sum(entry[3] for entry in table)
+    if end != expected:
+        kind = TruncatedStream if end < expected else CorruptStream
+        raise kind(f"file: {end} bytes, expected {expected}")
+    entries: dict[tuple[int, int], Entry] = {}
     known = set(SectionId)
     for section_id, flags, block, size, checksum in table:
         where = f"section {section_id} of block {block}"
@@ -247,14 +278,8 @@ def _read_sections(
         if section_id not in known and not flags & _OPTIONAL_FLAG:
             raise CorruptStream(f"{where}: unknown, and not optional")
         blocks = 1 if section_id in SCENE_SECTIONS else header.block_count
-        if (section_id, block) in sizes or (section_id in known and block >= blocks):
+        if (section_id, block) in entries or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
-        sizes[section_id, block] = size
-        if wanted is None or wanted(section_id, block):
-            data = view[position : position + size]
-            if crc32c(data) != checksum:
-                raise CorruptStream(f"{where}: checksum does not match")
-            if section_id in known:
-                sections[section_id, block] = data
+        entries[section_id, block] = Entry(position, size, checksum)
         position += size
-    return EgsFile(header, sections, header_size, sizes)
+    return entries

@@ -61,6 +61,11 @@ class Steps:
         for name in ("optimise", "refit_colour"):
             _check(name, getattr(self, name), 0, 10_000_000, "a number of steps")
 
+    @property
+    def wanted(self) -> bool:
+        """Whether there is anything to do."""
+        return self != Steps()
+
 
 def _check(name: str, value: Any, low: float, high: float, expected: str) -> None:
     if not low <= value <= high:

@@ -1,0 +1,159 @@
+"""Stream to scene, for profiles that code channel by channel."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codec.order import triple_depths
+from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
+from gs_codec.container.file import EgsFile, SectionId
+from gs_codec.entropy.rans import TableSet, decode_symbols
+from gs_codec.geometry.colour import decode_colour
+from gs_codec.geometry.count_tree import decode_geometry
+from gs_codec.quantise import dequantise
+from gs_codec.report import Progress, step_counter
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS
+from gs_codec.transform.morton import decode_morton
+from gs_codec.workers import run_all
+
+
+def channels_of(file: EgsFile) -> list[Channel]:
+    """The channels of a file, in stream order."""
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    return read_channels(file.section(SectionId.CHANNELS), coefficients)
+
+
+def channel_sections(file: EgsFile) -> set[SectionId]:
+    """The sections that each block has: those of streams with a channel that is not constant."""
+    streams = {channel.stream for channel in channels_of(file) if channel.quantiser.depth}
+    expected = {SectionId.of_stream(stream) for stream in streams}
+    if streams & set(RANS_STREAMS):
+        expected.add(SectionId.STATES)
+    return expected
+
+
+def channel_positions(file: EgsFile, channels: list[Channel], block: int) -> NDArray[np.float32]:
+    """Positions ``(3, n)`` of a block, from its section `geometry` alone."""
+    axes = channels[:3]
+    cells = _decode_cells(file, axes, block)
+    return np.stack([dequantise(row, c.quantiser) for row, c in zip(cells, axes, strict=True)])
+
+
+def _decode_cells(file: EgsFile, axes: list[Channel], block: int) -> NDArray[np.uint32]:
+    """Symbols of positions ``(3, n)``."""
+    depths = triple_depths([axis.quantiser for axis in axes])
+    start, stop = file.header.block_range(block)
+    codes = np.zeros(stop - start, np.int64)
+    if sum(depths):
+        data = file.section(SectionId.GEOMETRY, block)
+        codes = decode_geometry(data, codes.size, sum(depths), f"geometry of block {block}")
+    return decode_morton(codes, depths)
+
+
+def decode_channels(
+    file: EgsFile,
+    spans: dict[int, slice],
+    degree: int,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """The attribute groups of blocks, in the order of the stream.
+
+    `spans` tells where each block goes; SH is decoded up to `degree`.
+    """
+    count = max((span.stop for span in spans.values()), default=0)
+    decoder = _Blocks.of(file, channels_of(file), degree, count)
+    stages = decoder.stages()
+    jobs = [
+        partial(stage, block, span.start, span.stop)
+        for block, span in spans.items()
+        for stage in stages
+    ]
+    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
+    return decoder.groups
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Decoder of single blocks into the planes of a scene.
+
+    ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``;
+    ``varying``, ``tables`` and ``levels`` are of the channels that rANS codes, `whole` tells
+    whether those are all that were coded.
+    """
+
+    file: EgsFile
+    channels: list[Channel]
+    groups: dict[str, NDArray[np.float32]]
+    planes: list[NDArray[np.float32]]
+    varying: list[int]
+    tables: TableSet
+    levels: list[NDArray[np.float32]]
+    whole: bool
+
+    @classmethod
+    def of(cls, file: EgsFile, channels: list[Channel], degree: int, count: int) -> _Blocks:
+        """Set up tables, and constant planes of `count` Gaussians, for SH up to a degree."""
+        kept, coded = SH_COEFFICIENTS[degree], SH_COEFFICIENTS[file.header.sh_degree]
+        channels = [
+            replace(c, index=c.index // coded * kept + c.index % coded)
+            if c.group == "f_rest"
+            else c
+            for c in channels
+            if c.group != "f_rest" or c.index % coded < kept
+        ]
+        members = Counter(channel.group for channel in channels)
+        groups = {g: np.empty((members[g], count), np.float32) for g in GROUPS}
+        planes = [groups[channel.group][channel.index] for channel in channels]
+        varying, tables, levels = [], [], []
+        for row, channel in enumerate(channels):
+            if not channel.quantiser.depth:
+                planes[row][:] = channel.quantiser.origin
+            elif channel.model is not None:
+                varying.append(row)
+                tables.append(channel.model.frequencies(channel.alphabet))
+                levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
+        packed = TableSet.pack(tables)
+        return cls(file, channels, groups, planes, varying, packed, levels, kept == coded)
+
+    def stages(self) -> list[Callable[[int, int, int], None]]:
+        """What there is to do for each block."""
+        stages: list[Callable[[int, int, int], None]] = []
+        if any(channel.quantiser.depth for channel in self.channels[:6]):
+            stages.append(self.decode_points)
+        if self.varying:
+            stages.append(self.decode_attributes)
+        return stages
+
+    def decode_points(self, block: int, start: int, stop: int) -> None:
+        """Fill positions and f_dc of a block."""
+        quantisers = [channel.quantiser for channel in self.channels]
+        cells = _decode_cells(self.file, self.channels[:3], block)
+        colour_depths = triple_depths(quantisers[3:6])
+        symbols = [*cells]
+        if sum(colour_depths):
+            data = self.file.section(SectionId.SH_DC, block)
+            symbols += [*decode_colour(data, cells, colour_depths, f"sh-dc of block {block}")]
+        for row, plane in enumerate(symbols):
+            if quantisers[row].depth:
+                self.planes[row][start:stop] = dequantise(plane, quantisers[row])
+
+    def decode_attributes(self, block: int, start: int, stop: int) -> None:
+        """Fill everything else of a block."""
+        streams = [self.channels[row].stream for row in self.varying]
+        groups = [
+            (streams.count(stream), self.file.section(SectionId.of_stream(stream), block))
+            for stream in RANS_STREAMS
+            if stream in streams
+        ]
+        states = self.file.section(SectionId.STATES, block)
+        where = f"block {block}"
+        symbols = decode_symbols(states, groups, stop - start, self.tables, where, self.whole)
+        for plane, levels, row in zip(symbols, self.levels, self.varying, strict=True):
+            np.take(levels, plane, out=self.planes[row][start:stop], mode="clip")

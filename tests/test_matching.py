@@ -1,0 +1,58 @@
+"""Which of two scenes was decoded from the other, and which of their Gaussians are the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from scenes import random_scene
+
+from gs_codec.config import PROFILE_CHOICES, Config
+from gs_codec.errors import InvalidInput
+from gs_codec.files import compare_files, decode_file, encode_file, read_scene
+from gs_codec.io.ply import write_ply
+from gs_codec.matching import put_side_by_side
+
+
+@pytest.fixture(scope="module")
+def decoded(tmp_path_factory):
+    """A scene, each Gaussian with its number, and what it decodes to in each profile."""
+    folder = tmp_path_factory.mktemp("decoded")
+    scene = random_scene(1500, 1, seed=220)
+    write_ply(folder / "scene.ply", replace(scene, extra={"label": np.arange(1500, dtype="<i4")}))
+    for profile in PROFILE_CHOICES:
+        egs = folder / f"{profile}.egs"
+        encode_file(folder / "scene.ply", egs, Config(profile, extra="keep"))
+        decode_file(egs, folder / f"{profile}.ply")
+    return folder
+
+
+@pytest.mark.parametrize("swapped", [False, True], ids=["", "swapped"])
+@pytest.mark.parametrize(("first", "again"), [*product(PROFILE_CHOICES, repeat=2)])
+def test_a_decoded_scene_is_matched_with_its_own_encoding(decoded, tmp_path, first, again, swapped):
+    source, target = decoded / f"{first}.ply", tmp_path / "again.egs"
+    encode_file(source, target, Config(again, extra="keep"))
+    scenes = [read_scene(source, "keep"), read_scene(target)]
+    one, other, _ = put_side_by_side(*(scenes[::-1] if swapped else scenes))
+    np.testing.assert_array_equal(one.extra["label"], other.extra["label"])
+    assert compare_files(source, target).count == 1500
+
+
+def test_other_scenes_that_were_decoded_alike_are_not_matched(decoded, tmp_path):
+    write_ply(tmp_path / "other.ply", random_scene(1500, 1, seed=221))
+    encode_file(tmp_path / "other.ply", tmp_path / "other.egs", Config("paper-m"))
+    decode_file(tmp_path / "other.egs", tmp_path / "decoded.ply")
+    encode_file(tmp_path / "decoded.ply", tmp_path / "again.egs", Config("m"))
+    with pytest.raises(InvalidInput, match="neither scene was decoded from the other"):
+        compare_files(decoded / "paper-m.egs", tmp_path / "again.egs")
+
+
+@pytest.mark.parametrize(("first", "second"), [
+    ("l", "m"), ("m", "s"), ("l", "paper-l"), ("s", "lossless"), ("paper-l", "paper-s"),
+])  # fmt: skip
+def test_scenes_decoded_from_the_same_are_not_matched(decoded, first, second):
+    for pair in ((first, second), (second, first)):
+        with pytest.raises(InvalidInput, match="both scenes were reordered, differently"):
+            compare_files(*(decoded / f"{name}.egs" for name in pair))

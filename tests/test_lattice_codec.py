@@ -89,6 +89,9 @@ def assert_on_lattices(shaped: Shaped, data: bytes, ac_steps: float) -> None:
         group = {"o": "opacity", "s": "scaling", "r": "rotation"}[name[0]]
         steps = to_float(units[group] << quantiser.shifts[name].astype(np.int64))
         usual = np.abs(scales).max(axis=0, initial=0) <= LARGEST
+        if group == "rotation":
+            rounding = to_float(units["scaling"] << quantiser.shifts["scale_0"])
+            usual &= scales[0] - scales[2] > 0.5 * rounding
         error = np.abs(original.astype(np.float64) - values)
         assert np.all(error[usual] <= 0.5 * steps[usual] + 2.0**-20), name
     assert_in_cells(shaped, decoded, data)
@@ -144,6 +147,16 @@ def test_guided_edge_scene_is_on_its_lattices(name):
     guide = made_up_guide(seed=30)
     data, _ = encode_scene(EDGES[name], Config("m"), guide=guide)
     assert_on_lattices(Shaped.of(EDGES[name], "m", guide), data, 0.5001)
+
+
+def test_round_gaussians_have_no_rotation():
+    scene = random_scene(3000, 0, seed=5)
+    turned = replace(scene, log_scale=np.repeat(scene.log_scale[:1], 3, axis=0))
+    unturned = replace(turned, rot=np.eye(4, dtype=np.float32)[:, :1].repeat(3000, axis=1))
+    data, _ = encode_scene(turned, Config("m"))
+    assert data == encode_scene(unturned, Config("m"))[0]
+    assert_same(decode_scene(data), decode_scene(encode_scene(unturned, Config("m"))[0]))
+    assert not decode_scene(data).rot[1:].any()
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])

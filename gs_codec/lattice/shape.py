@@ -51,7 +51,10 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
 
 
 class ShapeQuantiser:
-    """The `Coder` of an encoder: rounds the attributes, and keeps levels and shifts."""
+    """The `Coder` of an encoder: rounds the attributes, and keeps levels and shifts.
+
+    Gaussians whose axes differ by less than rounding makes them differ are not turned.
+    """
 
     def __init__(
         self,
@@ -76,7 +79,9 @@ class ShapeQuantiser:
         if group == "opacity":
             values, centre = self.opacity, self.lattice.centres[0]
         elif group == "rotation":
-            values = self.vectors[int(name[-1]) - 1]
+            step = to_float(self.lattice.units["scaling"] << self.shifts["scale_0"])
+            is_round = self.scales[0] - self.scales[2] <= 0.5 * step
+            values = np.where(is_round, 0.0, self.vectors[int(name[-1]) - 1])
         elif name == "scale_0":
             values, centre = self.scales[0], self.lattice.centres[1]
         else:

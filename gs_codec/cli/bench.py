@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gs_codec.cli.encode import parse_depths
-from gs_codec.cli.output import print_table, print_text
+from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
@@ -54,6 +54,9 @@ def command(
     coders: Annotated[
         bool, typer.Option("--coders", help="Compare entropy coders too (torchac: a minute).")
     ] = False,
+    peers: Annotated[
+        bool, typer.Option("--peers", help="Measure spz and pcodec beside the profiles instead.")
+    ] = False,
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
@@ -73,6 +76,9 @@ def command(
         raise InvalidInput("--prepare needs --cameras, and --plot needs --prepare")
     if prepare:
         _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
+        return
+    if peers:
+        _measure_peers(scenes, configs, tile, repeats, (cameras, against_gt, width))
         return
     rows: dict[str, list[str]] = {}
     views = (cameras, against_gt, width)
@@ -127,6 +133,53 @@ def _load(path: Path, config: Config, tile: int | None) -> tuple[str, Scene]:
     scene = read_ply(path, config.extra)
     name = path.stem if path.stem != "point_cloud" else path.parent.name
     return name, tile_scene(scene, tile) if tile else scene
+
+
+def _measure_peers(
+    scenes: list[Path],
+    configs: list[Config],
+    tile: int | None,
+    repeats: int,
+    views: tuple[str | None, Path | None, int | None],
+) -> None:
+    from gs_codec.bench.beside import measure_beside
+    from gs_codec.bench.measure import machine
+    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.preparation.steps import Steps
+    from gs_codec.rendering.cameras import find_cameras
+
+    print_text(json_module.dumps(machine()))
+    source, truth, width = views
+    lines = []
+    for path in scenes:
+        name, scene = _load(path, configs[0], tile)
+        cameras = find_cameras(source, scene, "held-out", width) if source else []
+        plan = Plan(Steps(), source, width=width) if source else None
+        for line in measure_beside(scene, name, configs, repeats, cameras, truth, plan):
+            print_text(json_module.dumps(line))
+            lines.append(line)
+    columns = ["scene, codec", *(_COLUMNS[i] for i in (1, 2, 4, 5, 7, 8))]
+    present = [line for line in lines if "absent" not in line]
+    print_table(columns, [_peer_row(line) for line in present], sys.stderr)
+    for reason in sorted({line["absent"] for line in lines if "absent" in line}):
+        print_status(reason)
+
+
+def _decibels(quality: dict[str, float | None]) -> str:
+    psnr = quality["psnr"]
+    return "equal" if psnr is None else f"{psnr:.2f}"
+
+
+def _peer_row(line: dict[str, Any]) -> list[str]:
+    return [
+        f"{line['scene']}, {line['codec']}",
+        f"{line['ratio']:.2f}",
+        f"{line['bits_per_gaussian']:.1f}",
+        f"{line['encode_seconds']['median']:.3f}",
+        f"{line['decode_seconds']['median']:.3f}",
+        _decibels(line["mean"]) if "mean" in line else "",
+        f"{line['delta']['psnr']:+.3f}" if "delta" in line else "",
+    ]
 
 
 def _measure_preparation(
@@ -188,10 +241,10 @@ def _add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
         label = f"{name}, by views"
         size = [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}", ""]
         loss = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
-        quality = [f"{line['mean']['psnr']:.2f}", loss, ""]
+        quality = [_decibels(line["mean"]), loss, ""]
         rows[label] = [label, *size, f"{line['encode_seconds']:.1f}", "", "", *quality]
     elif kind == "rendered":
-        rows[name][7] = f"{line['mean']['psnr']:.2f}"
+        rows[name][7] = _decibels(line["mean"])
         rows[name][8] = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
     elif kind == "render":
         label = f"{line['scene']}, views of {line['width']}x{line['height']}"

@@ -19,7 +19,7 @@ from gs_codec.codec.lattice_symbols import (
     dc_pass,
     shape_passes,
 )
-from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.config import Config
 from gs_codec.container.carried import carried_sections
 from gs_codec.container.file import (
     Header,
@@ -64,7 +64,7 @@ def encode_lattice(
     progress: Progress | None = None,
 ) -> tuple[bytes, EncodeReport]:
     """Encode a scene without values that are not finite; see `encode_scene`."""
-    profile = LATTICE_PROFILES[config.profile]
+    profile = config.resolved_lattice()
     times = StageTimes()
     guidance = None
     if guide is not None and scene.count:

@@ -91,6 +91,9 @@ class Config:
         Most Gaussians in an independently decodable block, 1024-65536. Default 65536.
     keep_order : bool
         With ``lossless``, keep the order of the Gaussians too, at some cost. Default False.
+    coarseness : float
+        With ``l``, ``m``, ``s``, what all steps are multiplied by (their rate control), 1/64-64.
+        Default 1.
 
     Raises
     ------
@@ -105,6 +108,7 @@ class Config:
     threads: int | None = None
     block_size: int = 1 << 16
     keep_order: bool = False
+    coarseness: float = 1.0
 
     def __post_init__(self) -> None:
         _check_choice("profile", self.profile, PROFILE_CHOICES)
@@ -117,6 +121,11 @@ class Config:
         elif self.depths:
             known = ", ".join(PROFILES)
             raise InvalidInput(f"depths: profile '{self.profile}' has none, {known} do")
+        if not 1 / 64 <= self.coarseness <= 64:
+            raise InvalidInput(f"coarseness {self.coarseness}: expected 1/64 to 64")
+        if self.coarseness != 1 and self.profile not in LATTICE_PROFILES:
+            known = ", ".join(LATTICE_PROFILES)
+            raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
 
@@ -134,6 +143,15 @@ class Config:
                 _check_range(f"depth of {group}", bits, 1, MAX_DEPTH[member])
                 depths[member] = bits
         return depths
+
+    def resolved_lattice(self) -> LatticeProfile:
+        """The numbers of profile ``l``, ``m`` or ``s``, its coarseness applied."""
+        if self.profile not in LATTICE_PROFILES:
+            raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
+        profile, factor = LATTICE_PROFILES[self.profile], self.coarseness
+        return LatticeProfile(
+            profile.error * factor**2, profile.compaction * factor**2, profile.fineness * factor
+        )
 
 
 def check_threads(threads: int | None) -> None:

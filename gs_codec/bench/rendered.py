@@ -37,20 +37,29 @@ def measure_quality(
     guide = guide_of(scene, plan, config) if plan is not None else None
     data, _ = encode_scene(scene, config, guide=guide)
     seconds = time.perf_counter() - start
-    comparison = compare_views(scene, decode_scene(data), cameras, truth, device="cpu")
-    mean = comparison.mean
-    result: dict[str, Any] = {
+    return {
         "kind": "rendered",
         "scene": name,
         "profile": config.profile,
         "by_views": plan is not None,
         "encode_seconds": seconds,
         "gaussians": scene.count,
-        "views": len(comparison.views),
         "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
         "ratio": vertex_rows(scene).nbytes / len(data),
-        "mean": asdict(mean.between),
-        "worst_psnr": comparison.worst.between.psnr,
+        **rendered_quality(scene, decode_scene(data), cameras, truth),
+    }
+
+
+def rendered_quality(
+    scene: Scene, decoded: Scene, cameras: Sequence[Camera], truth: Path | None
+) -> dict[str, Any]:
+    """What a result line says of the decoded scene's views; PSNR of equal ones is None."""
+    comparison = compare_views(scene, decoded, cameras, truth, device="cpu")
+    mean = comparison.mean
+    result: dict[str, Any] = {
+        "views": len(comparison.views),
+        "mean": mean.between.as_dict(),
+        "worst_psnr": comparison.worst.between.as_dict()["psnr"],
     }
     if mean.first and mean.delta:
         result |= {"truth": asdict(mean.first), "delta": asdict(mean.delta)}

@@ -11,8 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gs_codec.cli.bench_tables import (
+    COLUMNS,
+    GAIN_COLUMNS,
+    PEER_COLUMNS,
+    PREPARATION_COLUMNS,
+    add_to_rows,
+    gain_row,
+    peer_row,
+    preparation_row,
+)
 from gs_codec.cli.encode import parse_depths
-from gs_codec.cli.output import print_table, print_text
+from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.cli.threads import Threads
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, PROFILES, Config
@@ -20,12 +30,6 @@ from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
     from gs_codec.scene import Scene
-
-#: Lines of the readable table: header, and the place of its figure in a result.
-_COLUMNS = [
-    "scene, profile", "ratio", "bits/G", "over entropy", "encode s", "decode s", "peak MB",
-    "PSNR dB", "delta-PSNR", "s/view",
-]  # fmt: skip
 
 
 def command(
@@ -53,6 +57,13 @@ def command(
     coders: Annotated[
         bool, typer.Option("--coders", help="Compare entropy coders too (torchac: a minute).")
     ] = False,
+    peers: Annotated[
+        bool, typer.Option("--peers", help="Measure spz and pcodec beside the profiles instead.")
+    ] = False,
+    gains: Annotated[
+        bool,
+        typer.Option("--gains", help="Measure l, m, s over paper-* at equal quality instead."),
+    ] = False,
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
@@ -73,12 +84,20 @@ def command(
     if prepare:
         _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
         return
+    if gains and (not cameras or profile or depth):
+        raise InvalidInput("--gains needs --cameras, and takes no --profile and no --depth")
+    if gains:
+        _measure_gains(scenes, configs[0], tile, (cameras, against_gt, width))
+        return
+    if peers:
+        _measure_peers(scenes, configs, tile, repeats, (cameras, against_gt, width))
+        return
     rows: dict[str, list[str]] = {}
     views = (cameras, against_gt, width)
     for line in _measure(scenes, configs, tile, repeats, coders, threads, views):
         print_text(json_module.dumps(line))
-        _add_to_rows(rows, line)
-    print_table(_COLUMNS, list(rows.values()), sys.stderr)
+        add_to_rows(rows, line)
+    print_table(COLUMNS, list(rows.values()), sys.stderr)
 
 
 def _measure(
@@ -128,6 +147,55 @@ def _load(path: Path, config: Config, tile: int | None) -> tuple[str, Scene]:
     return name, tile_scene(scene, tile) if tile else scene
 
 
+def _measure_peers(
+    scenes: list[Path],
+    configs: list[Config],
+    tile: int | None,
+    repeats: int,
+    views: tuple[str | None, Path | None, int | None],
+) -> None:
+    from gs_codec.bench.beside import measure_beside
+    from gs_codec.bench.held_out import held_out_views
+    from gs_codec.bench.measure import machine
+
+    print_text(json_module.dumps(machine()))
+    source, truth, width = views
+    lines = []
+    for path in scenes:
+        name, scene = _load(path, configs[0], tile)
+        cameras, plan = held_out_views(source, scene, width) if source else ([], None)
+        for line in measure_beside(scene, name, configs, repeats, cameras, truth, plan):
+            print_text(json_module.dumps(line))
+            lines.append(line)
+    rows = [peer_row(line) for line in lines if "absent" not in line]
+    print_table(PEER_COLUMNS, rows, sys.stderr)
+    for reason in sorted({line["absent"] for line in lines if "absent" in line}):
+        print_status(reason)
+
+
+def _measure_gains(
+    scenes: list[Path],
+    config: Config,
+    tile: int | None,
+    views: tuple[str | None, Path | None, int | None],
+) -> None:
+    from gs_codec.bench.gains import measure_gains
+    from gs_codec.bench.held_out import held_out_views
+    from gs_codec.bench.measure import machine
+
+    print_text(json_module.dumps(machine()))
+    source, truth, width = views
+    rows = []
+    for path in scenes:
+        name, scene = _load(path, config, tile)
+        cameras, plan = held_out_views(source or "auto", scene, width)
+        for line in measure_gains(scene, name, cameras, truth, config, plan):
+            print_text(json_module.dumps(line))
+            if line["kind"] != "point":
+                rows.append(gain_row(line))
+    print_table(GAIN_COLUMNS, rows, sys.stderr)
+
+
 def _measure_preparation(
     scenes: list[Path],
     configs: list[Config],
@@ -154,52 +222,4 @@ def _measure_preparation(
             lines.append(line)
     if plot is not None:
         plot_frontier([line for line in lines if line["kind"] == "frontier"], plot)
-    columns = ["scene", "rule or profile", "pruned %", "SH strength", "ratio", "delta-PSNR"]
-    print_table(columns, [_preparation_row(line) for line in lines], sys.stderr)
-
-
-def _preparation_row(line: dict[str, Any]) -> list[str]:
-    loss = line["delta"]["psnr"]
-    shown = "" if loss is None else f"{loss:+.3f}"
-    if line["kind"] == "pruning":
-        return [line["scene"], line["rule"], str(line["percent"]), "", "", shown]
-    size = [str(line["percent"]), f"{line['strength']:g}", f"{line['ratio']:.2f}"]
-    return [line["scene"], line["profile"], *size, shown]
-
-
-def _add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
-    """Put a result into the readable table."""
-    kind, name = line["kind"], f"{line.get('scene')}, {line.get('profile')}"
-    if kind == "codec":
-        over = line["entropy"].get("total", {}).get("coded_overhead_percent", 0.0)
-        rows[name] = [
-            name,
-            f"{line['ratio']:.2f}",
-            f"{line['bits_per_gaussian']:.1f}",
-            f"{over:.3f} %",
-            f"{line['encode_seconds']['median']:.3f}",
-            f"{line['decode_seconds']['median']:.3f}",
-            *[""] * 4,
-        ]
-    elif kind == "memory":
-        rows[name][6] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
-    elif kind == "rendered" and line["by_views"]:
-        label = f"{name}, by views"
-        size = [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}", ""]
-        loss = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
-        quality = [f"{line['mean']['psnr']:.2f}", loss, ""]
-        rows[label] = [label, *size, f"{line['encode_seconds']:.1f}", "", "", *quality]
-    elif kind == "rendered":
-        rows[name][7] = f"{line['mean']['psnr']:.2f}"
-        rows[name][8] = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
-    elif kind == "render":
-        label = f"{line['scene']}, views of {line['width']}x{line['height']}"
-        rows[label] = [label, *[""] * 8, f"{line['seconds']['median']:.3f}"]
-    elif kind == "coder" and "absent" not in line:
-        over = f"{line['overhead_percent']:.3f} %"
-        times = [f"{line[f'{way}_seconds']:.3f}" for way in ("encode", "decode")]
-        label = f"{name}, {line['coder']}"
-        rows[label] = [label, "", "", over, *times, *[""] * 4]
-    elif kind == "paper":
-        label = f"the paper, {line['device']}"
-        rows[label] = [label, "", "", "", str(line["encode"]), str(line["decode"]), *[""] * 4]
+    print_table(PREPARATION_COLUMNS, [preparation_row(line) for line in lines], sys.stderr)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
 from gs_codec.codec.lattice_blocks import Block, ShapedBlock, colour_block, shape_block
-from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.config import Config
 from gs_codec.container.carried import carried_sections
 from gs_codec.container.file import (
     Header,
@@ -109,7 +109,7 @@ def model_lattice(
     size = even_block_size(scene.count, config.block_size)
     header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
     with times.stage("order"):
-        profile = LATTICE_PROFILES[config.profile]
+        profile = config.resolved_lattice()
         arranged = arrange_scene(scene, profile, guidance, config.threads)
     arranged, blocks = _quantise(header, arranged, guidance, config.threads, times, progress)
     listed = passes(len(scene.f_rest) // 3)

@@ -1,0 +1,125 @@
+"""Codecs beside each other: sizes, times taken in turn, and rendered views."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gs_codec import __version__
+from gs_codec.bench.measure import spread
+from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
+from gs_codec.bench.rendered import rendered_quality
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.files import guide_of
+from gs_codec.io.ply import read_ply, vertex_rows, write_ply
+from gs_codec.preparation.pipeline import Plan
+from gs_codec.rendering.camera import Camera
+from gs_codec.scene import Scene
+
+
+def measure_beside(
+    scene: Scene,
+    name: str,
+    configs: Sequence[Config],
+    repeats: int,
+    cameras: Sequence[Camera] = (),
+    truth: Path | None = None,
+    plan: Plan | None = None,
+) -> Iterator[dict[str, Any]]:
+    """A result line for each of our configurations and each peer.
+
+    All begin with the same (cached) PLY, read by the same reader, and end with its floats in
+    memory. In each of the `repeats` after the first, which compiles, every codec has its turn;
+    with a `plan`, profiles that can go by its views do that too, once.
+    """
+    present = [_profile(config) for config in configs]
+    if plan is not None:
+        present += [_by_views(c, plan) for c in configs if c.profile in LATTICE_PROFILES]
+    with tempfile.TemporaryDirectory() as folder:
+        ply = Path(folder) / "scene.ply"
+        write_ply(ply, scene)
+        found = find_peers(configs[0].extra, configs[0].threads)
+        present += [peer for peer in found if isinstance(peer, Peer)]
+        for peer, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
+            line = _line(scene, name, peer, turns, ply.stat().st_size)
+            if cameras:
+                decoded = peer.scene(peer.decode(turns.data))
+                line |= rendered_quality(scene, decoded, cameras, truth)
+            yield line
+    for other in found:
+        if isinstance(other, AbsentPeer):
+            yield {"kind": "beside", "scene": name, "codec": other.name, "absent": other.absent}
+
+
+@dataclass
+class _Turns:
+    """What a codec made of a scene, and the seconds of each of its turns."""
+
+    data: bytes = b""
+    encode: list[float] = field(default_factory=list)
+    decode: list[float] = field(default_factory=list)
+
+
+def _profile(config: Config) -> Peer:
+    """One of our profiles, called as the others are."""
+
+    def encode(ply: Path) -> bytes:
+        return encode_scene(read_ply(ply, config.extra), config)[0]
+
+    def decode(data: bytes) -> Scene:
+        scene = decode_scene(data, config.threads)
+        vertex_rows(scene)
+        return scene
+
+    return Peer(config.profile, __version__, encode, decode, lambda scene: scene)
+
+
+def _by_views(config: Config, plan: Plan) -> Peer:
+    """One of our profiles that goes by the views of a plan."""
+
+    def encode(ply: Path) -> bytes:
+        scene = read_ply(ply, config.extra)
+        return encode_scene(scene, config, guide=guide_of(scene, plan, config))[0]
+
+    blind = _profile(config)
+    name = f"{config.profile}, by views"
+    return Peer(name, __version__, encode, blind.decode, blind.scene, once=True)
+
+
+def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[_Turns]:
+    all_turns = [_Turns() for _ in peers]
+    for turn in range(repeats + 1):
+        for peer, turns in zip(peers, all_turns, strict=True):
+            if peer.once and turn != 1:
+                continue
+            start = time.perf_counter()
+            turns.data = peer.encode(ply)
+            encoded = time.perf_counter()
+            peer.decode(turns.data)
+            end = time.perf_counter()
+            if turn:
+                turns.encode.append(encoded - start)
+                turns.decode.append(end - encoded)
+    return all_turns
+
+
+def _line(scene: Scene, name: str, peer: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
+    size = len(turns.data)
+    return {
+        "kind": "beside",
+        "scene": name,
+        "codec": peer.name,
+        "version": peer.version,
+        "gaussians": scene.count,
+        "ply_bytes": ply_bytes,
+        "file_bytes": size,
+        "ratio": ply_bytes / size,
+        "bits_per_gaussian": 8 * size / max(scene.count, 1),
+        "encode_seconds": spread(turns.encode),
+        "decode_seconds": spread(turns.decode),
+    }

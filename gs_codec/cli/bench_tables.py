@@ -1,0 +1,99 @@
+"""Rows of the readable tables of ``gs-codec bench``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+#: Lines of the readable table: header, and the place of its figure in a result.
+COLUMNS = [
+    "scene, profile", "ratio", "bits/G", "over entropy", "encode s", "decode s", "peak MB",
+    "PSNR dB", "delta-PSNR", "s/view",
+]  # fmt: skip
+
+#: Those of the other modes.
+PREPARATION_COLUMNS = [
+    "scene", "rule or profile", "pruned %", "SH strength", "ratio", "delta-PSNR",
+]  # fmt: skip
+PEER_COLUMNS = ["scene, codec", *(COLUMNS[i] for i in (1, 2, 4, 5, 7, 8))]
+GAIN_COLUMNS = ["scene, steps", "at", "PSNR dB", "paper bits/G", "bits/G", "saved"]
+
+
+def _decibels(quality: dict[str, float | None]) -> str:
+    psnr = quality["psnr"]
+    return "equal" if psnr is None else f"{psnr:.2f}"
+
+
+def peer_row(line: dict[str, Any]) -> list[str]:
+    """A row of a codec that is there."""
+    return [
+        f"{line['scene']}, {line['codec']}",
+        f"{line['ratio']:.2f}",
+        f"{line['bits_per_gaussian']:.1f}",
+        f"{line['encode_seconds']['median']:.3f}",
+        f"{line['decode_seconds']['median']:.3f}",
+        _decibels(line["mean"]) if "mean" in line else "",
+        f"{line['delta']['psnr']:+.3f}" if "delta" in line else "",
+    ]
+
+
+def preparation_row(line: dict[str, Any]) -> list[str]:
+    """A row of a pruning rule, or of a point of the frontier."""
+    loss = line["delta"]["psnr"]
+    shown = "" if loss is None else f"{loss:+.3f}"
+    if line["kind"] == "pruning":
+        return [line["scene"], line["rule"], str(line["percent"]), "", "", shown]
+    size = [str(line["percent"]), f"{line['strength']:g}", f"{line['ratio']:.2f}"]
+    return [line["scene"], line["profile"], *size, shown]
+
+
+def add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
+    """Put a result into the readable table."""
+    kind, name = line["kind"], f"{line.get('scene')}, {line.get('profile')}"
+    if kind == "codec":
+        over = line["entropy"].get("total", {}).get("coded_overhead_percent", 0.0)
+        rows[name] = [
+            name,
+            f"{line['ratio']:.2f}",
+            f"{line['bits_per_gaussian']:.1f}",
+            f"{over:.3f} %",
+            f"{line['encode_seconds']['median']:.3f}",
+            f"{line['decode_seconds']['median']:.3f}",
+            *[""] * 4,
+        ]
+    elif kind == "memory":
+        rows[name][6] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
+    elif kind == "rendered" and line["by_views"]:
+        label = f"{name}, by views"
+        size = [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}", ""]
+        loss = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
+        quality = [_decibels(line["mean"]), loss, ""]
+        rows[label] = [label, *size, f"{line['encode_seconds']:.1f}", "", "", *quality]
+    elif kind == "rendered":
+        rows[name][7] = _decibels(line["mean"])
+        rows[name][8] = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
+    elif kind == "render":
+        label = f"{line['scene']}, views of {line['width']}x{line['height']}"
+        rows[label] = [label, *[""] * 8, f"{line['seconds']['median']:.3f}"]
+    elif kind == "coder" and "absent" not in line:
+        over = f"{line['overhead_percent']:.3f} %"
+        times = [f"{line[f'{way}_seconds']:.3f}" for way in ("encode", "decode")]
+        label = f"{name}, {line['coder']}"
+        rows[label] = [label, "", "", over, *times, *[""] * 4]
+    elif kind == "paper":
+        label = f"the paper, {line['device']}"
+        rows[label] = [label, "", "", "", str(line["encode"]), str(line["decode"]), *[""] * 4]
+
+
+def gain_row(line: dict[str, Any]) -> list[str]:
+    """A row of what is saved at equal quality: at a profile, or over all that curves share."""
+    label = f"{line['scene']}, {line['curve']}"
+    if line["kind"] == "bd-rate":
+        if line["percent"] is None:
+            return [label, "BD-rate", "", "", "", "out of range"]
+        low, high = line["range"]
+        return [label, "BD-rate", f"{low:.1f}-{high:.1f}", "", "", f"{-line['percent']:.1f} %"]
+    bits = [line["paper_bits_per_gaussian"], line["bits_per_gaussian"]]
+    shown = ["" if value is None else f"{value:.1f}" for value in bits]
+    saving = line["saving_percent"]
+    saved = "out of range" if saving is None else f"{saving:.1f} %"
+    return [label, line["at"], f"{line['psnr']:.2f}", *shown, saved]

@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from gs_codec.bench import prepared
 from gs_codec.bench.tile import tile_scene
 from gs_codec.cli.main import app
+from gs_codec.codec import encode_scene
+from gs_codec.config import Config
 from gs_codec.entropy import torchac_coder
 from gs_codec.errors import InvalidInput
 from gs_codec.io.ply import write_ply
@@ -179,3 +181,35 @@ def test_preparation_needs_cameras():
         result = CliRunner().invoke(app, ["bench", "scene.ply", *options])
         assert isinstance(result.exception, InvalidInput)
         assert "--prepare needs --cameras" in str(result.exception)
+
+
+def test_parts_save_bits_and_are_put_back(tmp_path):
+    path = tmp_path / "scene.ply"
+    scene = random_scene(3000, 1, seed=71)
+    write_ply(path, scene)
+    before = encode_scene(scene, Config("m"))[0]
+    options = ["--parts", "--cameras", "auto", "--width", "48"]
+    result = CliRunner().invoke(app, ["bench", str(path), *options])
+    assert result.exit_code == 0, result.output
+    lines = [json.loads(line) for line in result.stdout.splitlines()][1:]
+    assert {line["kind"] for line in lines} == {"part"}
+    for by_views in (False, True):
+        found = {line["without"]: line for line in lines if line["by_views"] == by_views}
+        whole = found["nothing"]
+        assert whole["saved_bits"] == 0
+        assert found["steps as fine"]["bits_per_gaussian"] < whole["bits_per_gaussian"]
+        assert found["steps as fine"]["psnr"] < whole["psnr"]
+        merged = found["contexts of SH-AC by energy"]
+        assert merged["psnr"] == whole["psnr"]
+        assert merged["saved_bits"] > 0
+        assert found["coarse positions where less is seen"]["psnr"] > whole["psnr"]
+        changed = [line for line in found.values() if line != whole | {"without": line["without"]}]
+        assert len(changed) == len(found) - 1, "every part makes a difference"
+    assert encode_scene(scene, Config("m"))[0] == before
+
+
+@pytest.mark.parametrize("options", [[], ["--cameras", "auto", "-p", "paper-m"]])
+def test_parts_need_cameras_and_a_profile_that_has_them(options, tmp_path):
+    result = CliRunner().invoke(app, ["bench", str(tmp_path / "x.ply"), "--parts", *options])
+    assert isinstance(result.exception, InvalidInput)
+    assert "--parts needs" in str(result.exception)

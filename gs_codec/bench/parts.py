@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.guidance import Guidance
-from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.config import Config
+from gs_codec.files import guide_of
 from gs_codec.lattice.fit import features
 from gs_codec.lattice.fixed import to_float
 from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS, ENERGIES
 from gs_codec.metrics.views import compare_views
 from gs_codec.model.contexts import ContextTables
+from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
@@ -43,12 +45,14 @@ Maker = Callable[[Any], Any]
 class Part:
     """A part, and what makes the stand-ins for functions of the codec, by their place.
 
-    What is not ``decodable`` costs bits alone: decoded values would be the same.
+    What is not ``decodable`` costs bits alone: decoded values would be the same. Steps are
+    multiplied by ``coarseness``.
     """
 
     name: str
     instead: Mapping[str, Maker] = field(default_factory=dict)
     decodable: bool = True
+    coarseness: float = 1.0
 
 
 def measure_parts(
@@ -56,14 +60,17 @@ def measure_parts(
     name: str,
     cameras: Sequence[Camera],
     config: Config,
-    guide: Callable[[Scene], Guidance] | None = None,
+    plan: Plan | None = None,
 ) -> Iterator[dict[str, Any]]:
     """A result line for the whole codec, one for coarser steps, and one without each part.
+
+    With a `plan`, the scene is encoded by its views.
 
     ``saved_bits`` are the bits of a Gaussian that the part saves at equal PSNR of the decoded
     scene's views against the scene's own; what coarser steps save, and lose, tells what a
     decibel costs.
     """
+    guide = guide_of(scene, plan, config) if plan is not None else None
     seen: list[Guidance] = []
 
     def guide_once(clean: Scene) -> Guidance:
@@ -71,10 +78,10 @@ def measure_parts(
             seen.append(guide(clean))  # type: ignore[misc]
         return seen[0]
 
-    parts = _parts(scene, config, by_views=guide is not None)
     points: list[tuple[float, float]] = []
-    for part in parts:
-        points.append(_measure(scene, cameras, config, part, guide_once if guide else None))
+    for part in _parts(scene, by_views=guide is not None):
+        changed = replace(config, coarseness=config.coarseness * part.coarseness)
+        points.append(_measure(scene, cameras, changed, part, guide_once if guide else None))
         (whole, best), (coarse, worse) = points[0], points[min(1, len(points) - 1)]
         decibel = (whole - coarse) / (best - worse) if best > worse else 0.0
         bits, psnr = points[-1]
@@ -111,15 +118,10 @@ def _measure(
     return bits, compare_views(scene, decoded, cameras, device="cpu").mean.between.psnr
 
 
-def _parts(scene: Scene, config: Config, by_views: bool) -> list[Part]:
-    profile = LATTICE_PROFILES[config.profile]
-    coarse = replace(
-        profile, error=profile.error * _COARSER**2, fineness=profile.fineness * _COARSER
-    )
-    profiles = {**LATTICE_PROFILES, config.profile: coarse}
+def _parts(scene: Scene, by_views: bool) -> list[Part]:
     return [
         Part("nothing"),
-        Part("steps as fine", {f"{_ENCODER}.LATTICE_PROFILES": lambda _: profiles}),
+        Part("steps as fine", coarseness=_COARSER),
         *(_guided_parts() if by_views else _blind_parts(scene)),
         Part("contexts of SH-AC by energy", {f"{_ENCODER}.share_tables": _without_energies}),
         Part("contexts of all else", {f"{_ENCODER}.share_tables": _without_others}),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_module
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,10 +15,12 @@ import typer
 from gs_codec.cli.bench_tables import (
     COLUMNS,
     GAIN_COLUMNS,
+    PART_COLUMNS,
     PEER_COLUMNS,
     PREPARATION_COLUMNS,
     add_to_rows,
     gain_row,
+    part_row,
     peer_row,
     preparation_row,
 )
@@ -25,7 +28,7 @@ from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.cli.threads import Threads
 from gs_codec.cli.views import CAMERAS, Width
-from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, PROFILES, Config
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -64,6 +67,9 @@ def command(
         bool,
         typer.Option("--gains", help="Measure l, m, s over paper-* at equal quality instead."),
     ] = False,
+    parts: Annotated[
+        bool, typer.Option("--parts", help="Measure what each part of l, m, s saves instead.")
+    ] = False,
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
@@ -88,6 +94,12 @@ def command(
         raise InvalidInput("--gains needs --cameras, and takes no --profile and no --depth")
     if gains:
         _measure_gains(scenes, configs[0], tile, (cameras, against_gt, width))
+        return
+    if parts and (not cameras or not set(profile or ["m"]) <= set(LATTICE_PROFILES)):
+        raise InvalidInput("--parts needs --cameras, and profiles l, m or s; m when none is given")
+    if parts:
+        chosen = configs if profile else [replace(configs[0], profile="m")]
+        _measure_parts(scenes, chosen, tile, (cameras, against_gt, width))
         return
     if peers:
         _measure_peers(scenes, configs, tile, repeats, (cameras, against_gt, width))
@@ -124,7 +136,7 @@ def _measure(
         cameras = find_cameras(source, scene, "held-out", width) if source else []
         for config in configs:
             yield from measure_scene(scene, name, config, repeats)
-            if coders and config.profile in PROFILES:
+            if coders and config.profile != LOSSLESS:
                 yield from measure_coders(scene, name, config, repeats)
             if cameras:
                 yield measure_quality(scene, name, cameras, truth, config)
@@ -194,6 +206,30 @@ def _measure_gains(
             if line["kind"] != "point":
                 rows.append(gain_row(line))
     print_table(GAIN_COLUMNS, rows, sys.stderr)
+
+
+def _measure_parts(
+    scenes: list[Path],
+    configs: list[Config],
+    tile: int | None,
+    views: tuple[str | None, Path | None, int | None],
+) -> None:
+    from gs_codec.bench.held_out import held_out_views
+    from gs_codec.bench.measure import machine
+    from gs_codec.bench.parts import measure_parts
+
+    print_text(json_module.dumps(machine()))
+    source, _, width = views
+    rows = []
+    for path in scenes:
+        name, scene = _load(path, configs[0], tile)
+        cameras, plan = held_out_views(source or "auto", scene, width)
+        for config in configs:
+            for used in (None, plan):
+                for line in measure_parts(scene, name, cameras, config, used):
+                    print_text(json_module.dumps(line))
+                    rows.append(part_row(line))
+    print_table(PART_COLUMNS, rows, sys.stderr)
 
 
 def _measure_preparation(

@@ -15,6 +15,7 @@ PREPARATION_COLUMNS = [
     "scene", "rule or profile", "pruned %", "SH strength", "ratio", "delta-PSNR",
 ]  # fmt: skip
 PEER_COLUMNS = ["scene, codec", *(COLUMNS[i] for i in (1, 2, 4, 5, 7, 8))]
+PART_COLUMNS = ["scene, profile", "without", "bits/G", "PSNR dB", "saves bits/G at equal PSNR"]
 GAIN_COLUMNS = ["scene, steps", "at", "PSNR dB", "paper bits/G", "bits/G", "saved"]
 
 
@@ -97,3 +98,10 @@ def gain_row(line: dict[str, Any]) -> list[str]:
     saving = line["saving_percent"]
     saved = "out of range" if saving is None else f"{saving:.1f} %"
     return [label, line["at"], f"{line['psnr']:.2f}", *shown, saved]
+
+
+def part_row(line: dict[str, Any]) -> list[str]:
+    """A row of the codec without one of its parts."""
+    label = f"{line['scene']}, {line['profile']}" + (", by views" if line["by_views"] else "")
+    numbers = [line["bits_per_gaussian"], line["psnr"], line["saved_bits"]]
+    return [label, line["without"], *(f"{number:.2f}" for number in numbers)]

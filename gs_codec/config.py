@@ -54,13 +54,17 @@ class LatticeProfile:
     compaction: float
     fineness: float
 
+    def coarser(self, factor: float) -> LatticeProfile:
+        """The profile whose steps are `factor` times as large; errors go by their squares."""
+        square = factor**2
+        return LatticeProfile(self.error * square, self.compaction * square, self.fineness * factor)
 
+
+_M = LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063)
+
+#: Half, once and 2.25 times the steps of `m`.
 LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
-    {
-        "l": LatticeProfile(error=3e-6, compaction=3e-6, fineness=0.005),
-        "m": LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063),
-        "s": LatticeProfile(error=7e-5, compaction=4e-5, fineness=0.014),
-    }
+    {"l": _M.coarser(0.5), "m": _M, "s": _M.coarser(2.25)}
 )
 
 PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
@@ -148,10 +152,7 @@ class Config:
         """The numbers of profile ``l``, ``m`` or ``s``, its coarseness applied."""
         if self.profile not in LATTICE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
-        profile, factor = LATTICE_PROFILES[self.profile], self.coarseness
-        return LatticeProfile(
-            profile.error * factor**2, profile.compaction * factor**2, profile.fineness * factor
-        )
+        return LATTICE_PROFILES[self.profile].coarser(self.coarseness)
 
 
 def check_threads(threads: int | None) -> None:

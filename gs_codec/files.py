@@ -177,8 +177,7 @@ def guide_of(
     targets = (views or choose_views(scene, plan)).renders
     if plan.steps.optimise:
         targets = draw_targets(scene, targets.cameras, targets.background)
-    profile = config.resolved_lattice()
-    return lambda clean: guide(clean, targets, profile, config.threads, progress)
+    return lambda clean: guide(clean, targets, config.threads, progress)
 
 
 def _finish_report(

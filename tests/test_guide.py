@@ -83,11 +83,11 @@ def test_threads_do_not_change_the_bytes(scene, plan):
 
 def test_colours_make_up_for_what_shapes_lose(scene, plan):
     views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
-    found = guide(scene, views, LATTICE_PROFILES["m"])
+    found = guide(scene, views)
     rng = np.random.default_rng(7)
     noise = rng.normal(scale=0.2, size=scene.opacity.shape).astype(np.float32)
     worse = replace(scene, opacity=scene.opacity + noise)
-    mended = found.recolour(worse, np.full(scene.count, 1e-4, np.float32))
+    mended = found.recolour(worse, np.full(scene.count, 1e-4, np.float32), 1e-5)
     assert views.error(mended) < 0.8 * views.error(worse)
     for group in set(GROUPS) - {"f_dc", "f_rest"}:
         np.testing.assert_array_equal(getattr(mended, group), getattr(worse, group))
@@ -95,9 +95,9 @@ def test_colours_make_up_for_what_shapes_lose(scene, plan):
 
 def test_coarse_steps_leave_few_coefficients(scene, plan):
     views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
-    found = guide(scene, views, LATTICE_PROFILES["m"])
+    found = guide(scene, views)
     steps = np.where(np.arange(scene.count) % 2, 1e3, 1e-3).astype(np.float32)
-    coloured = found.recolour(scene, steps)
+    coloured = found.recolour(scene, steps, 1e-5)
     assert not coloured.f_rest[:, 1::2].any()
     assert coloured.f_rest[:, ::2].any()
 
@@ -105,12 +105,12 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
 def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
     whole = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
     pruned = scene.take(np.arange(scene.count) % 3 > 0)
-    assert guide(scene, whole, LATTICE_PROFILES["m"]).loss == 0.0
-    assert guide(pruned, whole, LATTICE_PROFILES["m"]).loss == pytest.approx(whole.error(pruned))
+    assert guide(scene, whole).loss == 0.0
+    assert guide(pruned, whole).loss == pytest.approx(whole.error(pruned))
 
     def opacity_bytes(targets: Targets) -> int:
-        found = guide(pruned, targets, LATTICE_PROFILES["m"])
-        unchanged = replace(found, recolour=lambda decoded, steps: decoded)
+        found = guide(pruned, targets)
+        unchanged = replace(found, recolour=lambda decoded, *_: decoded)
         return encode_scene(pruned, Config("m"), guide=lambda _: unchanged)[1].section_bytes[
             "opacity"
         ]

@@ -218,7 +218,7 @@ def test_a_guide_is_asked_once_and_its_colours_are_coded():
     scene, calls = random_scene(300, 2, seed=34), []
     even = made_up_guide(seed=34)
 
-    def recolour(decoded: Scene, steps: np.ndarray) -> Scene:
+    def recolour(decoded: Scene, steps: np.ndarray, compaction: float) -> Scene:
         calls.append(decoded)
         assert steps.shape == (300,)
         assert steps.dtype == np.float32

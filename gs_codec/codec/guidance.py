@@ -24,12 +24,13 @@ class Guidance:
     pixels : int
         Of all views together.
     recolour : callable
-        ``recolour(scene, steps) -> Scene``: given the scene as it decodes but for its SH, which
-        are the original's, and the steps ``(N,)`` its SH will be quantised at, a scene with SH
-        that make up for what its shape has lost.
+        ``recolour(scene, steps, compaction) -> Scene``: given the scene as it decodes but for its
+        SH, which are the original's, the steps ``(N,)`` its SH will be quantised at, and the
+        profile's strength of SH compaction, a scene with SH that make up for what its shape has
+        lost.
     """
 
     sensitivity: Sensitivity
     loss: float
     pixels: int
-    recolour: Callable[[Scene, NDArray[np.float32]], Scene]
+    recolour: Callable[[Scene, NDArray[np.float32], float], Scene]

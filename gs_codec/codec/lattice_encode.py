@@ -32,7 +32,7 @@ from gs_codec.lattice.tokens import ALPHABET
 from gs_codec.model.contexts import ContextTables, share_tables
 from gs_codec.model.table import shannon_bits
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, gather
 from gs_codec.transform.axes import quaternions
 from gs_codec.workers import run_all
 
@@ -109,9 +109,8 @@ def model_lattice(
     size = even_block_size(scene.count, config.block_size)
     header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
     with times.stage("order"):
-        profile = config.resolved_lattice()
-        arranged = arrange_scene(scene, profile, guidance, config.threads)
-    arranged, blocks = _quantise(header, arranged, guidance, config.threads, times, progress)
+        arranged = arrange_scene(scene, config.resolved_lattice(), guidance, config.threads)
+    arranged, blocks = _quantise(header, arranged, guidance, config, times, progress)
     listed = passes(len(scene.f_rest) // 3)
     with times.stage("model"):
         models, costs = _models(listed, blocks, config.threads)
@@ -122,11 +121,12 @@ def _quantise(
     header: Header,
     arranged: Arranged,
     guidance: Guidance | None,
-    threads: int | None,
+    config: Config,
     times: StageTimes,
     progress: Progress | None,
 ) -> tuple[Arranged, list[Block]]:
     """Blocks on their lattices; with guidance, of the scene that this recolours on the way."""
+    threads = config.threads
     ranges = [header.block_range(block) for block in range(header.block_count)]
     advance = step_counter(progress, "quantise", len(ranges))
     if guidance is None:
@@ -139,20 +139,23 @@ def _quantise(
     with times.stage("quantise"):
         shaped = run_all(lambda span: shape_block(arranged, *span), ranges, threads)
     with times.stage("recolour"):
-        coloured = _recolour(arranged, shaped, guidance)
+        strength = config.resolved_lattice().compaction
+        coloured = _recolour(arranged, shaped, guidance, strength)
     with times.stage("quantise"):
         return coloured, run_all(
             lambda block: colour_block(coloured, block, diffusing=False), shaped, threads, advance
         )
 
 
-def _recolour(arranged: Arranged, blocks: list[ShapedBlock], guidance: Guidance) -> Arranged:
+def _recolour(
+    arranged: Arranged, blocks: list[ShapedBlock], guidance: Guidance, compaction: float
+) -> Arranged:
     """Let views choose colours that make up for what shapes have lost."""
-    lattice = arranged.lattice
+    source, order, lattice = arranged.source, arranged.order, arranged.lattice
     shapes = [block.shape for block in blocks]
     places = np.concatenate([block.places for block in blocks], axis=1)
     decoded = replace(
-        arranged.source.take(arranged.order),
+        source.take(order),
         positions=from_grid(places, np.array(lattice.grid.origin), lattice.grid.step),
         opacity=np.float32(to_float(np.concatenate([s.opacity for s in shapes])))[None],
         log_scale=np.float32(to_float(np.concatenate([s.scales for s in shapes], axis=1))),
@@ -160,8 +163,11 @@ def _recolour(arranged: Arranged, blocks: list[ShapedBlock], guidance: Guidance)
     )
     shifts = np.concatenate([block.shifts for block in blocks])
     steps = to_float(lattice.units["sh1"] << shifts).astype(np.float32)
-    coloured = guidance.recolour(decoded, steps)
-    return replace(arranged, source=coloured, order=np.arange(coloured.count, dtype=np.uint32))
+    coloured = guidance.recolour(decoded, steps, compaction)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order), dtype=order.dtype)
+    f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)
+    return replace(arranged, source=replace(source, f_dc=f_dc, f_rest=f_rest))
 
 
 def _models(

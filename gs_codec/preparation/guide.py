@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codec.guidance import Guidance
-from gs_codec.config import LatticeProfile
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sensitivity import sensitivity
@@ -21,22 +20,21 @@ _REFIT = 10
 def guide(
     scene: Scene,
     views: Targets,
-    profile: LatticeProfile,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Guidance:
-    """What views say of a scene to be encoded with a profile.
+    """What views say of a scene to be encoded.
 
     Colours are compacted and refitted to the views' images once shapes are rounded.
     """
     cameras, background = views.cameras, views.background
     found = sensitivity(scene, cameras, background, threads=threads, progress=progress)
 
-    def recolour(decoded: Scene, steps: NDArray[np.float32]) -> Scene:
+    def recolour(decoded: Scene, steps: NDArray[np.float32], compaction: float) -> Scene:
         compact, _ = compact_sh(
             decoded,
             cameras,
-            profile.compaction,
+            compaction,
             smallest=0.5 * steps,
             threads=threads,
             progress=progress,

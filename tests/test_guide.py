@@ -97,9 +97,24 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
     views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
     found = guide(scene, views)
     steps = np.where(np.arange(scene.count) % 2, 1e3, 1e-3).astype(np.float32)
-    coloured = found.recolour(scene, steps, 1e-5)
+    coloured = found.recolour(scene, steps, 1.0)
     assert not coloured.f_rest[:, 1::2].any()
     assert coloured.f_rest[:, ::2].any()
+
+
+@pytest.mark.parametrize(("strength", "compacted"), [(1e-9, False), (1e-2, True)])
+def test_compaction_must_hold_in_views_it_does_not_see(scene, plan, strength, compacted):
+    found = guide(scene, draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0)))
+    steps = np.full(scene.count, 0.1, np.float32)
+    coloured = found.recolour(scene, steps, strength)
+    new_zeros = np.count_nonzero((coloured.f_rest == 0) & (scene.f_rest != 0))
+    assert (new_zeros > 0.1 * scene.f_rest.size) == compacted
+
+
+def test_one_view_is_not_enough_to_compact_by(scene, plan):
+    found = guide(scene, draw_targets(scene, plan.cameras[:1], (0.0, 0.0, 0.0)))
+    coloured = found.recolour(scene, np.full(scene.count, 0.1, np.float32), 1e3)
+    assert not np.any((coloured.f_rest == 0) & (scene.f_rest != 0))
 
 
 def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):

@@ -97,7 +97,7 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
     views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
     found = guide(scene, views)
     steps = np.where(np.arange(scene.count) % 2, 1e3, 1e-3).astype(np.float32)
-    coloured = found.recolour(scene, steps, 1.0)
+    coloured = found.recolour(scene, steps, 1e-2)
     assert not coloured.f_rest[:, 1::2].any()
     assert coloured.f_rest[:, ::2].any()
 

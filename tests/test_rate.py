@@ -106,7 +106,7 @@ def test_search_ends_at_a_jump():
 
 
 @pytest.mark.parametrize("profile", LATTICE_PROFILES)
-@pytest.mark.parametrize("target", [Target(bits=30), Target(bits=200), Target(ratio=12)])
+@pytest.mark.parametrize("target", [Target(bits=120), Target(bits=200), Target(ratio=12)])
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_sizes_are_met_from_below(scene, target, profile, guided):
     ply_bytes = vertex_rows(scene).nbytes

@@ -20,7 +20,7 @@ from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import inspect_bytes
 from gs_codec.preparation.targets import Targets
-from gs_codec.rate.search import COARSEST, FINEST, search
+from gs_codec.rate.search import COARSEST, FINEST, expected, search
 from gs_codec.report import EncodeReport, RateReport, StageTimes
 from gs_codec.scene import Scene
 
@@ -40,7 +40,7 @@ _COMPACTION_SAVES = 0.1
 
 #: Colours are refitted again if the steps have moved by more than this, log2.
 _REFIT_AGAIN = 0.2
-_MOST_REFITS = 3
+_MOST_REFITS = 5
 
 
 def encode_to_target(
@@ -187,7 +187,7 @@ def _meet_drop(trials: _Trials, wanted: float, measured: Targets, before: float)
 
     allowed = measured.error_for(wanted, before) - before
     at_once = trials.config_at(0.0).resolved_lattice().error
-    start = 0.5 * math.log2(allowed / at_once)
+    start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
     interval = (wanted - _DROP_TOLERANCE, wanted)
     if _search_refitting(trials, drop, interval, start, _DROP_SLOPE) is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
@@ -209,10 +209,15 @@ def _search_refitting(
 ) -> float | None:
     """`search`, with colours refitted for steps about as coarse as are found."""
     place = start
-    for _ in range(_MOST_REFITS):
+    for _ in range(_MOST_REFITS if trials.guidance is not None else 0):
         trials.refit(place)
-        found = search(measure, *interval, place, slope)
-        if trials.guidance is None or found is None or abs(found - place) <= _REFIT_AGAIN:
-            return found
-        place = found
-    return found
+        value = measure(place)
+        if interval[0] <= value <= interval[1]:
+            return place
+        following = expected(value, *interval, place, slope)
+        if following == place:
+            return None
+        moved, place = abs(following - place), following
+        if moved <= _REFIT_AGAIN:
+            break
+    return search(measure, *interval, place, slope)

@@ -14,8 +14,18 @@ FINEST, COARSEST = -6.0, 6.0
 #: Where in its interval a measure is aimed at.
 _AIM = 0.7
 
+#: How far `expected` looks from a place at most.
+_FARTHEST = 2.0
+
 #: Measures below this are not told apart.
 _LEAST = 1e-6
+
+
+def expected(value: float, low: float, high: float, place: float, slope: float) -> float:
+    """Where a measure that is `value` at a place would be well within its interval."""
+    aim = (1 - _AIM) * low + _AIM * high
+    reach = math.log2(max(aim, _LEAST) / max(value, _LEAST)) / slope
+    return min(max(place + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)
 
 
 class _Met(Exception):

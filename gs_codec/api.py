@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from gs_codec import files
 from gs_codec.cloud import from_cloud, to_cloud
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import Config
+from gs_codec.config import Config, Target
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
+from gs_codec.io.ply import vertex_rows
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.metrics.views import RenderedComparison, compare_views
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.renderer import Rendering
 from gs_codec.rendering.renderer import render as render_view
-from gs_codec.report import Progress, step_counter
+from gs_codec.report import Progress, RateReport, step_counter
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
@@ -63,11 +64,31 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     files.write_scene(path, from_cloud(cloud, extra), config)
 
 
+@overload
 def encode(
     cloud: PointCloud,
     config: Config | None = None,
     cameras: str | Path | Sequence[Camera] | None = None,
-) -> bytes:
+    target: None = None,
+) -> bytes: ...
+
+
+@overload
+def encode(
+    cloud: PointCloud,
+    config: Config | None = None,
+    cameras: str | Path | Sequence[Camera] | None = None,
+    *,
+    target: Target,
+) -> tuple[bytes, RateReport]: ...
+
+
+def encode(
+    cloud: PointCloud,
+    config: Config | None = None,
+    cameras: str | Path | Sequence[Camera] | None = None,
+    target: Target | None = None,
+) -> bytes | tuple[bytes, RateReport]:
     """Encode a cloud as an `.egs` stream.
 
     Parameters
@@ -77,21 +98,37 @@ def encode(
     config : Config, optional
     cameras : path, "auto", or sequence of Camera, optional
         As for `render`; profiles ``l``, ``m`` and ``s`` then spend bits where their views see it.
+    target : Target, optional
+        A size or a quality for profiles ``l``, ``m`` and ``s`` to come to; ratios are to the size
+        of the PLY that `write` writes.
+
+    Returns
+    -------
+    data : bytes
+    report : RateReport
+        With a target: the steps it led to, and the size or quality expected and reached.
 
     Raises
     ------
     InvalidInput
-        If an attribute is missing or of a wrong type, or a value is not finite.
+        If an attribute is missing or of a wrong type, a value is not finite, or the target is out
+        of reach.
     """
     config = config or Config()
     scene = from_cloud(cloud, config.extra)
-    guide = None
+    plan = None
     if cameras is not None:
         from gs_codec.preparation.pipeline import Plan
         from gs_codec.preparation.steps import Steps
 
-        guide = files.guide_of(scene, Plan(Steps(), cameras), config)
-    return encode_scene(scene, config, guide=guide)[0]
+        plan = Plan(Steps(), cameras)
+    if target is None:
+        guide = None if plan is None else files.guide_of(scene, plan, config)
+        return encode_scene(scene, config, guide=guide)[0]
+    ply_bytes = vertex_rows(scene).nbytes
+    data, report = files.encode_goal(scene, scene, ply_bytes, config, target, plan)
+    assert report.rate is not None
+    return data, report.rate
 
 
 def decode(data: bytes, max_bytes: int | None = None) -> PointCloud:

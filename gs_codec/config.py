@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Literal
 
@@ -68,6 +69,53 @@ LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
 )
 
 PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
+
+
+@dataclass(frozen=True)
+class Target:
+    """One wish; sizes are met from below, by 2 % or less.
+
+    Parameters
+    ----------
+    size : int, optional
+        Bytes of the file.
+    ratio : float, optional
+        Times that the file is smaller than the PLY.
+    bits : float, optional
+        Bits for each Gaussian of the input.
+    psnr_drop : float, optional
+        Decibels that views may lose, mean over the views.
+
+    Raises
+    ------
+    InvalidInput
+        If not exactly one is given, or it is not a finite number above 0.
+    """
+
+    size: int | None = None
+    ratio: float | None = None
+    bits: float | None = None
+    psnr_drop: float | None = None
+
+    def __post_init__(self) -> None:
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        given = {name: value for name, value in given.items() if value is not None}
+        if len(given) != 1:
+            what = " and ".join(given) or "none"
+            raise InvalidInput(f"target: {what} given, expected exactly one")
+        for name, value in given.items():
+            if not 0 < value < math.inf:
+                raise InvalidInput(f"target {name} {value}: expected a number above 0")
+
+    def limit(self, count: int, ply_bytes: int) -> int | None:
+        """Most bytes of the file of a scene; None if the wish is a quality."""
+        if self.size is not None:
+            return int(self.size)
+        if self.ratio is not None:
+            return int(ply_bytes / self.ratio)
+        if self.bits is not None:
+            return int(self.bits * count / 8)
+        return None
 
 
 @dataclass(frozen=True)

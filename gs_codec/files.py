@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from gs_codec.codec import decode_part, encode_scene
 from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
@@ -54,17 +54,18 @@ def encode_file(
     progress: Progress | None = None,
     plan: Plan | None = None,
     report_folder: str | Path | None = None,
+    goal: Target | None = None,
 ) -> EncodeReport:
     """Encode a PLY file to an `.egs` file, which appears whole or not at all.
 
     With a `plan`, the scene is prepared first, if that has steps, and profiles that go by what is
     seen go by its views; `report_folder` receives what preparation did, and what each stage of
-    coding adds to it.
+    coding adds to it. With a `goal`, steps are chosen as `encode_goal` has it.
 
     Raises
     ------
     InvalidInput
-        If the source cannot be used, or the target cannot be written.
+        If the source cannot be used, the goal is out of reach, or the target cannot be written.
     """
     config = config or Config()
     _check_target(source, target)
@@ -72,14 +73,16 @@ def encode_file(
     scene = read_ply(source, config.extra)
     read = time.perf_counter() - start
     with located(source):
-        prepared, guide = None, None
-        if plan is not None:
-            views = None
-            if plan.steps.wanted:
-                scene, prepared = _prepare(scene, plan, report_folder, progress)
-                views = prepared.views
-            guide = guide_of(scene, plan, config, progress, views)
-        data, report = encode_scene(scene, config, progress, guide)
+        prepared, views, original = None, None, scene
+        if plan is not None and plan.steps.wanted:
+            scene, prepared = _prepare(scene, plan, report_folder, progress)
+            views = prepared.views
+        if goal is not None:
+            size = os.path.getsize(source)
+            data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
+        else:
+            guide = None if plan is None else guide_of(scene, plan, config, progress, views)
+            data, report = encode_scene(scene, config, progress, guide)
         if prepared is not None and report_folder is not None:
             _finish_report(prepared, scene, config, data, report, report_folder)
     start = time.perf_counter()
@@ -154,6 +157,44 @@ def _prepare(
     if folder is not None:
         check_writable(make_folder(folder) / "report.json")
     return prepare_scene(scene, plan, progress)
+
+
+def encode_goal(
+    scene: Scene,
+    original: Scene,
+    ply_bytes: int,
+    config: Config,
+    goal: Target,
+    plan: Plan | None = None,
+    progress: Progress | None = None,
+    views: Views | None = None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene at a wanted size or quality, which counts from the original.
+
+    Profiles go by a plan's views where there is one. A quality is measured in those that are held
+    out, against photographs if it has any; without a plan, in views that are chosen from the scene.
+    `views` are the plan's where they are known.
+
+    Raises
+    ------
+    InvalidInput
+        If the goal is out of reach, or the profile has no steps to choose.
+    """
+    from gs_codec.rate.allocate import encode_to_target
+
+    if plan is None and goal.psnr_drop is not None:
+        from gs_codec.preparation.pipeline import Plan
+        from gs_codec.preparation.steps import Steps
+
+        plan = Plan(Steps())
+    if plan is None or not scene.count:
+        return encode_to_target(scene, config, goal, ply_bytes)
+    from gs_codec.preparation.pipeline import choose_views
+
+    views = views or choose_views(original, plan)
+    guide = guide_of(scene, plan, config, progress, views)
+    before = views.held_out.error(original)
+    return encode_to_target(scene, config, goal, ply_bytes, guide, views.held_out, before)
 
 
 def guide_of(

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from gs_codec.config import Target
+
 #: Called with a stage's name, steps done, and steps in all.
 Progress = Callable[[str, int, int], None]
 
@@ -40,6 +42,38 @@ class ChannelCost:
 
 
 @dataclass(frozen=True)
+class RateReport:
+    """How a target was met.
+
+    Attributes
+    ----------
+    target : Target
+    coarseness : float
+        What the profile's steps were multiplied by.
+    steps : dict of str to tuple of float
+        Finest and coarsest step of each kind of symbols, as `inspect` has them.
+    file_bytes : int
+    predicted_bytes : int or None
+        With cameras: size expected before colours were refitted.
+    psnr_drop : float or None
+        Decibels that views lose, where the target is a quality.
+    predicted_drop : float or None
+        The same, expected from sensitivities.
+    encodings : int
+        How often the scene was encoded.
+    """
+
+    target: Target
+    coarseness: float
+    steps: dict[str, tuple[float, float]]
+    file_bytes: int
+    predicted_bytes: int | None
+    psnr_drop: float | None
+    predicted_drop: float | None
+    encodings: int
+
+
+@dataclass(frozen=True)
 class EncodeReport:
     """What `encode` did to a scene.
 
@@ -62,6 +96,8 @@ class EncodeReport:
         Gaussians left out because they held NaN or infinity.
     seconds : dict of str to float
         Wall time of each stage.
+    rate : RateReport, optional
+        Where a target was given.
     """
 
     count: int
@@ -72,6 +108,7 @@ class EncodeReport:
     zero_quaternions: int
     dropped: int
     seconds: dict[str, float]
+    rate: RateReport | None = None
 
     @property
     def file_bytes(self) -> int:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.bench import paper
-from gs_codec.cli import steps
+from gs_codec.cli import goal, steps
 from gs_codec.cli.output import (
     print_json,
     print_status,
@@ -46,6 +46,10 @@ def command(
     keep_order: Annotated[
         bool, typer.Option("--keep-order", help="With lossless: keep the order of Gaussians too.")
     ] = False,
+    target_size: goal.TargetSize = None,
+    target_ratio: goal.TargetRatio = None,
+    target_bpg: goal.TargetBits = None,
+    max_psnr_drop: goal.MaxPsnrDrop = None,
     threads: Threads = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
@@ -74,10 +78,11 @@ def command(
         threads,
         keep_order=keep_order,
     )
+    wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop)
     from gs_codec.files import encode_file
 
     with progress_bar(not json) as progress:
-        done = encode_file(source, target, config, progress, plan, report)
+        done = encode_file(source, target, config, progress, plan, report, wanted)
     _say_what_changed(done)
     if json:
         print_json(
@@ -115,6 +120,8 @@ def _print_report(source: Path, target: Path, report: EncodeReport, lattices: bo
         f"{8 * report.file_bytes / count:.1f} bits per Gaussian, "
         f"{sum(report.seconds.values()):.2f} s"
     )
+    if report.rate is not None:
+        goal.print_rate(report.rate)
     if lattices:
         _print_lattices(report)
         return

@@ -65,6 +65,11 @@ class Targets:
         own = 0.0 if self.photographs else _NOMINAL_ERROR
         return 10 * float(np.log10((own + error) / (own + before)))
 
+    def error_for(self, drop: float, before: float) -> float:
+        """The mean squared error that loses `drop` dB: the inverse of `drop`."""
+        own = 0.0 if self.photographs else _NOMINAL_ERROR
+        return (own + before) * 10 ** (drop / 10) - own
+
 
 class Views(NamedTuple):
     """What a scene is prepared by.

@@ -1,0 +1,62 @@
+"""Options that ask for a size or a quality."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated
+
+import typer
+
+from gs_codec.cli.output import print_text, size_text
+from gs_codec.config import Target
+from gs_codec.errors import InvalidInput
+from gs_codec.report import RateReport
+
+_PANEL = {"rich_help_panel": "Size or quality (one of them; profiles l, m, s)"}
+_SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
+
+TargetSize = Annotated[
+    str | None,
+    typer.Option(metavar="SIZE", help="As large as this: 5MB, 800kB, 3MiB.", **_PANEL),
+]
+TargetRatio = Annotated[
+    float | None, typer.Option(metavar="R", help="So many times smaller than IN.", **_PANEL)
+]
+TargetBits = Annotated[
+    float | None,
+    typer.Option("--target-bpg", metavar="B", help="So many bits for each Gaussian.", **_PANEL),
+]
+MaxPsnrDrop = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DB", help="As small as it may be if views lose no more than this.", **_PANEL
+    ),
+]
+
+
+def goal_of(
+    size: str | None, ratio: float | None, bits: float | None, psnr_drop: float | None
+) -> Target | None:
+    """What the options ask for; None if they ask for nothing."""
+    if all(option is None for option in (size, ratio, bits, psnr_drop)):
+        return None
+    return Target(None if size is None else _parse_size(size), ratio, bits, psnr_drop)
+
+
+def _parse_size(text: str) -> int:
+    """Bytes of a size with or without a unit."""
+    found = _SIZE.fullmatch(text.strip().lower())
+    if not found:
+        raise InvalidInput(f"--target-size {text}: expected a size, for example 5MB or 800kB")
+    return int(float(found[1]) * _UNITS[found[2]])
+
+
+def print_rate(rate: RateReport) -> None:
+    """What a target led to."""
+    text = f"steps {rate.coarseness:.3f} times the profile's, after {rate.encodings} encodings"
+    if rate.predicted_bytes is not None:
+        text += f"; {size_text(rate.predicted_bytes)} expected"
+    if rate.psnr_drop is not None:
+        text += f"; views lose {rate.psnr_drop:.4f} dB, {rate.predicted_drop:.4f} dB expected"
+    print_text(text)

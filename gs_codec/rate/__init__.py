@@ -1,0 +1,1 @@
+"""Files of a wanted size or quality."""

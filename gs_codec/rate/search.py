@@ -1,0 +1,86 @@
+"""Search for the coarseness of steps at which a measure meets its limit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+
+from scipy.optimize import brentq
+
+#: Log2 of the finest and of the coarsest steps tried, over those of the profile.
+FINEST, COARSEST = -6.0, 6.0
+
+#: Where in its interval a measure is aimed at.
+_AIM = 0.7
+
+#: How far `expected` looks from a place at most.
+_FARTHEST = 2.0
+
+#: Measures below this are not told apart.
+_LEAST = 1e-6
+
+
+def expected(value: float, low: float, high: float, place: float, slope: float) -> float:
+    """Where a measure that is `value` at a place would be well within its interval."""
+    aim = (1 - _AIM) * low + _AIM * high
+    reach = math.log2(max(aim, _LEAST) / max(value, _LEAST)) / slope
+    return min(max(place + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)
+
+
+class _Met(Exception):
+    """The measure is in its interval; holds where."""
+
+
+def search(
+    measure: Callable[[float], float], low: float, high: float, start: float, slope: float
+) -> float | None:
+    """Log2 of a coarseness at which `measure` of it is from `low` to `high`.
+
+    Parameters
+    ----------
+    measure : callable
+        Falls or grows all the way from `FINEST` to `COARSEST`.
+    low, high : float
+    start : float
+        Where to begin.
+    slope : float
+        About how much log2 of the measure changes with each doubling of the coarseness.
+
+    Returns
+    -------
+    float or None
+        The last place that was measured; None where the measure jumps over the interval, or
+        never comes to it.
+    """
+    aim = math.log2(max((1 - _AIM) * low + _AIM * high, _LEAST))
+
+    @cache
+    def height(place: float) -> float:
+        value = measure(place)
+        if low <= value <= high:
+            raise _Met(place)
+        return math.log2(max(value, _LEAST)) - aim
+
+    try:
+        bracket = _bracket(height, min(max(start, FINEST), COARSEST), slope)
+        if bracket is not None:
+            brentq(height, *bracket, xtol=1e-5)
+    except _Met as met:
+        return float(met.args[0])
+    return None
+
+
+def _bracket(
+    height: Callable[[float], float], start: float, slope: float
+) -> tuple[float, float] | None:
+    """Places between which the height changes its sign; None where it does not."""
+    found = height(start)
+    before, reach = start, -found / slope
+    while True:
+        place = min(max(start + reach, FINEST), COARSEST)
+        if place == before:
+            return None
+        if height(place) * found < 0:
+            return before, place
+        before, reach = place, 2 * reach

@@ -1,0 +1,219 @@
+"""Rate control: targets are met, refused where out of reach, and the same each time."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import made_up_guide, random_scene
+from test_guide import cameras
+from typer.testing import CliRunner
+
+import gs_codec
+from gs_codec.cli.goal import goal_of
+from gs_codec.cli.main import app
+from gs_codec.cloud import to_cloud
+from gs_codec.codec import decode_scene
+from gs_codec.config import LATTICE_PROFILES, Config, Target
+from gs_codec.errors import InvalidInput
+from gs_codec.files import encode_goal
+from gs_codec.inspection import inspect_bytes
+from gs_codec.io.ply import vertex_rows, write_ply
+from gs_codec.preparation.pipeline import Plan, choose_views
+from gs_codec.preparation.steps import Steps
+from gs_codec.rate.allocate import encode_to_target
+from gs_codec.rate.search import COARSEST, FINEST, search
+from gs_codec.scene import Scene
+from samples.generate import generate
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return random_scene(3000, 2, seed=200)
+
+
+# Targets
+
+
+@pytest.mark.parametrize(
+    "wishes",
+    [{}, {"size": 1000, "ratio": 3.0}, {"bits": 0.0}, {"ratio": -1}, {"psnr_drop": math.nan}],
+)
+def test_a_target_is_one_number_above_zero(wishes):
+    with pytest.raises(InvalidInput, match="target"):
+        Target(**wishes)
+
+
+def test_limits_of_targets():
+    assert Target(size=1234).limit(100, 24_800) == 1234
+    assert Target(ratio=31).limit(100, 24_800) == 800
+    assert Target(bits=12.5).limit(100, 24_800) == 156
+    assert Target(psnr_drop=0.1).limit(100, 24_800) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("5MB", 5_000_000),
+        ("800kB", 800_000),
+        ("1.5 MiB", 1_572_864),
+        ("700", 700),
+        ("2g", 2 * 10**9),
+    ],
+)
+def test_sizes_have_units(text, size):
+    assert goal_of(text, None, None, None) == Target(size=size)
+
+
+@pytest.mark.parametrize("text", ["", "MB", "five", "-3MB", "3 MBB", "1e6", "5Mb/s"])
+def test_other_sizes_are_refused(text):
+    with pytest.raises(InvalidInput, match="--target-size"):
+        goal_of(text, None, None, None)
+
+
+# The search
+
+
+@pytest.mark.parametrize("start", [-9.0, -2.0, 0.0, 5.5])
+@pytest.mark.parametrize("goal", [0.02, 1.0, 90.0])
+def test_search_meets_its_interval_in_few_steps(goal, start):
+    tried = []
+
+    def measure(place: float) -> float:
+        tried.append(place)
+        return 2.0 ** (-1.1 * place + 0.1 * math.sin(place))
+
+    found = search(measure, 0.98 * goal, goal, start, -0.7)
+    assert found == tried[-1]
+    assert 0.98 * goal <= measure(found) <= goal
+    assert len(tried) <= 12
+    assert FINEST <= min(tried) <= max(tried) <= COARSEST
+
+
+@pytest.mark.parametrize("goal", [1e-9, 1e9])
+def test_search_says_that_nothing_is_found(goal):
+    assert search(lambda place: 2.0**-place, 0.98 * goal, goal, 0.0, -1.0) is None
+
+
+def test_search_ends_at_a_jump():
+    assert search(lambda place: 1.0 if place < 0.3 else 9.0, 4.0, 5.0, 0.0, 1.0) is None
+
+
+# Sizes
+
+
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("target", [Target(bits=120), Target(bits=200), Target(ratio=12)])
+@pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
+def test_sizes_are_met_from_below(scene, target, profile, guided):
+    ply_bytes = vertex_rows(scene).nbytes
+    guide = made_up_guide(seed=3) if guided else None
+    data, report = encode_to_target(scene, Config(profile), target, ply_bytes, guide)
+    limit = target.limit(scene.count, ply_bytes)
+    assert 0.98 * limit <= len(data) <= limit
+    assert report.file_bytes == report.rate.file_bytes == len(data)
+    assert report.rate.encodings <= 12
+    assert decode_scene(data).count == scene.count
+    passes = {item.name: item for item in inspect_bytes(data).passes}
+    for name, (finest, coarsest) in report.rate.steps.items():
+        assert (finest, coarsest) == (passes[name].finest_step, passes[name].coarsest_step)
+
+
+def test_the_same_target_gives_the_same_bytes(scene):
+    streams = {
+        encode_to_target(scene, Config("m", threads=threads), Target(bits=60), 1)[0]
+        for threads in (1, 2, 5)
+    }
+    assert len(streams) == 1
+
+
+@pytest.mark.parametrize("size", [10, 10**9])
+def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene, size):
+    with pytest.raises(InvalidInput, match=r"target .* bytes: [\d,]+ to [\d,]+ bytes are in reach"):
+        encode_to_target(scene, Config("m"), Target(size=size), 1)
+
+
+@pytest.mark.parametrize("profile", ["paper-m", "lossless"])
+def test_profiles_without_steps_have_no_targets(scene, profile):
+    with pytest.raises(InvalidInput, match="fixed steps"):
+        encode_to_target(scene, Config(profile), Target(bits=60), 1)
+
+
+def test_an_empty_scene_has_no_target():
+    with pytest.raises(InvalidInput, match="no Gaussians"):
+        encode_to_target(random_scene(0, 1), Config("m"), Target(bits=60), 1)
+
+
+def test_what_is_dropped_is_reported(scene):
+    broken = replace(scene, opacity=scene.opacity.copy(), rot=scene.rot.copy())
+    broken.opacity[0, 5] = np.nan
+    broken.rot[:, 7] = 0
+    config = Config("m", nonfinite="drop")
+    data, report = encode_to_target(broken, config, Target(bits=60), 1)
+    assert (report.dropped, report.zero_quaternions) == (1, 1)
+    assert decode_scene(data).count == scene.count - 1
+    assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
+
+
+# Qualities
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[Scene, Plan]:
+    return generate(2500, 2, 5), Plan(Steps(), cameras(12))
+
+
+@pytest.mark.parametrize("wanted", [0.03, 0.1, 0.5])
+def test_losses_are_met_from_below(seen, wanted):
+    scene, plan = seen
+    data, report = encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=wanted), plan)
+    measured = choose_views(scene, plan).held_out
+    loss = measured.drop(measured.error(decode_scene(data)), 0.0)
+    assert wanted - 0.02 <= loss <= wanted
+    assert report.rate.psnr_drop == pytest.approx(loss, abs=1e-9)
+
+
+def test_a_size_by_views_is_met(seen):
+    scene, plan = seen
+    data, report = encode_goal(scene, scene, 1, Config("m"), Target(bits=60), plan)
+    assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
+    assert report.rate.predicted_bytes == pytest.approx(len(data), rel=0.3)
+
+
+def test_a_loss_out_of_reach_is_refused(seen):
+    scene, plan = seen
+    with pytest.raises(InvalidInput, match=r"target 60 dB: .* dB are in reach"):
+        encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=60), plan)
+
+
+# Command line and Python
+
+
+def test_command_line_meets_a_size(scene, tmp_path):
+    source, out = tmp_path / "scene.ply", tmp_path / "out.egs"
+    write_ply(source, scene)
+    options = ["--target-size", "40kB", "--json"]
+    result = CliRunner().invoke(app, ["encode", str(source), str(out), *options])
+    assert result.exit_code == 0, result.output
+    assert 39_200 <= out.stat().st_size <= 40_000
+    report = json.loads(result.stdout)
+    assert report["rate"]["file_bytes"] == out.stat().st_size
+    first = out.read_bytes()
+    CliRunner().invoke(app, ["encode", str(source), str(out), "--target-size", "40000"])
+    assert out.read_bytes() == first
+
+
+def test_two_targets_are_refused(scene, tmp_path):
+    options = ["--target-ratio", "20", "--target-bpg", "30"]
+    result = CliRunner().invoke(app, ["encode", "scene.ply", str(tmp_path / "x.egs"), *options])
+    assert isinstance(result.exception, InvalidInput)
+
+
+def test_python_gets_a_report_with_a_target(scene):
+    data, report = gs_codec.encode(to_cloud(scene), target=gs_codec.Target(ratio=12))
+    assert 0.98 <= 12 * len(data) / vertex_rows(scene).nbytes <= 1
+    assert report.coarseness > 0
+    assert report.psnr_drop is None

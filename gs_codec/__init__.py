@@ -12,7 +12,6 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Config": "gs_codec.config",
-    "Target": "gs_codec.config",
     "GsCodecError": "gs_codec.errors",
     "read": "gs_codec.api",
     "write": "gs_codec.api",

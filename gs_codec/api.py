@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from gs_codec import files
 from gs_codec.cloud import from_cloud, to_cloud
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import Config, Target
+from gs_codec.config import Config, Target, as_target
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.ply import vertex_rows
@@ -79,7 +79,7 @@ def encode(
     config: Config | None = None,
     cameras: str | Path | Sequence[Camera] | None = None,
     *,
-    target: Target,
+    target: Target | Mapping[str, float],
 ) -> tuple[bytes, RateReport]: ...
 
 
@@ -87,7 +87,7 @@ def encode(
     cloud: PointCloud,
     config: Config | None = None,
     cameras: str | Path | Sequence[Camera] | None = None,
-    target: Target | None = None,
+    target: Target | Mapping[str, float] | None = None,
 ) -> bytes | tuple[bytes, RateReport]:
     """Encode a cloud as an `.egs` stream.
 
@@ -98,9 +98,9 @@ def encode(
     config : Config, optional
     cameras : path, "auto", or sequence of Camera, optional
         As for `render`; profiles ``l``, ``m`` and ``s`` then spend bits where their views see it.
-    target : Target, optional
-        A size or a quality for profiles ``l``, ``m`` and ``s`` to come to; ratios are to the size
-        of the PLY that `write` writes.
+    target : mapping, optional
+        One of ``size`` (bytes), ``ratio``, ``bits`` (for each Gaussian) and ``psnr_drop`` (dB) for
+        profiles ``l``, ``m`` and ``s`` to come to; a ratio is to the PLY that `write` writes.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def encode(
         guide = None if plan is None else files.guide_of(scene, plan, config)
         return encode_scene(scene, config, guide=guide)[0]
     ply_bytes = vertex_rows(scene).nbytes
-    data, report = files.encode_goal(scene, scene, ply_bytes, config, target, plan)
+    data, report = files.encode_goal(scene, scene, ply_bytes, config, as_target(target), plan)
     assert report.rate is not None
     return data, report.rate
 

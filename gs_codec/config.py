@@ -118,6 +118,22 @@ class Target:
         return None
 
 
+def as_target(wish: Target | Mapping[str, float]) -> Target:
+    """The target that a mapping of one of its parameters means.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not one.
+    """
+    if isinstance(wish, Target):
+        return wish
+    known = [f.name for f in fields(Target)]
+    for name in wish:
+        _check_choice("target", name, tuple(known))
+    return Target(**wish)  # type: ignore[arg-type]
+
+
 @dataclass(frozen=True)
 class Config:
     """How to encode. Nothing here is needed to decode.

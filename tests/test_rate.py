@@ -213,7 +213,13 @@ def test_two_targets_are_refused(scene, tmp_path):
 
 
 def test_python_gets_a_report_with_a_target(scene):
-    data, report = gs_codec.encode(to_cloud(scene), target=gs_codec.Target(ratio=12))
+    data, report = gs_codec.encode(to_cloud(scene), target={"ratio": 12})
     assert 0.98 <= 12 * len(data) / vertex_rows(scene).nbytes <= 1
     assert report.coarseness > 0
     assert report.psnr_drop is None
+
+
+@pytest.mark.parametrize("target", [{}, {"rate": 3}, {"ratio": 3, "bits": 5}, {"size": 0}])
+def test_python_refuses_what_is_no_target(scene, target):
+    with pytest.raises(InvalidInput, match="target"):
+        gs_codec.encode(to_cloud(scene), target=target)

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.scene import Scene
 
+#: Share of what pruning has lost that coding may lose too: neither is worth its bits if the other
+#: saves them at less.
+OF_LOSS = 0.3
+
 
 @dataclass(frozen=True)
 class Guidance:

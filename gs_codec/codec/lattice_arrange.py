@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.guidance import Guidance
+from gs_codec.codec.guidance import OF_LOSS, Guidance
 from gs_codec.config import LatticeProfile
 from gs_codec.lattice.blind import SH_RATIO, blind_coefficients
 from gs_codec.lattice.fit import Steps, features, finest_step, fit_steps, make_rule
@@ -34,10 +34,6 @@ _SAMPLE = 100_000
 
 #: Gaussians that go to the grid at once.
 _CHUNK = 1 << 16
-
-#: Share of what pruning has lost that quantisation may lose too: neither is worth its bits if
-#: the other saves them at less.
-_OF_LOSS = 0.3
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ def _guided_steps(scene: Scene, profile: LatticeProfile, guidance: Guidance) -> 
     sensitivity = guidance.sensitivity._replace(log_scale=sorted_axes)
     # What all may add together, over the parameters that there are.
     parameters = scene.count * (14 + len(scene.f_rest))
-    total = profile.error + _OF_LOSS * guidance.loss
+    total = profile.error + OF_LOSS * guidance.loss
     error = total * 3 * guidance.pixels / parameters
     return fit_steps(sensitivity, scene.opacity[0], scales, error)
 

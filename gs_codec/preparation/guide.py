@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.guidance import Guidance
+from gs_codec.codec.guidance import OF_LOSS, Guidance
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sensitivity import sensitivity
@@ -21,7 +21,7 @@ from gs_codec.scene import Scene
 _REFIT = 10
 
 #: Compaction is tried without one of so many views, and done if it loses no more in these than
-#: its strength.
+#: its strength and a share of what is lost already.
 _EVERY = 4
 
 
@@ -37,6 +37,7 @@ def guide(
     of them, compacted before.
     """
     cameras, background = views.cameras, views.background
+    loss = views.error(scene)
     found = sensitivity(scene, cameras, background, threads=threads, progress=progress)
 
     def recolour(decoded: Scene, steps: NDArray[np.float32], compaction: float) -> Scene:
@@ -51,7 +52,8 @@ def guide(
             )[0]
 
         start = decoded
-        if scene.sh_degree and _loss_unseen(decoded, views, compact) <= compaction:
+        allowed = compaction + OF_LOSS * loss
+        if scene.sh_degree and _loss_unseen(decoded, views, compact) <= allowed:
             start = compact(cameras)
         refitted, _ = refit_colour(
             start,
@@ -65,7 +67,7 @@ def guide(
         return refitted
 
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, views.error(scene), pixels, recolour)
+    return Guidance(found, loss, pixels, recolour)
 
 
 def _loss_unseen(

@@ -111,6 +111,14 @@ def test_compaction_must_hold_in_views_it_does_not_see(scene, plan, strength, co
     assert (new_zeros > 0.1 * scene.f_rest.size) == compacted
 
 
+def test_what_pruning_has_lost_lets_compaction_lose_too(scene, plan):
+    whole = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    pruned = scene.take(np.arange(scene.count) % 3 > 0)
+    steps = np.full(pruned.count, 0.1, np.float32)
+    coloured = guide(pruned, whole).recolour(pruned, steps, 1e-9)
+    assert np.any((coloured.f_rest == 0) & (pruned.f_rest != 0))
+
+
 def test_one_view_is_not_enough_to_compact_by(scene, plan):
     found = guide(scene, draw_targets(scene, plan.cameras[:1], (0.0, 0.0, 0.0)))
     coloured = found.recolour(scene, np.full(scene.count, 0.1, np.float32), 1e3)

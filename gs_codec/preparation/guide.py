@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,17 +9,18 @@ from gs_codec.codec.guidance import OF_LOSS, Guidance
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sensitivity import sensitivity
+from gs_codec.preparation.sh_weights import squared_weights
 from gs_codec.preparation.targets import Targets, draw_targets
-from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
 #: Conjugate-gradient steps of the refit.
 _REFIT = 10
 
-#: Compaction is tried without one of so many views, and done if it loses no more in these than
-#: its strength and a share of what is lost already.
-_EVERY = 4
+#: Compaction is tried without one of so many views, and done if in these it loses at most so
+#: much of its strength, and a share of what is lost already: what the others do not tell costs
+#: 1.1 times the strength where they surround a scene, and 7 to 50 times where they are too few.
+_EVERY, _UNSEEN = 4, 2.0
 
 
 def guide(
@@ -41,20 +39,10 @@ def guide(
     found = sensitivity(scene, cameras, background, threads=threads, progress=progress)
 
     def recolour(decoded: Scene, steps: NDArray[np.float32], compaction: float) -> Scene:
-        def compact(seen: Sequence[Camera]) -> Scene:
-            return compact_sh(
-                decoded,
-                seen,
-                compaction,
-                smallest=0.5 * steps,
-                threads=threads,
-                progress=progress,
-            )[0]
-
         start = decoded
-        allowed = compaction + OF_LOSS * loss
-        if scene.sh_degree and _loss_unseen(decoded, views, compact) <= allowed:
-            start = compact(cameras)
+        if scene.sh_degree:
+            allowed = _UNSEEN * compaction + OF_LOSS * loss
+            start = _compact(decoded, views, steps, compaction, allowed, threads, progress)
         refitted, _ = refit_colour(
             start,
             cameras,
@@ -70,15 +58,31 @@ def guide(
     return Guidance(found, loss, pixels, recolour)
 
 
-def _loss_unseen(
-    scene: Scene, views: Targets, compact: Callable[[Sequence[Camera]], Scene]
-) -> float:
-    """Mean squared error that compaction by most of the views adds to the others.
+def _compact(
+    scene: Scene,
+    views: Targets,
+    steps: NDArray[np.float32],
+    strength: float,
+    allowed: float,
+    threads: int | None,
+    progress: Progress | None,
+) -> Scene:
+    """The scene compacted; itself where that keeps only what these very views see.
 
-    Where views are few, or far apart, it keeps only what they see.
+    Compacted by most of the views it may lose a mean squared error `allowed` in the others.
     """
-    others = views.cameras[::_EVERY]
-    most = [camera for i, camera in enumerate(views.cameras) if i % _EVERY]
-    if not most:
-        return math.inf
-    return draw_targets(scene, others, views.background).error(compact(most))
+    weights = squared_weights(scene, views.cameras, None, threads, progress)
+    every = np.arange(len(views.cameras))
+    most = every[every % _EVERY > 0]
+
+    def compact(seen: NDArray[np.intp]) -> Scene:
+        cameras = [views.cameras[i] for i in seen]
+        least = 0.5 * steps
+        return compact_sh(
+            scene, cameras, strength, smallest=least, weights=weights[seen], threads=threads
+        )[0]
+
+    if not len(most):
+        return scene
+    others = draw_targets(scene, views.cameras[::_EVERY], views.background)
+    return compact(every) if others.error(compact(most)) <= allowed else scene

@@ -28,18 +28,18 @@ class PassTables:
     """Tables of all passes, packed: ``spans (T, A)`` (start << 16 | frequency), ``slots``."""
 
     spans: NDArray[np.uint32]
-    slots: NDArray[np.uint16]  # (T, 2**PRECISION): symbol of each slot
+    slots: NDArray[np.uint8]  # (T, 2**PRECISION): symbol of each slot
 
     @classmethod
     def pack(cls, tables: Sequence[FrequencyTable]) -> PassTables:
         """Pack tables of precision `PRECISION`."""
         alphabet = max((t.frequencies.size for t in tables), default=1)
         spans = np.zeros((len(tables), alphabet), np.uint32)
-        slots = np.zeros((len(tables), 1 << PRECISION), np.uint16)
+        slots = np.zeros((len(tables), 1 << PRECISION), np.uint8)
         for span, slot, table in zip(spans, slots, tables, strict=True):
             size = table.frequencies.size
             span[:size] = (table.starts << np.uint32(16)) | table.frequencies
-            slot[:] = np.repeat(np.arange(size, dtype=np.uint16), table.frequencies)
+            slot[:] = np.repeat(np.arange(size, dtype=np.uint8), table.frequencies)
         return cls(spans, slots)
 
 

@@ -69,7 +69,8 @@ def pull(words, position, states, lane, spans, slots, precision):
     span = np.int64(spans[symbol])
     state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
     short = np.int64(state < LOWEST)
-    word = np.int64(words[position]) & -short  # no branch: it would often be missed
+    # No branch, which would often be missed; unsigned, as a sign would be looked at.
+    word = np.int64(words[np.uint64(position)]) & -short
     states[lane] = (state << (short << 4)) | word
     return symbol, position + short
 

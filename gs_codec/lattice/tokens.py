@@ -85,20 +85,24 @@ def _read_values(
     That of words is -1 if they end before. They are padded by a row of zeros, so that a row needs
     no check of its own.
     """
+    tokens = np.empty(LANES, np.uint8)
     for first in range(0, len(contexts), LANES):
         if position > end:
             return -1, used
-        for i in range(first, min(first + LANES, len(contexts))):
-            row = rows[contexts[i]]
-            token, position = pull(
-                words, position, states, i & (LANES - 1), spans[row], slots[row], PRECISION
+        count = min(LANES, len(contexts) - first)
+        for lane in range(count):
+            row = np.uint64(rows[contexts[first + lane]])
+            tokens[lane], position = pull(
+                words, position, states, lane, spans[row], slots[row], PRECISION
             )
+        for lane in range(count):
+            token = np.int64(tokens[lane])
             rest = 0
             if token >= 2 * _DIRECT:
                 width = raw_width(token)
                 rest = code_raw(bits, used, width, 0, False)
                 used += width
-            values[places[i]] = value_of(token, rest)
+            values[np.uint64(places[first + lane])] = value_of(token, rest)
     return position, used
 
 

@@ -144,7 +144,9 @@ class Config:
         Steps that follow how much is seen of each Gaussian, quantisation depths of the paper's
         Table 1, or every bit as it is. Default ``m``.
     depths : mapping of str to int
-        Bits per group that override a paper profile (its rate control, Section 4.4).
+        Bits per group that override a paper profile (its rate control, Section 4.4). With ``l``,
+        ``m``, ``s`` a group's steps are then as coarse as those bits make them there, on average
+        (geometric), and finer where more is seen; neither `coarseness` nor a target moves them.
         Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``, ``rotation``,
         ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
     nonfinite : {"error", "drop"}
@@ -160,8 +162,8 @@ class Config:
     keep_order : bool
         With ``lossless``, keep the order of the Gaussians too, at some cost. Default False.
     coarseness : float
-        With ``l``, ``m``, ``s``, what all steps are multiplied by (their rate control), 1/64-64.
-        Default 1.
+        With ``l``, ``m``, ``s``, what all steps are multiplied by (their rate control) but those
+        of `depths`, 1/64-64. Default 1.
 
     Raises
     ------
@@ -184,11 +186,8 @@ class Config:
         _check_choice("extra", self.extra, ("error", "keep", "drop"))
         check_threads(self.threads)
         _check_range("block_size", self.block_size, 1 << 10, 1 << 16)
-        if self.profile in PROFILES:
-            self.resolved_depths()
-        elif self.depths:
-            known = ", ".join(PROFILES)
-            raise InvalidInput(f"depths: profile '{self.profile}' has none, {known} do")
+        if self.asked_depths() and self.profile == LOSSLESS:
+            raise InvalidInput(f"depths: profile '{self.profile}' has none, all others do")
         if not 1 / 64 <= self.coarseness <= 64:
             raise InvalidInput(f"coarseness {self.coarseness}: expected 1/64 to 64")
         if self.coarseness != 1 and self.profile not in LATTICE_PROFILES:
@@ -197,20 +196,24 @@ class Config:
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
 
-    def resolved_depths(self) -> dict[str, int]:
-        """Bits of every group in `DEPTH_GROUPS`, overrides applied."""
-        if self.profile not in PROFILES:
-            raise InvalidInput(f"profile '{self.profile}': has no depths, expected a paper profile")
-        depths = dict(PROFILES[self.profile])
+    def asked_depths(self) -> dict[str, int]:
+        """Bits of the groups of `DEPTH_GROUPS` that `depths` names."""
+        asked = {}
         for group, bits in self.depths.items():
             members = ("sh1", "sh2", "sh3") if group == "sh-ac" else (group,)
             for member in members:
-                if member not in depths:
+                if member not in DEPTH_GROUPS:
                     known = ", ".join((*DEPTH_GROUPS, "sh-ac"))
                     raise InvalidInput(f"depth group '{group}': expected one of {known}")
                 _check_range(f"depth of {group}", bits, 1, MAX_DEPTH[member])
-                depths[member] = bits
-        return depths
+                asked[member] = bits
+        return asked
+
+    def resolved_depths(self) -> dict[str, int]:
+        """Bits of every group in `DEPTH_GROUPS` of a paper profile, overrides applied."""
+        if self.profile not in PROFILES:
+            raise InvalidInput(f"profile '{self.profile}': has no depths, expected a paper profile")
+        return {**PROFILES[self.profile], **self.asked_depths()}
 
     def resolved_lattice(self) -> LatticeProfile:
         """The numbers of profile ``l``, ``m`` or ``s``, its coarseness applied."""

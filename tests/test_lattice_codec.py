@@ -46,11 +46,11 @@ class Shaped:
     shape: Shape
 
     @classmethod
-    def of(cls, scene: Scene, profile: str, guide=None) -> Shaped:
+    def of(cls, scene: Scene, profile: str, guide=None, depths=None) -> Shaped:
         """What the encoder makes of a scene before it codes."""
         clean, _ = identity_for_zero(scene)
         guidance = guide(clean) if guide is not None and clean.count else None
-        arranged = arrange_scene(clean, LATTICE_PROFILES[profile], guidance)
+        arranged = arrange_scene(clean, Config(profile, depths or {}), guidance)
         ordered = clean.take(arranged.order)
         _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
         quantiser = ShapeQuantiser(arranged.lattice, ordered.opacity[0], scales, vectors)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codec.depths import as_deep, mean_octaves
 from gs_codec.codec.guidance import OF_LOSS, Guidance
-from gs_codec.config import LatticeProfile
+from gs_codec.config import Config, LatticeProfile
 from gs_codec.lattice.blind import SH_RATIO, blind_coefficients
 from gs_codec.lattice.fit import Steps, features, finest_step, fit_steps, make_rule
 from gs_codec.lattice.fixed import LARGEST, PLACES
@@ -60,19 +61,21 @@ class Arranged:
     classes: NDArray[np.uint8]
 
 
-def arrange_scene(
-    scene: Scene, profile: LatticeProfile, guidance: Guidance | None, threads: int | None = None
-) -> Arranged:
+def arrange_scene(scene: Scene, config: Config, guidance: Guidance | None) -> Arranged:
     """Choose the lattices and the stream order of a scene."""
+    profile = config.resolved_lattice()
     some = slice(None, None, max(1, scene.count // _SAMPLE))
     _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
     if guidance is None or not scene.count:
         none = np.zeros(scene.count, np.uint8)
-        steps = Steps(none, none, blind_coefficients(sampled, profile.fineness), SH_RATIO)
+        steps = Steps(none, none, blind_coefficients(sampled, profile.fineness), (SH_RATIO,) * 3)
     else:
         steps = _guided_steps(scene, profile, guidance)
-    lattice = _lattice(scene, some, sampled, steps)
-    codes = _codes(scene, lattice.grid, threads)
+    known = features(scene.opacity[0, some], sampled)
+    if config.depths and scene.count:
+        steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
+    lattice = _lattice(scene, some, known, steps)
+    codes = _codes(scene, lattice.grid, config.threads)
     order = canonical_order(codes)
     classes = np.stack([steps.shape_class[order], steps.colour_class[order]])
     return Arranged(scene, order.astype(np.uint32), lattice, codes[order], classes)
@@ -102,10 +105,8 @@ def _codes(scene: Scene, grid: PositionGrid, threads: int | None) -> NDArray[np.
     return codes
 
 
-def _lattice(scene: Scene, some: slice, scales: NDArray[np.float64], steps: Steps) -> Lattice:
-    """Lattices by some of the Gaussians, whose sorted log-scales are `scales`."""
-    opacity = scene.opacity[0, some]
-    known = features(opacity, scales)
+def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: Steps) -> Lattice:
+    """Lattices by some of the Gaussians, whose features are `known`."""
 
     def wanted(name: str) -> NDArray[np.float64]:
         octaves = steps.colour_class if name == "colour" else steps.shape_class
@@ -126,10 +127,10 @@ def _lattice(scene: Scene, some: slice, scales: NDArray[np.float64], steps: Step
             unit = math.log2(units[group]) - PLACES
             rules[name] = make_rule(steps.coefficients[name], unit, coarsest)
     units["sh-dc"] = units.pop("colour")
-    for band in (1, 2, 3):
-        units[f"sh{band}"] = max(round(units["sh-dc"] * steps.sh_ratio), 1)
+    for band, ratio in enumerate(steps.sh_ratios, 1):
+        units[f"sh{band}"] = max(round(units["sh-dc"] * ratio), 1)
     grid, rules["position"] = _grid(scene, steps, wanted("position"))
-    centres = (_median(opacity), _median(scales[0]))
+    centres = (_median(scene.opacity[0, some]), _median(known[2]))
     classes = (
         1 + int(steps.shape_class.max(initial=0)),
         1 + int(steps.colour_class.max(initial=0)),

@@ -109,7 +109,7 @@ def model_lattice(
     size = even_block_size(scene.count, config.block_size)
     header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
     with times.stage("order"):
-        arranged = arrange_scene(scene, config.resolved_lattice(), guidance, config.threads)
+        arranged = arrange_scene(scene, config, guidance)
     arranged, blocks = _quantise(header, arranged, guidance, config, times, progress)
     listed = passes(len(scene.f_rest) // 3)
     with times.stage("model"):
@@ -162,7 +162,8 @@ def _recolour(
         rot=quaternions(to_float(np.concatenate([s.vectors for s in shapes], axis=1))),
     )
     shifts = np.concatenate([block.shifts for block in blocks])
-    steps = to_float(lattice.units["sh1"] << shifts).astype(np.float32)
+    finest = min(lattice.units[f"sh{band}"] for band in (1, 2, 3))
+    steps = to_float(finest << shifts).astype(np.float32)
     coloured = guidance.recolour(decoded, steps, compaction)
     place = np.empty_like(order)
     place[order] = np.arange(len(order), dtype=order.dtype)

@@ -62,7 +62,7 @@ def quantise_and_model(
 
     def work(row: int) -> tuple[Channel, NDArray[np.int64], Choice | None, int]:
         group, index, stream = places[row]
-        quantiser, scale = _fit(getattr(scene, group)[index], group, depths[stream])
+        quantiser, scale = fit_channel(getattr(scene, group)[index], group, depths[stream])
         symbols[row], histogram, clamped = quantise(getattr(scene, group)[index], quantiser, order)
         channel = Channel(group, index, stream, quantiser)
         if not quantiser.depth:
@@ -75,8 +75,10 @@ def quantise_and_model(
     return _collect(results, symbols)
 
 
-def _fit(values: NDArray[np.float32], group: str, depth: int) -> tuple[Quantiser, float | None]:
-    """Quantiser of a channel, and the Laplace scale in steps if it is of SH-AC."""
+def fit_channel(
+    values: NDArray[np.float32], group: str, depth: int
+) -> tuple[Quantiser, float | None]:
+    """Quantiser of a channel ``(N,)``, and the Laplace scale in steps if it is of SH-AC."""
     if group == "f_rest":
         return fit_centred(values, depth)
     return fit_range(values, depth), None

@@ -52,14 +52,14 @@ class Steps:
         Octaves coarser than the finest.
     coefficients : dict of str to ndarray, shape (5,)
         ``log2(step) = class + coefficients @ features`` for each rule.
-    sh_ratio : float
-        Steps of SH-AC over those of SH-DC.
+    sh_ratios : tuple of three float
+        Steps of each band of SH-AC over those of SH-DC.
     """
 
     shape_class: NDArray[np.uint8]
     colour_class: NDArray[np.uint8]
     coefficients: dict[str, NDArray[np.float64]]
-    sh_ratio: float = 1.0
+    sh_ratios: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:

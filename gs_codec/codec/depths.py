@@ -1,0 +1,74 @@
+"""Depths asked of profiles whose steps follow how much is seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codec.symbols import fit_channel
+from gs_codec.container.channels import channel_places
+from gs_codec.lattice.fit import Steps
+from gs_codec.scene import Scene
+
+
+def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
+    """Log2 of the mean step (geometric) that groups have in paper profiles of such depths.
+
+    Quaternions are taken as unit ones; a group that is constant has no step.
+    """
+    planes = {"rot": scene.rot / np.linalg.norm(scene.rot, axis=0)}
+    octaves: dict[str, list[float]] = {}
+    for group, index, stream in channel_places(len(scene.f_rest) // 3):
+        if stream in depths:
+            row = np.ascontiguousarray(planes.get(group, getattr(scene, group))[index])
+            quantiser, _ = fit_channel(row, group, depths[stream])
+            if quantiser.depth:
+                octaves.setdefault(stream, []).append(math.log2(quantiser.step))
+    return {stream: float(np.mean(found)) for stream, found in octaves.items()}
+
+
+def as_deep(
+    steps: Steps, some: slice, known: NDArray[np.float64], octaves: Mapping[str, float]
+) -> Steps:
+    """The same steps but for groups whose mean, log2, is to be another.
+
+    Parameters
+    ----------
+    steps : Steps
+    some : slice
+        The Gaussians to take the mean of.
+    known : ndarray, shape (5, n)
+        Features of these.
+    octaves : mapping of str to float
+        By group.
+    """
+    coefficients = {name: row.copy() for name, row in steps.coefficients.items()}
+
+    def mean(*rules: str) -> float:
+        classes = steps.colour_class if rules == ("colour",) else steps.shape_class
+        by_rule = [coefficients[rule] @ known for rule in rules]
+        return float(np.mean(classes[some], dtype=np.float64) + np.mean(by_rule))
+
+    rules = {
+        "geometry": ("position",),
+        "opacity": ("opacity",),
+        "scaling": ("scale_0", "scale_1", "scale_2"),
+        "rotation": ("rotation",),
+    }
+    for group, members in rules.items():
+        if group in octaves:
+            more = octaves[group] - mean(*members)
+            for rule in members:
+                coefficients[rule][0] += more
+    before = mean("colour")
+    colour = octaves.get("sh-dc", before)
+    coefficients["colour"][0] += colour - before
+    ratios = [
+        2.0 ** (octaves.get(f"sh{band}", math.log2(ratio) + before) - colour)
+        for band, ratio in enumerate(steps.sh_ratios, 1)
+    ]
+    return replace(steps, coefficients=coefficients, sh_ratios=(ratios[0], ratios[1], ratios[2]))

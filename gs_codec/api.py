@@ -100,7 +100,8 @@ def encode(
         As for `render`; profiles ``l``, ``m`` and ``s`` then spend bits where their views see it.
     target : mapping, optional
         One of ``size`` (bytes), ``ratio``, ``bits`` (for each Gaussian) and ``psnr_drop`` (dB) for
-        profiles ``l``, ``m`` and ``s`` to come to; a ratio is to the PLY that `write` writes.
+        profiles ``l``, ``m`` and ``s`` to come to, and ``allow_prune``; a ratio is to the PLY that
+        `write` writes.
 
     Returns
     -------

@@ -49,19 +49,29 @@ class LatticeProfile:
         With cameras: strength of SH compaction, see `compact_sh`.
     fineness : float
         Without cameras: unit of all steps, see `lattice.blind`.
+    of_loss : float
+        With cameras: share of the error that a scene has already, pruned as it may be, that
+        quantisation, and SH compaction, may add too: neither is worth its bits if the other saves
+        them at less.
     """
 
     error: float
     compaction: float
     fineness: float
+    of_loss: float
 
     def coarser(self, factor: float) -> LatticeProfile:
         """The profile whose steps are `factor` times as large; errors go by their squares."""
         square = factor**2
-        return LatticeProfile(self.error * square, self.compaction * square, self.fineness * factor)
+        return LatticeProfile(
+            self.error * square,
+            self.compaction * square,
+            self.fineness * factor,
+            self.of_loss * square,
+        )
 
 
-_M = LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063)
+_M = LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063, of_loss=0.3)
 
 #: Half, once and 2.25 times the steps of `m`.
 LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
@@ -85,6 +95,8 @@ class Target:
         Bits for each Gaussian of the input.
     psnr_drop : float, optional
         Decibels that views may lose, mean over the views.
+    allow_prune : bool
+        Whether Gaussians may go where that leaves more to the others. Default False.
 
     Raises
     ------
@@ -96,10 +108,11 @@ class Target:
     ratio: float | None = None
     bits: float | None = None
     psnr_drop: float | None = None
+    allow_prune: bool = False
 
     def __post_init__(self) -> None:
-        given = {f.name: getattr(self, f.name) for f in fields(self)}
-        given = {name: value for name, value in given.items() if value is not None}
+        wishes = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "allow_prune"}
+        given = {name: value for name, value in wishes.items() if value is not None}
         if len(given) != 1:
             what = " and ".join(given) or "none"
             raise InvalidInput(f"target: {what} given, expected exactly one")
@@ -119,7 +132,7 @@ class Target:
 
 
 def as_target(wish: Target | Mapping[str, float]) -> Target:
-    """The target that a mapping of one of its parameters means.
+    """The target that a mapping of its parameters means.
 
     Raises
     ------

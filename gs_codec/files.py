@@ -172,7 +172,8 @@ def encode_goal(
     """Encode a scene at a wanted size or quality, which counts from the original.
 
     Profiles go by a plan's views where there is one. A quality is measured in those that are held
-    out, against photographs if it has any; without a plan, in views that are chosen from the scene.
+    out, against photographs if it has any. Without a plan, a quality or pruning goes by views that
+    are chosen from the scene.
     `views` are the plan's where they are known.
 
     Raises
@@ -180,21 +181,22 @@ def encode_goal(
     InvalidInput
         If the goal is out of reach, or the profile has no steps to choose.
     """
-    from gs_codec.rate.allocate import encode_to_target
+    from gs_codec.rate.allocate import Seen, encode_to_target
 
-    if plan is None and goal.psnr_drop is not None:
+    limit = goal.limit(original.count, ply_bytes)
+    if plan is None and (limit is None or goal.allow_prune):
         from gs_codec.preparation.pipeline import Plan
         from gs_codec.preparation.steps import Steps
 
         plan = Plan(Steps())
     if plan is None or not scene.count:
-        return encode_to_target(scene, config, goal, ply_bytes)
+        return encode_to_target(scene, config, goal, limit)
     from gs_codec.preparation.pipeline import choose_views
 
     views = views or choose_views(original, plan)
     guide = guide_of(scene, plan, config, progress, views)
-    before = views.held_out.error(original)
-    return encode_to_target(scene, config, goal, ply_bytes, guide, views.held_out, before)
+    seen = None if guide is None else Seen(guide, views, views.held_out.error(original))
+    return encode_to_target(scene, config, goal, limit, seen, progress)
 
 
 def guide_of(

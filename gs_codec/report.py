@@ -61,6 +61,8 @@ class RateReport:
         The same, expected from sensitivities.
     encodings : int
         How often the scene was encoded.
+    pruned : int
+        Gaussians that went because the target allowed it.
     """
 
     target: Target
@@ -71,6 +73,7 @@ class RateReport:
     psnr_drop: float | None
     predicted_drop: float | None
     encodings: int
+    pruned: int = 0
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 from scenes import made_up_guide, random_scene
 from test_guide import cameras
 from typer.testing import CliRunner
@@ -24,7 +25,8 @@ from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import vertex_rows, write_ply
 from gs_codec.preparation.pipeline import Plan, choose_views
 from gs_codec.preparation.steps import Steps
-from gs_codec.rate.allocate import encode_to_target
+from gs_codec.preparation.targets import draw_targets
+from gs_codec.rate.allocate import Seen, encode_to_target
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.scene import Scene
 from samples.generate import generate
@@ -33,6 +35,10 @@ from samples.generate import generate
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return random_scene(3000, 2, seed=200)
+
+
+def to_target(scene, config, target, ply_bytes=1, seen=None):
+    return encode_to_target(scene, config, target, target.limit(scene.count, ply_bytes), seen)
 
 
 # Targets
@@ -110,8 +116,8 @@ def test_search_ends_at_a_jump():
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_sizes_are_met_from_below(scene, target, profile, guided):
     ply_bytes = vertex_rows(scene).nbytes
-    guide = made_up_guide(seed=3) if guided else None
-    data, report = encode_to_target(scene, Config(profile), target, ply_bytes, guide)
+    seen = Seen(made_up_guide(seed=3), None, 0.0) if guided else None
+    data, report = to_target(scene, Config(profile), target, ply_bytes, seen)
     limit = target.limit(scene.count, ply_bytes)
     assert 0.98 * limit <= len(data) <= limit
     assert report.file_bytes == report.rate.file_bytes == len(data)
@@ -124,8 +130,7 @@ def test_sizes_are_met_from_below(scene, target, profile, guided):
 
 def test_the_same_target_gives_the_same_bytes(scene):
     streams = {
-        encode_to_target(scene, Config("m", threads=threads), Target(bits=60), 1)[0]
-        for threads in (1, 2, 5)
+        to_target(scene, Config("m", threads=threads), Target(bits=60))[0] for threads in (1, 2, 5)
     }
     assert len(streams) == 1
 
@@ -133,18 +138,18 @@ def test_the_same_target_gives_the_same_bytes(scene):
 @pytest.mark.parametrize("size", [10, 10**9])
 def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene, size):
     with pytest.raises(InvalidInput, match=r"target .* bytes: [\d,]+ to [\d,]+ bytes are in reach"):
-        encode_to_target(scene, Config("m"), Target(size=size), 1)
+        to_target(scene, Config("m"), Target(size=size))
 
 
 @pytest.mark.parametrize("profile", ["paper-m", "lossless"])
 def test_profiles_without_steps_have_no_targets(scene, profile):
     with pytest.raises(InvalidInput, match="fixed steps"):
-        encode_to_target(scene, Config(profile), Target(bits=60), 1)
+        to_target(scene, Config(profile), Target(bits=60))
 
 
 def test_an_empty_scene_has_no_target():
     with pytest.raises(InvalidInput, match="no Gaussians"):
-        encode_to_target(random_scene(0, 1), Config("m"), Target(bits=60), 1)
+        to_target(random_scene(0, 1), Config("m"), Target(bits=60))
 
 
 def test_what_is_dropped_is_reported(scene):
@@ -152,7 +157,7 @@ def test_what_is_dropped_is_reported(scene):
     broken.opacity[0, 5] = np.nan
     broken.rot[:, 7] = 0
     config = Config("m", nonfinite="drop")
-    data, report = encode_to_target(broken, config, Target(bits=60), 1)
+    data, report = to_target(broken, config, Target(bits=60))
     assert (report.dropped, report.zero_quaternions) == (1, 1)
     assert decode_scene(data).count == scene.count - 1
     assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
@@ -187,6 +192,99 @@ def test_a_loss_out_of_reach_is_refused(seen):
     scene, plan = seen
     with pytest.raises(InvalidInput, match=r"target 60 dB: .* dB are in reach"):
         encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=60), plan)
+
+
+def test_photographs_tell_what_is_lost(seen, tmp_path):
+    scene, plan = seen
+    rng = np.random.default_rng(201)
+    drawn = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    for camera, image in zip(drawn.cameras, drawn.images, strict=True):
+        noisy = 255 * np.clip(image + rng.normal(0, 0.1, image.shape), 0, 1)
+        Image.fromarray(np.uint8(noisy)).save(tmp_path / f"{camera.name}.png")
+    by_photographs = replace(plan, photographs=tmp_path)
+    of = [
+        encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=0.1), chosen)[1].rate
+        for chosen in (plan, by_photographs)
+    ]
+    assert of[1].coarseness > 1.5 * of[0].coarseness  # noise of 20 dB hides more than 30 dB do
+
+
+# Pruning
+
+
+@pytest.fixture(scope="module")
+def crowded() -> tuple[Scene, Plan]:
+    """A scene of which a third is hardly seen."""
+    made = generate(2400, 1, 6)
+    opacity = made.opacity.copy()
+    opacity[:, ::3] = -5.0
+    return replace(made, opacity=opacity), Plan(Steps(), cameras(9))
+
+
+def test_pruning_makes_room_for_the_others(crowded):
+    scene, plan = crowded
+    measured = choose_views(scene, plan).held_out
+    errors = []
+    for allowed in (False, True):
+        target = Target(bits=40, allow_prune=allowed)
+        data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
+        assert 0.98 * 40 * scene.count <= 8 * len(data) <= 40 * scene.count
+        assert decode_scene(data).count == report.count == scene.count - report.rate.pruned
+        errors.append(measured.error(decode_scene(data)))
+    assert report.rate.pruned >= 0.2 * scene.count
+    assert errors[1] < errors[0]
+
+
+def test_pruning_makes_files_of_a_quality_smaller(crowded):
+    scene, plan = crowded
+    measured = choose_views(scene, plan).held_out
+    sizes = []
+    for allowed in (False, True):
+        target = Target(psnr_drop=0.1, allow_prune=allowed)
+        data, _ = encode_goal(scene, scene, 1, Config("m"), target, plan)
+        loss = measured.drop(measured.error(decode_scene(data)), 0.0)
+        assert 0.08 <= loss <= 0.1
+        sizes.append(len(data))
+    assert sizes[1] < 0.97 * sizes[0]
+
+
+def test_pruning_reaches_what_steps_do_not(crowded):
+    scene, plan = crowded
+    with pytest.raises(InvalidInput, match="are in reach"):
+        encode_goal(scene, scene, 1, Config("m"), Target(bits=14), plan)
+    target = Target(bits=14, allow_prune=True)
+    data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
+    assert 8 * len(data) <= 14 * scene.count
+    assert report.rate.pruned > 0
+
+
+@pytest.mark.parametrize("target", [Target(size=10**8), Target(psnr_drop=60), Target(size=99)])
+def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
+    scene, plan = crowded
+    with pytest.raises(InvalidInput, match="are in reach"):
+        encode_goal(scene, scene, 1, Config("m"), replace(target, allow_prune=True), plan)
+
+
+def test_nothing_goes_where_all_is_worth_its_bits(seen):
+    scene, plan = seen
+    target = Target(bits=150, allow_prune=True)
+    data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
+    plain, _ = encode_goal(scene, scene, 1, Config("m"), Target(bits=150), plan)
+    assert report.rate.pruned == 0
+    assert data == plain
+
+
+def test_pruning_without_a_target_is_refused(tmp_path):
+    result = CliRunner().invoke(app, ["encode", "a.ply", str(tmp_path / "x.egs"), "--allow-prune"])
+    assert isinstance(result.exception, InvalidInput)
+    assert "--allow-prune needs a size or a quality" in str(result.exception)
+
+
+def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):
+    scene, plan = crowded
+    half = scene.take(np.arange(0, scene.count, 2))
+    data, _ = encode_goal(half, scene, 1, Config("m"), Target(bits=30), plan)
+    assert 0.98 * 30 * scene.count <= 8 * len(data) <= 30 * scene.count
 
 
 # Command line and Python

@@ -50,6 +50,7 @@ def command(
     target_ratio: goal.TargetRatio = None,
     target_bpg: goal.TargetBits = None,
     max_psnr_drop: goal.MaxPsnrDrop = None,
+    allow_prune: goal.AllowPrune = False,
     threads: Threads = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
@@ -78,7 +79,7 @@ def command(
         threads,
         keep_order=keep_order,
     )
-    wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop)
+    wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.files import encode_file
 
     with progress_bar(not json) as progress:

@@ -33,15 +33,30 @@ MaxPsnrDrop = Annotated[
         metavar="DB", help="As small as it may be if views lose no more than this.", **_PANEL
     ),
 ]
+AllowPrune = Annotated[
+    bool,
+    typer.Option(
+        "--allow-prune", help="For it, leave out Gaussians that views hardly miss.", **_PANEL
+    ),
+]
 
 
 def goal_of(
-    size: str | None, ratio: float | None, bits: float | None, psnr_drop: float | None
+    size: str | None,
+    ratio: float | None,
+    bits: float | None,
+    psnr_drop: float | None,
+    allow_prune: bool = False,
 ) -> Target | None:
     """What the options ask for; None if they ask for nothing."""
     if all(option is None for option in (size, ratio, bits, psnr_drop)):
+        if allow_prune:
+            raise InvalidInput(
+                "--allow-prune needs a size or a quality, for example --target-ratio 30"
+            )
         return None
-    return Target(None if size is None else _parse_size(size), ratio, bits, psnr_drop)
+    bytes_ = None if size is None else _parse_size(size)
+    return Target(bytes_, ratio, bits, psnr_drop, allow_prune)
 
 
 def _parse_size(text: str) -> int:
@@ -55,6 +70,8 @@ def _parse_size(text: str) -> int:
 def print_rate(rate: RateReport) -> None:
     """What a target led to."""
     text = f"steps {rate.coarseness:.3f} times the profile's, after {rate.encodings} encodings"
+    if rate.target.allow_prune:
+        text += f"; {rate.pruned:,} Gaussians pruned"
     if rate.predicted_bytes is not None:
         text += f"; {size_text(rate.predicted_bytes)} expected"
     if rate.psnr_drop is not None:

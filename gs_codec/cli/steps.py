@@ -91,11 +91,12 @@ def plan_of(options: dict[str, Any]) -> Any:
     """The plan that options of these names ask for; None if they ask for nothing."""
     steps = Steps(**{field.name: options[field.name] for field in fields(Steps)})
     if not steps.wanted:
+        measured = options.get("max_psnr_drop") is not None
         for name in ("report", "checkpoint", "against_gt"):
-            if options[name]:
+            if options[name] and not (measured and name == "against_gt"):
                 option = "--" + name.replace("_", "-")
                 raise InvalidInput(f"{option} needs a step, for example --prune-loo 30")
-        if options["cameras"] is None:
+        if options["cameras"] is None and options["against_gt"] is None:
             return None
     from gs_codec.preparation.pipeline import Plan
 

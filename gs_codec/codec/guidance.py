@@ -8,12 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.config import LatticeProfile
 from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.scene import Scene
-
-#: Share of what pruning has lost that coding may lose too: neither is worth its bits if the other
-#: saves them at less.
-OF_LOSS = 0.3
 
 
 @dataclass(frozen=True)
@@ -28,13 +25,13 @@ class Guidance:
     pixels : int
         Of all views together.
     recolour : callable
-        ``recolour(scene, steps, compaction) -> Scene``: given the scene as it decodes but for its
-        SH, which are the original's, the steps ``(N,)`` its SH will be quantised at, and the
-        profile's strength of SH compaction, a scene with SH that make up for what its shape has
+        ``recolour(scene, steps, profile) -> Scene``: given the scene as it decodes but for its SH,
+        which are the original's, the steps ``(N,)`` its SH will be quantised at, and the profile,
+        a scene with SH that make up for what its shape has
         lost.
     """
 
     sensitivity: Sensitivity
     loss: float
     pixels: int
-    recolour: Callable[[Scene, NDArray[np.float32], float], Scene]
+    recolour: Callable[[Scene, NDArray[np.float32], LatticeProfile], Scene]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codec.depths import as_deep, mean_octaves
-from gs_codec.codec.guidance import OF_LOSS, Guidance
+from gs_codec.codec.guidance import Guidance
 from gs_codec.config import Config, LatticeProfile
 from gs_codec.lattice.blind import SH_RATIO, blind_coefficients
 from gs_codec.lattice.fit import Steps, features, finest_step, fit_steps, make_rule
@@ -87,7 +87,7 @@ def _guided_steps(scene: Scene, profile: LatticeProfile, guidance: Guidance) -> 
     sensitivity = guidance.sensitivity._replace(log_scale=sorted_axes)
     # What all may add together, over the parameters that there are.
     parameters = scene.count * (14 + len(scene.f_rest))
-    total = profile.error + OF_LOSS * guidance.loss
+    total = profile.error + profile.of_loss * guidance.loss
     error = total * 3 * guidance.pixels / parameters
     return fit_steps(sensitivity, scene.opacity[0], scales, error)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
 from gs_codec.codec.lattice_blocks import Block, ShapedBlock, colour_block, shape_block
-from gs_codec.config import Config
+from gs_codec.config import Config, LatticeProfile
 from gs_codec.container.carried import carried_sections
 from gs_codec.container.file import (
     Header,
@@ -139,8 +139,7 @@ def _quantise(
     with times.stage("quantise"):
         shaped = run_all(lambda span: shape_block(arranged, *span), ranges, threads)
     with times.stage("recolour"):
-        strength = config.resolved_lattice().compaction
-        coloured = _recolour(arranged, shaped, guidance, strength)
+        coloured = _recolour(arranged, shaped, guidance, config.resolved_lattice())
     with times.stage("quantise"):
         return coloured, run_all(
             lambda block: colour_block(coloured, block, diffusing=False), shaped, threads, advance
@@ -148,7 +147,7 @@ def _quantise(
 
 
 def _recolour(
-    arranged: Arranged, blocks: list[ShapedBlock], guidance: Guidance, compaction: float
+    arranged: Arranged, blocks: list[ShapedBlock], guidance: Guidance, profile: LatticeProfile
 ) -> Arranged:
     """Let views choose colours that make up for what shapes have lost."""
     source, order, lattice = arranged.source, arranged.order, arranged.lattice
@@ -164,7 +163,7 @@ def _recolour(
     shifts = np.concatenate([block.shifts for block in blocks])
     finest = min(lattice.units[f"sh{band}"] for band in (1, 2, 3))
     steps = to_float(finest << shifts).astype(np.float32)
-    coloured = guidance.recolour(decoded, steps, compaction)
+    coloured = guidance.recolour(decoded, steps, profile)
     place = np.empty_like(order)
     place[order] = np.arange(len(order), dtype=order.dtype)
     f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.guidance import OF_LOSS, Guidance
+from gs_codec.codec.guidance import Guidance
+from gs_codec.config import LatticeProfile
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sensitivity import sensitivity
@@ -38,11 +39,12 @@ def guide(
     loss = views.error(scene)
     found = sensitivity(scene, cameras, background, threads=threads, progress=progress)
 
-    def recolour(decoded: Scene, steps: NDArray[np.float32], compaction: float) -> Scene:
+    def recolour(decoded: Scene, steps: NDArray[np.float32], profile: LatticeProfile) -> Scene:
         start = decoded
         if scene.sh_degree:
-            allowed = _UNSEEN * compaction + OF_LOSS * loss
-            start = _compact(decoded, views, steps, compaction, allowed, threads, progress)
+            strength = profile.compaction
+            allowed = _UNSEEN * strength + profile.of_loss * loss
+            start = _compact(decoded, views, steps, strength, allowed, threads, progress)
         refitted, _ = refit_colour(
             start,
             cameras,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
@@ -19,9 +18,11 @@ from gs_codec.codec.lattice_encode import model_lattice
 from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import inspect_bytes
-from gs_codec.preparation.targets import Targets
+from gs_codec.preparation.leave_one_out import leave_one_out
+from gs_codec.preparation.prune import keep_highest
+from gs_codec.preparation.targets import Views
 from gs_codec.rate.search import COARSEST, FINEST, expected, search
-from gs_codec.report import EncodeReport, RateReport, StageTimes
+from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes, step_counter
 from gs_codec.scene import Scene
 
 Guide = Callable[[Scene], Guidance]
@@ -42,15 +43,36 @@ _COMPACTION_SAVES = 0.1
 _REFIT_AGAIN = 0.2
 _MOST_REFITS = 5
 
+#: Share of the Gaussians that goes at once, where some may, and how often.
+_PART, _MOST_PARTS = 0.2, 10
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What views tell of a scene, and what is to be seen in them.
+
+    Attributes
+    ----------
+    guide : callable
+        As for `encode_scene`.
+    views : Views
+        A quality is measured in those held out.
+    before : float
+        Mean squared error in these at which nothing is lost.
+    """
+
+    guide: Guide
+    views: Views
+    before: float
+
 
 def encode_to_target(
     scene: Scene,
     config: Config,
     target: Target,
-    ply_bytes: int,
-    guide: Guide | None = None,
-    measured: Targets | None = None,
-    before: float = 0.0,
+    limit: int | None,
+    seen: Seen | None = None,
+    progress: Progress | None = None,
 ) -> tuple[bytes, EncodeReport]:
     """Encode a scene with steps as coarse or fine as a target asks.
 
@@ -60,14 +82,11 @@ def encode_to_target(
     config : Config
         Of profile ``l``, ``m`` or ``s``; where the search begins.
     target : Target
-    ply_bytes : int
-        Size of the scene as PLY.
-    guide : callable, optional
-        As for `encode_scene`; a quality needs it.
-    measured : Targets, optional
-        What losses are measured by; a quality needs them.
-    before : float
-        Mean squared error against them that nothing is lost at.
+    limit : int or None
+        Its most bytes, if it is a size.
+    seen : Seen, optional
+        A quality, and pruning, need it.
+    progress : callable, optional
 
     Raises
     ------
@@ -79,26 +98,39 @@ def encode_to_target(
         raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, {known} have not")
     if not scene.count:
         raise InvalidInput("target: the scene has no Gaussians")
+    if seen is None and (limit is None or target.allow_prune):
+        raise InvalidInput("target: a quality, or pruning, needs views")
     clean, dropped = drop_nonfinite(scene, config)
     clean, zero_quaternions = identity_for_zero(clean)
     times = StageTimes()
-    with times.stage("views"):
-        guidance = guide(clean) if guide is not None else None
-    trials = _Trials(clean, config, guidance, times)
-    limit = target.limit(scene.count, ply_bytes)
-    found: dict[str, Any]
-    if limit is not None:
-        found = _meet_size(trials, limit)
-    elif trials.guidance is None or measured is None:
-        raise InvalidInput("target psnr_drop: needs views")
+    if seen is not None and target.allow_prune:
+        met = _meet_pruning(clean, config, target, limit, seen, times, progress)
     else:
-        found = _meet_drop(trials, float(target.psnr_drop or 0), measured, before)
-    data, report = trials.last
+        met = _meet(clean, config, target, limit, seen, times, 0.0)
+    data, report = met.trials.last
     steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
-    rate = RateReport(target, 2.0**trials.place, steps, len(data), encodings=trials.number, **found)
+    rate = RateReport(
+        target,
+        2.0**met.trials.place,
+        steps,
+        len(data),
+        met.predicted_bytes,
+        met.trials.loss,
+        met.predicted_drop,
+        met.trials.number,
+        clean.count - met.trials.scene.count,
+    )
     return data, replace(
         report, dropped=dropped, zero_quaternions=zero_quaternions, seconds=times.seconds, rate=rate
     )
+
+
+class _OutOfReach(InvalidInput):
+    """No steps meet a target; tells whether fewer Gaussians may."""
+
+    def __init__(self, message: str, pruning_may_help: bool) -> None:
+        super().__init__(message)
+        self.pruning_may_help = pruning_may_help
 
 
 @dataclass
@@ -120,6 +152,8 @@ class _Trials:
         File and report of the last encoding.
     number : int
         How many there were, those for refitting included.
+    loss : float or None
+        Decibels that views lose by `last`, where that was measured.
     """
 
     scene: Scene
@@ -130,6 +164,7 @@ class _Trials:
     place: float = 0.0
     last: tuple[bytes, EncodeReport] = field(init=False)
     number: int = 0
+    loss: float | None = None
 
     def __post_init__(self) -> None:
         self.coloured = self.scene
@@ -162,28 +197,105 @@ class _Trials:
         self.number += 1
 
 
-def _meet_size(trials: _Trials, limit: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Met:
+    """Trials of which the last meets a target, and what was expected of it."""
+
+    trials: _Trials
+    predicted_bytes: int | None = None
+    predicted_drop: float | None = None
+
+
+def _meet_pruning(
+    scene: Scene,
+    config: Config,
+    target: Target,
+    limit: int | None,
+    seen: Seen,
+    times: StageTimes,
+    progress: Progress | None,
+) -> _Met:
+    """Meet a target with as many Gaussians as leave the least error, or the smallest file.
+
+    They go a part at a time, by leave-one-out error, as long as each part pays.
+    """
+    renders, measured = seen.views.renders, seen.views.held_out
+    best: _Met | None = None
+    refused: _OutOfReach | None = None
+    least, place, encodings = math.inf, 0.0, 0
+    for part in range(1, _MOST_PARTS + 1):
+        try:
+            met = _meet(scene, config, target, limit, seen, times, place)
+        except _OutOfReach as refusal:
+            refused, cost = refusal, math.inf
+            if not refusal.pruning_may_help:
+                break
+        else:
+            data = met.trials.last[0]
+            cost = len(data) if limit is None else measured.error(decode_scene(data))
+            encodings += met.trials.number
+            place = met.trials.place
+        if cost < least:
+            best, least = met, cost
+        elif best is not None:
+            break
+        removed = int(_PART * scene.count)
+        if not removed:
+            break
+        with times.stage("prune"):
+            advance = step_counter(progress, f"leave-one-out, part {part}", len(renders.cameras))
+            scores = leave_one_out(scene, renders.cameras, renders.background, advance)
+            scene = scene.take(keep_highest(scores, removed))
+    if best is None:
+        assert refused is not None
+        raise refused
+    best.trials.number = encodings
+    return best
+
+
+def _meet(
+    scene: Scene,
+    config: Config,
+    target: Target,
+    limit: int | None,
+    seen: Seen | None,
+    times: StageTimes,
+    start: float,
+) -> _Met:
+    """Meet a target with all Gaussians of a scene."""
+    with times.stage("views"):
+        guidance = seen.guide(scene) if seen is not None else None
+    trials = _Trials(scene, config, guidance, times)
+    if limit is not None:
+        return _meet_size(trials, limit, start)
+    assert seen is not None
+    return _meet_drop(trials, float(target.psnr_drop or 0), seen)
+
+
+def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
     """Search for steps at which the file is as large as it may be."""
     interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
-    predicted, start = None, 0.0
+    predicted = None
     if trials.guidance is not None:
         room = 1 + _COMPACTION_SAVES
         search(trials.size, room * interval[0], room * interval[1], start, _SIZE_SLOPE)
         predicted, start = round(len(trials.last[0]) / room), trials.place
     if _search_refitting(trials, trials.size, interval, start, _SIZE_SLOPE) is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
-        raise InvalidInput(f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach")
-    return {"predicted_bytes": predicted, "psnr_drop": None, "predicted_drop": None}
+        raise _OutOfReach(
+            f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach", least > limit
+        )
+    return _Met(trials, predicted)
 
 
-def _meet_drop(trials: _Trials, wanted: float, measured: Targets, before: float) -> dict[str, Any]:
+def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     """Search for steps at which views lose as much as they may."""
-    drops: dict[float, float] = {}
+    measured, before = seen.views.held_out, seen.before
 
     def drop(place: float) -> float:
         trials.size(place)
-        drops[place] = measured.drop(measured.error(decode_scene(trials.last[0])), before)
-        return drops[place]
+        trials.loss = measured.drop(measured.error(decode_scene(trials.last[0])), before)
+        return trials.loss
 
     allowed = measured.error_for(wanted, before) - before
     at_once = trials.config_at(0.0).resolved_lattice().error
@@ -191,13 +303,9 @@ def _meet_drop(trials: _Trials, wanted: float, measured: Targets, before: float)
     interval = (wanted - _DROP_TOLERANCE, wanted)
     if _search_refitting(trials, drop, interval, start, _DROP_SLOPE) is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
-        raise InvalidInput(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
+        raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach", False)
     predicted = measured.drop(before + at_once * 4.0**trials.place, before)
-    return {
-        "predicted_bytes": None,
-        "psnr_drop": drops[trials.place],
-        "predicted_drop": predicted,
-    }
+    return _Met(trials, None, predicted)
 
 
 def _search_refitting(

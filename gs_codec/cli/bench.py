@@ -18,11 +18,13 @@ from gs_codec.cli.bench_tables import (
     PART_COLUMNS,
     PEER_COLUMNS,
     PREPARATION_COLUMNS,
+    TARGET_COLUMNS,
     add_to_rows,
     gain_row,
     part_row,
     peer_row,
     preparation_row,
+    target_row,
 )
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_status, print_table, print_text
@@ -70,11 +72,18 @@ def command(
     parts: Annotated[
         bool, typer.Option("--parts", help="Measure what each part of l, m, s saves instead.")
     ] = False,
+    targets: Annotated[
+        bool,
+        typer.Option(
+            "--targets", help="Measure wanted sizes and qualities beside l, m, s instead."
+        ),
+    ] = False,
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
     plot: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="With --prepare: plot ratio against loss.")
+        Path | None,
+        typer.Option(metavar="PNG", help="With --prepare or --targets: plot size and quality."),
     ] = None,
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
@@ -85,8 +94,10 @@ def command(
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
         for name in profile or PROFILE_CHOICES
     ]
-    if (prepare or plot) and not (prepare and cameras):
-        raise InvalidInput("--prepare needs --cameras, and --plot needs --prepare")
+    if plot and not (prepare or targets):
+        raise InvalidInput("--plot needs --prepare or --targets")
+    if prepare and not cameras:
+        raise InvalidInput("--prepare needs --cameras")
     if prepare:
         _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
         return
@@ -94,6 +105,11 @@ def command(
         raise InvalidInput("--gains needs --cameras, and takes no --profile and no --depth")
     if gains:
         _measure_gains(scenes, configs[0], tile, (cameras, against_gt, width))
+        return
+    if targets and (not cameras or profile or depth):
+        raise InvalidInput("--targets needs --cameras, and takes no --profile and no --depth")
+    if targets:
+        _measure_targets(scenes, configs[0], tile, (cameras, against_gt, width), plot)
         return
     if parts and (not cameras or not set(profile or ["m"]) <= set(LATTICE_PROFILES)):
         raise InvalidInput("--parts needs --cameras, and profiles l, m or s; m when none is given")
@@ -206,6 +222,32 @@ def _measure_gains(
             if line["kind"] != "point":
                 rows.append(gain_row(line))
     print_table(GAIN_COLUMNS, rows, sys.stderr)
+
+
+def _measure_targets(
+    scenes: list[Path],
+    config: Config,
+    tile: int | None,
+    views: tuple[str | None, Path | None, int | None],
+    plot: Path | None,
+) -> None:
+    from gs_codec.bench.held_out import held_out_views
+    from gs_codec.bench.measure import machine
+    from gs_codec.bench.rate_plot import plot_targets
+    from gs_codec.bench.targets import measure_targets
+
+    print_text(json_module.dumps(machine()))
+    source, truth, width = views
+    lines = []
+    for path in scenes:
+        name, scene = _load(path, config, tile)
+        cameras, plan = held_out_views(source or "auto", scene, width)
+        for line in measure_targets(scene, name, cameras, truth, config, plan):
+            print_text(json_module.dumps(line))
+            lines.append(line)
+    if plot is not None:
+        plot_targets(lines, plot)
+    print_table(TARGET_COLUMNS, [target_row(line) for line in lines], sys.stderr)
 
 
 def _measure_parts(

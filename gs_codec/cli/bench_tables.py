@@ -15,6 +15,10 @@ PREPARATION_COLUMNS = [
     "scene", "rule or profile", "pruned %", "SH strength", "ratio", "delta-PSNR",
 ]  # fmt: skip
 PEER_COLUMNS = ["scene, codec", *(COLUMNS[i] for i in (1, 2, 4, 5, 7, 8))]
+TARGET_COLUMNS = [
+    "scene, steps", "asked", "reached", "pruned", "ratio", "bits/G", "profiles' bits/G", "PSNR dB",
+    "delta-PSNR", "s",
+]  # fmt: skip
 PART_COLUMNS = ["scene, profile", "without", "bits/G", "PSNR dB", "saves bits/G at equal PSNR"]
 GAIN_COLUMNS = ["scene, steps", "at", "PSNR dB", "paper bits/G", "bits/G", "saved"]
 
@@ -105,3 +109,22 @@ def part_row(line: dict[str, Any]) -> list[str]:
     label = f"{line['scene']}, {line['profile']}" + (", by views" if line["by_views"] else "")
     numbers = [line["bits_per_gaussian"], line["psnr"], line["saved_bits"]]
     return [label, line["without"], *(f"{number:.2f}" for number in numbers)]
+
+
+def target_row(line: dict[str, Any]) -> list[str]:
+    """A row of a profile, or of a file of a wanted size or quality."""
+    asked, reached, pruned, of_profiles = line.get("profile", ""), "", "", ""
+    if line["kind"] == "target":
+        pruned = f"{100 * line['pruned'] / line['gaussians']:.0f} %" if line["pruned"] else ""
+        bits = line["profiles_bits_per_gaussian"]
+        of_profiles = "out of range" if bits is None else f"{bits:.1f}"
+        if line["limit_bytes"] is not None:
+            asked = f"{line['limit_bytes']:,} bytes"
+            reached = f"{line['file_bytes']:,}"
+        else:
+            asked = f"{line['target']['psnr_drop']:g} dB"
+            reached = f"{line['psnr_drop']:.4f}"
+    size = [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}", of_profiles]
+    loss = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
+    quality = [_decibels(line["mean"]), loss, f"{line['encode_seconds']:.1f}"]
+    return [f"{line['scene']}, {line['curve']}", asked, reached, pruned, *size, *quality]

@@ -177,10 +177,15 @@ def test_preparation_is_measured_and_plotted(tmp_path, monkeypatch):
 
 
 def test_preparation_needs_cameras():
-    for options in (["--prepare"], ["--plot", "a.png"], ["--plot", "a.png", "--cameras", "auto"]):
+    plot = ["--plot", "a.png"]
+    for options, message in (
+        (["--prepare"], "--prepare needs --cameras"),
+        (plot, "--plot needs --prepare or --targets"),
+        ([*plot, "--cameras", "auto"], "--plot needs --prepare or --targets"),
+    ):
         result = CliRunner().invoke(app, ["bench", "scene.ply", *options])
         assert isinstance(result.exception, InvalidInput)
-        assert "--prepare needs --cameras" in str(result.exception)
+        assert message in str(result.exception)
 
 
 def test_parts_save_bits_and_are_put_back(tmp_path):

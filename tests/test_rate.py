@@ -104,8 +104,16 @@ def test_search_says_that_nothing_is_found(goal):
     assert search(lambda place: 2.0**-place, 0.98 * goal, goal, 0.0, -1.0) is None
 
 
-def test_search_ends_at_a_jump():
-    assert search(lambda place: 1.0 if place < 0.3 else 9.0, 4.0, 5.0, 0.0, 1.0) is None
+@pytest.mark.parametrize("start", [-3.0, 0.29, 4.0])
+def test_search_ends_below_a_jump(start):
+    places = []
+
+    def measure(place: float) -> float:
+        places.append(place)
+        return 1.0 if place < 0.3 else 9.0
+
+    found = search(measure, 4.0, 5.0, start, 1.0)
+    assert found == places[-1] < 0.3
 
 
 # Sizes

@@ -50,22 +50,28 @@ def search(
     Returns
     -------
     float or None
-        The last place that was measured; None where the measure jumps over the interval, or
-        never comes to it.
+        The last place that was measured. Where the measure jumps over the interval, that of the
+        highest value below it; None where it never comes so far.
     """
     aim = math.log2(max((1 - _AIM) * low + _AIM * high, _LEAST))
+    below: dict[float, float] = {}
 
     @cache
     def height(place: float) -> float:
         value = measure(place)
         if low <= value <= high:
             raise _Met(place)
+        if value < low:
+            below[value] = place
         return math.log2(max(value, _LEAST)) - aim
 
     try:
         bracket = _bracket(height, min(max(start, FINEST), COARSEST), slope)
         if bracket is not None:
             brentq(height, *bracket, xtol=1e-5)
+            place = below[max(below)]
+            measure(place)
+            return place
     except _Met as met:
         return float(met.args[0])
     return None

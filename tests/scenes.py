@@ -88,7 +88,7 @@ def made_up_guide(seed: int = 0, spread: float = 3.0) -> Callable[[Scene], Guida
 
         colour = 100.0 * np.exp(rng.normal(0.0, spread, scene.count))
         drawn = Sensitivity(100.0 * draw(), draw(3), draw(), draw(), colour)
-        return Guidance(drawn, 0.0, 1000 * scene.count, lambda decoded, *_: decoded)
+        return Guidance(drawn, 0.0, 1000 * scene.count)
 
     return guide
 

@@ -16,7 +16,7 @@ from gs_codec.codec.clean import identity_for_zero
 from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
 from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES, PROFILES, Config, LatticeProfile
+from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
 from gs_codec.container.file import Section, SectionId, read_file, write_file
 from gs_codec.container.lattice import UNITS, read_lattice
 from gs_codec.entropy.tables import encode_tables
@@ -218,15 +218,17 @@ def test_a_guide_is_asked_once_and_its_colours_are_coded():
     scene, calls = random_scene(300, 2, seed=34), []
     even = made_up_guide(seed=34)
 
-    def recolour(decoded: Scene, steps: np.ndarray, profile: LatticeProfile) -> Scene:
+    def compact(decoded: Scene, order: np.ndarray, steps: np.ndarray, profile) -> Scene:
         calls.append(decoded)
+        assert profile == LATTICE_PROFILES["m"]
+        np.testing.assert_array_equal(decoded.f_dc, scene.f_dc[:, order])
         assert steps.shape == (300,)
         assert steps.dtype == np.float32
         assert np.all(steps > 0)
         return replace(decoded, f_dc=np.zeros_like(decoded.f_dc), f_rest=0 * decoded.f_rest)
 
     data, _ = encode_scene(
-        scene, Config("m"), guide=lambda clean: replace(even(clean), recolour=recolour)
+        scene, Config("m"), guide=lambda clean: replace(even(clean), compact=compact)
     )
     decoded = decode_scene(data)
     assert len(calls) == 1

@@ -24,14 +24,19 @@ class Guidance:
         Mean squared error of an image value that the scene has already, pruned as it may be.
     pixels : int
         Of all views together.
-    recolour : callable
-        ``recolour(scene, steps, profile) -> Scene``: given the scene as it decodes but for its SH,
-        which are the original's, the steps ``(N,)`` its SH will be quantised at, and the profile,
-        a scene with SH that make up for what its shape has
-        lost.
+    compact : callable
+        ``compact(scene, order, steps, profile) -> Scene``: given the scene as it decodes but for
+        its SH, which are the original's, in an order ``(N,)``, the steps ``(N,)`` its SH will be
+        quantised at, and the profile, a scene with fewer SH that are not 0.
+    refit : callable
+        ``refit(scene) -> Scene``: given that, a scene with SH that make up for what its shape, and
+        compaction, have lost.
     """
 
     sensitivity: Sensitivity
     loss: float
     pixels: int
-    recolour: Callable[[Scene, NDArray[np.float32], LatticeProfile], Scene]
+    compact: Callable[
+        [Scene, NDArray[np.unsignedinteger], NDArray[np.float32], LatticeProfile], Scene
+    ] = lambda decoded, *_: decoded
+    refit: Callable[[Scene], Scene] = lambda decoded: decoded

@@ -163,7 +163,7 @@ def _recolour(
     shifts = np.concatenate([block.shifts for block in blocks])
     finest = min(lattice.units[f"sh{band}"] for band in (1, 2, 3))
     steps = to_float(finest << shifts).astype(np.float32)
-    coloured = guidance.recolour(decoded, steps, profile)
+    coloured = guidance.refit(guidance.compact(decoded, order, steps, profile))
     place = np.empty_like(order)
     place[order] = np.arange(len(order), dtype=order.dtype)
     f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,41 +41,50 @@ def guide(
     loss = views.error(scene)
     found = sensitivity(scene, cameras, background, threads=threads, progress=progress)
 
-    def recolour(decoded: Scene, steps: NDArray[np.float32], profile: LatticeProfile) -> Scene:
-        start = decoded
-        if scene.sh_degree:
-            strength = profile.compaction
-            allowed = _UNSEEN * strength + profile.of_loss * loss
-            start = _compact(decoded, views, steps, strength, allowed, threads, progress)
-        refitted, _ = refit_colour(
-            start,
+    @cache
+    def weights() -> NDArray[np.float32]:
+        return squared_weights(scene, cameras, None, threads, progress)
+
+    def compact(
+        decoded: Scene,
+        order: NDArray[np.unsignedinteger],
+        steps: NDArray[np.float32],
+        profile: LatticeProfile,
+    ) -> Scene:
+        if not scene.sh_degree:
+            return decoded
+        allowed = _UNSEEN * profile.compaction + profile.of_loss * loss
+        of_views = weights()[:, order]
+        return _compact(decoded, views, of_views, steps, profile.compaction, allowed, threads)
+
+    def refit(decoded: Scene) -> Scene:
+        return refit_colour(
+            decoded,
             cameras,
             views.images,
             _REFIT,
             background=background,
             threads=threads,
             progress=progress,
-        )
-        return refitted
+        )[0]
 
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, loss, pixels, recolour)
+    return Guidance(found, loss, pixels, compact, refit)
 
 
 def _compact(
     scene: Scene,
     views: Targets,
+    weights: NDArray[np.float32],
     steps: NDArray[np.float32],
     strength: float,
     allowed: float,
     threads: int | None,
-    progress: Progress | None,
 ) -> Scene:
     """The scene compacted; itself where that keeps only what these very views see.
 
     Compacted by most of the views it may lose a mean squared error `allowed` in the others.
     """
-    weights = squared_weights(scene, views.cameras, None, threads, progress)
     every = np.arange(len(views.cameras))
     most = every[every % _EVERY > 0]
 

@@ -36,12 +36,12 @@ _DROP_TOLERANCE = 0.02
 #: Log2 of a size, and of a loss, for each doubling of the steps; about.
 _SIZE_SLOPE, _DROP_SLOPE = -0.45, 1.7
 
-#: What SH compaction and refit save of a file, about, for the first guess.
-_COMPACTION_SAVES = 0.1
+#: What the refit of colours makes of a file's size, about, for the first guess.
+_REFIT_ADDS = 1.01
 
-#: Colours are refitted again if the steps have moved by more than this, log2.
-_REFIT_AGAIN = 0.2
-_MOST_REFITS = 5
+#: Colours are chosen again if the steps have moved by more than this, log2.
+_RECOLOUR_AGAIN = 0.2
+_MOST_RECOLOURINGS = 5
 
 #: Share of the Gaussians that goes at once, where some may, and how often.
 _PART, _MOST_PARTS = 0.2, 10
@@ -145,13 +145,13 @@ class _Trials:
     guidance : Guidance or None
     times : StageTimes
     coloured : Scene
-        With colours that were refitted.
+        With the colours chosen last.
     place : float
         Log2 of the coarseness of `last`.
     last : tuple
         File and report of the last encoding.
     number : int
-        How many there were, those for refitting included.
+        How many there were, those for colours included.
     loss : float or None
         Decibels that views lose by `last`, where that was measured.
     """
@@ -174,27 +174,32 @@ class _Trials:
 
     def size(self, place: float) -> int:
         """Encode, colours as they are; the bytes of the file."""
-        guide = None
-        if self.guidance is not None:
-            kept = replace(self.guidance, recolour=lambda decoded, *_: decoded)
-            guide = lambda _: kept  # noqa: E731
+        guide = self._guide(lambda known: Guidance(known.sensitivity, known.loss, known.pixels))
         with self.times.stage("search"):
             self.last = encode_scene(self.coloured, self.config_at(place), guide=guide)
         self.place = place
         self.number += 1
         return len(self.last[0])
 
+    def compact(self, place: float) -> None:
+        """Let views choose which SH are left, for steps as coarse: a part of `refit`."""
+        self._recolour(place, lambda known: replace(known, refit=lambda decoded: decoded))
+
     def refit(self, place: float) -> None:
         """Let views choose colours for steps as coarse."""
-        if self.guidance is None:
-            return
-        guidance = self.guidance
+        self._recolour(place, lambda known: known)
+
+    def _recolour(self, place: float, changed: Callable[[Guidance], Guidance]) -> None:
         with self.times.stage("recolour"):
             modelled = model_lattice(
-                self.scene, self.config_at(place), lambda _: guidance, StageTimes()
+                self.scene, self.config_at(place), self._guide(changed), StageTimes()
             )
         self.coloured = modelled.arranged.source
         self.number += 1
+
+    def _guide(self, changed: Callable[[Guidance], Guidance]) -> Guide | None:
+        guidance = self.guidance
+        return None if guidance is None else lambda _: changed(guidance)
 
 
 @dataclass(frozen=True)
@@ -277,10 +282,13 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
     interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
     predicted = None
     if trials.guidance is not None:
-        room = 1 + _COMPACTION_SAVES
-        search(trials.size, room * interval[0], room * interval[1], start, _SIZE_SLOPE)
-        predicted, start = round(len(trials.last[0]) / room), trials.place
-    if _search_refitting(trials, trials.size, interval, start, _SIZE_SLOPE) is None:
+        # Compaction is quick, and tells most of what colours that views choose will take.
+        before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
+        _search_recoloured(trials.compact, trials.size, before, start, _SIZE_SLOPE)
+        predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.place
+    recolour = None if trials.guidance is None else trials.refit
+    found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)
+    if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         raise _OutOfReach(
             f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach", least > limit
@@ -301,24 +309,26 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     at_once = trials.config_at(0.0).resolved_lattice().error
     start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
     interval = (wanted - _DROP_TOLERANCE, wanted)
-    if _search_refitting(trials, drop, interval, start, _DROP_SLOPE) is None:
+    if _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE) is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
         raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach", False)
     predicted = measured.drop(before + at_once * 4.0**trials.place, before)
     return _Met(trials, None, predicted)
 
 
-def _search_refitting(
-    trials: _Trials,
+def _search_recoloured(
+    recolour: Callable[[float], None] | None,
     measure: Callable[[float], float],
     interval: tuple[float, float],
     start: float,
     slope: float,
 ) -> float | None:
-    """`search`, with colours refitted for steps about as coarse as are found."""
+    """`search`, with colours for steps about as coarse as are found."""
     place = start
-    for _ in range(_MOST_REFITS if trials.guidance is not None else 0):
-        trials.refit(place)
+    for _ in range(_MOST_RECOLOURINGS):
+        if recolour is None:
+            break
+        recolour(place)
         value = measure(place)
         if interval[0] <= value <= interval[1]:
             return place
@@ -326,6 +336,6 @@ def _search_refitting(
         if following == place:
             return None
         moved, place = abs(following - place), following
-        if moved <= _REFIT_AGAIN:
+        if moved <= _RECOLOUR_AGAIN:
             break
     return search(measure, *interval, place, slope)

@@ -30,13 +30,15 @@ _NOMINAL_ERROR = 1e-3
 class Targets:
     """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter.
 
-    `photographs` tells whether the images are such, or renders of the scene to be prepared.
+    `photographs` tells whether the images are such, or renders of the scene to be prepared: of
+    `source`, if that is known.
     """
 
     cameras: tuple[Camera, ...]
     images: tuple[NDArray[np.float32], ...]
     photographs: bool
     background: tuple[float, float, float]
+    source: Scene | None = None
 
     def quality(self, scene: Scene) -> Quality:
         """Mean over the views of PSNR and SSIM of a scene's images against them."""
@@ -49,6 +51,8 @@ class Targets:
 
     def error(self, scene: Scene) -> float:
         """Mean squared error of a scene's images, mean over the views."""
+        if scene is self.source:
+            return 0.0
 
         def measure(i: int) -> float:
             drawn = render(scene, self.cameras[i], self.background, threads=1, device="cpu")
@@ -121,7 +125,7 @@ def draw_targets(
     images = run_all(
         lambda camera: render(scene, camera, background, threads=1, device="cpu").colour, cameras
     )
-    return Targets(tuple(cameras), tuple(images), False, background)
+    return Targets(tuple(cameras), tuple(images), False, background, scene)
 
 
 def read_targets(

@@ -36,8 +36,9 @@ _DROP_TOLERANCE = 0.02
 #: Log2 of a size, and of a loss, for each doubling of the steps; about.
 _SIZE_SLOPE, _DROP_SLOPE = -0.45, 1.7
 
-#: What the refit of colours makes of a file's size, about, for the first guess.
-_REFIT_ADDS = 1.01
+#: What SH compaction, and then the refit of colours, make of a file's size, about: for the first
+#: guess.
+_COMPACTION_SAVES, _REFIT_ADDS = 1.08, 1.01
 
 #: Colours are chosen again if the steps have moved by more than this, log2.
 _RECOLOUR_AGAIN = 0.2
@@ -282,8 +283,10 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
     interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
     predicted = None
     if trials.guidance is not None:
-        # Compaction is quick, and tells most of what colours that views choose will take.
+        # Colours as they are, then compaction, are quick, and tell most of what all will take.
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
+        search(trials.size, *(_COMPACTION_SAVES * size for size in before), start, _SIZE_SLOPE)
+        start = trials.place
         _search_recoloured(trials.compact, trials.size, before, start, _SIZE_SLOPE)
         predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.place
     recolour = None if trials.guidance is None else trials.refit

@@ -285,7 +285,8 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
     if trials.guidance is not None:
         # Colours as they are, then compaction, are quick, and tell most of what all will take.
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
-        search(trials.size, *(_COMPACTION_SAVES * size for size in before), start, _SIZE_SLOPE)
+        plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
+        search(trials.size, *plain, start, _SIZE_SLOPE)
         start = trials.place
         _search_recoloured(trials.compact, trials.size, before, start, _SIZE_SLOPE)
         predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.place

@@ -51,8 +51,7 @@ class LatticeProfile:
         Without cameras: unit of all steps, see `lattice.blind`.
     of_loss : float
         With cameras: share of the error that a scene has already, pruned as it may be, that
-        quantisation, and SH compaction, may add too: neither is worth its bits if the other saves
-        them at less.
+        quantisation may add too: neither is worth its bits if the other saves them at less.
     """
 
     error: float

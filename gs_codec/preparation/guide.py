@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,21 +10,30 @@ from numpy.typing import NDArray
 
 from gs_codec.codec.guidance import Guidance
 from gs_codec.config import LatticeProfile
+from gs_codec.model.table import shannon_bits
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sensitivity import sensitivity
 from gs_codec.preparation.sh_weights import squared_weights
-from gs_codec.preparation.targets import Targets, draw_targets
+from gs_codec.preparation.targets import Targets
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
+from gs_codec.transform.ycocg import from_ycocg, to_ycocg
 
 #: Conjugate-gradient steps of the refit.
 _REFIT = 10
 
-#: Compaction is tried without one of so many views, and done if in these it loses at most so
-#: much of its strength, and a share of what is lost already: what the others do not tell costs
-#: 1.1 times the strength where they surround a scene, and 7 to 50 times where they are too few.
-_EVERY, _UNSEEN = 4, 2.0
+#: Compaction is tried without one of so many views, and judged by these.
+_EVERY = 4
+
+#: Values of a Gaussian, SH-AC aside, that take a bit more when steps are halved.
+_OTHERS = 14
+
+#: Mean squared errors below this are not told apart.
+_EPS = 1e-12
+
+#: Largest level of SH-AC that is told from others where bits are estimated.
+_LARGEST = 1 << 11
 
 
 def guide(
@@ -53,9 +63,8 @@ def guide(
     ) -> Scene:
         if not scene.sh_degree:
             return decoded
-        allowed = _UNSEEN * profile.compaction + profile.of_loss * loss
         of_views = weights()[:, order]
-        return _compact(decoded, views, of_views, steps, profile.compaction, allowed, threads)
+        return _compact(decoded, views, of_views, steps, profile.compaction, threads)
 
     def refit(decoded: Scene) -> Scene:
         return refit_colour(
@@ -78,12 +87,13 @@ def _compact(
     weights: NDArray[np.float32],
     steps: NDArray[np.float32],
     strength: float,
-    allowed: float,
     threads: int | None,
 ) -> Scene:
-    """The scene compacted; itself where that keeps only what these very views see.
+    """The scene compacted, or itself where that does not pay.
 
-    Compacted by most of the views it may lose a mean squared error `allowed` in the others.
+    It pays if the bits it saves are more than finer steps would take to win back the PSNR that it
+    loses, compacted by most of the views, in the others: where views are few, or far apart, it
+    keeps only what they see.
     """
     every = np.arange(len(views.cameras))
     most = every[every % _EVERY > 0]
@@ -97,5 +107,24 @@ def _compact(
 
     if not len(most):
         return scene
-    others = draw_targets(scene, views.cameras[::_EVERY], views.background)
-    return compact(every) if others.error(compact(most)) <= allowed else scene
+    others = replace(views, cameras=views.cameras[::_EVERY], images=views.images[::_EVERY])
+    plain, plain_bits, levels = _rounded(scene, steps)
+    sparse, sparse_bits, _ = _rounded(compact(most), steps)
+    # Halving all steps takes a bit for each value that is not 0, and a quarter of the error.
+    lost, before = (np.maximum(others.errors(coded), _EPS) for coded in (sparse, plain))
+    octaves = 0.5 * float(np.mean(np.log2(lost / before)))
+    return compact(every) if sparse_bits + (_OTHERS + levels) * octaves < plain_bits else scene
+
+
+def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:
+    """A scene as its SH-AC are coded; for each Gaussian the bits, about, and levels not 0."""
+    f_rest = np.empty_like(scene.f_rest)
+    rounded = f_rest.reshape(3, -1, scene.count)
+    bits = levels = 0.0
+    for k, plane in enumerate(scene.f_rest.reshape(3, -1, scene.count).swapaxes(0, 1)):
+        found = np.rint(to_ycocg(plane) / steps)
+        rounded[:, k] = from_ycocg(found * steps)
+        levels += np.count_nonzero(found)
+        for row in np.clip(found, -_LARGEST, _LARGEST).astype(np.int64):
+            bits += shannon_bits(np.bincount(row + _LARGEST))
+    return replace(scene, f_rest=f_rest), bits / scene.count, levels / scene.count

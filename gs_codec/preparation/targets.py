@@ -51,14 +51,16 @@ class Targets:
 
     def error(self, scene: Scene) -> float:
         """Mean squared error of a scene's images, mean over the views."""
-        if scene is self.source:
-            return 0.0
+        return 0.0 if scene is self.source else float(np.mean(self.errors(scene)))
+
+    def errors(self, scene: Scene) -> NDArray[np.float64]:
+        """Mean squared error of a scene's image in each view."""
 
         def measure(i: int) -> float:
             drawn = render(scene, self.cameras[i], self.background, threads=1, device="cpu")
             return float(np.mean((drawn.colour - self.images[i]) ** 2, dtype=np.float64))
 
-        return float(np.mean(run_all(measure, range(len(self.cameras)))))
+        return np.array(run_all(measure, range(len(self.cameras))))
 
     def drop(self, error: float, before: float) -> float:
         """Loss of PSNR, dB, from a mean squared error `before` to `error`.

@@ -195,7 +195,7 @@ def encode_goal(
 
     views = views or choose_views(original, plan)
     guide = guide_of(scene, plan, config, progress, views)
-    seen = None if guide is None else Seen(guide, views, views.held_out.error(original))
+    seen = None if guide is None else Seen(guide, views, views.held_out.errors(original))
     return encode_to_target(scene, config, goal, limit, seen, progress)
 
 

@@ -153,6 +153,8 @@ def test_drop_of_photographs_and_of_own_renders(scene):
     assert own.drop(1e-3, 0.0) == pytest.approx(10 * np.log10(2))
     real = replace(own, photographs=True)
     assert real.drop(2e-3, 1e-3) == pytest.approx(10 * np.log10(2))
+    views = np.array([2e-3, 8e-3]), np.array([1e-3, 1e-3])
+    assert real.drop(*views) == pytest.approx(10 * np.log10(4))  # the mean of decibels
 
 
 def test_rectification_is_what_coding_does(scene):

@@ -194,8 +194,8 @@ def test_the_loss_stays_within_the_limit_and_comes_near_it(limit):
     scene = visible_scene(300, 118)
     targets = targets_of(scene)
     kept, _ = prune_leave_one_out(scene, views_of(scene), 0, limit)
-    before = targets.error(scene)
-    drop = targets.drop(targets.error(scene.take(kept)), before)
+    before = targets.errors(scene)
+    drop = targets.drop(targets.errors(scene.take(kept)), before)
     assert 0.3 * limit < drop <= limit
 
 

@@ -23,6 +23,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files import encode_goal
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import vertex_rows, write_ply
+from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import Plan, choose_views
 from gs_codec.preparation.steps import Steps
 from gs_codec.preparation.targets import draw_targets
@@ -176,7 +177,7 @@ def test_what_is_dropped_is_reported(scene):
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[Scene, Plan]:
-    return generate(2500, 2, 5), Plan(Steps(), cameras(12))
+    return generate(2500, 2, 5), Plan(Steps(), cameras(30))
 
 
 @pytest.mark.parametrize("wanted", [0.03, 0.1, 0.5])
@@ -184,7 +185,7 @@ def test_losses_are_met_from_below(seen, wanted):
     scene, plan = seen
     data, report = encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=wanted), plan)
     measured = choose_views(scene, plan).held_out
-    loss = measured.drop(measured.error(decode_scene(data)), 0.0)
+    loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
     assert wanted - 0.02 <= loss <= wanted
     assert report.rate.psnr_drop == pytest.approx(loss, abs=1e-9)
 
@@ -210,11 +211,15 @@ def test_photographs_tell_what_is_lost(seen, tmp_path):
         noisy = 255 * np.clip(image + rng.normal(0, 0.1, image.shape), 0, 1)
         Image.fromarray(np.uint8(noisy)).save(tmp_path / f"{camera.name}.png")
     by_photographs = replace(plan, photographs=tmp_path)
-    of = [
-        encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=0.1), chosen)[1].rate
-        for chosen in (plan, by_photographs)
-    ]
-    assert of[1].coarseness > 1.5 * of[0].coarseness  # noise of 20 dB hides more than 30 dB do
+    target = Target(psnr_drop=0.1)
+    without = encode_goal(scene, scene, 1, Config("m"), target, plan)[1].rate
+    data, report = encode_goal(scene, scene, 1, Config("m"), target, by_photographs)
+    # Noise of 20 dB hides more than the 30 dB that are taken for granted without photographs.
+    assert report.rate.coarseness > 1.5 * without.coarseness
+    held_out = [camera for camera in plan.cameras if camera.split == "test"]
+    compared = compare_views(scene, decode_scene(data), held_out, truth=tmp_path, device="cpu")
+    assert -0.1 <= compared.mean.delta.psnr <= -0.08
+    assert report.rate.psnr_drop == pytest.approx(-compared.mean.delta.psnr, abs=1e-4)
 
 
 # Pruning
@@ -248,10 +253,10 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
     measured = choose_views(scene, plan).held_out
     sizes = []
     for allowed in (False, True):
-        target = Target(psnr_drop=0.1, allow_prune=allowed)
+        target = Target(psnr_drop=0.3, allow_prune=allowed)
         data, _ = encode_goal(scene, scene, 1, Config("m"), target, plan)
-        loss = measured.drop(measured.error(decode_scene(data)), 0.0)
-        assert 0.08 <= loss <= 0.1
+        loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
+        assert 0.2 <= loss <= 0.3  # few views have jumps
         sizes.append(len(data))
     assert sizes[1] < 0.97 * sizes[0]
 

@@ -49,7 +49,7 @@ def prune_leave_one_out(
     kept = np.arange(scene.count)
     rounds: list[dict[str, Any]] = []
     cameras, targets = views.renders.cameras, views.wanted
-    before = targets.error(scene) if max_drop is not None else 0.0
+    before = targets.errors(scene) if max_drop is not None else np.zeros(1)
     while len(kept) > least:
         current = scene.take(kept)
         stage = f"leave-one-out, round {len(rounds) + 1}"
@@ -70,14 +70,14 @@ def _allowed(
     scores: NDArray[np.float64],
     most: int,
     targets: Targets,
-    before: float,
+    before: NDArray[np.float64],
     max_drop: float,
 ) -> int:
     """The most, up to `most`, of the lowest scores that can go within the loss allowed."""
 
     def fits(number: int) -> bool:
         left = scene.take(keep_highest(scores, number))
-        return targets.drop(targets.error(left), before) <= max_drop
+        return targets.drop(targets.errors(left), before) <= max_drop
 
     if fits(most):
         return most

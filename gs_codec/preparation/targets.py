@@ -51,10 +51,12 @@ class Targets:
 
     def error(self, scene: Scene) -> float:
         """Mean squared error of a scene's images, mean over the views."""
-        return 0.0 if scene is self.source else float(np.mean(self.errors(scene)))
+        return float(np.mean(self.errors(scene)))
 
     def errors(self, scene: Scene) -> NDArray[np.float64]:
         """Mean squared error of a scene's image in each view."""
+        if scene is self.source:
+            return np.zeros(len(self.cameras))
 
         def measure(i: int) -> float:
             drawn = render(scene, self.cameras[i], self.background, threads=1, device="cpu")
@@ -62,17 +64,19 @@ class Targets:
 
         return np.array(run_all(measure, range(len(self.cameras))))
 
-    def drop(self, error: float, before: float) -> float:
-        """Loss of PSNR, dB, from a mean squared error `before` to `error`.
+    def drop(
+        self, errors: float | NDArray[np.float64], before: float | NDArray[np.float64]
+    ) -> float:
+        """Loss of PSNR, dB, mean over the views, from mean squared errors `before` to `errors`.
 
         Where targets are the scene's own renders, it is taken to have 30 dB against photographs,
         and errors of both kinds to add up.
         """
         own = 0.0 if self.photographs else _NOMINAL_ERROR
-        return 10 * float(np.log10((own + error) / (own + before)))
+        return 10 * float(np.mean(np.log10((own + errors) / (own + before))))
 
     def error_for(self, drop: float, before: float) -> float:
-        """The mean squared error that loses `drop` dB: the inverse of `drop`."""
+        """The mean squared error that loses `drop` dB in each view: the inverse of `drop`."""
         own = 0.0 if self.photographs else _NOMINAL_ERROR
         return (own + before) * 10 ** (drop / 10) - own
 

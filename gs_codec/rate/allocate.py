@@ -11,6 +11,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
 from gs_codec.codec.guidance import Guidance
@@ -58,13 +61,18 @@ class Seen:
         As for `encode_scene`.
     views : Views
         A quality is measured in those held out.
-    before : float
-        Mean squared error in these at which nothing is lost.
+    before : ndarray, shape (views,)
+        Mean squared errors in these at which nothing is lost.
     """
 
     guide: Guide
     views: Views
-    before: float
+    before: NDArray[np.float64]
+
+    def loss(self, data: bytes) -> float:
+        """Decibels that a file loses."""
+        measured = self.views.held_out
+        return measured.drop(measured.errors(decode_scene(data)), self.before)
 
 
 def encode_to_target(
@@ -225,7 +233,7 @@ def _meet_pruning(
 
     They go a part at a time, by leave-one-out error, as long as each part pays.
     """
-    renders, measured = seen.views.renders, seen.views.held_out
+    renders = seen.views.renders
     best: _Met | None = None
     refused: _OutOfReach | None = None
     least, place, encodings = math.inf, 0.0, 0
@@ -238,7 +246,7 @@ def _meet_pruning(
                 break
         else:
             data = met.trials.last[0]
-            cost = len(data) if limit is None else measured.error(decode_scene(data))
+            cost = len(data) if limit is None else seen.loss(data)
             encodings += met.trials.number
             place = met.trials.place
         if cost < least:
@@ -302,11 +310,11 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
 
 def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     """Search for steps at which views lose as much as they may."""
-    measured, before = seen.views.held_out, seen.before
+    measured, before = seen.views.held_out, float(np.mean(seen.before))
 
     def drop(place: float) -> float:
         trials.size(place)
-        trials.loss = measured.drop(measured.error(decode_scene(trials.last[0])), before)
+        trials.loss = seen.loss(trials.last[0])
         return trials.loss
 
     allowed = measured.error_for(wanted, before) - before

@@ -68,7 +68,7 @@ def search(
     try:
         bracket = _bracket(height, min(max(start, FINEST), COARSEST), slope)
         if bracket is not None:
-            brentq(height, *bracket, xtol=1e-5)
+            brentq(height, *bracket, xtol=1e-3)
             place = below[max(below)]
             measure(place)
             return place

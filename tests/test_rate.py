@@ -317,6 +317,17 @@ def test_command_line_meets_a_size(scene, tmp_path):
     assert out.read_bytes() == first
 
 
+@pytest.mark.parametrize("options", [["--target-ratio", "1"], ["--target-size", "1kB"]])
+def test_command_line_refuses_what_is_out_of_reach(scene, tmp_path, options):
+    source, out = tmp_path / "scene.ply", tmp_path / "out.egs"
+    write_ply(source, scene)
+    result = CliRunner().invoke(app, ["encode", str(source), str(out), *options])
+    assert isinstance(result.exception, InvalidInput)
+    assert str(result.exception).startswith(f"{source}: target ")
+    assert str(result.exception).endswith("bytes are in reach")
+    assert not out.exists()
+
+
 def test_two_targets_are_refused(scene, tmp_path):
     options = ["--target-ratio", "20", "--target-bpg", "30"]
     result = CliRunner().invoke(app, ["encode", "scene.ply", str(tmp_path / "x.egs"), *options])

@@ -95,7 +95,12 @@ def plan_of(options: dict[str, Any]) -> Any:
         for name in ("report", "checkpoint", "against_gt"):
             if options[name] and not (measured and name == "against_gt"):
                 option = "--" + name.replace("_", "-")
-                raise InvalidInput(f"{option} needs a step, for example --prune-loo 30")
+                other = (
+                    " or --max-psnr-drop"
+                    if name == "against_gt" and "max_psnr_drop" in options
+                    else ""
+                )
+                raise InvalidInput(f"{option} needs a step, for example --prune-loo 30{other}")
         if options["cameras"] is None and options["against_gt"] is None:
             return None
     from gs_codec.preparation.pipeline import Plan

@@ -135,11 +135,11 @@ def encode_to_target(
 
 
 class _OutOfReach(InvalidInput):
-    """No steps meet a target; tells whether fewer Gaussians may."""
+    """No steps meet a target."""
 
-    def __init__(self, message: str, pruning_may_help: bool) -> None:
-        super().__init__(message)
-        self.pruning_may_help = pruning_may_help
+
+class _TooLarge(_OutOfReach):
+    """Nor is any file small enough; of fewer Gaussians one may be."""
 
 
 @dataclass
@@ -242,7 +242,7 @@ def _meet_pruning(
             met = _meet(scene, config, target, limit, seen, times, place)
         except _OutOfReach as refusal:
             refused, cost = refusal, math.inf
-            if not refusal.pruning_may_help:
+            if not isinstance(refusal, _TooLarge):
                 break
         else:
             data = met.trials.last[0]
@@ -302,9 +302,8 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
     found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)
     if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
-        raise _OutOfReach(
-            f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach", least > limit
-        )
+        kind = _TooLarge if least > limit else _OutOfReach
+        raise kind(f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach")
     return _Met(trials, predicted)
 
 
@@ -323,7 +322,7 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     interval = (wanted - _DROP_TOLERANCE, wanted)
     if _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE) is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
-        raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach", False)
+        raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
     predicted = measured.drop(before + at_once * 4.0**trials.place, before)
     return _Met(trials, None, predicted)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -25,6 +26,9 @@ _REFIT = 10
 
 #: Compaction is tried without one of so many views, and judged by these.
 _EVERY = 4
+
+#: By what the error of the worst of these may grow.
+_WORST = 4.0
 
 #: Values of a Gaussian, SH-AC aside, that take a bit more when steps are halved.
 _OTHERS = 14
@@ -91,9 +95,9 @@ def _compact(
 ) -> Scene:
     """The scene compacted, or itself where that does not pay.
 
-    It pays if the bits it saves are more than finer steps would take to win back the PSNR that it
-    loses, compacted by most of the views, in the others: where views are few, or far apart, it
-    keeps only what they see.
+    It pays if the bits it saves are more than finer steps would take to win back what it loses,
+    compacted by most of the views, in the others, and none of these is spoilt: where views are
+    few, or far apart, it keeps only what they see.
     """
     every = np.arange(len(views.cameras))
     most = every[every % _EVERY > 0]
@@ -110,9 +114,11 @@ def _compact(
     others = replace(views, cameras=views.cameras[::_EVERY], images=views.images[::_EVERY])
     plain, plain_bits, levels = _rounded(scene, steps)
     sparse, sparse_bits, _ = _rounded(compact(most), steps)
-    # Halving all steps takes a bit for each value that is not 0, and a quarter of the error.
     lost, before = (np.maximum(others.errors(coded), _EPS) for coded in (sparse, plain))
-    octaves = 0.5 * float(np.mean(np.log2(lost / before)))
+    if lost.max() > _WORST * before.max():
+        return scene
+    # Halving all steps takes a bit for each value that is not 0, and a quarter of the error.
+    octaves = 0.5 * math.log2(lost.mean() / before.mean())
     return compact(every) if sparse_bits + (_OTHERS + levels) * octaves < plain_bits else scene
 
 

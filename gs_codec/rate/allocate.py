@@ -163,6 +163,8 @@ class _Trials:
         How many there were, those for colours included.
     loss : float or None
         Decibels that views lose by `last`, where that was measured.
+    compacting : bool
+        Whether `refit` has SH compacted before.
     """
 
     scene: Scene
@@ -174,6 +176,7 @@ class _Trials:
     last: tuple[bytes, EncodeReport] = field(init=False)
     number: int = 0
     loss: float | None = None
+    compacting: bool = True
 
     def __post_init__(self) -> None:
         self.coloured = self.scene
@@ -196,7 +199,11 @@ class _Trials:
 
     def refit(self, place: float) -> None:
         """Let views choose colours for steps as coarse."""
-        self._recolour(place, lambda known: known)
+
+        def changed(known: Guidance) -> Guidance:
+            return known if self.compacting else replace(known, compact=lambda decoded, *_: decoded)
+
+        self._recolour(place, changed)
 
     def _recolour(self, place: float, changed: Callable[[Guidance], Guidance]) -> None:
         with self.times.stage("recolour"):
@@ -320,7 +327,12 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     at_once = trials.config_at(0.0).resolved_lattice().error
     start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
     interval = (wanted - _DROP_TOLERANCE, wanted)
-    if _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE) is None:
+    found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+    if found is None:
+        # Compaction may cost the views held out more than that, however weak it is.
+        trials.compacting = False
+        found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+    if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
         raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
     predicted = measured.drop(before + at_once * 4.0**trials.place, before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,12 @@ class Curve:
             best[psnr] = min(bits, best.get(psnr, np.inf))
         psnrs = np.array(sorted(best), np.float64)
         return cls(psnrs, np.log2(np.array([best[psnr] for psnr in psnrs], np.float64)))
+
+    @classmethod
+    def through_lines(cls, lines: Iterable[dict[str, Any]]) -> Curve:
+        """Through result lines, but for those of equal views, which have no PSNR."""
+        points = [(line["mean"]["psnr"], line["bits_per_gaussian"]) for line in lines]
+        return cls.through((psnr, bits) for psnr, bits in points if psnr is not None)
 
     @property
     def range(self) -> tuple[float, float]:

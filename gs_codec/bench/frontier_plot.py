@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from gs_codec.errors import MissingTool
+from gs_codec.bench.figure import new_figure
 
 
 def plot_frontier(lines: list[dict[str, Any]], path: Path) -> None:
@@ -16,12 +16,7 @@ def plot_frontier(lines: list[dict[str, Any]], path: Path) -> None:
     MissingTool
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingTool("--plot: needs matplotlib (pip install matplotlib)") from None
-
-    figure = Figure(figsize=(7, 4.5), dpi=110)
+    figure = new_figure(7, 4.5)
     axis = figure.add_subplot()
     groups: dict[tuple[str, float], list[dict[str, Any]]] = {}
     for line in lines:

@@ -48,8 +48,7 @@ class _Ladder:
     @property
     def points(self) -> Curve:
         """The curve through what was measured."""
-        lines = [line for line in self.lines.values() if line["mean"]["psnr"] is not None]
-        return Curve.through((line["mean"]["psnr"], line["bits_per_gaussian"]) for line in lines)
+        return Curve.through_lines(self.lines.values())
 
     def named_psnr(self) -> dict[str, float]:
         """PSNR of the profiles themselves."""

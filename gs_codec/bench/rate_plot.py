@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from gs_codec.errors import MissingTool
+from gs_codec.bench.figure import new_figure
 
 
 def plot_targets(lines: list[dict[str, Any]], path: Path) -> None:
@@ -16,13 +16,8 @@ def plot_targets(lines: list[dict[str, Any]], path: Path) -> None:
     MissingTool
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingTool("--plot: needs matplotlib (pip install matplotlib)") from None
-
     scenes = list(dict.fromkeys(line["scene"] for line in lines))
-    figure = Figure(figsize=(6 * max(len(scenes), 1), 4.5), dpi=110)
+    figure = new_figure(6 * max(len(scenes), 1), 4.5)
     for number, scene in enumerate(scenes, 1):
         axis = figure.add_subplot(1, len(scenes), number)
         of_scene = [line for line in lines if line["scene"] == scene]

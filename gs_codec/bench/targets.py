@@ -49,8 +49,7 @@ def measure_targets(
             for profile in LATTICE_PROFILES
         ]
         yield from (line | {"kind": "profile", "curve": curve} for line in lines)
-        points = [(line["mean"]["psnr"], line["bits_per_gaussian"]) for line in lines]
-        profiles = Curve.through((psnr, bits) for psnr, bits in points if psnr is not None)
+        profiles = Curve.through_lines(lines)
         for wish in wishes:
             line = _measure(scene, name, cameras, truth, replace(config, profile="m"), wish, used)
             psnr = line["mean"]["psnr"]

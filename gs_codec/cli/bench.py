@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -34,6 +34,8 @@ from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.rendering.camera import Camera
     from gs_codec.scene import Scene
 
 
@@ -208,17 +210,10 @@ def _measure_gains(
     views: tuple[str | None, Path | None, int | None],
 ) -> None:
     from gs_codec.bench.gains import measure_gains
-    from gs_codec.bench.held_out import held_out_views
-    from gs_codec.bench.measure import machine
 
-    print_text(json_module.dumps(machine()))
-    source, truth, width = views
     rows = []
-    for path in scenes:
-        name, scene = _load(path, config, tile)
-        cameras, plan = held_out_views(source or "auto", scene, width)
-        for line in measure_gains(scene, name, cameras, truth, config, plan):
-            print_text(json_module.dumps(line))
+    for name, scene, cameras, plan in _held_out(scenes, config, tile, views):
+        for line in _printed(measure_gains(scene, name, cameras, views[1], config, plan)):
             if line["kind"] != "point":
                 rows.append(gain_row(line))
     print_table(GAIN_COLUMNS, rows, sys.stderr)
@@ -231,20 +226,12 @@ def _measure_targets(
     views: tuple[str | None, Path | None, int | None],
     plot: Path | None,
 ) -> None:
-    from gs_codec.bench.held_out import held_out_views
-    from gs_codec.bench.measure import machine
     from gs_codec.bench.rate_plot import plot_targets
     from gs_codec.bench.targets import measure_targets
 
-    print_text(json_module.dumps(machine()))
-    source, truth, width = views
-    lines = []
-    for path in scenes:
-        name, scene = _load(path, config, tile)
-        cameras, plan = held_out_views(source or "auto", scene, width)
-        for line in measure_targets(scene, name, cameras, truth, config, plan):
-            print_text(json_module.dumps(line))
-            lines.append(line)
+    lines: list[dict[str, Any]] = []
+    for name, scene, cameras, plan in _held_out(scenes, config, tile, views):
+        lines += _printed(measure_targets(scene, name, cameras, views[1], config, plan))
     if plot is not None:
         plot_targets(lines, plot)
     print_table(TARGET_COLUMNS, [target_row(line) for line in lines], sys.stderr)
@@ -256,22 +243,39 @@ def _measure_parts(
     tile: int | None,
     views: tuple[str | None, Path | None, int | None],
 ) -> None:
+    from gs_codec.bench.parts import measure_parts
+
+    rows = []
+    for name, scene, cameras, plan in _held_out(scenes, configs[0], tile, views):
+        for config in configs:
+            for used in (None, plan):
+                lines = _printed(measure_parts(scene, name, cameras, config, used))
+                rows += [part_row(line) for line in lines]
+    print_table(PART_COLUMNS, rows, sys.stderr)
+
+
+def _held_out(
+    scenes: list[Path],
+    config: Config,
+    tile: int | None,
+    views: tuple[str | None, Path | None, int | None],
+) -> Iterator[tuple[str, Scene, list[Camera], Plan]]:
+    """Name and scene of each file, cameras to measure in, and a plan that goes by others."""
     from gs_codec.bench.held_out import held_out_views
     from gs_codec.bench.measure import machine
-    from gs_codec.bench.parts import measure_parts
 
     print_text(json_module.dumps(machine()))
     source, _, width = views
-    rows = []
     for path in scenes:
-        name, scene = _load(path, configs[0], tile)
-        cameras, plan = held_out_views(source or "auto", scene, width)
-        for config in configs:
-            for used in (None, plan):
-                for line in measure_parts(scene, name, cameras, config, used):
-                    print_text(json_module.dumps(line))
-                    rows.append(part_row(line))
-    print_table(PART_COLUMNS, rows, sys.stderr)
+        name, scene = _load(path, config, tile)
+        yield name, scene, *held_out_views(source or "auto", scene, width)
+
+
+def _printed(lines: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Result lines, each printed as soon as it is there."""
+    for line in lines:
+        print_text(json_module.dumps(line))
+        yield line
 
 
 def _measure_preparation(
@@ -289,15 +293,13 @@ def _measure_preparation(
 
     print_text(json_module.dumps(machine()))
     source, truth, width = views
-    lines = []
+    lines: list[dict[str, Any]] = []
     for path in scenes:
         name, scene = _load(path, configs[0], tile)
         plan = Plan(Steps(), source or "auto", truth, width)
         results = [measure_pruning(scene, name, plan)]
         results += [measure_frontier(scene, name, plan, config) for config in configs]
-        for line in chain(*results):
-            print_text(json_module.dumps(line))
-            lines.append(line)
+        lines += _printed(chain(*results))
     if plot is not None:
         plot_frontier([line for line in lines if line["kind"] == "frontier"], plot)
     print_table(PREPARATION_COLUMNS, [preparation_row(line) for line in lines], sys.stderr)

@@ -20,7 +20,9 @@ def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
 
     Quaternions are taken as unit ones; a group that is constant has no step.
     """
-    planes = {"rot": scene.rot / np.linalg.norm(scene.rot, axis=0)}
+    planes = {}
+    if "rotation" in depths:
+        planes["rot"] = scene.rot / np.linalg.norm(scene.rot, axis=0)
     octaves: dict[str, list[float]] = {}
     for group, index, stream in channel_places(len(scene.f_rest) // 3):
         if stream in depths:

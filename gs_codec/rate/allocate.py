@@ -163,8 +163,6 @@ class _Trials:
         How many there were, those for colours included.
     loss : float or None
         Decibels that views lose by `last`, where that was measured.
-    compacting : bool
-        Whether `refit` has SH compacted before.
     """
 
     scene: Scene
@@ -176,7 +174,6 @@ class _Trials:
     last: tuple[bytes, EncodeReport] = field(init=False)
     number: int = 0
     loss: float | None = None
-    compacting: bool = True
 
     def __post_init__(self) -> None:
         self.coloured = self.scene
@@ -195,15 +192,19 @@ class _Trials:
 
     def compact(self, place: float) -> None:
         """Let views choose which SH are left, for steps as coarse: a part of `refit`."""
-        self._recolour(place, lambda known: replace(known, refit=lambda decoded: decoded))
+        self._recolour(
+            place,
+            lambda known: Guidance(known.sensitivity, known.loss, known.pixels, known.compact),
+        )
 
     def refit(self, place: float) -> None:
         """Let views choose colours for steps as coarse."""
+        self._recolour(place, lambda known: known)
 
-        def changed(known: Guidance) -> Guidance:
-            return known if self.compacting else replace(known, compact=lambda decoded, *_: decoded)
-
-        self._recolour(place, changed)
+    def leave_sh(self) -> None:
+        """Let `refit` do without compaction from now on."""
+        if self.guidance is not None:
+            self.guidance = replace(self.guidance, compact=lambda decoded, *_: decoded)
 
     def _recolour(self, place: float, changed: Callable[[Guidance], Guidance]) -> None:
         with self.times.stage("recolour"):
@@ -330,7 +331,7 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
         # Compaction may cost the views held out more than that, however weak it is.
-        trials.compacting = False
+        trials.leave_sh()
         found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))

@@ -1,0 +1,25 @@
+"""Figures of the benchmark's plots."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from gs_codec.errors import MissingTool
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of so many inches.
+
+    Raises
+    ------
+    MissingTool
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingTool("--plot: needs matplotlib (pip install matplotlib)") from None
+    return Figure(figsize=(width, height), dpi=110)

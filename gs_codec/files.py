@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from gs_codec.codec.guidance import Guidance
     from gs_codec.preparation.pipeline import Plan
     from gs_codec.preparation.report import PrepareReport
-    from gs_codec.preparation.targets import Views
+    from gs_codec.preparation.targets import Targets, Views
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ def encode_file(
             size = os.path.getsize(source)
             data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
         else:
-            guide = None if plan is None else guide_of(scene, plan, config, progress, views)
+            targets = None if views is None else views.renders
+            guide = None if plan is None else guide_of(scene, plan, config, progress, targets)
             data, report = encode_scene(scene, config, progress, guide)
         if prepared is not None and report_folder is not None:
             _finish_report(prepared, scene, config, data, report, report_folder)
@@ -181,22 +182,26 @@ def encode_goal(
     InvalidInput
         If the goal is out of reach, or the profile has no steps to choose.
     """
-    from gs_codec.rate.allocate import Seen, encode_to_target
+    from gs_codec.rate.allocate import Seen, check_searchable, encode_to_target
 
+    check_searchable(scene, config)
     limit = goal.limit(original.count, ply_bytes)
     if plan is None and (limit is None or goal.allow_prune):
         from gs_codec.preparation.pipeline import Plan
         from gs_codec.preparation.steps import Steps
 
         plan = Plan(Steps())
-    if plan is None or not scene.count:
+    if plan is None:
         return encode_to_target(scene, config, goal, limit)
-    from gs_codec.preparation.pipeline import choose_views
+    seen = None
+    if limit is None or goal.allow_prune:
+        from gs_codec.preparation.pipeline import choose_views
 
-    views = views or choose_views(original, plan)
-    guide = guide_of(scene, plan, config, progress, views)
-    seen = None if guide is None else Seen(guide, views, views.held_out.errors(original))
-    return encode_to_target(scene, config, goal, limit, seen, progress)
+        views = views or choose_views(original, plan)
+        seen = Seen(views, views.held_out.errors(original))
+    targets = views.renders if views is not None else None
+    guide = guide_of(scene, plan, config, progress, targets)
+    return encode_to_target(scene, config, goal, limit, guide, seen, progress)
 
 
 def guide_of(
@@ -204,20 +209,20 @@ def guide_of(
     plan: Plan,
     config: Config,
     progress: Progress | None = None,
-    views: Views | None = None,
+    targets: Targets | None = None,
 ) -> Callable[[Scene], Guidance] | None:
     """What tells `encode_scene` what a plan's views see; None for profiles that do not ask.
 
-    `views` are the plan's where they are known. Where the scene was optimised, it is itself what
-    its views should look like, else the scene it was made from.
+    `targets` are what these look like, where that is known. Where the scene was optimised, it is
+    itself what its views should look like, else the scene it was made from.
     """
     if config.profile not in LATTICE_PROFILES or not scene.count:
         return None
     from gs_codec.preparation.guide import guide
-    from gs_codec.preparation.pipeline import choose_views
+    from gs_codec.preparation.pipeline import draw_views
     from gs_codec.preparation.targets import draw_targets
 
-    targets = (views or choose_views(scene, plan)).renders
+    targets = targets or draw_views(scene, plan)
     if plan.steps.optimise:
         targets = draw_targets(scene, targets.cameras, targets.background)
     return lambda clean: guide(clean, targets, config.threads, progress)

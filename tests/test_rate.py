@@ -27,7 +27,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import Plan, choose_views
 from gs_codec.preparation.steps import Steps
 from gs_codec.preparation.targets import draw_targets
-from gs_codec.rate.allocate import Seen, encode_to_target
+from gs_codec.rate.allocate import encode_to_target
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.scene import Scene
 from samples.generate import generate
@@ -38,8 +38,8 @@ def scene() -> Scene:
     return random_scene(3000, 2, seed=200)
 
 
-def to_target(scene, config, target, ply_bytes=1, seen=None):
-    return encode_to_target(scene, config, target, target.limit(scene.count, ply_bytes), seen)
+def to_target(scene, config, target, ply_bytes=1, guide=None):
+    return encode_to_target(scene, config, target, target.limit(scene.count, ply_bytes), guide)
 
 
 # Targets
@@ -125,8 +125,8 @@ def test_search_ends_below_a_jump(start):
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_sizes_are_met_from_below(scene, target, profile, guided):
     ply_bytes = vertex_rows(scene).nbytes
-    seen = Seen(made_up_guide(seed=3), None, 0.0) if guided else None
-    data, report = to_target(scene, Config(profile), target, ply_bytes, seen)
+    guide = made_up_guide(seed=3) if guided else None
+    data, report = to_target(scene, Config(profile), target, ply_bytes, guide)
     limit = target.limit(scene.count, ply_bytes)
     assert 0.98 * limit <= len(data) <= limit
     assert report.file_bytes == report.rate.file_bytes == len(data)
@@ -253,10 +253,10 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
     measured = choose_views(scene, plan).held_out
     sizes = []
     for allowed in (False, True):
-        target = Target(psnr_drop=0.3, allow_prune=allowed)
+        target = Target(psnr_drop=1.0, allow_prune=allowed)
         data, _ = encode_goal(scene, scene, 1, Config("m"), target, plan)
         loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
-        assert 0.2 <= loss <= 0.3  # few views have jumps
+        assert 0.8 <= loss <= 1.0  # few views have jumps
         sizes.append(len(data))
     assert sizes[1] < 0.97 * sizes[0]
 
@@ -278,11 +278,11 @@ def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
         encode_goal(scene, scene, 1, Config("m"), replace(target, allow_prune=True), plan)
 
 
-def test_nothing_goes_where_all_is_worth_its_bits(seen):
+def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
     scene, plan = seen
-    target = Target(bits=150, allow_prune=True)
+    target = Target(bits=250, allow_prune=True)
     data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
-    plain, _ = encode_goal(scene, scene, 1, Config("m"), Target(bits=150), plan)
+    plain, _ = encode_goal(scene, scene, 1, Config("m"), Target(bits=250), plan)
     assert report.rate.pruned == 0
     assert data == plain
 

@@ -12,7 +12,8 @@ from test_render import TEAL, splats, straight, turned
 
 from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.preparation.gradients import draw
-from gs_codec.preparation.sensitivity import sensitivity
+from gs_codec.preparation.sensitivity import sensitivity, sensitivity_and_weights
+from gs_codec.preparation.sh_weights import squared_weights
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.harmonics import SH_C0
 from gs_codec.scene import GROUPS, Scene
@@ -194,6 +195,16 @@ def test_views_add_up_and_are_counted():
     assert steps == [("sensitivity", 1, 2), ("sensitivity", 2, 2)]
     apart = [rows_of(sensitivity(scene, [camera])) for camera in CAMERAS[:2]]
     np.testing.assert_allclose(rows_of(both), apart[0] + apart[1], rtol=1e-12)
+
+
+def test_weights_of_views_are_those_of_drawing():
+    scene = cloud(9, 50)
+    summed, weights = sensitivity_and_weights(scene, CAMERAS, TEAL)
+    np.testing.assert_array_equal(rows_of(summed), rows_of(sensitivity(scene, CAMERAS, TEAL)))
+    np.testing.assert_allclose(weights, squared_weights(scene, CAMERAS), rtol=1e-5)
+    np.testing.assert_allclose(weights.sum(axis=0), summed.colour, rtol=1e-5)
+    assert weights.any()
+    assert sensitivity_and_weights(scene, CAMERAS, keep=False)[1].shape == (0, 50)
 
 
 def test_by_default_it_is_as_the_scene_says():

@@ -68,7 +68,7 @@ def measure_frontier(
             refit = 6 if not by_views and (percent or strength) else 0
             steps = Steps(compact_sh=strength, refit_colour=refit)
             prepared, _ = prepare_scene(pruned, replace(plan, steps=steps), views=views)
-            guide = guide_of(prepared, plan, config, views=views)
+            guide = guide_of(prepared, plan, config, targets=views.renders)
             data, _ = encode_scene(prepared, config, guide=guide)
             after = views.held_out.quality(decode_scene(data))
             yield {

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,7 @@ from gs_codec.config import LatticeProfile
 from gs_codec.model.table import shannon_bits
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.refit_colour import refit_colour
-from gs_codec.preparation.sensitivity import sensitivity
-from gs_codec.preparation.sh_weights import squared_weights
+from gs_codec.preparation.sensitivity import sensitivity_and_weights
 from gs_codec.preparation.targets import Targets
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
@@ -24,10 +23,10 @@ from gs_codec.transform.ycocg import from_ycocg, to_ycocg
 #: Conjugate-gradient steps of the refit.
 _REFIT = 10
 
-#: Compaction is tried without one of so many views, and judged by these.
-_EVERY = 4
+#: Compaction is tried without one of so many views, and judged by these, until all were left out.
+_FOLDS = 4
 
-#: By what the error of the worst of these may grow.
+#: By what the error of the worst of those left out may grow.
 _WORST = 4.0
 
 #: Values of a Gaussian, SH-AC aside, that take a bit more when steps are halved.
@@ -49,15 +48,14 @@ def guide(
     """What views say of a scene to be encoded.
 
     Colours are refitted to the views' images once shapes are rounded and, where views tell enough
-    of them, compacted before.
+    of them, compacted before: which is found out at the steps that are asked for first.
     """
     cameras, background = views.cameras, views.background
     loss = views.error(scene)
-    found = sensitivity(scene, cameras, background, threads=threads, progress=progress)
-
-    @cache
-    def weights() -> NDArray[np.float32]:
-        return squared_weights(scene, cameras, None, threads, progress)
+    found, weights = sensitivity_and_weights(
+        scene, cameras, background, None, threads, progress, keep=scene.sh_degree > 0
+    )
+    pays: list[bool] = []
 
     def compact(
         decoded: Scene,
@@ -67,8 +65,10 @@ def guide(
     ) -> Scene:
         if not scene.sh_degree:
             return decoded
-        of_views = weights()[:, order]
-        return _compact(decoded, views, of_views, steps, profile.compaction, threads)
+        trial = _Compaction(decoded, views, weights[:, order], steps, profile.compaction, threads)
+        if not pays:
+            pays.append(trial.pays())
+        return trial.by(range(len(cameras))) if pays[0] else decoded
 
     def refit(decoded: Scene) -> Scene:
         return refit_colour(
@@ -85,41 +85,53 @@ def guide(
     return Guidance(found, loss, pixels, compact, refit)
 
 
-def _compact(
-    scene: Scene,
-    views: Targets,
-    weights: NDArray[np.float32],
-    steps: NDArray[np.float32],
-    strength: float,
-    threads: int | None,
-) -> Scene:
-    """The scene compacted, or itself where that does not pay.
+@dataclass(frozen=True)
+class _Compaction:
+    """Compaction of a scene at the steps its SH will have."""
 
-    It pays if the bits it saves are more than finer steps would take to win back what it loses,
-    compacted by most of the views, in the others, and none of these is spoilt: where views are
-    few, or far apart, it keeps only what they see.
-    """
-    every = np.arange(len(views.cameras))
-    most = every[every % _EVERY > 0]
+    scene: Scene
+    views: Targets
+    weights: NDArray[np.float32]
+    steps: NDArray[np.float32]
+    strength: float
+    threads: int | None
 
-    def compact(seen: NDArray[np.intp]) -> Scene:
-        cameras = [views.cameras[i] for i in seen]
-        least = 0.5 * steps
+    def by(self, seen: Sequence[int]) -> Scene:
+        """The scene compacted by some of the views."""
+        cameras = [self.views.cameras[i] for i in seen]
         return compact_sh(
-            scene, cameras, strength, smallest=least, weights=weights[seen], threads=threads
+            self.scene,
+            cameras,
+            self.strength,
+            smallest=0.5 * self.steps,
+            weights=self.weights[list(seen)],
+            threads=self.threads,
         )[0]
 
-    if not len(most):
-        return scene
-    others = replace(views, cameras=views.cameras[::_EVERY], images=views.images[::_EVERY])
-    plain, plain_bits, levels = _rounded(scene, steps)
-    sparse, sparse_bits, _ = _rounded(compact(most), steps)
-    lost, before = (np.maximum(others.errors(coded), _EPS) for coded in (sparse, plain))
-    if lost.max() > _WORST * before.max():
-        return scene
-    # Halving all steps takes a bit for each value that is not 0, and a quarter of the error.
-    octaves = 0.5 * math.log2(lost.mean() / before.mean())
-    return compact(every) if sparse_bits + (_OTHERS + levels) * octaves < plain_bits else scene
+    def pays(self) -> bool:
+        """Whether views tell enough of the colours.
+
+        They do if the bits saved are more than finer steps would take to win back what is lost,
+        compacted by most of the views, in the others, and none of these is spoilt, whichever are
+        left out: where views are few, or far apart, it keeps only what they see.
+        """
+        count = len(self.views.cameras)
+        if count < 2:
+            return False
+        plain, plain_bits, levels = _rounded(self.scene, self.steps)
+        for first in range(min(_FOLDS, count)):
+            left_out = slice(first, None, _FOLDS)
+            most = sorted(set(range(count)) - set(range(count)[left_out]))
+            others = self.views.only(left_out)
+            sparse, sparse_bits, _ = _rounded(self.by(most), self.steps)
+            lost, before = (np.maximum(others.errors(coded), _EPS) for coded in (sparse, plain))
+            # Halving all steps takes a bit for each value not 0, and a quarter of the error.
+            octaves = 0.5 * math.log2(lost.mean() / before.mean())
+            if sparse_bits + (_OTHERS + levels) * octaves >= plain_bits:
+                return False
+            if lost.max() > _WORST * before.max():
+                return False
+        return True
 
 
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:

@@ -135,21 +135,31 @@ def choose_views(scene: Scene, plan: Plan) -> Views:
     InvalidInput
         If there are no cameras, no photograph of those to measure by, or one is broken.
     """
-    cameras = find_cameras(plan.cameras, scene, "all", plan.width, plan.views)
-    test = [camera for camera in cameras if camera.split == "test"]
-    rest = [camera for camera in cameras if camera.split != "test"] or test
-    chosen = evenly(rest, plan.views)
-    renders = draw_targets(scene, chosen, plan.background)
+    rest, test = _split(scene, plan)
+    renders = draw_targets(scene, evenly(rest, plan.views), plan.background)
     photographs = None
     if plan.photographs is not None:
         found = photographed(rest, plan.photographs)
         photographs = read_targets(evenly(found, plan.views), plan.background)
-    if not test or test == rest:
+    if test == rest:
         return Views(renders, photographs, photographs or renders)
     if plan.photographs is None:
         return Views(renders, photographs, draw_targets(scene, test, plan.background))
     measured = photographed(test, plan.photographs)
     return Views(renders, photographs, read_targets(measured, plan.background))
+
+
+def draw_views(scene: Scene, plan: Plan) -> Targets:
+    """The renders of `choose_views` alone."""
+    return draw_targets(scene, evenly(_split(scene, plan)[0], plan.views), plan.background)
+
+
+def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
+    """Cameras to work by, and to measure by: the same where one of these is all."""
+    cameras = find_cameras(plan.cameras, scene, "all", plan.width, plan.views)
+    test = [camera for camera in cameras if camera.split == "test"]
+    rest = [camera for camera in cameras if camera.split != "test"]
+    return rest or test, test or rest
 
 
 def _report(

@@ -80,11 +80,32 @@ def sensitivity(
         0 for Gaussians that are not drawn in any view, and so for those with values that are
         not finite.
     """
+    return sensitivity_and_weights(scene, cameras, background, antialiased, threads, progress)[0]
+
+
+def sensitivity_and_weights(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    keep: bool = True,
+) -> tuple[Sensitivity, NDArray[np.float32]]:
+    """`sensitivity`, and to how much of it in colour each view comes: as `squared_weights` has it.
+
+    Returns
+    -------
+    Sensitivity
+    ndarray, shape (views, N), float32
+        Of no view if they are not to be kept.
+    """
     if antialiased is None:
         antialiased = scene.antialiased
     threads = threads or available_threads()
     advance = step_counter(progress, "sensitivity", len(cameras))
     totals = np.zeros((scene.count, _COLUMNS))
+    weights = np.zeros((len(cameras) if keep else 0, scene.count), np.float32)
     size = _VIEWS_A_THREAD * threads
     for start in range(0, len(cameras), size):
         views = run_all(
@@ -93,16 +114,19 @@ def sensitivity(
             threads,
             advance,
         )
-        for gaussians, found in views:
+        for view, (gaussians, found) in enumerate(views, start):
             totals[gaussians] += found
+            if keep:
+                weights[view, gaussians] = found[:, _COLOUR]
     columns = np.ascontiguousarray(totals.T)
-    return Sensitivity(
+    summed = Sensitivity(
         columns[_POSITIONS],
         columns[_LOG_SCALE:_ROT],
         columns[_ROT],
         columns[_OPACITY],
         columns[_COLOUR],
     )
+    return summed, weights
 
 
 def _look(

@@ -53,19 +53,16 @@ _PART, _MOST_PARTS = 0.2, 10
 
 @dataclass(frozen=True)
 class Seen:
-    """What views tell of a scene, and what is to be seen in them.
+    """What is to be seen in views of a scene.
 
     Attributes
     ----------
-    guide : callable
-        As for `encode_scene`.
     views : Views
         A quality is measured in those held out.
     before : ndarray, shape (views,)
         Mean squared errors in these at which nothing is lost.
     """
 
-    guide: Guide
     views: Views
     before: NDArray[np.float64]
 
@@ -80,6 +77,7 @@ def encode_to_target(
     config: Config,
     target: Target,
     limit: int | None,
+    guide: Guide | None = None,
     seen: Seen | None = None,
     progress: Progress | None = None,
 ) -> tuple[bytes, EncodeReport]:
@@ -93,6 +91,8 @@ def encode_to_target(
     target : Target
     limit : int or None
         Its most bytes, if it is a size.
+    guide : callable, optional
+        As for `encode_scene`.
     seen : Seen, optional
         A quality, and pruning, need it.
     progress : callable, optional
@@ -102,20 +102,16 @@ def encode_to_target(
     InvalidInput
         If the profile has no steps to choose, or the target is out of reach: with what is in.
     """
-    if config.profile not in LATTICE_PROFILES:
-        known = ", ".join(LATTICE_PROFILES)
-        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, {known} have not")
-    if not scene.count:
-        raise InvalidInput("target: the scene has no Gaussians")
+    check_searchable(scene, config)
     if seen is None and (limit is None or target.allow_prune):
         raise InvalidInput("target: a quality, or pruning, needs views")
     clean, dropped = drop_nonfinite(scene, config)
     clean, zero_quaternions = identity_for_zero(clean)
     times = StageTimes()
     if seen is not None and target.allow_prune:
-        met = _meet_pruning(clean, config, target, limit, seen, times, progress)
+        met = _meet_pruning(clean, config, target, limit, guide, seen, times, progress)
     else:
-        met = _meet(clean, config, target, limit, seen, times, 0.0)
+        met = _meet(clean, config, target, limit, guide, seen, times, 0.0)
     data, report = met.trials.last
     steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
     rate = RateReport(
@@ -132,6 +128,20 @@ def encode_to_target(
     return data, replace(
         report, dropped=dropped, zero_quaternions=zero_quaternions, seconds=times.seconds, rate=rate
     )
+
+
+def check_searchable(scene: Scene, config: Config) -> None:
+    """Check that there are steps to choose.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if config.profile not in LATTICE_PROFILES:
+        known = ", ".join(LATTICE_PROFILES)
+        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, {known} have not")
+    if not scene.count:
+        raise InvalidInput("target: the scene has no Gaussians")
 
 
 class _OutOfReach(InvalidInput):
@@ -233,6 +243,7 @@ def _meet_pruning(
     config: Config,
     target: Target,
     limit: int | None,
+    guide: Guide | None,
     seen: Seen,
     times: StageTimes,
     progress: Progress | None,
@@ -247,7 +258,7 @@ def _meet_pruning(
     least, place, encodings = math.inf, 0.0, 0
     for part in range(1, _MOST_PARTS + 1):
         try:
-            met = _meet(scene, config, target, limit, seen, times, place)
+            met = _meet(scene, config, target, limit, guide, seen, times, place)
         except _OutOfReach as refusal:
             refused, cost = refusal, math.inf
             if not isinstance(refusal, _TooLarge):
@@ -280,13 +291,14 @@ def _meet(
     config: Config,
     target: Target,
     limit: int | None,
+    guide: Guide | None,
     seen: Seen | None,
     times: StageTimes,
     start: float,
 ) -> _Met:
     """Meet a target with all Gaussians of a scene."""
     with times.stage("views"):
-        guidance = seen.guide(scene) if seen is not None else None
+        guidance = guide(scene) if guide is not None else None
     trials = _Trials(scene, config, guidance, times)
     if limit is not None:
         return _meet_size(trials, limit, start)

@@ -27,7 +27,7 @@ _REFIT = 10
 _FOLDS = 4
 
 #: By what the error of the worst of those left out may grow.
-_WORST = 4.0
+_WORST = 16.0
 
 #: Values of a Gaussian, SH-AC aside, that take a bit more when steps are halved.
 _OTHERS = 14

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gs_codec import files
 from gs_codec.cloud import from_cloud, to_cloud
@@ -14,9 +17,10 @@ from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.ply import vertex_rows
 from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.metrics.images import Quality, compare_images
 from gs_codec.metrics.views import RenderedComparison, compare_views
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.cameras import as_camera, find_cameras
 from gs_codec.rendering.renderer import Rendering
 from gs_codec.rendering.renderer import render as render_view
 from gs_codec.report import Progress, RateReport, step_counter
@@ -214,6 +218,46 @@ def prepare(
     return to_cloud(scene), report
 
 
+class Views:
+    """A scene's views, drawn when they are asked for.
+
+    Iterates over ``(Camera, Rendering)``; a `Rendering` has ``colour (H, W, 3)``,
+    ``alpha (H, W)`` and ``depth (H, W)``, float32.
+
+    Attributes
+    ----------
+    cameras : list of Camera
+    """
+
+    def __init__(
+        self,
+        cameras: list[Camera],
+        draw: Callable[[Camera], Rendering],
+        progress: Progress | None = None,
+    ) -> None:
+        self.cameras = cameras
+        self._draw, self._progress = draw, progress
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __iter__(self) -> Iterator[tuple[Camera, Rendering]]:
+        advance = step_counter(self._progress, "views", len(self))
+        for camera in self.cameras:
+            yield camera, self._draw(camera)
+            if advance is not None:
+                advance()
+
+    def draw(self, camera: Camera | Mapping[str, Any]) -> Rendering:
+        """What any camera sees; a mapping is an entry of ``cameras.json``.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        return self._draw(as_camera(camera))
+
+
 def render(
     source: PointCloud | str | Path,
     cameras: str | Path | Sequence[Camera] = "auto",
@@ -225,15 +269,15 @@ def render(
     accumulate: bool = False,
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
-) -> Iterator[tuple[Camera, Rendering]]:
-    """Draw a scene as the 3DGS rasteriser does, view after view.
+) -> Views:
+    """Draw a scene as the 3DGS rasteriser does, view after view as they are asked for.
 
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud, or path of a PLY or `.egs` file
-    cameras : path, "auto", or sequence of Camera
-        ``cameras.json`` of the INRIA trainer, the folder of a COLMAP model, or cameras chosen
-        from the scene itself.
+    cameras : path, "auto", or sequence of Camera or mapping
+        ``cameras.json`` of the INRIA trainer, the folder of a COLMAP model, cameras chosen
+        from the scene itself, or entries of such a ``cameras.json``.
     split : {"all", "held-out", "test", "train"}
         Which of the cameras; ``held-out`` is ``test`` where cameras are marked, else ``all``.
     width : int, optional
@@ -248,30 +292,26 @@ def render(
         ``cuda`` draws with gsplat, ``auto`` does where that is possible.
     progress : callable, optional
 
-    Yields
-    ------
-    Camera, Rendering
-        The view, and its ``colour (H, W, 3)``, ``alpha (H, W)`` and ``depth (H, W)``, float32.
+    Returns
+    -------
+    Views
+        Iterates over cameras and what they see.
 
     Raises
     ------
     InvalidInput, MissingTool
     """
     scene = _scene_of(source)
-    views = find_cameras(cameras, scene, split, width)
-    advance = step_counter(progress, "views", len(views))
-    for camera in views:
-        yield (
-            camera,
-            render_view(scene, camera, background, antialiased, accumulate, device=device),
-        )
-        if advance is not None:
-            advance()
+
+    def draw(camera: Camera) -> Rendering:
+        return render_view(scene, camera, background, antialiased, accumulate, device=device)
+
+    return Views(find_cameras(cameras, scene, split, width), draw, progress)
 
 
 def compare(
-    first: PointCloud | str | Path,
-    second: PointCloud | str | Path,
+    first: PointCloud | str | Path | NDArray,
+    second: PointCloud | str | Path | NDArray,
     cameras: str | Path | Sequence[Camera] | None = None,
     *,
     split: str = "held-out",
@@ -281,8 +321,8 @@ def compare(
     background: Sequence[float] = (0.0, 0.0, 0.0),
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
-) -> Comparison | RenderedComparison:
-    """Errors of one scene against another: by attribute, or in what cameras see.
+) -> Comparison | RenderedComparison | Quality:
+    """Errors of one scene against another, by attribute or in what cameras see; or of images.
 
     Without cameras, files are matched through their stored order: of a scene and its decoded
     version, the first is put in the order of the second. Clouds are compared index by index.
@@ -290,6 +330,7 @@ def compare(
     Parameters
     ----------
     first, second : open3d.t.geometry.PointCloud, or paths of PLY or `.egs` files
+        Or images ``(H, W, 3)``, 0-1: PSNR and SSIM.
     cameras, split, width, background, device, progress
         As for `render`; ``auto`` cameras are chosen from the first scene.
     truth : path, optional
@@ -302,6 +343,8 @@ def compare(
     InvalidInput, MissingTool
         If a source cannot be read; without cameras, if the numbers of Gaussians differ.
     """
+    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+        return compare_images(first, second)
     if cameras is not None:
         if truth is not None and width is not None:
             raise InvalidInput("width: given by the ground-truth images, expected one of the two")

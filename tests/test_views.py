@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import gs_codec
 from gs_codec.cli.main import app
+from gs_codec.cloud import to_cloud
 from gs_codec.errors import InvalidInput
 from gs_codec.files import read_scene
 from gs_codec.io.ply import write_ply
@@ -544,3 +545,43 @@ def test_refusals_are_one_line(folder, monkeypatch, name):
     assert isinstance(result.exception, InvalidInput), result.output
     assert message in str(result.exception)
     assert "\n" not in str(result.exception)
+
+
+# The API
+
+
+def test_views_are_drawn_when_asked_for(pair):
+    scene = pair[0]
+    entry = {
+        "img_name": "front",
+        "width": 40,
+        "height": 30,
+        "fx": 40.0,
+        "fy": 40.0,
+        "rotation": np.eye(3).tolist(),
+        "position": [0.0, 0.0, -3.0],
+    }
+    told = []
+    views = gs_codec.render(to_cloud(scene), [entry], progress=lambda *step: told.append(step))
+    assert len(views) == 1
+    assert [camera.name for camera in views.cameras] == ["front"]
+    assert not told
+    ((camera, drawn),) = views
+    assert told == [("views", 1, 1)]
+    np.testing.assert_array_equal(drawn.colour, render(scene, camera).colour)
+    np.testing.assert_array_equal(views.draw(entry).colour, drawn.colour)
+    other = views.draw(entry | {"position": [0.0, 0.5, -3.0]})
+    assert np.abs(other.colour - drawn.colour).max() > 0.1
+    with pytest.raises(InvalidInput, match=r"camera: no 'fx'"):
+        views.draw({key: value for key, value in entry.items() if key != "fx"})
+    with pytest.raises(InvalidInput, match="expected a camera"):
+        gs_codec.render(to_cloud(scene), [3])
+
+
+def test_images_are_compared():
+    rng = np.random.default_rng(5)
+    first = rng.random((20, 30, 3), np.float32)
+    second = np.clip(first + 0.01, 0, 1)
+    assert gs_codec.compare(first, second) == compare_images(first, second)
+    with pytest.raises(InvalidInput, match="20x30"):
+        gs_codec.compare(first, first.transpose(1, 0, 2))

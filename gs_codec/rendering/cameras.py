@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from gs_codec.errors import InvalidInput
 from gs_codec.rendering.auto_cameras import auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.rendering.inria import camera_fields
 from gs_codec.scene import Scene
 
 #: What `find_cameras` can select.
@@ -16,7 +18,7 @@ SPLITS = ("held-out", "test", "train", "all")
 
 
 def find_cameras(
-    source: str | Path | Sequence[Camera],
+    source: str | Path | Sequence[Camera | Mapping[str, Any]],
     scene: Scene,
     split: str = "all",
     width: int | None = None,
@@ -26,7 +28,8 @@ def find_cameras(
 
     Parameters
     ----------
-    source : path, "auto", or sequence of Camera
+    source : path, "auto", or sequence of Camera or mapping
+        A mapping is an entry of the trainer's ``cameras.json``.
     scene : Scene
         What ``auto`` chooses for.
     split : {"held-out", "test", "train", "all"}
@@ -45,7 +48,7 @@ def find_cameras(
     if split not in SPLITS:
         raise InvalidInput(f"split '{split}': expected one of {', '.join(SPLITS)}")
     if not isinstance(source, str | Path):
-        cameras = list(source)
+        cameras = [as_camera(camera) for camera in source]
     elif str(source) == "auto":
         cameras = auto_cameras(scene, auto)
     else:
@@ -60,3 +63,15 @@ def find_cameras(
             raise InvalidInput(f"width {width}: expected at least 1 pixel")
         chosen = [c.resized(width, max(1, round(c.height * width / c.width))) for c in chosen]
     return chosen
+
+
+def as_camera(camera: Camera | Mapping[str, Any]) -> Camera:
+    """The camera that an entry of ``cameras.json`` is.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if isinstance(camera, Camera):
+        return camera
+    return Camera(**camera_fields("camera", camera))

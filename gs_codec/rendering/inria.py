@@ -42,9 +42,7 @@ def read_inria(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         raise InvalidInput(f"{path}: {_short(entries)}, expected a list of cameras")
     for index, entry in enumerate(entries):
         where = f"{path}: entry {index}"
-        if not isinstance(entry, dict):
-            raise InvalidInput(f"{where}: {_short(entry)}, expected a camera")
-        yield where, _fields(where, entry)
+        yield where, camera_fields(where, entry)
 
 
 def _load(path: Path) -> Any:
@@ -67,7 +65,16 @@ def _integer(text: str) -> int | float:
     return int(text) if len(text) < 16 else float(text)
 
 
-def _fields(where: str, entry: dict[str, Any]) -> dict[str, Any]:
+def camera_fields(where: str, entry: Any) -> dict[str, Any]:
+    """The fields of the `Camera` that an entry of ``cameras.json`` is; ranges are not checked.
+
+    Raises
+    ------
+    InvalidInput
+        Naming `where` it is.
+    """
+    if not isinstance(entry, dict):
+        raise InvalidInput(f"{where}: {_short(entry)}, expected a camera")
     name, split = _get(where, entry, "img_name"), entry.get("split")
     if not isinstance(name, str):
         raise InvalidInput(f"{where}: img_name {_short(name)}, expected text")

@@ -1,0 +1,19 @@
+"""Viewer of 3D Gaussian Splatting scenes: what was kept, what was pruned, what it cost.
+
+Names are loaded when first used: Open3D takes a second.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOMES = {"draw": "viewer.plugin", "attach": "viewer.plugin"}
+
+__all__ = list(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'viewer' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)

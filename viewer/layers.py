@@ -1,0 +1,145 @@
+"""What is drawn of a scene: centres and their colours, what was pruned, boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from viewer.opened import Opened, Pruned
+
+#: What can be switched on and off.
+LAYERS = ("splats", "centres", "pruned", "boxes", "error")
+
+#: What centres can be coloured by.
+COLOURINGS = ("colour", "opacity", "scale", "error")
+
+#: Viridis at even places.
+_VIRIDIS = np.array(
+    [
+        (68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141),
+        (39, 173, 129), (92, 200, 99), (170, 220, 50), (253, 231, 37),
+    ]
+) / 255.0  # fmt: skip
+
+#: Of the reasons for pruning, in their order.
+_REASONS = np.array([(0, 220, 255), (255, 160, 0), (255, 40, 80), (190, 90, 255)]) / 255.0
+
+#: Of the boxes of blocks.
+BOX_COLOUR = (0.45, 0.85, 0.35)
+
+#: Quantile of what is coloured that has the last colour.
+_HIGHEST = 0.99
+
+
+@dataclass(frozen=True)
+class Legend:
+    """What the colours of a heat map mean."""
+
+    title: str
+    low: str
+    high: str
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Positions and colours ``(n, 3)`` float32, colours 0-1, and their legend if they have one."""
+
+    positions: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    legend: Legend | None = None
+
+
+def heat(values: NDArray, low: float, high: float) -> NDArray[np.float32]:
+    """Colours ``(..., 3)`` of values, from dark to bright."""
+    places = np.clip((np.asarray(values) - low) / ((high - low) or 1.0), 0, 1)
+    places = np.nan_to_num(places) * (len(_VIRIDIS) - 1)
+    known = np.arange(len(_VIRIDIS))
+    channels = [np.interp(places, known, _VIRIDIS[:, k]) for k in range(3)]
+    return np.stack(channels, axis=-1).astype(np.float32)
+
+
+def reason_colour(place: int) -> tuple[float, float, float]:
+    """The colour of the reason at a place."""
+    red, green, blue = _REASONS[place % len(_REASONS)].tolist()
+    return red, green, blue
+
+
+def thinned(count: int, most: int) -> slice:
+    """Evenly spaced ones of many, in stored order: neighbours are there beside each other."""
+    return slice(None, None, max(1, -(-count // max(most, 1))))
+
+
+def centres(
+    scene: Opened, colouring: str, reference: Opened | None, most: int | None = None
+) -> Points:
+    """Centres of a scene, at most so many, and their colours.
+
+    Parameters
+    ----------
+    scene : Opened
+    colouring : {"colour", "opacity", "scale", "error"}
+        SH-DC; opacity; the longest axis; the distance in colour from the nearest centre of the
+        reference.
+    reference : Opened or None
+        Of it, and without one, errors are not known: its own colours are shown.
+    most : int, optional
+    """
+    some = thinned(scene.count, most or scene.count)
+    positions = scene.positions[some]
+    if colouring == "colour" or (colouring == "error" and reference in (None, scene)):
+        return Points(positions, scene.colours[some])
+    if colouring == "opacity":
+        legend = Legend("opacity", "0", "1")
+        return Points(positions, heat(scene.opacities[some], 0, 1), legend)
+    if colouring == "scale":
+        sizes = scene.sizes[some]
+        low, high = (float(np.quantile(sizes, q)) if sizes.size else 0.0 for q in (0.01, _HIGHEST))
+        legend = Legend("longest axis, scene units", f"{10**low:.2g}", f"{10**high:.2g}")
+        return Points(positions, heat(sizes, low, high), legend)
+    assert reference is not None
+    errors = colour_errors(scene, reference, some)
+    high = float(np.quantile(errors, _HIGHEST)) if errors.size else 0.0
+    legend = Legend("colour error, of 255", "0", f"{255 * high:.2g}")
+    return Points(positions, heat(errors, 0, high), legend)
+
+
+def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.float32]:
+    """Root mean square over RGB of the SH-DC's distance from that of the nearest centre."""
+    colours = scene.colours[some]
+    if not reference.count:
+        return np.zeros(len(colours), np.float32)
+    finite = np.isfinite(reference.positions).all(axis=1)
+    tree = cKDTree(reference.positions[finite])
+    places = np.nan_to_num(scene.positions[some])
+    nearest = tree.query(places, workers=-1)[1]
+    known = reference.colours[finite][nearest]
+    return np.sqrt(np.mean((colours - known) ** 2, axis=1))
+
+
+def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Points:
+    """Gaussians that are gone, at most so many, in the colours of the reasons."""
+    gone = np.flatnonzero(pruned.labels)
+    gone = gone[thinned(len(gone), most or len(gone))]
+    palette = np.array([reason_colour(k) for k in range(max(len(pruned.reasons), 1))], np.float32)
+    return Points(scene.positions[gone], palette[pruned.labels[gone] - 1])
+
+
+def box_lines(boxes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Corners ``(8 n, 3)`` and edges ``(12 n, 2)`` of boxes ``(n, 2, 3)``."""
+    corners = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)])
+    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+    points = np.empty((len(boxes), 8, 3))
+    for axis in range(3):
+        points[:, :, axis] = boxes[:, corners[:, axis], axis]
+    lines = np.array(edges)[None] + 8 * np.arange(len(boxes))[:, None, None]
+    return points.reshape(-1, 3), lines.reshape(-1, 2).astype(np.int32)
+
+
+def error_image(first: NDArray, second: NDArray) -> tuple[NDArray[np.float32], Legend]:
+    """Heat map of how far two images ``(H, W, 3)`` are apart, and its legend."""
+    errors = np.sqrt(np.mean((np.clip(first, 0, 1) - np.clip(second, 0, 1)) ** 2, axis=2))
+    high = max(float(np.quantile(errors, _HIGHEST)), 1 / 255)
+    return heat(errors, 0, high), Legend("error of a pixel, of 255", "0", f"{255 * high:.2g}")

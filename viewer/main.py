@@ -1,0 +1,115 @@
+"""``gs-viewer``: show one scene, or two beside each other, in a window or as a picture."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import gs_codec
+from viewer.layers import COLOURINGS, LAYERS
+
+_MODES = ("side", "wipe", "flip")
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.command()
+def command(
+    a: Annotated[
+        Path | None, typer.Argument(metavar="[A]", help="A scene.", show_default=False)
+    ] = None,
+    b: Annotated[
+        Path | None,
+        typer.Argument(metavar="[B]", help="Another version of it.", show_default=False),
+    ] = None,
+    cameras: Annotated[
+        str | None,
+        typer.Option(
+            metavar="C", help="Places to look from: cameras.json, a COLMAP folder, or auto."
+        ),
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Photographs of the cameras, shown beside.")
+    ] = None,
+    pruned: Annotated[
+        Path | None,
+        typer.Option(metavar="REPORT", help="Folder that prepare --report wrote, about A."),
+    ] = None,
+    layers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="L,...", help=f"What is shown: {', '.join(LAYERS)}.", show_default=False
+        ),
+    ] = None,
+    colour: Annotated[
+        str, typer.Option(help=f"What centres are coloured by: {', '.join(COLOURINGS)}.")
+    ] = "colour",
+    mode: Annotated[
+        str, typer.Option(help="Two scenes: side by side, wipe (one view, A left), or flip (B).")
+    ] = "side",
+    view: Annotated[
+        int | None, typer.Option(help="Camera to begin with, from 0.", show_default=False)
+    ] = None,
+    screenshot: Annotated[
+        Path | None,
+        typer.Option(metavar="PNG", help="Write a picture, without a display, and end."),
+    ] = None,
+    width: Annotated[int, typer.Option(help="Width of the window or picture, pixels.")] = 1280,
+    height: Annotated[int, typer.Option(help="Its height.")] = 800,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    """Show a 3D Gaussian Splatting scene, or two versions of one: .ply or .egs."""
+    if version:
+        print(f"gs-viewer {gs_codec.__version__}")
+        return
+    from viewer.request import Request, parse_layers
+
+    request = Request(
+        a,
+        b,
+        cameras,
+        images,
+        pruned,
+        parse_layers(layers, pruned),
+        colour,
+        mode,
+        view,
+        (width, height),
+    )
+    request.check()
+    if screenshot is not None:
+        from viewer.screenshot import write_screenshot
+
+        write_screenshot(request, screenshot)
+        return
+    from viewer.device import find_device
+
+    device = find_device()
+    from viewer.window import run
+
+    run(request, device)
+
+
+def main() -> None:
+    """Run the command; errors of use and input exit with status 2."""
+    try:
+        app(standalone_mode=False)
+    except (gs_codec.GsCodecError, OSError) as error:
+        print(f"gs-viewer: error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except (KeyboardInterrupt, typer.Abort):
+        print("gs-viewer: interrupted", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:
+        # Typer's errors of use; releases differ in where they keep the class.
+        if not hasattr(error, "format_message"):
+            raise
+        print(f"gs-viewer: error: {' '.join(error.format_message().split())}", file=sys.stderr)
+        sys.exit(2)

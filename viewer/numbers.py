@@ -1,0 +1,57 @@
+"""What the panel tells: sizes, and how far the views are apart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from viewer.opened import Opened, Pruned
+
+
+def size_text(size: float) -> str:
+    """Bytes with a unit, decimal."""
+    for unit in ("bytes", "kB", "MB"):
+        if size < 1000 or unit == "MB":
+            break
+        size /= 1000
+    return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.2f} {unit}"
+
+
+def facts(scene: Opened) -> list[tuple[str, str]]:
+    """Names and values: Gaussians, SH degree, size, and bits of each attribute."""
+    rows = [("Gaussians", f"{scene.count:,}"), ("SH degree", str(scene.sh_degree))]
+    if scene.file_bytes is not None:
+        bits = 8 * scene.file_bytes / max(scene.count, 1)
+        rows += [
+            ("file", size_text(scene.file_bytes)),
+            ("of float32", f"{scene.raw_bytes / scene.file_bytes:.1f}x smaller"),
+            ("bits / Gaussian", f"{bits:.1f}"),
+        ]
+    if scene.info is not None:
+        rows.append(("profile", scene.info.profile))
+        rows += [(f"  {s.name}", f"{s.bits_per_gaussian:.2f}") for s in scene.info.streams]
+    return rows
+
+
+def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
+    """How much smaller the second scene is."""
+    rows = []
+    if first.file_bytes and second.file_bytes:
+        rows.append(("B is", f"{first.file_bytes / second.file_bytes:.1f}x smaller than A"))
+    if first.count != second.count:
+        share = second.count / max(first.count, 1)
+        rows.append(("Gaussians left", f"{100 * share:.1f} %"))
+    return rows
+
+
+def pruned_rows(pruned: Pruned) -> list[tuple[str, str]]:
+    """How many went, by reason."""
+    return [(f"pruned by {reason}", f"{n:,}") for reason, n in pruned.counts.items() if n]
+
+
+def quality_text(quality: Any) -> str:
+    """PSNR and SSIM of two images, as `gs_codec.compare` gives them."""
+    if np.isinf(quality.psnr):
+        return "the same"
+    return f"{quality.psnr:.2f} dB, SSIM {quality.ssim:.4f}"

@@ -1,0 +1,158 @@
+"""A scene that was opened: its Gaussians, and what its file says."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gs_codec
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import PointCloud
+
+#: Colour of a unit of SH-DC.
+_SH_C0 = 0.28209479177387814
+
+#: SH degree by coefficients beyond the first.
+_DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A scene and where it came from.
+
+    Attributes
+    ----------
+    name : str
+        The file's, or what a cloud was called.
+    cloud : open3d.t.geometry.PointCloud
+        With the attributes that `gs_codec.read` gives.
+    file_bytes : int or None
+    info : gs_codec's Info or None
+        Of an ``.egs`` file.
+    """
+
+    name: str
+    cloud: PointCloud
+    file_bytes: int | None = None
+    info: Any = None
+
+    @property
+    def count(self) -> int:
+        """Gaussians."""
+        return len(self.positions)
+
+    @cached_property
+    def positions(self) -> NDArray[np.float32]:
+        """Centres ``(N, 3)``."""
+        return self._array("positions")
+
+    @cached_property
+    def colours(self) -> NDArray[np.float32]:
+        """What SH-DC shows, RGB ``(N, 3)``, 0-1."""
+        return np.clip(0.5 + _SH_C0 * self._array("f_dc"), 0, 1).astype(np.float32)
+
+    @cached_property
+    def opacities(self) -> NDArray[np.float32]:
+        """``(N,)``, 0-1."""
+        return 1 / (1 + np.exp(-self._array("opacity")[:, 0]))
+
+    @cached_property
+    def sizes(self) -> NDArray[np.float32]:
+        """Log10 of the longest axis ``(N,)``, scene units."""
+        return self._array("log_scale").max(axis=1) / np.float32(np.log(10))
+
+    @property
+    def sh_degree(self) -> int:
+        """0 to 3."""
+        return _DEGREES[self.cloud.point["f_rest"].shape[1]]
+
+    @property
+    def raw_bytes(self) -> int:
+        """Size of the attributes as float32."""
+        return 4 * self.count * (14 + 3 * self.cloud.point["f_rest"].shape[1])
+
+    @cached_property
+    def blocks(self) -> NDArray[np.float32]:
+        """Boxes of the blocks that an ``.egs`` file decodes apart, ``(blocks, 2, 3)``.
+
+        None where the Gaussians were put back into another order than the file's.
+        """
+        info = self.info
+        if info is None or info.keeps_order or not self.count:
+            return np.zeros((0, 2, 3), np.float32)
+        starts = np.arange(0, self.count, info.block_size)
+        low = np.minimum.reduceat(self.positions, starts)
+        high = np.maximum.reduceat(self.positions, starts)
+        return np.stack([low, high], axis=1)
+
+    def _array(self, name: str) -> NDArray[np.float32]:
+        return np.ascontiguousarray(self.cloud.point[name].numpy())
+
+
+def open_scene(source: Path | str | PointCloud, name: str = "") -> Opened:
+    """Read a scene's file, or take a cloud.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+    """
+    if not isinstance(source, str | Path):
+        return Opened(name or "cloud", source)
+    cloud = gs_codec.read(source, "drop")
+    try:
+        info = gs_codec.inspect(source)
+    except gs_codec.GsCodecError:  # a scene, but no .egs
+        info = None
+    return Opened(Path(source).name, cloud, os.path.getsize(source), info)
+
+
+@dataclass(frozen=True, eq=False)
+class Pruned:
+    """Which Gaussians preparation took out of a scene.
+
+    Attributes
+    ----------
+    reasons : tuple of str
+    labels : ndarray, shape (N,), uint8
+        For each Gaussian of the scene 0, or 1 + the place of the reason.
+    """
+
+    reasons: tuple[str, ...]
+    labels: NDArray[np.uint8]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Gaussians by reason."""
+        counts = np.bincount(self.labels, minlength=len(self.reasons) + 1)[1:]
+        return dict(zip(self.reasons, counts.tolist(), strict=True))
+
+
+def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
+    """The report of ``gs-codec prepare --report``, about a scene that it was made from.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If there is none, or it is of another scene.
+    """
+    folder = Path(folder)
+    try:
+        reasons = tuple(json.loads((folder / "report.json").read_text())["removed"])
+        labels = np.load(folder / "labels.npy", allow_pickle=False)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({error})") from error
+    if labels.dtype != np.uint8 or labels.shape != (scene.count,):
+        raise gs_codec.GsCodecError(
+            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.count:,}"
+        )
+    if labels.max(initial=0) > len(reasons):
+        raise gs_codec.GsCodecError(f"{folder}: label {labels.max()}, expected 0 to {len(reasons)}")
+    return Pruned(reasons, labels)

@@ -1,0 +1,103 @@
+"""What was asked to be shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gs_codec
+from viewer.layers import COLOURINGS, LAYERS
+from viewer.opened import Opened, open_scene
+
+#: How two scenes are shown.
+MODES = ("side", "wipe", "flip")
+
+#: Largest side of a picture, pixels.
+_MAX_SIDE = 1 << 14
+
+
+@dataclass(frozen=True)
+class Request:
+    """Scenes, and how they are to be shown.
+
+    Attributes
+    ----------
+    a, b : path, cloud or None
+    cameras : path, "auto", sequence of cameras, or None
+    images : path or None
+        Folder of the cameras' photographs.
+    pruned : path or None
+        Folder of a report of ``prepare``.
+    layers : tuple of str
+    colouring, mode : str
+    view : int or None
+        Camera to begin with.
+    size : tuple of two int
+        Width and height, pixels.
+    """
+
+    a: Any = None
+    b: Any = None
+    cameras: Any = None
+    images: Path | None = None
+    pruned: Path | None = None
+    layers: tuple[str, ...] = ("splats",)
+    colouring: str = "colour"
+    mode: str = "side"
+    view: int | None = None
+    size: tuple[int, int] = (1280, 800)
+
+    def check(self) -> None:
+        """Check what can be checked without opening anything.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+        """
+        _check_among("layers", self.layers, LAYERS)
+        _check_among("colour", [self.colouring], COLOURINGS)
+        _check_among("mode", [self.mode], MODES)
+        if not all(64 <= side <= _MAX_SIDE for side in self.size):
+            raise gs_codec.GsCodecError(
+                f"size {self.size[0]}x{self.size[1]}: expected 64 to {_MAX_SIDE} pixels each way"
+            )
+        if self.view is not None and self.cameras is None:
+            raise gs_codec.GsCodecError("view: needs cameras")
+        if self.images is not None and self.cameras is None:
+            raise gs_codec.GsCodecError("images: need cameras")
+        if self.a is None and (self.pruned is not None or self.cameras is not None):
+            raise gs_codec.GsCodecError("no scene to show")
+
+    def scenes(self) -> list[Opened]:
+        """Open what is to be shown."""
+        return [open_scene(source) for source in (self.a, self.b) if source is not None]
+
+
+def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:
+    """Layers of a list with commas; by default splats, and what was pruned if that is known."""
+    if text is None:
+        return ("splats",) if pruned is None else ("splats", "pruned")
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
+    for each in wanted:
+        if each not in known:
+            raise gs_codec.GsCodecError(f"{name} '{each}': expected {', '.join(known)}")
+
+
+def find_views(request: Request, scene: Opened) -> list[Any]:
+    """The cameras to look from, if there are any.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If they cannot be read, or there are fewer than asked for.
+    """
+    if request.cameras is None:
+        return []
+    cameras = gs_codec.render(scene.cloud, request.cameras).cameras
+    if request.view is not None and not 0 <= request.view < len(cameras):
+        raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {len(cameras) - 1}")
+    return cameras

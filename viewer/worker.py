@@ -1,0 +1,105 @@
+"""Work beside the window's thread: of each kind the newest job only."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+#: Tells a job that its result is not wanted any more.
+Stale = Callable[[], bool]
+
+Job = Callable[[Stale], Any]
+
+
+class Worker:
+    """A thread that runs jobs and gives their results back to the window's thread.
+
+    Parameters
+    ----------
+    post : callable
+        Given a function without arguments, has the window's thread call it.
+    """
+
+    def __init__(self, post: Callable[[Callable[[], None]], None]) -> None:
+        self._post = post
+        self._wanted: dict[str, int] = {}
+        self._waiting: dict[
+            str, tuple[Job, Callable[[Any], None], Callable[[Exception], None]]
+        ] = {}
+        self._running: str | None = None
+        self._changed = threading.Condition()
+        self._ended = False
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def submit(
+        self,
+        kind: str,
+        job: Job,
+        done: Callable[[Any], None],
+        failed: Callable[[Exception], None],
+    ) -> None:
+        """Run a job in place of those of its kind that have not ended.
+
+        `done` is called with its result, or `failed` with its exception.
+        """
+        with self._changed:
+            self._wanted[kind] = self._wanted.get(kind, 0) + 1
+            self._waiting[kind] = (job, done, failed)
+            self._changed.notify()
+
+    def cancel(self, kind: str) -> None:
+        """Drop what is waiting of a kind, and the result of what is running."""
+        with self._changed:
+            self._wanted[kind] = self._wanted.get(kind, 0) + 1
+            self._waiting.pop(kind, None)
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything waits or runs."""
+        with self._changed:
+            return bool(self._waiting) or self._running is not None
+
+    def end(self) -> None:
+        """Let the thread end after its job."""
+        with self._changed:
+            self._ended = True
+            self._waiting.clear()
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._running = None
+                while not self._waiting and not self._ended:
+                    self._changed.wait()
+                if self._ended:
+                    return
+                kind = next(iter(self._waiting))
+                job, done, failed = self._waiting.pop(kind)
+                number = self._wanted[kind]
+                self._running = kind
+            self._work(kind, number, job, done, failed)
+
+    def _work(
+        self,
+        kind: str,
+        number: int,
+        job: Job,
+        done: Callable[[Any], None],
+        failed: Callable[[Exception], None],
+    ) -> None:
+        def stale() -> bool:
+            return self._ended or self._wanted[kind] != number
+
+        def give(call: Callable[[Any], None], value: Any) -> None:
+            if not stale():
+                call(value)
+
+        try:
+            result = job(stale)
+        except Exception as error:
+            problem = error
+            self._post(lambda: give(failed, problem))
+        else:
+            self._post(lambda: give(done, result))

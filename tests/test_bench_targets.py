@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from PIL import Image
@@ -25,7 +26,7 @@ def measured(tmp_path_factory) -> tuple[list[dict], str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(held_out, "_MEASURED", 3)
         patch.setattr(held_out, "_ENCODED_BY", 6)
-        patch.setattr(targets, "RATIOS", (10.0, 6.0))
+        patch.setattr(targets, "RATIOS", (10.0, 6.0, 1000.0))
         patch.setattr(targets, "DROPS", (0.2,))
         patch.setattr(targets, "_PRUNED", (Target(ratio=14.0, allow_prune=True),))
         options = ["--targets", "--cameras", "auto", "--width", "36", "--plot", str(plot)]
@@ -43,11 +44,16 @@ def test_profiles_come_first_and_then_targets(measured):
     assert found == [
         *[("profile", "by attributes")] * 3,
         *[("target", "by attributes")] * 2,
+        ("refused", "by attributes"),
         *[("profile", "by views")] * 3,
-        *[("target", "by views")] * 3,
+        *[("target", "by views")] * 2,
+        ("refused", "by views"),
+        ("target", "by views"),
         ("target", "by views, pruned"),
     ]
     assert len(table.splitlines()) >= 1 + len(lines)
+    assert "are in reach" in next(line for line in lines if line["kind"] == "refused")["message"]
+    assert re.search(r"by views +ratio 1000 +refused", table)
 
 
 def test_targets_are_met(measured):

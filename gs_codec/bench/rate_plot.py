@@ -20,7 +20,7 @@ def plot_targets(lines: list[dict[str, Any]], path: Path) -> None:
     figure = new_figure(6 * max(len(scenes), 1), 4.5)
     for number, scene in enumerate(scenes, 1):
         axis = figure.add_subplot(1, len(scenes), number)
-        of_scene = [line for line in lines if line["scene"] == scene]
+        of_scene = [line for line in lines if line["scene"] == scene and "mean" in line]
         here = [line for line in of_scene if line["mean"]["psnr"] is not None]
         for colour, curve in enumerate(dict.fromkeys(line["curve"] for line in here)):
             for kind, style in (("profile", "o-"), ("target", "x")):

@@ -12,6 +12,7 @@ from gs_codec.bench.curves import Curve
 from gs_codec.bench.rendered import measure_quality, rendered_quality
 from gs_codec.codec import decode_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
+from gs_codec.errors import InvalidInput
 from gs_codec.files import encode_goal
 from gs_codec.io.ply import vertex_rows
 from gs_codec.preparation.pipeline import Plan
@@ -37,7 +38,8 @@ def measure_targets(
     """Result lines of the profiles, then of targets, by attributes and by the views of a plan.
 
     Each line of a target has the bits that profiles take at its quality, as far as their curve
-    goes. Losses are measured against photographs if there are any.
+    goes; one that is out of reach has what was said of it. Losses are measured against photographs
+    if there are any.
     """
     if truth is not None:
         plan = replace(plan, photographs=truth)
@@ -51,10 +53,23 @@ def measure_targets(
         yield from (line | {"kind": "profile", "curve": curve} for line in lines)
         profiles = Curve.through_lines(lines)
         for wish in wishes:
-            line = _measure(scene, name, cameras, truth, replace(config, profile="m"), wish, used)
+            kind = curve + (", pruned" if wish.allow_prune else "")
+            try:
+                line = _measure(
+                    scene, name, cameras, truth, replace(config, profile="m"), wish, used
+                )
+            except InvalidInput as refused:
+                yield {
+                    "kind": "refused",
+                    "scene": name,
+                    "curve": kind,
+                    "target": _plain(wish),
+                    "message": str(refused),
+                }
+                continue
             psnr = line["mean"]["psnr"]
             yield line | {
-                "curve": curve + (", pruned" if wish.allow_prune else ""),
+                "curve": kind,
                 "profiles_bits_per_gaussian": None if psnr is None else profiles.bits_at(psnr),
             }
 
@@ -77,7 +92,7 @@ def _measure(
     return {
         "kind": "target",
         "scene": name,
-        "target": {k: v for k, v in vars(target).items() if v is not None},
+        "target": _plain(target),
         "limit_bytes": target.limit(scene.count, ply_bytes),
         "file_bytes": len(data),
         "psnr_drop": rate.psnr_drop,
@@ -92,3 +107,7 @@ def _measure(
         "ratio": ply_bytes / len(data),
         **rendered_quality(scene, decode_scene(data), cameras, truth),
     }
+
+
+def _plain(target: Target) -> dict[str, Any]:
+    return {k: v for k, v in vars(target).items() if v is not None}

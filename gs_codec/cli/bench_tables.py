@@ -114,6 +114,10 @@ def part_row(line: dict[str, Any]) -> list[str]:
 def target_row(line: dict[str, Any]) -> list[str]:
     """A row of a profile, or of a file of a wanted size or quality."""
     asked, reached, pruned, of_profiles = line.get("profile", ""), "", "", ""
+    if line["kind"] == "refused":
+        asked = ", ".join(f"{k} {v:g}" for k, v in line["target"].items() if k != "allow_prune")
+        row = [f"{line['scene']}, {line['curve']}", asked, "refused"]
+        return row + [""] * (len(TARGET_COLUMNS) - len(row))
     if line["kind"] == "target":
         pruned = f"{100 * line['pruned'] / line['gaussians']:.0f} %" if line["pruned"] else ""
         bits = line["profiles_bits_per_gaussian"]

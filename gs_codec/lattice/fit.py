@@ -20,11 +20,14 @@ from gs_codec.lattice.sensitivity import Sensitivity
 #: Colour for a unit of SH-DC; root of the mean square for one of SH-AC, over all directions.
 _SH_C0 = 0.28209479177387814
 
-#: Classes above the finest that are kept apart.
-_CLASSES = 10
+#: Classes that are kept apart: what these views hardly see must not fall apart in others.
+_CLASSES = 9
 
-#: Share of Gaussians whose steps may come out coarser than asked, and of the least seen.
-_FINEST, _LEAST_SEEN = 1e-3, 0.02
+#: Share of Gaussians above the finest class, and of the least seen.
+_FINEST, _LEAST_SEEN = 1e-4, 0.02
+
+#: Share of Gaussians whose steps may come out coarser than asked.
+_COARSER = 1e-3
 
 #: Rules are fitted on about so many Gaussians.
 _SAMPLE = 20_000
@@ -148,7 +151,7 @@ def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArra
 
 def finest_step(wanted: NDArray[np.float64], lowest: float, highest: float) -> float:
     """Log2 of the step that all but a few of the wanted ones (log2) are not below."""
-    finest = float(np.quantile(wanted, _FINEST)) if wanted.size else highest
+    finest = float(np.quantile(wanted, _COARSER)) if wanted.size else highest
     return min(max(finest, lowest), highest)
 
 

@@ -25,7 +25,7 @@ def facts(scene: Opened) -> list[tuple[str, str]]:
         bits = 8 * scene.file_bytes / max(scene.count, 1)
         rows += [
             ("file", size_text(scene.file_bytes)),
-            ("of float32", f"{scene.raw_bytes / scene.file_bytes:.1f}x smaller"),
+            ("raw / file", f"{scene.raw_bytes / scene.file_bytes:.1f}"),
             ("bits / Gaussian", f"{bits:.1f}"),
         ]
     if scene.info is not None:

@@ -30,13 +30,17 @@ from viewer.request import Request, find_views
 
 
 def write_screenshot(request: Request, path: Path) -> None:
-    """Draw what is asked for and write it as a PNG, which appears whole or not at all.
+    """Draw what is asked for and write it.
 
     Raises
     ------
     gs_codec.GsCodecError
     """
-    picture = draw_request(request)
+    save_picture(draw_request(request), path)
+
+
+def save_picture(picture: Image.Image, path: Path) -> None:
+    """Write a picture as a PNG, which appears whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         picture.save(partial, "PNG")

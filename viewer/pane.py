@@ -1,0 +1,156 @@
+"""A pane of the window: one scene, drawn by Open3D from a pose, over a picture of its splats."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+from open3d.visualization import gui, rendering
+
+from viewer.layers import BOX_COLOUR, Points, box_lines
+from viewer.opened import Opened
+from viewer.picture import POINT_SIZE, PRUNED_SIZE
+from viewer.pose import Pose
+
+_BACKGROUND = (0.07, 0.07, 0.08, 1.0)
+
+#: Nearest and farthest that is drawn, by the distance of what is farthest.
+_NEAR, _BEYOND = 1e-4, 1.1
+
+#: Open3D's splat shader has no third degree.
+_MAX_DEGREE = 2
+
+
+class Pane:
+    """A `SceneWidget` and what is in it.
+
+    Parameters
+    ----------
+    window : gui.Window
+    scene : Opened
+    """
+
+    def __init__(self, window: gui.Window, scene: Opened) -> None:
+        self.scene = scene
+        self.widget = gui.SceneWidget()
+        self.widget.scene = rendering.Open3DScene(window.renderer)
+        self.widget.scene.set_background(_BACKGROUND)
+        self.widget.scene.show_skybox(False)
+        view = self.widget.scene.view
+        # Colours as they are, and frames in half the time.
+        view.set_post_processing(False)
+        view.set_antialiasing(False)
+        self.widget.set_view_controls(gui.SceneWidget.Controls.ROTATE_CAMERA)
+        self.picture: NDArray[np.float32] | None = None
+        self._model: NDArray | None = None
+        low, high = _box(scene.positions)
+        self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
+        self._corners = np.asarray(self._box.get_box_points())
+        if scene.count:
+            centre = np.nanmedian(scene.positions, axis=0)
+            self.widget.center_of_rotation = centre.astype(np.float32)
+
+    def look(self, pose: Pose, width: int, height: int, left: int = 0) -> None:
+        """Look from a pose; the pane is the part of a picture that begins `left` pixels in."""
+        frame = self.widget.frame
+        if frame.width < 1 or frame.height < 1:
+            return
+        intrinsics = pose.intrinsics(width, height, left)
+        self.widget.setup_camera(intrinsics, pose.extrinsics, frame.width, frame.height, self._box)
+        depth = (pose.rotation @ (self._corners - pose.position).T)[2]
+        far = _BEYOND * max(float(depth.max(initial=0.0)), 1e-3)
+        camera = self.widget.scene.camera
+        camera.set_projection(intrinsics, _NEAR * far, far, frame.width, frame.height)
+        self._model = np.array(camera.get_model_matrix())
+        self.widget.force_redraw()
+
+    def moved(self) -> NDArray | None:
+        """Where the camera stands now, if somebody has moved it since `look`."""
+        model = np.array(self.widget.scene.camera.get_model_matrix())
+        if self._model is None or np.array_equal(model, self._model):
+            return None
+        return model
+
+    def show_picture(self, picture: NDArray[np.float32] | None) -> None:
+        """Put a picture of the pane's size behind everything, or take it away."""
+        self.picture = picture
+        if picture is None:
+            self.widget.scene.set_background(_BACKGROUND)
+        else:
+            image = o3d.geometry.Image(np.ascontiguousarray(picture, np.float32))
+            self.widget.scene.set_background(_BACKGROUND, image)
+        self.widget.force_redraw()
+
+    def show_points(self, name: str, points: Points | None) -> None:
+        """Show points under a name, in place of those it had."""
+        if points is None or not len(points.positions):
+            self._replace(name, None, None)
+            return
+        cloud = o3d.t.geometry.PointCloud(_tensor(points.positions))
+        cloud.point["colors"] = _tensor(points.colours)
+        material = rendering.MaterialRecord()
+        material.shader = "defaultUnlit"
+        size = PRUNED_SIZE if name == "pruned" else POINT_SIZE
+        material.point_size = size
+        self._replace(name, cloud, material)
+
+    def show_boxes(self, boxes: NDArray | None) -> None:
+        """Show the edges of boxes ``(n, 2, 3)``."""
+        if boxes is None or not len(boxes):
+            self._replace("boxes", None, None)
+            return
+        corners, edges = box_lines(boxes)
+        lines = o3d.geometry.LineSet(
+            o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(edges)
+        )
+        lines.paint_uniform_color(BOX_COLOUR)
+        material = rendering.MaterialRecord()
+        material.shader = "unlitLine"
+        material.line_width = 1.5
+        self._replace("boxes", lines, material)
+
+    def show_splats(self, wanted: bool) -> None:
+        """Draw the splats by Open3D's own shader."""
+        if not wanted:
+            self._replace("splats", None, None)
+        elif not self.widget.scene.has_geometry("splats"):
+            self._replace("splats", splat_cloud(self.scene), splat_material(self.scene))
+
+    def _replace(self, name: str, geometry: Any, material: Any) -> None:
+        scene = self.widget.scene
+        if scene.has_geometry(name):
+            scene.remove_geometry(name)
+        if geometry is not None:
+            scene.add_geometry(name, geometry, material)
+        self.widget.force_redraw()
+
+
+def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:
+    """The cloud as Open3D's splat shader wants it: of unit quaternions."""
+    cloud = scene.cloud.clone()
+    rot = cloud.point["rot"].numpy()
+    length = np.linalg.norm(rot, axis=1, keepdims=True)
+    cloud.point["rot"] = _tensor(rot / np.where(length > 0, length, 1))
+    return cloud
+
+
+def splat_material(scene: Opened) -> rendering.MaterialRecord:
+    """The material of Open3D's splat shader."""
+    material = rendering.MaterialRecord()
+    material.shader = "gaussianSplat"
+    material.gaussian_splat_sh_degree = min(scene.sh_degree, _MAX_DEGREE)
+    return material
+
+
+def _tensor(array: NDArray) -> o3d.core.Tensor:
+    return o3d.core.Tensor(np.ascontiguousarray(array, np.float32))
+
+
+def _box(positions: NDArray) -> tuple[NDArray, NDArray]:
+    """Lowest and highest of the finite coordinates."""
+    finite = positions[np.isfinite(positions).all(axis=1)]
+    if not len(finite):
+        return -np.ones(3), np.ones(3)
+    return finite.min(axis=0).astype(np.float64), finite.max(axis=0).astype(np.float64)

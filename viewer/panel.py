@@ -1,0 +1,169 @@
+"""The panel beside the scenes: what is shown, and numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import open3d as o3d
+from open3d.visualization import gui
+
+from viewer.layers import COLOURINGS, LAYERS, Legend, heat, reason_colour
+from viewer.numbers import between, facts
+from viewer.request import MODES
+
+if TYPE_CHECKING:
+    from viewer.window import Viewer
+
+_MODE_NAMES = ("side by side", "wipe", "one, F flips")
+
+_DRAWN_BY = {"gpu": "splats: Open3D's shader", "cpu": "splats: our rasteriser, on the CPU"}
+
+
+class Panel:
+    """Checkboxes, choices and numbers of a viewer.
+
+    Attributes
+    ----------
+    boxes : dict of str to gui.Checkbox
+        By layer.
+    legends : list of Legend
+        Of what centres are coloured by.
+    error_legend : Legend or None
+    """
+
+    def __init__(self, viewer: Viewer, font: int) -> None:
+        self.viewer = viewer
+        self.legends: list[Legend] = []
+        self.error_legend: Legend | None = None
+        em = viewer.window.theme.font_size
+        self._em = em
+        margins = gui.Margins(0.6 * em, 0.5 * em, 0.6 * em, 0.5 * em)
+        self.widget = gui.ScrollableVert(0.25 * em, margins)
+        self.boxes = {layer: self._checkbox(layer) for layer in LAYERS}
+        buttons = gui.Horiz(0.3 * em)
+        for text, action in (
+            ("Open", viewer.ask_open),
+            ("Save", viewer.ask_save),
+            ("Help", viewer.help),
+        ):
+            buttons.add_child(self._button(text, action))
+        self.widget.add_child(buttons)
+        for box in self.boxes.values():
+            self.widget.add_child(box)
+        self.colouring = self._choice(
+            "centres by", COLOURINGS, lambda place: viewer.set_colouring(COLOURINGS[place])
+        )
+        self.mode = self._choice(
+            "two scenes", _MODE_NAMES, lambda place: viewer.set_mode(MODES[place])
+        )
+        self.wipe = gui.Slider(gui.Slider.DOUBLE)
+        self.wipe.set_limits(0, 1)
+        self.wipe.set_on_value_changed(viewer.set_place)
+        self.widget.add_child(self.wipe)
+        self._cameras = gui.Horiz(0.3 * em)
+        self._cameras.add_child(self._button("<", lambda: viewer.go(-1)))
+        self._cameras.add_child(self._button(">", lambda: viewer.go(1)))
+        self._camera = gui.Label("")
+        self._cameras.add_child(self._camera)
+        self.widget.add_child(self._cameras)
+        self._bar = gui.ImageWidget(_bar(int(14 * em), int(0.7 * em)))
+        self.widget.add_child(self._bar)
+        self._legend = gui.Label("")
+        self.widget.add_child(self._legend)
+        self._reasons = [gui.Label("") for _ in range(4)]
+        for place, label in enumerate(self._reasons):
+            label.text_color = gui.Color(*reason_colour(place))
+            self.widget.add_child(label)
+        self._numbers = gui.Label("")
+        self._numbers.font_id = font
+        self.widget.add_child(self._numbers)
+        self.status = gui.Label("")
+        self.widget.add_child(self.status)
+
+    def say(self, text: str) -> None:
+        """Show a line of status."""
+        self.status.text = "\n".join(_folded(text, 34))
+        self.viewer.window.set_needs_layout()
+
+    def next_colouring(self) -> None:
+        """Colour centres by the next of what is known."""
+        place = (COLOURINGS.index(self.viewer.colouring) + 1) % len(COLOURINGS)
+        self.viewer.set_colouring(COLOURINGS[place])
+
+    def refresh(self) -> None:
+        """Show what the viewer shows."""
+        viewer = self.viewer
+        for layer, box in self.boxes.items():
+            box.checked = layer in viewer.layers
+        self.boxes["pruned"].enabled = viewer.pruned is not None
+        self.boxes["error"].enabled = len(viewer.scenes) > 1
+        self.colouring.selected_index = COLOURINGS.index(viewer.colouring)
+        self.mode.selected_index = MODES.index(viewer.mode)
+        self.mode.enabled = len(viewer.scenes) > 1
+        self.wipe.visible = len(viewer.scenes) > 1 and viewer.mode == "wipe"
+        self.wipe.double_value = viewer.place
+        self._cameras.visible = bool(viewer.cameras)
+        if viewer.cameras:
+            name = viewer.cameras[viewer.number].name
+            self._camera.text = f"{viewer.number} of {len(viewer.cameras)}: {name}"
+        legends = [*self.legends, *([self.error_legend] if self.error_legend else [])]
+        self._bar.visible = self._legend.visible = bool(legends)
+        self._legend.text = "\n".join(f"{e.title}: {e.low} to {e.high}" for e in legends)
+        counts = list(viewer.pruned.counts.items()) if viewer.pruned is not None else []
+        for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
+            label.visible = bool(n)
+            label.text = f"{n:,} pruned by {reason}"
+        self._numbers.text = self._all_numbers()
+        viewer.window.set_needs_layout()
+
+    def _all_numbers(self) -> str:
+        viewer = self.viewer
+        lines = [_DRAWN_BY[viewer.device]] if viewer.scenes else []
+        if len(viewer.scenes) > 1:
+            lines += ["", "this view, B against A:", f"  {viewer.quality or '...'}"]
+            lines += [f"{name}: {value}" for name, value in between(*viewer.scenes)]
+        for letter, scene in zip("AB", viewer.scenes, strict=False):
+            lines += ["", f"{letter}: {scene.name}"]
+            lines += [f"{name:<16} {value:>12}" for name, value in facts(scene)]
+        return "\n".join(lines)
+
+    def _checkbox(self, layer: str) -> gui.Checkbox:
+        box = gui.Checkbox(layer)
+        box.set_on_checked(lambda _: self.viewer.toggle(layer))
+        return box
+
+    def _button(self, text: str, action: Any) -> gui.Button:
+        button = gui.Button(text)
+        button.horizontal_padding_em, button.vertical_padding_em = 0.5, 0.1
+        button.set_on_clicked(action)
+        return button
+
+    def _choice(self, text: str, names: Any, chosen: Any) -> gui.Combobox:
+        box = gui.Combobox()
+        for name in names:
+            box.add_item(name)
+        box.set_on_selection_changed(lambda _, place: chosen(place))
+        row = gui.Horiz(0.4 * self._em)
+        row.add_child(gui.Label(text))
+        row.add_child(box)
+        self.widget.add_child(row)
+        return box
+
+
+def monospace() -> int:
+    """The font of numbers; to be asked for before there is a window."""
+    description = gui.FontDescription(gui.FontDescription.MONOSPACE)
+    return gui.Application.instance.add_font(description)
+
+
+def _bar(width: int, height: int) -> o3d.geometry.Image:
+    """The colours of a heat map from its lowest value to its highest."""
+    colours = np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
+    return o3d.geometry.Image(np.ascontiguousarray(np.rint(255 * colours), np.uint8))
+
+
+def _folded(text: str, width: int) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, width)

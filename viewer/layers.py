@@ -102,7 +102,7 @@ def centres(
     assert reference is not None
     errors = colour_errors(scene, reference, some)
     high = float(np.quantile(errors, _HIGHEST)) if errors.size else 0.0
-    legend = Legend("colour error, of 255", "0", f"{255 * high:.2g}")
+    legend = Legend("colour error, of 255", "0", f"{255 * high:.3g}")
     return Points(positions, heat(errors, 0, high), legend)
 
 
@@ -142,4 +142,4 @@ def error_image(first: NDArray, second: NDArray) -> tuple[NDArray[np.float32], L
     """Heat map of how far two images ``(H, W, 3)`` are apart, and its legend."""
     errors = np.sqrt(np.mean((np.clip(first, 0, 1) - np.clip(second, 0, 1)) ** 2, axis=2))
     high = max(float(np.quantile(errors, _HIGHEST)), 1 / 255)
-    return heat(errors, 0, high), Legend("error of a pixel, of 255", "0", f"{255 * high:.2g}")
+    return heat(errors, 0, high), Legend("error of a pixel, of 255", "0", f"{255 * high:.3g}")

@@ -62,7 +62,7 @@ class Opened:
     @cached_property
     def opacities(self) -> NDArray[np.float32]:
         """``(N,)``, 0-1."""
-        return 1 / (1 + np.exp(-self._array("opacity")[:, 0]))
+        return np.float32(1) / (1 + np.exp(-self._array("opacity")[:, 0]))
 
     @cached_property
     def sizes(self) -> NDArray[np.float32]:

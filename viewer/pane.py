@@ -79,8 +79,7 @@ class Pane:
         if picture is None:
             self.widget.scene.set_background(_BACKGROUND)
         else:
-            image = o3d.geometry.Image(np.ascontiguousarray(picture, np.float32))
-            self.widget.scene.set_background(_BACKGROUND, image)
+            self.widget.scene.set_background(_BACKGROUND, picture_of(picture))
         self.widget.force_redraw()
 
     def show_points(self, name: str, points: Points | None) -> None:
@@ -127,6 +126,11 @@ class Pane:
         self.widget.force_redraw()
 
 
+def picture_of(image: NDArray) -> o3d.geometry.Image:
+    """Open3D's image of an array ``(H, W, 3)``, float32 or uint8."""
+    return o3d.geometry.Image(np.ascontiguousarray(image))  # type: ignore[call-overload]
+
+
 def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:
     """The cloud as Open3D's splat shader wants it: of unit quaternions."""
     cloud = scene.cloud.clone()
@@ -145,7 +149,7 @@ def splat_material(scene: Opened) -> rendering.MaterialRecord:
 
 
 def _tensor(array: NDArray) -> o3d.core.Tensor:
-    return o3d.core.Tensor(np.ascontiguousarray(array, np.float32))
+    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array, np.float32))
 
 
 def _box(positions: NDArray) -> tuple[NDArray, NDArray]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import open3d as o3d
 from open3d.visualization import gui
 
 from viewer.layers import COLOURINGS, LAYERS, Legend, heat, reason_colour
 from viewer.numbers import between, facts
+from viewer.pane import picture_of
 from viewer.request import MODES
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Panel:
         )
         self.wipe = gui.Slider(gui.Slider.DOUBLE)
         self.wipe.set_limits(0, 1)
-        self.wipe.set_on_value_changed(viewer.set_place)
+        self.wipe.set_on_value_changed(lambda place: viewer.set_place(float(place)))
         self.widget.add_child(self.wipe)
         self._cameras = gui.Horiz(0.3 * em)
         self._cameras.add_child(self._button("<", lambda: viewer.go(-1)))
@@ -157,10 +157,10 @@ def monospace() -> int:
     return gui.Application.instance.add_font(description)
 
 
-def _bar(width: int, height: int) -> o3d.geometry.Image:
+def _bar(width: int, height: int) -> Any:
     """The colours of a heat map from its lowest value to its highest."""
     colours = np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
-    return o3d.geometry.Image(np.ascontiguousarray(np.rint(255 * colours), np.uint8))
+    return picture_of(np.rint(255 * colours).astype(np.uint8))
 
 
 def _folded(text: str, width: int) -> list[str]:

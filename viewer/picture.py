@@ -72,13 +72,10 @@ def draw_scene(
     legends = []
     image = np.empty((height, width, 3), np.float32)
     image[:] = _BACKGROUND
-    measured = shown.reference is not None and shown.reference is not scene
-    if "error" in shown.layers and measured:
-        reference, own = (
-            splats(views, each, pose, width, height)
-            for each in (shown.reference, scene)  # type: ignore[arg-type]
-        )
-        image, legend = error_image(reference, own)
+    reference = shown.reference
+    if "error" in shown.layers and reference is not None and reference is not scene:
+        known, own = (splats(views, each, pose, width, height) for each in (reference, scene))
+        image, legend = error_image(known, own)
         legends.append(legend)
     elif "splats" in shown.layers or "error" in shown.layers:
         image = np.clip(splats(views, scene, pose, width, height), 0, 1)
@@ -136,7 +133,7 @@ def draw_boxes(image: NDArray, boxes: NDArray, pose: Pose) -> NDArray[np.float32
             world = np.stack(ends) @ pose.rotation + pose.position
             places, _ = pose.project(world, width, height)
             pen.line([tuple(np.clip(p, -1e6, 1e6)) for p in places], fill=colour)
-    return np.asarray(canvas, np.float32) / 255
+    return np.asarray(canvas, np.float32) / np.float32(255)
 
 
 def _clipped(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray] | None:

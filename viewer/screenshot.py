@@ -136,4 +136,4 @@ def _fitted(image: NDArray, width: int, height: int) -> NDArray[np.float32]:
     resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
     canvas = Image.new("RGB", (width, height))
     canvas.paste(resized, ((width - size[0]) // 2, (height - size[1]) // 2))
-    return np.asarray(canvas, np.float32) / 255
+    return np.asarray(canvas, np.float32) / np.float32(255)

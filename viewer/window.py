@@ -14,7 +14,7 @@ import gs_codec
 from viewer.layers import centres, error_image, pruned_centres
 from viewer.numbers import quality_text
 from viewer.opened import Opened, Pruned, open_scene, read_pruned
-from viewer.pane import Pane
+from viewer.pane import Pane, picture_of
 from viewer.panel import Panel, monospace
 from viewer.photograph import find_photograph
 from viewer.picture import Shown, splats
@@ -258,6 +258,11 @@ class Viewer:
         self._arrange()
         self.panel.refresh()
 
+    @property
+    def busy(self) -> bool:
+        """Whether what is seen is not yet all that is to be seen."""
+        return self.worker.busy or (self.pose is not None and self._drawn != "full")
+
     # Layout and cameras
 
     def _visible(self) -> list[Pane]:
@@ -294,8 +299,8 @@ class Viewer:
         """For each visible pane: where it starts and stops, the picture's width, and its left."""
         count = len(self._visible())
         if count == 2 and self.mode == "wipe":
-            split = min(max(round(self.place * width), 1), width - 1)
-            return [(0, split, width, 0), (split, width, width, split)]
+            split = min(max(round(self.place * width), 2), width - 1)
+            return [(0, split - 1, width, 0), (split, width, width, split)]
         each = width // max(count, 1)
         return [(k * each, (k + 1) * each - (k < count - 1), each, 0) for k in range(count)]
 
@@ -388,9 +393,7 @@ class Viewer:
             except gs_codec.GsCodecError as error:
                 self.panel.say(str(error))
             else:
-                import open3d as o3d
-
-                self.photograph.update_image(o3d.geometry.Image(np.ascontiguousarray(image)))
+                self.photograph.update_image(picture_of(image))
                 self.photograph.visible = True
                 self.panel.say("")
         self.window.set_needs_layout()

@@ -1,0 +1,154 @@
+"""Drives a real window of the viewer with a mouse and keys, and prints what came of it as JSON.
+
+Run by test_viewer_window.py, in a process of its own, on a display of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from open3d.visualization import gui
+from PIL import ImageGrab
+
+from viewer.request import Request
+from viewer.window import Viewer
+
+
+class Driver:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.app = gui.Application.instance
+        self.app.initialize()
+        request = Request(
+            folder / "a.ply",
+            folder / "b.egs",
+            cameras=str(folder / "cameras.json"),
+            pruned=folder / "report",
+            layers=("splats",),
+            size=(900, 560),
+        )
+        self.viewer = Viewer(request)
+
+    def tick(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.viewer.window.post_redraw()
+            self.app.run_one_tick()
+            time.sleep(0.01)
+
+    def rest(self) -> np.ndarray:
+        """Tick until nothing moves any more; what is on the screen then."""
+        before = None
+        for _ in range(100):
+            self.tick(20)
+            if self.viewer.busy or not self.viewer.panes:
+                continue
+            now = self.grab()
+            if before is not None and np.array_equal(now, before):
+                return now
+            before = now
+        raise SystemExit("the window never rests")
+
+    def grab(self) -> np.ndarray:
+        frame = self.viewer.window.os_frame
+        box = (frame.x, frame.y, frame.get_right(), frame.get_bottom())
+        return np.asarray(ImageGrab.grab(box).convert("RGB"), np.int16)
+
+    def scenes(self, image: np.ndarray) -> np.ndarray:
+        """The part of the window that is not the panel."""
+        return image[:, : self.viewer.panel.widget.frame.x - 4]  # its corners are round
+
+    def xdotool(self, *arguments: object) -> None:
+        subprocess.run(["xdotool", *map(str, arguments)], check=True)
+        self.tick(3)
+
+    def move(self, x: float, y: float) -> None:
+        frame = self.viewer.window.os_frame
+        self.xdotool("mousemove", frame.x + round(x), frame.y + round(y))
+
+    def click(self, widget: gui.Widget) -> None:
+        frame = widget.frame
+        self.move(frame.x + frame.height / 2, frame.y + frame.height / 2)
+        self.xdotool("mousedown", 1)
+        self.xdotool("mouseup", 1)
+
+    def drag(self, frame: gui.Rect) -> None:
+        x, y = frame.x + frame.width / 2, frame.y + frame.height / 2
+        self.move(x, y)
+        self.xdotool("mousedown", 1)
+        for step in range(1, 6):
+            self.move(x + 12 * step, y + 4 * step)
+        self.xdotool("mouseup", 1)
+
+    def key(self, name: str) -> None:
+        self.xdotool("key", name)
+
+    def models(self) -> list[list]:
+        return [
+            np.array(p.widget.scene.camera.get_model_matrix()).tolist() for p in self.viewer.panes
+        ]
+
+
+def run(folder: Path) -> dict:
+    driver = Driver(folder)
+    viewer = driver.viewer
+    found: dict = {"layers": {}}
+    first = before = driver.rest()
+    found["drawn"] = float(driver.scenes(first).std())
+    found["quality"] = viewer.quality
+    for layer, box in viewer.panel.boxes.items():
+        driver.click(box)
+        after = driver.rest()
+        changed = np.abs(driver.scenes(after) - driver.scenes(before)).max(axis=2) > 12
+        halves = np.array_split(changed, 2, axis=1)
+        found["layers"][layer] = [int(half.sum()) for half in halves]
+        driver.click(box)
+        before = driver.rest()
+        apart = np.abs(driver.scenes(before) - driver.scenes(first)).max()
+        found["layers"][layer].append(int(apart))
+    found["at_first"] = driver.models()
+    driver.drag(viewer.panes[0].widget.frame)
+    moved = driver.rest()
+    found["after_drag"] = driver.models()
+    found["drag_changed"] = int((np.abs(driver.scenes(moved) - driver.scenes(first)) > 12).sum())
+    driver.key("n")
+    driver.rest()
+    found["number"] = viewer.number
+    driver.key("p")
+    driver.rest()
+    found["back"] = driver.models()
+    driver.click(viewer.panel.boxes["error"])
+    driver.key("f")
+    a = driver.rest()
+    found["front_first"] = viewer.front
+    driver.key("f")
+    b = driver.rest()
+    found["flip_changed"] = int((np.abs(driver.scenes(a) - driver.scenes(b)) > 12).sum())
+    viewer.set_mode("wipe")
+    half = driver.scenes(driver.rest())
+    viewer.set_place(0.2)
+    fifth = driver.scenes(driver.rest())
+    columns = np.flatnonzero((np.abs(half - fifth) > 12).any(axis=(0, 2))) / half.shape[1]
+    found["wipe_changed"] = [float(columns.min()), float(columns.max())]
+    viewer.save(str(folder / "saved.png"))
+    driver.rest()
+    viewer.open(str(folder / "report" / "report.json"))
+    driver.rest()
+    found["message"] = viewer.message
+    viewer.dismiss()
+    driver.key("m")
+    driver.rest()
+    found["mode"] = viewer.mode
+    return found
+
+
+if __name__ == "__main__":
+    print("RESULT " + json.dumps(run(Path(sys.argv[1]))), flush=True)
+    # Open3D has no orderly end outside Application.run.
+    import os
+
+    os._exit(0)

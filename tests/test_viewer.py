@@ -1,0 +1,327 @@
+"""The viewer without a window: layers, poses, pictures, its command line."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import random_scene
+
+import gs_codec
+from gs_codec.cloud import to_cloud
+from gs_codec.codec import encode_scene
+from gs_codec.config import Config
+from gs_codec.io.ply import write_ply
+from viewer.layers import Points, box_lines, centres, error_image, heat, pruned_centres, thinned
+from viewer.opened import Opened, open_scene, read_pruned
+from viewer.picture import Shown, draw_points, draw_scene, wiped
+from viewer.pose import Pose, look_at, of_camera, overview
+from viewer.request import Request, parse_layers
+from viewer.screenshot import draw_request
+from viewer.worker import Worker
+
+STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    """A scene, its encoding, a third of it, and a report of what went."""
+    folder = tmp_path_factory.mktemp("viewer")
+    scene = random_scene(900, 1, seed=300)
+    write_ply(folder / "a.ply", scene)
+    (folder / "b.egs").write_bytes(encode_scene(scene, Config("m"))[0])
+    labels = (np.arange(900) % 3).astype(np.uint8)
+    write_ply(folder / "kept.ply", scene.take(np.flatnonzero(labels == 0)))
+    report = folder / "report"
+    report.mkdir()
+    np.save(report / "labels.npy", labels)
+    (report / "report.json").write_text('{"removed": {"geometry": 300, "importance": 300}}')
+    return folder
+
+
+def viewer(*arguments, **environment) -> subprocess.CompletedProcess:
+    code = "import sys; sys.argv[0] = 'gs-viewer'; from viewer.main import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | environment,
+        cwd=Path(__file__).parent.parent,
+    )
+
+
+# Scenes and reports
+
+
+def test_a_scene_tells_what_it_is(files):
+    scene, coded = open_scene(files / "a.ply"), open_scene(files / "b.egs")
+    assert (scene.count, scene.sh_degree, scene.info) == (900, 1, None)
+    assert scene.file_bytes == (files / "a.ply").stat().st_size
+    assert scene.raw_bytes == 900 * 4 * 23
+    assert coded.info.profile == "m"
+    assert not len(scene.blocks)
+    np.testing.assert_array_equal(coded.blocks.min(axis=(0, 1)), coded.positions.min(axis=0))
+    np.testing.assert_array_equal(coded.blocks.max(axis=(0, 1)), coded.positions.max(axis=0))
+    assert ((scene.opacities > 0) & (scene.opacities < 1)).all()
+
+
+def test_reports_are_of_their_scene(files):
+    scene = open_scene(files / "a.ply")
+    pruned = read_pruned(files / "report", scene)
+    assert pruned.counts == {"geometry": 300, "importance": 300}
+    points = pruned_centres(scene, pruned)
+    np.testing.assert_array_equal(points.positions, scene.positions[pruned.labels > 0])
+    assert len(np.unique(points.colours, axis=0)) == 2
+    with pytest.raises(gs_codec.GsCodecError, match=r"900 Gaussians, kept.ply has 300"):
+        read_pruned(files / "report", open_scene(files / "kept.ply"))
+    with pytest.raises(gs_codec.GsCodecError, match="no report of prepare"):
+        read_pruned(files, scene)
+
+
+# Colours and shapes
+
+
+def test_heat_goes_from_dark_to_bright():
+    colours = heat(np.array([-1.0, 0.0, 0.5, 1.0, 2.0, np.nan]), 0, 1)
+    np.testing.assert_array_equal(colours[0], colours[1])
+    np.testing.assert_array_equal(colours[3], colours[4])
+    assert (np.diff(colours[[1, 2, 3]].sum(axis=1)) > 0.2).all()
+    assert np.isfinite(colours).all()
+    assert np.isfinite(heat(np.zeros(3), 0, 0)).all()
+
+
+@pytest.mark.parametrize(("count", "most"), [(10, 3), (10, 10), (7, 100), (0, 5), (5, 0)])
+def test_thinned_are_no_more_than_wanted(count, most):
+    left = np.arange(count)[thinned(count, most)]
+    assert len(left) <= max(most, 1)
+    assert len(left) == count or len(left) > most / 2 or not most
+
+
+def test_errors_are_those_of_the_nearest(files):
+    scene = open_scene(files / "a.ply")
+    changed = scene.cloud.clone()
+    f_dc = changed.point["f_dc"].numpy().copy()
+    f_dc[5] = -f_dc[5] + 0.5
+    changed.point["f_dc"] = type(changed.point["f_dc"])(f_dc)
+    points = centres(Opened("changed", changed), "error", scene)
+    assert points.legend.title.startswith("colour error")
+    brightness = points.colours.sum(axis=1)
+    assert brightness.argmax() == 5
+    assert (brightness[np.arange(900) != 5] == brightness.min()).all()
+    own = centres(scene, "error", scene)
+    np.testing.assert_array_equal(own.colours, scene.colours)
+    assert own.legend is None
+
+
+@pytest.mark.parametrize("colouring", ["colour", "opacity", "scale", "error"])
+def test_centres_of_nothing(colouring):
+    empty = Opened("empty", to_cloud(random_scene(3, 0, seed=1).take(np.arange(0))))
+    assert centres(empty, colouring, None).positions.shape == (0, 3)
+    assert overview(empty.positions, empty.opacities).position.shape == (3,)
+
+
+def test_boxes_have_twelve_edges_along_axes():
+    corners, edges = box_lines(np.array([[[0, 0, 0], [1, 2, 3]], [[5, 5, 5], [6, 6, 6]]]))
+    assert len(edges) == 24
+    lengths = np.abs(corners[edges[:, 0]] - corners[edges[:, 1]])
+    assert ((lengths > 0).sum(axis=1) == 1).all()
+    assert sorted(lengths[:12].sum(axis=1)) == [1] * 4 + [2] * 4 + [3] * 4
+
+
+def test_error_images_tell_how_far_apart():
+    first = np.full((20, 20, 3), 0.5)
+    second = first.copy()
+    second[:10] += 0.1
+    image, legend = error_image(first, second)
+    assert image[:10].sum() > 2 * image[10:].sum()
+    assert legend.high == "25.5"
+
+
+# Poses
+
+
+def test_poses_and_open3d_agree():
+    pose = look_at(np.array([1.0, -2.0, -5.0]), np.array([0.3, 0.1, 0.2]))
+    np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose.rotation) == pytest.approx(1)
+    back = pose.moved(pose.model)
+    np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-12)
+    np.testing.assert_allclose(back.position, pose.position)
+    place, depth = pose.project(np.array([[0.3, 0.1, 0.2]]), 300, 200)
+    np.testing.assert_allclose(place, [[150, 100]], atol=1e-9)
+    assert depth[0] > 0
+
+
+def test_poses_draw_what_their_cameras_draw(files):
+    scene = open_scene(files / "a.ply")
+    camera = STRAIGHT.camera(60, 40)
+    views = gs_codec.render(scene.cloud, [camera])
+    again = of_camera(views.cameras[0])
+    np.testing.assert_array_equal(again.rotation, STRAIGHT.rotation)
+    drawn = views.draw(again.camera(60, 40))
+    np.testing.assert_array_equal(drawn.colour, views.draw(camera).colour)
+    assert drawn.colour.max() > 0.05
+
+
+# Pictures
+
+
+def test_the_nearest_point_is_on_top():
+    image = np.zeros((40, 60, 3), np.float32)
+    positions = np.array([[0, 0, 1], [0, 0, 0], [0, 0, 2], [0, 0, -9]], np.float32)
+    colours = np.eye(4, 3, dtype=np.float32)
+    draw_points(image, Points(positions, colours), STRAIGHT, 3)
+    lit = np.argwhere(image.any(axis=2))
+    assert len(lit) == 9
+    np.testing.assert_array_equal(image[20, 30], [0, 1, 0])
+    draw_points(image, Points(positions[:0], colours[:0]), STRAIGHT, 3)
+
+
+def test_points_half_outside_are_cut():
+    image = np.zeros((40, 60, 3), np.float32)
+    edge = np.array([[4 * 30 / (0.866 * 40), 0, 0]], np.float32)
+    draw_points(image, Points(edge, np.ones((1, 3), np.float32)), STRAIGHT, 4)
+    assert 0 < image.any(axis=2).sum() < 16
+
+
+@pytest.mark.parametrize("layer", ["splats", "centres", "pruned", "boxes", "error"])
+def test_every_layer_is_seen(files, layer):
+    a, b = open_scene(files / "a.ply"), open_scene(files / "b.egs")
+    shown = Shown((layer,), reference=a, pruned=read_pruned(files / "report", a), pruned_of=a)
+    images = [
+        draw_scene(b, STRAIGHT, 90, 60, replace(shown, layers=x), {})[0] for x in ((), (layer,))
+    ]
+    assert np.any(np.abs(images[1] - images[0]) > 0.05)
+    assert images[1].shape == (60, 90, 3)
+
+
+def test_wipes_show_both():
+    image = wiped(np.zeros((10, 20, 3)), np.full((10, 20, 3), 0.5), 0.25)
+    assert not image[:, :4].any()
+    assert (image[:, 4:6] == 1).all()
+    assert (image[:, 6:] == 0.5).all()
+
+
+def test_pictures_are_of_the_size_asked_for(files):
+    for mode in ("side", "wipe", "flip"):
+        request = Request(files / "a.ply", files / "b.egs", mode=mode, size=(300, 120))
+        assert draw_request(request).size == (300, 120)
+    side, flip = (
+        draw_request(Request(files / "a.ply", files / "b.egs", mode=mode, size=(300, 120)))
+        for mode in ("side", "flip")
+    )
+    assert np.any(np.asarray(side) != np.asarray(flip))
+
+
+# The worker
+
+
+def test_only_the_newest_job_of_a_kind_is_told():
+    calls, told = [], []
+    worker = Worker(calls.append)
+    started, go_on = threading.Event(), threading.Event()
+
+    def first(stale):
+        started.set()
+        go_on.wait(10)
+        return stale()
+
+    worker.submit("picture", first, lambda result: told.append(("first", result)), told.append)
+    assert started.wait(10)
+    worker.submit(
+        "picture", lambda _: 2, lambda result: told.append(("second", result)), told.append
+    )
+    worker.submit("other", lambda _: 1 / 0, told.append, lambda error: told.append(type(error)))
+    go_on.set()
+    for _ in range(1000):
+        if not worker.busy:
+            break
+        time.sleep(0.01)
+    for call in calls:
+        call()
+    assert told == [("second", 2), ZeroDivisionError]
+    worker.submit("picture", lambda _: 3, told.append, told.append)
+    worker.cancel("picture")
+    worker.end()
+
+
+# The command line
+
+
+def test_layers_of_a_list():
+    assert parse_layers("centres, boxes,", None) == ("centres", "boxes")
+    assert parse_layers(None, None) == ("splats",)
+    assert parse_layers(None, Path("report")) == ("splats", "pruned")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"layers": ("centers",)}, "layers 'centers': expected splats"),
+        ({"colouring": "red"}, "colour 'red'"),
+        ({"mode": "both"}, "mode 'both'"),
+        ({"size": (10, 100)}, "size 10x100"),
+        ({"view": 3}, "view: needs cameras"),
+        ({"images": Path("x")}, "images: need cameras"),
+        ({"a": None, "cameras": "auto"}, "no scene"),
+    ],
+)
+def test_wrong_wishes_are_refused(wrong, said):
+    with pytest.raises(gs_codec.GsCodecError, match=said):
+        Request(**({"a": Path("a.ply")} | wrong)).check()
+
+
+def test_screenshots_need_no_display(files, tmp_path):
+    out = tmp_path / "out.png"
+    result = viewer(
+        files / "a.ply", files / "b.egs", "--pruned", files / "report", "--width", "400",
+        "--height", "200", "--layers", "splats,centres,pruned,boxes", "--screenshot", out,
+        DISPLAY="",
+    )  # fmt: skip
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    with Image.open(out) as image:
+        assert image.size == (400, 200)
+    assert os.listdir(tmp_path) == ["out.png"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nothing.ply", "--screenshot", "x.png"], "nothing.ply: No such file"),
+        (["pyproject.toml", "--screenshot", "x.png"], "pyproject.toml: not a readable PLY"),
+        (["--screenshot", "x.png"], "no scene to draw"),
+        (["a.ply", "--colour", "red"], "colour 'red': expected colour"),
+        (["a.ply", "--unknown"], "No such option"),
+    ],
+)
+def test_errors_are_one_line(arguments, said):
+    result = viewer(*arguments)
+    assert result.returncode == 2
+    assert result.stderr.startswith("gs-viewer: error: ")
+    assert said in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of X11")
+@pytest.mark.parametrize(("display", "said"), [("", "DISPLAY is not set"), (":9999", ":9999")])
+def test_without_a_display_it_says_so(files, display, said):
+    result = viewer(files / "a.ply", DISPLAY=display)
+    assert result.returncode == 2
+    assert said in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_the_version_and_help():
+    assert viewer("--version").stdout.startswith("gs-viewer 0.")
+    shown = viewer("--help", COLUMNS="100").stdout
+    assert "--screenshot" in shown
+    assert "--pruned" in shown

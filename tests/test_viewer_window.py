@@ -1,0 +1,150 @@
+"""The viewer's window on a display of its own, driven by mouse and keys."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gs_codec.codec import encode_scene
+from gs_codec.config import Config
+from gs_codec.io.ply import write_ply
+from samples.generate import generate
+from viewer.pose import look_at
+
+pytestmark = pytest.mark.skipif(
+    not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool"
+)
+
+
+@pytest.fixture(scope="module")
+def display():
+    """A display, and no other."""
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
+        pass_fds=[write],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        number = pipe.readline().strip()
+    yield f":{number}"
+    server.terminate()
+    server.wait()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Two versions of a scene, places to look from, and a report."""
+    folder = tmp_path_factory.mktemp("window")
+    scene = generate(3000, 1, 31)
+    write_ply(folder / "a.ply", scene)
+    (folder / "b.egs").write_bytes(encode_scene(scene, Config("s"))[0])
+    centre = np.median(scene.positions, axis=1).astype(np.float64)
+    size = float(np.quantile(np.abs(scene.positions.T - centre), 0.8))
+    poses = [
+        look_at(centre + 4 * size * np.array(p), centre) for p in ((0.3, -0.5, -1), (1, -0.5, 0))
+    ]
+    entries = [pose.camera(400, 300) | {"img_name": f"view{k}"} for k, pose in enumerate(poses)]
+    (folder / "cameras.json").write_text(json.dumps(entries))
+    (folder / "report").mkdir()
+    np.save(folder / "report" / "labels.npy", (np.arange(3000) % 3 == 0).astype(np.uint8))
+    (folder / "report" / "report.json").write_text('{"removed": {"geometry": 1000}}')
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(display, folder) -> dict:
+    """What came of driving the window."""
+    here = Path(__file__).parent
+    environment = os.environ | {"DISPLAY": display, "PYTHONPATH": str(here.parent)}
+    result = subprocess.run(
+        [sys.executable, here / "drive_viewer.py", folder],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+        timeout=600,
+    )
+    lines = [line for line in result.stdout.splitlines() if line.startswith("RESULT ")]
+    assert lines, result.stdout + result.stderr
+    return json.loads(lines[0].removeprefix("RESULT "))
+
+
+def test_it_draws_both_scenes(found):
+    assert found["drawn"] > 10
+    assert "dB, SSIM" in found["quality"]
+
+
+@pytest.mark.parametrize("layer", ["splats", "centres", "pruned"])
+def test_layers_are_switched_by_clicks_in_both_panes(found, layer):
+    left, right, apart = found["layers"][layer]
+    assert left > 100
+    assert right > 100
+    assert apart <= 4
+
+
+@pytest.mark.parametrize("layer", ["boxes", "error"])
+def test_what_is_of_the_second_alone_shows_there(found, layer):
+    left, right, apart = found["layers"][layer]
+    assert left < right / 10
+    assert right > 100
+    assert apart <= 4
+
+
+def test_both_cameras_follow_one(found):
+    before, after = (np.array(found[key]) for key in ("at_first", "after_drag"))
+    np.testing.assert_allclose(before[0], before[1], atol=1e-5)
+    assert np.abs(after[0] - before[0]).max() > 0.05
+    np.testing.assert_allclose(after[0], after[1], atol=1e-5)
+    assert found["drag_changed"] > 1000
+
+
+def test_keys_go_through_the_cameras(found):
+    assert found["number"] == 1
+    np.testing.assert_allclose(found["back"][0], found["at_first"][0], atol=1e-5)
+
+
+def test_scenes_are_flipped_and_wiped(found):
+    assert found["front_first"] == 0
+    assert found["flip_changed"] > 1000
+    low, high = found["wipe_changed"]
+    assert 0.15 < low < 0.25
+    assert 0.45 < high < 0.52
+    assert found["mode"] == "flip"
+
+
+def test_pictures_are_saved(found, folder):
+    with Image.open(folder / "saved.png") as image:
+        assert image.width > 300
+        assert np.asarray(image).std() > 10
+
+
+def test_a_broken_file_is_told_and_the_window_lives(found):
+    title, text = found["message"]
+    assert title == "Not possible"
+    assert "report.json" in text
+
+
+def test_without_a_driver_it_says_so(display, folder):
+    code = "import sys; sys.argv[0] = 'gs-viewer'; from viewer.main import main; main()"
+    result = subprocess.run(
+        [sys.executable, "-c", code, folder / "a.ply"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parent.parent,
+        env=os.environ
+        | {"DISPLAY": display, "VK_ICD_FILENAMES": "/none", "VK_DRIVER_FILES": "/none"},
+    )
+    assert result.returncode == 2
+    assert result.stderr.startswith("gs-viewer: error: no Vulkan device")
+    assert len(result.stderr.splitlines()) == 1

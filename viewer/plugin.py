@@ -1,0 +1,163 @@
+"""Our actions in any Open3D visualizer, and a window of our own in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gs_codec
+from viewer.device import find_device
+from viewer.layers import centres, pruned_centres
+from viewer.opened import Opened, open_scene, read_pruned
+from viewer.request import Request
+
+
+def draw(
+    *scenes: Any,
+    cameras: Any = None,
+    pruned: str | Path | None = None,
+    layers: Sequence[str] | None = None,
+    colour: str = "colour",
+    mode: str = "side",
+    width: int = 1280,
+    height: int = 800,
+) -> None:
+    """Show one scene, or two versions of one, and stay until the window is closed.
+
+    Parameters
+    ----------
+    *scenes : one or two of open3d.t.geometry.PointCloud, or paths
+    cameras : path, "auto", or sequence, optional
+        Places to look from, as for `gs_codec.render`.
+    pruned : path, optional
+        Folder of a report of ``gs-codec prepare`` about the first scene.
+    layers : sequence of str, optional
+        Of ``splats``, ``centres``, ``pruned``, ``boxes`` and ``error``.
+    colour : {"colour", "opacity", "scale", "error"}
+        What centres are coloured by.
+    mode : {"side", "wipe", "flip"}
+    width, height : int
+        Pixels.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If a scene cannot be read, or no window can be opened.
+    """
+    if not 1 <= len(scenes) <= 2:
+        raise gs_codec.GsCodecError(f"draw: {len(scenes)} scenes, expected one or two")
+    shown = tuple(layers) if layers is not None else ("splats", "pruned") if pruned else ("splats",)
+    a, b = (*scenes, None)[:2]
+    folder = Path(pruned) if pruned is not None else None
+    request = Request(a, b, cameras, None, folder, shown, colour, mode, None, (width, height))
+    request.check()
+    device = find_device()
+    from viewer.window import run
+
+    run(request, device)
+
+
+def attach(visualizer: Any) -> Actions:
+    """Add our actions to the menu of an `open3d.visualization.O3DVisualizer`.
+
+    Open an ``.egs`` (or ``.ply``) scene, show what a report says was pruned from it, and colour
+    its centres by their error against another version. Each asks for a file.
+
+    Returns
+    -------
+    Actions
+        The same actions as methods that are given a path.
+    """
+    actions = Actions(visualizer)
+    for title, ask in (
+        ("Open a compressed scene ...", actions.ask_open),
+        ("Show what was pruned ...", actions.ask_pruned),
+        ("Compare with another version ...", actions.ask_compare),
+    ):
+        visualizer.add_action(title, lambda _, ask=ask: ask())
+    return actions
+
+
+class Actions:
+    """What `attach` adds to a visualizer.
+
+    Attributes
+    ----------
+    scene : Opened or None
+        The one opened last.
+    """
+
+    def __init__(self, visualizer: Any) -> None:
+        self._visualizer = visualizer
+        self.scene: Opened | None = None
+
+    def open(self, path: str | Path) -> None:
+        """Show a scene's centres, in place of the one before."""
+        scene = open_scene(path)
+        self._show("centres", centres(scene, "colour", None))
+        self._drop("pruned")
+        self.scene = scene
+        self._visualizer.reset_camera_to_default()
+
+    def pruned(self, folder: str | Path) -> None:
+        """Show which of its Gaussians preparation took out."""
+        scene = self._needed()
+        self._show("pruned", pruned_centres(scene, read_pruned(folder, scene)))
+
+    def compare(self, path: str | Path) -> None:
+        """Show another version, coloured by its error against the scene."""
+        other = open_scene(path)
+        self._show("centres", centres(other, "error", self._needed()))
+
+    def ask_open(self) -> None:
+        """`open` what a dialog is told."""
+        self._ask("Open a scene", self.open)
+
+    def ask_pruned(self) -> None:
+        """`pruned` of the folder of the ``report.json`` that a dialog is told."""
+        self._ask("report.json of prepare", lambda path: self.pruned(Path(path).parent))
+
+    def ask_compare(self) -> None:
+        """`compare` with what a dialog is told."""
+        self._ask("Compare with", self.compare)
+
+    def _needed(self) -> Opened:
+        if self.scene is None:
+            raise gs_codec.GsCodecError("no scene is open")
+        return self.scene
+
+    def _show(self, name: str, points: Any) -> None:
+        import open3d as o3d
+        from open3d.visualization.rendering import MaterialRecord
+
+        tensor = o3d.core.Tensor.from_numpy
+        cloud = o3d.t.geometry.PointCloud(tensor(np.ascontiguousarray(points.positions)))
+        cloud.point["colors"] = tensor(np.ascontiguousarray(points.colours, np.float32))
+        self._drop(name)
+        material = MaterialRecord()
+        material.shader = "defaultUnlit"
+        self._visualizer.add_geometry(f"gs_codec {name}", cloud, material)
+
+    def _drop(self, name: str) -> None:
+        self._visualizer.remove_geometry(f"gs_codec {name}")
+
+    def _ask(self, title: str, then: Any) -> None:
+        from open3d.visualization import gui
+
+        # O3DVisualizer does not tell its theme, which a file dialog needs.
+        window = gui.Application.instance.create_window(title, 720, 480)
+        dialog = gui.FileDialog(gui.FileDialog.OPEN, title, window.theme)
+        dialog.set_on_cancel(window.close)
+
+        def done(path: str) -> None:
+            window.close()
+            try:
+                then(path)
+            except (gs_codec.GsCodecError, OSError) as error:
+                self._visualizer.show_message_box("Not possible", str(error))
+
+        dialog.set_on_done(done)
+        window.show_dialog(dialog)

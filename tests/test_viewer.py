@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shlex
+import shutil
 import subprocess
 import sys
 import threading
@@ -14,6 +18,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scenes import random_scene
+from typer.testing import CliRunner
 
 import gs_codec
 from gs_codec.cloud import to_cloud
@@ -21,6 +26,7 @@ from gs_codec.codec import encode_scene
 from gs_codec.config import Config
 from gs_codec.io.ply import write_ply
 from viewer.layers import Points, box_lines, centres, error_image, heat, pruned_centres, thinned
+from viewer.main import app
 from viewer.opened import Opened, open_scene, read_pruned
 from viewer.picture import Shown, draw_points, draw_scene, wiped
 from viewer.pose import Pose, look_at, of_camera, overview
@@ -318,6 +324,28 @@ def test_without_a_display_it_says_so(files, display, said):
     assert result.returncode == 2
     assert said in result.stderr
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(files)
+    for name, copy in {
+        "a.ply": "scene.ply",
+        "b.egs": "scene.egs",
+        "kept.ply": "smaller.ply",
+    }.items():
+        shutil.copy(files / name, files / copy)
+    poses = [STRAIGHT.camera(40, 30) | {"img_name": f"view{k}"} for k in range(4)]
+    (files / "cameras.json").write_text(json.dumps(poses))
+    root = Path(__file__).parent.parent
+    text = (root / "README.md").read_text() + (root / "viewer" / "README.md").read_text()
+    lines = re.findall(r"^    gs-viewer (scene[^#\n]*)", text, re.MULTILINE)
+    assert len(lines) >= 5
+    for k, line in enumerate(lines):
+        wanted = [*shlex.split(line), "--width", "120", "--height", "80"]
+        out = tmp_path / f"{k}.png"
+        result = CliRunner().invoke(app, [*wanted, "--screenshot", str(out)])
+        assert result.exit_code == 0, (line, result.output, result.exception)
+        assert out.exists()
 
 
 def test_the_version_and_help():

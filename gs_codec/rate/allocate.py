@@ -44,7 +44,7 @@ _SIZE_SLOPE, _DROP_SLOPE = -0.45, 1.7
 _COMPACTION_SAVES, _REFIT_ADDS = 1.08, 1.01
 
 #: Colours are chosen again if the steps have moved by more than this, log2.
-_RECOLOUR_AGAIN = 0.2
+_RECOLOUR_AGAIN = 0.05
 _MOST_RECOLOURINGS = 5
 
 #: Share of the Gaussians that goes at once, where some may, and how often.

@@ -305,6 +305,7 @@ def test_screenshots_need_no_display(files, tmp_path):
         (["nothing.ply", "--screenshot", "x.png"], "nothing.ply: No such file"),
         (["pyproject.toml", "--screenshot", "x.png"], "pyproject.toml: not a readable PLY"),
         (["--screenshot", "x.png"], "no scene to draw"),
+        (["viewer/error.png", "--screenshot", "x.png"], "error.png: not a readable PLY"),
         (["a.ply", "--colour", "red"], "colour 'red': expected colour"),
         (["a.ply", "--unknown"], "No such option"),
     ],

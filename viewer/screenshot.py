@@ -45,6 +45,8 @@ def save_picture(picture: Image.Image, path: Path) -> None:
     try:
         picture.save(partial, "PNG")
         os.replace(partial, path)
+    except OSError as error:
+        raise gs_codec.GsCodecError(f"{path}: {error.strerror or error}") from error
     finally:
         partial.unlink(missing_ok=True)
 

@@ -29,6 +29,9 @@ _MOST = {"gpu": 5_000_000, "cpu": 250_000}
 #: Seconds without a move after which pictures are drawn in full; before, by one pixel of so many.
 _REST, _COARSE = 0.25, 4
 
+#: Smaller pictures have no SSIM, pixels.
+_LEAST_SIDE = 11
+
 #: Width of the panel, in heights of a line.
 _PANEL_EMS = 19
 
@@ -82,6 +85,7 @@ class Viewer:
         self.message: tuple[str, str] | None = None
         self.quality = ""
         self._views: dict[Opened, Any] = {}
+        self._width = self._height = 1
         self._changed_at = 0.0
         self._drawn: Any = None
         font = monospace()
@@ -352,9 +356,9 @@ class Viewer:
                 if stale():
                     return None
                 images[scene] = splats(views, scene, pose, width, low)
-            quality = (
-                gs_codec.compare(*images.values()) if coarse == 1 and len(images) == 2 else None
-            )
+            quality = None
+            if coarse == 1 and len(images) == 2 and min(width, low) >= _LEAST_SIDE:
+                quality = gs_codec.compare(*images.values())
             legend = None
             if wants_error:
                 images[scenes[1]], legend = error_image(images[scenes[0]], images[scenes[1]])

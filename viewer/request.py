@@ -88,7 +88,7 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
 
 
 def find_views(request: Request, scene: Opened) -> list[Any]:
-    """The cameras to look from, if there are any.
+    """The cameras to look from; none where none were asked for.
 
     Raises
     ------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from viewer.picture import (
     wiped,
     write_reasons,
 )
-from viewer.pose import Pose, of_camera, overview
+from viewer.pose import Pose, of_camera
 from viewer.request import Request, find_views
 
 
@@ -57,9 +58,9 @@ def draw_request(request: Request) -> Image.Image:
     if not scenes:
         raise gs_codec.GsCodecError("screenshot: no scene to draw")
     first = scenes[0]
-    cameras = find_views(request, first)
+    cameras = find_views(replace(request, cameras=request.cameras or "auto"), first)
     number = request.view or 0
-    pose = of_camera(cameras[number]) if cameras else overview(first.positions, first.opacities)
+    pose = of_camera(cameras[number])
     pruned = read_pruned(request.pruned, first) if request.pruned is not None else None
     shown = Shown(
         request.layers,

@@ -128,6 +128,7 @@ class Viewer:
     def show(self, scenes: list[Opened], cameras: list[Any], pruned: Pruned | None) -> None:
         """Show opened scenes in place of those that are there."""
         self.worker.cancel("picture")
+        self.worker.cancel("cameras")
         for pane in self.panes:
             pane.widget.visible = False
             pane.widget.scene.clear_geometry()
@@ -146,6 +147,23 @@ class Viewer:
         self.panel.say("")
         self.refresh()
         self._show_photograph()
+        if not cameras:
+            self._choose_cameras(first, self.pose)
+
+    def _choose_cameras(self, scene: Opened, pose: Pose) -> None:
+        """Choose places to look from, and go to the first if nobody has moved meanwhile."""
+
+        def choose(stale: Stale) -> list[Any]:
+            return gs_codec.render(scene.cloud, "auto").cameras
+
+        def done(cameras: list[Any]) -> None:
+            self.cameras, self.number = cameras, 0
+            if self.pose is pose:
+                self.pose = of_camera(cameras[0])
+                self._arrange()
+            self.panel.refresh()
+
+        self.worker.submit("cameras", choose, done, lambda error: self.panel.say(str(error)))
 
     def open(self, path: str) -> None:
         """Open a file: as the first scene, or as the second if there is one already."""

@@ -76,6 +76,7 @@ class Pane:
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Put a picture of the pane's size behind everything, or take it away."""
         self.picture = picture
+        self._replace("draft", None, None)
         if picture is None:
             self.widget.scene.set_background(_BACKGROUND)
         else:

@@ -86,6 +86,7 @@ class Viewer:
         self.quality = ""
         self._views: dict[Opened, Any] = {}
         self._width = self._height = 1
+        self._without_cameras = False
         self._changed_at = 0.0
         self._drawn: Any = None
         font = monospace()
@@ -137,6 +138,9 @@ class Viewer:
         self.panes = [Pane(self.window, scene) for scene in scenes]
         for pane in self.panes:
             self.window.add_child(pane.widget)
+            if self._by_hand:
+                # Something to see until the first picture is drawn.
+                pane.show_points("draft", centres(pane.scene, "colour", None, _MOST[self.device]))
         first = scenes[0]
         self.number = min(self.number, max(len(cameras) - 1, 0))
         self.pose = (
@@ -147,11 +151,15 @@ class Viewer:
         self.panel.say("")
         self.refresh()
         self._show_photograph()
-        if not cameras:
-            self._choose_cameras(first, self.pose)
+        # Places to look from take seconds to choose: after the first picture, where one is drawn.
+        self._without_cameras = not cameras
+        if self._without_cameras and not self._by_hand:
+            self._choose_cameras()
 
-    def _choose_cameras(self, scene: Opened, pose: Pose) -> None:
+    def _choose_cameras(self) -> None:
         """Choose places to look from, and go to the first if nobody has moved meanwhile."""
+        self._without_cameras = False
+        scene, pose = self.scenes[0], self.pose
 
         def choose(stale: Stale) -> list[Any]:
             return gs_codec.render(scene.cloud, "auto").cameras
@@ -281,6 +289,11 @@ class Viewer:
         self.panel.refresh()
 
     @property
+    def _by_hand(self) -> bool:
+        """Whether splats are to be drawn by our own rasteriser."""
+        return self.device == "cpu" and "splats" in self.layers
+
+    @property
     def busy(self) -> bool:
         """Whether what is seen is not yet all that is to be seen."""
         return self.worker.busy or (self.pose is not None and self._drawn != "full")
@@ -356,7 +369,7 @@ class Viewer:
     def _draw(self, coarse: int) -> None:
         """Have the pictures of all visible panes drawn; in full, with the quality of B."""
         visible = list(self._visible())
-        by_hand = self.device == "cpu" and "splats" in self.layers
+        by_hand = self._by_hand
         wants_error = "error" in self.layers and len(self.scenes) > 1
         if not (by_hand or wants_error):
             for pane in visible:
@@ -401,6 +414,8 @@ class Viewer:
                 self.quality = quality_text(quality)
             self.panel.error_legend = legend
             self.panel.refresh()
+            if self._without_cameras:
+                self._choose_cameras()
             self.window.post_redraw()
 
         if by_hand or wants_error or (coarse == 1 and len(scenes) > 1):

@@ -42,13 +42,16 @@ class Driver:
 
     def rest(self) -> np.ndarray:
         """Tick until nothing moves any more; what is on the screen then."""
-        before = None
-        for _ in range(100):
+        before, equal = None, 0
+        for _ in range(400):
             self.tick(20)
             if self.viewer.busy or not self.viewer.panes:
+                before = None
                 continue
             now = self.grab()
-            if before is not None and np.array_equal(now, before):
+            # A frame may be on its way: a software driver takes its time on a busy machine.
+            equal = equal + 1 if before is not None and np.array_equal(now, before) else 0
+            if equal == 3:
                 return now
             before = now
         raise SystemExit("the window never rests")

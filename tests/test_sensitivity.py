@@ -12,7 +12,7 @@ from test_render import TEAL, splats, straight, turned
 
 from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.preparation.gradients import draw
-from gs_codec.preparation.sensitivity import sensitivity, sensitivity_and_weights
+from gs_codec.preparation.sensitivity import sensitivity
 from gs_codec.preparation.sh_weights import squared_weights
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.harmonics import SH_C0
@@ -58,6 +58,11 @@ def turn(rot: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return np.vstack([a * b - (x * y).sum(axis=0), a * y + b * x + np.cross(x, y, axis=0)])
 
 
+def summed(*arguments, **options) -> Sensitivity:
+    """What all views together tell."""
+    return sensitivity(*arguments, **options)[0]
+
+
 def rows_of(found: Sensitivity) -> np.ndarray:
     """Sensitivities ``(11, N)`` to the rows of a change."""
     parts = (found.positions, *found.log_scale, found.rot, found.opacity, found.colour)
@@ -82,7 +87,7 @@ def differences(scene: Scene, cameras, antialiased: bool) -> np.ndarray:
 
 
 def assert_differences(scene: Scene, cameras, antialiased: bool) -> None:
-    found = rows_of(sensitivity(scene, cameras, TEAL, antialiased))
+    found = rows_of(summed(scene, cameras, TEAL, antialiased))
     expected = differences(scene, cameras, antialiased)
     for name, rows in ROWS.items():
         wanted = expected[rows]
@@ -140,7 +145,7 @@ def test_gaussians_smaller_than_a_pixel():
 def test_a_gaussian_outside_the_image():
     outside = splats([(2.4, 0.2, 3.0)], log_scale=[[-0.6], [-0.9], [-1.2]], rot=np.ones((4, 1)))
     camera = straight(40, 36)
-    found = rows_of(sensitivity(outside, [camera], TEAL))
+    found = rows_of(summed(outside, [camera], TEAL))
     expected = differences(outside, [camera], False)
     # The Jacobian of its shape is that of the edge, the one of its centre is its own.
     assert found[0, 0] == pytest.approx(expected[:3].mean(), rel=0.1)
@@ -149,7 +154,7 @@ def test_a_gaussian_outside_the_image():
 
 def test_an_alpha_at_its_limit_does_not_change():
     scene = splats([(0, 0, 2)], opacity=12.0, log_scale=3.0)
-    found = rows_of(sensitivity(scene, [straight(8, 8)], TEAL))
+    found = rows_of(summed(scene, [straight(8, 8)], TEAL))
     assert not found[:10].any()
     assert found[10, 0] == pytest.approx(64 * 0.99**2)
 
@@ -160,7 +165,7 @@ def test_an_alpha_at_its_limit_does_not_change():
 @pytest.mark.parametrize("name", ROWS)
 def test_noise_on_all_gaussians_adds_what_is_predicted(name):
     scene = cloud(7, 120)
-    unit = rows_of(sensitivity(scene, CAMERAS, TEAL))
+    unit = rows_of(summed(scene, CAMERAS, TEAL))
     reference = images(moved(scene, np.zeros(unit.shape)), CAMERAS, False)
     predicted = measured = 0.0
     for seed in range(6):
@@ -180,10 +185,10 @@ def test_noise_on_all_gaussians_adds_what_is_predicted(name):
 def test_threads_do_not_change_it(antialiased):
     scene = cloud(8, 200)
     cameras = CAMERAS * 4
-    one = sensitivity(scene, cameras, TEAL, antialiased, threads=1)
+    one = summed(scene, cameras, TEAL, antialiased, threads=1)
     for threads in (2, 3, None):
         for first, second in zip(
-            one, sensitivity(scene, cameras, TEAL, antialiased, threads), strict=True
+            one, summed(scene, cameras, TEAL, antialiased, threads), strict=True
         ):
             np.testing.assert_array_equal(first, second)
 
@@ -191,33 +196,33 @@ def test_threads_do_not_change_it(antialiased):
 def test_views_add_up_and_are_counted():
     scene = cloud(9, 50)
     steps = []
-    both = sensitivity(scene, CAMERAS[:2], progress=lambda *step: steps.append(step))
+    both = summed(scene, CAMERAS[:2], progress=lambda *step: steps.append(step))
     assert steps == [("sensitivity", 1, 2), ("sensitivity", 2, 2)]
-    apart = [rows_of(sensitivity(scene, [camera])) for camera in CAMERAS[:2]]
+    apart = [rows_of(summed(scene, [camera])) for camera in CAMERAS[:2]]
     np.testing.assert_allclose(rows_of(both), apart[0] + apart[1], rtol=1e-12)
 
 
 def test_weights_of_views_are_those_of_drawing():
     scene = cloud(9, 50)
-    summed, weights = sensitivity_and_weights(scene, CAMERAS, TEAL)
-    np.testing.assert_array_equal(rows_of(summed), rows_of(sensitivity(scene, CAMERAS, TEAL)))
+    total, weights = sensitivity(scene, CAMERAS, TEAL)
+    np.testing.assert_array_equal(rows_of(total), rows_of(summed(scene, CAMERAS, TEAL, keep=False)))
     np.testing.assert_allclose(weights, squared_weights(scene, CAMERAS), rtol=1e-5)
-    np.testing.assert_allclose(weights.sum(axis=0), summed.colour, rtol=1e-5)
+    np.testing.assert_allclose(weights.sum(axis=0), total.colour, rtol=1e-5)
     assert weights.any()
-    assert sensitivity_and_weights(scene, CAMERAS, keep=False)[1].shape == (0, 50)
+    assert sensitivity(scene, CAMERAS, keep=False)[1].shape == (0, 50)
 
 
 def test_by_default_it_is_as_the_scene_says():
     scene = replace(cloud(10, 50, size=-3.5), comments=("antialiased 1",))
-    found = sensitivity(scene, CAMERAS)
-    np.testing.assert_array_equal(found.rot, sensitivity(scene, CAMERAS, antialiased=True).rot)
-    assert not np.allclose(found.rot, sensitivity(scene, CAMERAS, antialiased=False).rot)
+    found = summed(scene, CAMERAS)
+    np.testing.assert_array_equal(found.rot, summed(scene, CAMERAS, antialiased=True).rot)
+    assert not np.allclose(found.rot, summed(scene, CAMERAS, antialiased=False).rot)
 
 
 def test_what_is_not_seen_has_none():
     places = [(0, 0, -50), (0, 90, 0), (0, 0, 0), (0, 0, 0)]
     scene = splats(places, opacity=[[1, 1, -9, 1]], log_scale=[[-1.0], [-1.5], [-2.0]])
-    found = rows_of(sensitivity(scene, CAMERAS, TEAL))
+    found = rows_of(summed(scene, CAMERAS, TEAL))
     assert not found[:, :3].any()
     assert found[:, 3].all()
 
@@ -228,10 +233,10 @@ def test_what_is_not_finite_has_none_and_spoils_nothing(group, value):
     scene = cloud(11, 20)
     plane = getattr(scene, group).copy()
     plane[-1, 5] = value
-    found = rows_of(sensitivity(replace(scene, **{group: plane}), CAMERAS, TEAL))
+    found = rows_of(summed(replace(scene, **{group: plane}), CAMERAS, TEAL))
     others = np.arange(20) != 5
     assert not found[:, 5].any()
-    expected = rows_of(sensitivity(scene.take(others), CAMERAS, TEAL))
+    expected = rows_of(summed(scene.take(others), CAMERAS, TEAL))
     np.testing.assert_array_equal(found[:, others], expected)
     assert expected.any()
 
@@ -240,7 +245,7 @@ def test_what_is_not_finite_has_none_and_spoils_nothing(group, value):
 @pytest.mark.parametrize("name", edge_scenes())
 def test_edge_scenes(name, antialiased):
     scene = edge_scenes()[name]
-    found = sensitivity(scene, CAMERAS, antialiased=antialiased)
+    found = summed(scene, CAMERAS, antialiased=antialiased)
     assert found.log_scale.shape == (3, scene.count)
     for plane in found:
         assert plane.shape[-1] == scene.count
@@ -250,4 +255,4 @@ def test_edge_scenes(name, antialiased):
 
 
 def test_without_cameras_there_is_none():
-    assert not rows_of(sensitivity(cloud(12, 5), [])).any()
+    assert not rows_of(summed(cloud(12, 5), [])).any()

@@ -61,6 +61,11 @@ def heat(values: NDArray, low: float, high: float) -> NDArray[np.float32]:
     return np.stack(channels, axis=-1).astype(np.float32)
 
 
+def heat_bar(width: int, height: int) -> NDArray[np.float32]:
+    """The colours of `heat` from its lowest value to its highest, ``(height, width, 3)``."""
+    return np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
+
+
 def reason_colour(place: int) -> tuple[float, float, float]:
     """The colour of the reason at a place."""
     red, green, blue = _REASONS[place % len(_REASONS)].tolist()

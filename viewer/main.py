@@ -11,8 +11,6 @@ import typer
 import gs_codec
 from viewer.layers import COLOURINGS, LAYERS
 
-_MODES = ("side", "wipe", "flip")
-
 app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from viewer.opened import Opened, Pruned
+from viewer.opened import Opened
 
 
 def size_text(size: float) -> str:
@@ -43,11 +43,6 @@ def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
         share = second.count / max(first.count, 1)
         rows.append(("Gaussians left", f"{100 * share:.1f} %"))
     return rows
-
-
-def pruned_rows(pruned: Pruned) -> list[tuple[str, str]]:
-    """How many went, by reason."""
-    return [(f"pruned by {reason}", f"{n:,}") for reason, n in pruned.counts.items() if n]
 
 
 def quality_text(quality: Any) -> str:

@@ -11,10 +11,10 @@ from open3d.visualization import gui, rendering
 
 from viewer.layers import BOX_COLOUR, Points, box_lines
 from viewer.opened import Opened
-from viewer.picture import POINT_SIZE, PRUNED_SIZE
+from viewer.picture import BACKGROUND, POINT_SIZE, PRUNED_SIZE
 from viewer.pose import Pose
 
-_BACKGROUND = (0.07, 0.07, 0.08, 1.0)
+_BACKGROUND = (*BACKGROUND, 1.0)
 
 #: Nearest and farthest that is drawn, by the distance of what is farthest.
 _NEAR, _BEYOND = 1e-4, 1.1
@@ -43,7 +43,6 @@ class Pane:
         view.set_post_processing(False)
         view.set_antialiasing(False)
         self.widget.set_view_controls(gui.SceneWidget.Controls.ROTATE_CAMERA)
-        self.picture: NDArray[np.float32] | None = None
         self._model: NDArray | None = None
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
@@ -75,7 +74,6 @@ class Pane:
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Put a picture of the pane's size behind everything, or take it away."""
-        self.picture = picture
         self._replace("draft", None, None)
         if picture is None:
             self.widget.scene.set_background(_BACKGROUND)
@@ -88,12 +86,8 @@ class Pane:
         if points is None or not len(points.positions):
             self._replace(name, None, None)
             return
-        cloud = o3d.t.geometry.PointCloud(_tensor(points.positions))
-        cloud.point["colors"] = _tensor(points.colours)
-        material = rendering.MaterialRecord()
-        material.shader = "defaultUnlit"
-        size = PRUNED_SIZE if name == "pruned" else POINT_SIZE
-        material.point_size = size
+        cloud, material = point_geometry(points)
+        material.point_size = PRUNED_SIZE if name == "pruned" else POINT_SIZE
         self._replace(name, cloud, material)
 
     def show_boxes(self, boxes: NDArray | None) -> None:
@@ -130,6 +124,17 @@ class Pane:
 def picture_of(image: NDArray) -> o3d.geometry.Image:
     """Open3D's image of an array ``(H, W, 3)``, float32 or uint8."""
     return o3d.geometry.Image(np.ascontiguousarray(image))  # type: ignore[call-overload]
+
+
+def point_geometry(
+    points: Points,
+) -> tuple[o3d.t.geometry.PointCloud, rendering.MaterialRecord]:
+    """A cloud of points, and the material that shows their colours as they are."""
+    cloud = o3d.t.geometry.PointCloud(_tensor(points.positions))
+    cloud.point["colors"] = _tensor(points.colours)
+    material = rendering.MaterialRecord()
+    material.shader = "defaultUnlit"
+    return cloud, material
 
 
 def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:

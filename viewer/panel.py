@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from open3d.visualization import gui
 
-from viewer.layers import COLOURINGS, LAYERS, Legend, heat, reason_colour
+from viewer.layers import COLOURINGS, LAYERS, Legend, heat_bar, reason_colour
 from viewer.numbers import between, facts
 from viewer.pane import picture_of
 from viewer.request import MODES
@@ -67,7 +68,8 @@ class Panel:
         self._camera = gui.Label("")
         self._cameras.add_child(self._camera)
         self.widget.add_child(self._cameras)
-        self._bar = gui.ImageWidget(_bar(int(14 * em), int(0.7 * em)))
+        bar = np.rint(255 * heat_bar(int(14 * em), int(0.7 * em))).astype(np.uint8)
+        self._bar = gui.ImageWidget(picture_of(bar))
         self.widget.add_child(self._bar)
         self._legend = gui.Label("")
         self.widget.add_child(self._legend)
@@ -83,7 +85,7 @@ class Panel:
 
     def say(self, text: str) -> None:
         """Show a line of status."""
-        self.status.text = "\n".join(_folded(text, 34))
+        self.status.text = "\n".join(folded(text, 34))
         self.viewer.window.set_needs_layout()
 
     def next_colouring(self) -> None:
@@ -157,13 +159,6 @@ def monospace() -> int:
     return gui.Application.instance.add_font(description)
 
 
-def _bar(width: int, height: int) -> Any:
-    """The colours of a heat map from its lowest value to its highest."""
-    colours = np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
-    return picture_of(np.rint(255 * colours).astype(np.uint8))
-
-
-def _folded(text: str, width: int) -> list[str]:
-    import textwrap
-
-    return textwrap.wrap(text, width)
+def folded(text: str, width: int) -> list[str]:
+    """Its lines, none longer than so many characters."""
+    return [part for line in text.splitlines() for part in textwrap.wrap(line, width) or [""]]

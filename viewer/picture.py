@@ -18,7 +18,7 @@ from viewer.layers import (
     box_lines,
     centres,
     error_image,
-    heat,
+    heat_bar,
     pruned_centres,
     reason_colour,
 )
@@ -32,7 +32,8 @@ PRUNED_SIZE = 3
 #: What is nearer than this to the camera is not drawn, scene units.
 _NEAR = 1e-3
 
-_BACKGROUND = (0.07, 0.07, 0.08)
+#: RGB where nothing is.
+BACKGROUND = (0.07, 0.07, 0.08)
 _TEXT = 13
 
 
@@ -71,7 +72,7 @@ def draw_scene(
     """
     legends = []
     image = np.empty((height, width, 3), np.float32)
-    image[:] = _BACKGROUND
+    image[:] = BACKGROUND
     reference = shown.reference
     if "error" in shown.layers and reference is not None and reference is not scene:
         known, own = (splats(views, each, pose, width, height) for each in (reference, scene))
@@ -95,11 +96,14 @@ def draw_scene(
 def splats(
     views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
 ) -> NDArray[np.float32]:
-    """What the rasteriser draws of a scene; `views` keeps what it works by."""
+    """What the rasteriser draws of a scene; `views` keeps how, and the last picture of each."""
     camera = pose.camera(width, height)
-    if scene not in views:
-        views[scene] = gs_codec.render(scene.cloud, [camera])
-    return views[scene].draw(camera).colour
+    renderer, drawn, image = views.get(scene, (None, None, None))
+    if drawn != camera:
+        renderer = renderer or gs_codec.render(scene.cloud, [camera])
+        image = renderer.draw(camera).colour
+        views[scene] = renderer, camera, image
+    return image
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
@@ -123,17 +127,16 @@ def draw_boxes(image: NDArray, boxes: NDArray, pose: Pose) -> NDArray[np.float32
     """The image with the edges of boxes ``(n, 2, 3)``."""
     height, width = image.shape[:2]
     corners, lines = box_lines(boxes)
-    canvas = _to_pillow(image)
+    canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
-    colour = tuple(round(255 * c) for c in BOX_COLOUR)
     before = pose.rotation @ (corners - pose.position).T
     for a, b in lines:
         ends = _clipped(before[:, a], before[:, b])
         if ends is not None:
             world = np.stack(ends) @ pose.rotation + pose.position
             places, _ = pose.project(world, width, height)
-            pen.line([tuple(np.clip(p, -1e6, 1e6)) for p in places], fill=colour)
-    return np.asarray(canvas, np.float32) / np.float32(255)
+            pen.line([tuple(np.clip(p, -1e6, 1e6)) for p in places], fill=_bytes(BOX_COLOUR))
+    return from_pillow(canvas)
 
 
 def _clipped(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray] | None:
@@ -166,14 +169,13 @@ def wiped(first: NDArray, second: NDArray, place: float) -> NDArray[np.float32]:
 
 def labelled(image: NDArray, caption: str, legends: Sequence[Legend]) -> Image.Image:
     """The image with a caption in its upper left corner, and legends in its lower one."""
-    canvas = _to_pillow(image)
+    canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
     font = ImageFont.load_default(_TEXT)
     _write(pen, (8, 6), caption, font)
     bottom = canvas.height - 10
     for legend in reversed(legends):
-        bar = np.broadcast_to(heat(np.linspace(0, 1, 160), 0, 1), (10, 160, 3))
-        canvas.paste(_to_pillow(bar), (8, bottom - 10))
+        canvas.paste(to_pillow(heat_bar(160, 10)), (8, bottom - 10))
         _write(pen, (174, bottom - 14), f"{legend.low} to {legend.high}: {legend.title}", font)
         bottom -= 22
     return canvas
@@ -190,7 +192,7 @@ def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
     pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(_TEXT)
     for row, (text, colour) in enumerate(reasons_text(pruned)):
         top = 26 + 18 * row
-        pen.rectangle((8, top + 3, 18, top + 13), fill=tuple(round(255 * c) for c in colour))
+        pen.rectangle((8, top + 3, 18, top + 13), fill=_bytes(colour))
         _write(pen, (24, top), text, font)
 
 
@@ -198,5 +200,15 @@ def _write(pen: ImageDraw.ImageDraw, place: tuple[int, int], text: str, font: An
     pen.text(place, text, (255, 255, 255), font, stroke_width=2, stroke_fill=(0, 0, 0))
 
 
-def _to_pillow(image: NDArray) -> Image.Image:
+def _bytes(colour: tuple[float, float, float]) -> tuple[int, ...]:
+    return tuple(round(255 * c) for c in colour)
+
+
+def to_pillow(image: NDArray) -> Image.Image:
+    """Pillow's image of one ``(H, W, 3)``, 0-1."""
     return Image.fromarray(np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8))
+
+
+def from_pillow(image: Image.Image) -> NDArray[np.float32]:
+    """The inverse of `to_pillow`."""
+    return np.asarray(image, np.float32) / np.float32(255)

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import gs_codec
 from viewer.device import find_device
 from viewer.layers import centres, pruned_centres
 from viewer.opened import Opened, open_scene, read_pruned
-from viewer.request import Request
+from viewer.request import Request, parse_layers
 
 
 def draw(
@@ -49,9 +47,9 @@ def draw(
     """
     if not 1 <= len(scenes) <= 2:
         raise gs_codec.GsCodecError(f"draw: {len(scenes)} scenes, expected one or two")
-    shown = tuple(layers) if layers is not None else ("splats", "pruned") if pruned else ("splats",)
     a, b = (*scenes, None)[:2]
     folder = Path(pruned) if pruned is not None else None
+    shown = tuple(layers) if layers is not None else parse_layers(None, folder)
     request = Request(a, b, cameras, None, folder, shown, colour, mode, None, (width, height))
     request.check()
     device = find_device()
@@ -130,16 +128,10 @@ class Actions:
         return self.scene
 
     def _show(self, name: str, points: Any) -> None:
-        import open3d as o3d
-        from open3d.visualization.rendering import MaterialRecord
+        from viewer.pane import point_geometry
 
-        tensor = o3d.core.Tensor.from_numpy
-        cloud = o3d.t.geometry.PointCloud(tensor(np.ascontiguousarray(points.positions)))
-        cloud.point["colors"] = tensor(np.ascontiguousarray(points.colours, np.float32))
         self._drop(name)
-        material = MaterialRecord()
-        material.shader = "defaultUnlit"
-        self._visualizer.add_geometry(f"gs_codec {name}", cloud, material)
+        self._visualizer.add_geometry(f"gs_codec {name}", *point_geometry(points))
 
     def _drop(self, name: str) -> None:
         self._visualizer.remove_geometry(f"gs_codec {name}")

@@ -8,7 +8,7 @@ from typing import Any
 
 import gs_codec
 from viewer.layers import COLOURINGS, LAYERS
-from viewer.opened import Opened, open_scene
+from viewer.opened import Opened, Pruned, open_scene, read_pruned
 
 #: How two scenes are shown.
 MODES = ("side", "wipe", "flip")
@@ -101,3 +101,14 @@ def find_views(request: Request, scene: Opened) -> list[Any]:
     if request.view is not None and not 0 <= request.view < len(cameras):
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {len(cameras) - 1}")
     return cameras
+
+
+def find_pruned(request: Request, scene: Opened) -> Pruned | None:
+    """What a report says was pruned; None where none was given.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If it cannot be read, or is of another scene.
+    """
+    return None if request.pruned is None else read_pruned(request.pruned, scene)

@@ -15,19 +15,21 @@ from PIL import Image
 import gs_codec
 from viewer.layers import Legend
 from viewer.numbers import quality_text
-from viewer.opened import Opened, read_pruned
+from viewer.opened import Opened
 from viewer.photograph import find_photograph
 from viewer.picture import (
     Shown,
     draw_scene,
+    from_pillow,
     labelled,
     side_by_side,
     splats,
+    to_pillow,
     wiped,
     write_reasons,
 )
 from viewer.pose import Pose, of_camera
-from viewer.request import Request, find_views
+from viewer.request import Request, find_pruned, find_views
 
 
 def write_screenshot(request: Request, path: Path) -> None:
@@ -61,7 +63,7 @@ def draw_request(request: Request) -> Image.Image:
     cameras = find_views(replace(request, cameras=request.cameras or "auto"), first)
     number = request.view or 0
     pose = of_camera(cameras[number])
-    pruned = read_pruned(request.pruned, first) if request.pruned is not None else None
+    pruned = find_pruned(request, first)
     shown = Shown(
         request.layers,
         request.colouring,
@@ -113,8 +115,7 @@ def compose(
         write_reasons(parts[0], shown.pruned)
     if photograph is not None:
         parts.append(labelled(_fitted(photograph, width, height), "photograph", []))
-    together = side_by_side([np.asarray(part, np.float32) / 255 for part in parts])
-    return Image.fromarray(np.rint(255 * together).astype(np.uint8))
+    return to_pillow(side_by_side([from_pillow(part) for part in parts]))
 
 
 def _arrange(
@@ -139,4 +140,4 @@ def _fitted(image: NDArray, width: int, height: int) -> NDArray[np.float32]:
     resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
     canvas = Image.new("RGB", (width, height))
     canvas.paste(resized, ((width - size[0]) // 2, (height - size[1]) // 2))
-    return np.asarray(canvas, np.float32) / np.float32(255)
+    return from_pillow(canvas)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,15 +12,15 @@ from numpy.typing import NDArray
 from open3d.visualization import gui
 
 import gs_codec
-from viewer.layers import centres, error_image, pruned_centres
+from viewer.layers import LAYERS, centres, error_image, pruned_centres
 from viewer.numbers import quality_text
-from viewer.opened import Opened, Pruned, open_scene, read_pruned
+from viewer.opened import Opened, Pruned, open_scene
 from viewer.pane import Pane, picture_of
-from viewer.panel import Panel, monospace
+from viewer.panel import Panel, folded, monospace
 from viewer.photograph import find_photograph
 from viewer.picture import Shown, splats
 from viewer.pose import Pose, of_camera, overview
-from viewer.request import MODES, Request, find_views
+from viewer.request import MODES, Request, find_pruned, find_views
 from viewer.screenshot import compose, save_picture
 from viewer.worker import Stale, Worker
 
@@ -35,6 +36,9 @@ _LEAST_SIDE = 11
 #: Width of the panel, in heights of a line.
 _PANEL_EMS = 19
 
+#: Longest line of a dialog, characters.
+_DIALOG = 76
+
 _HELP = (
     ("drag, wheel", "turn, come nearer"),
     ("ctrl + drag", "shift"),
@@ -42,7 +46,7 @@ _HELP = (
     ("M", "side by side, wipe, flip"),
     ("F", "in one view: A or B"),
     ("left, right", "move the wipe"),
-    ("1 ... 5", "splats, centres, pruned, boxes, error"),
+    ("1 ... 5", ", ".join(LAYERS)),
     ("C", "what centres are coloured by"),
     ("O", "open a scene"),
     ("S", "save a picture"),
@@ -114,17 +118,10 @@ class Viewer:
 
         def read(stale: Stale) -> Any:
             scenes = request.scenes()
-            pruned = None
-            if request.pruned is not None:
-                pruned = read_pruned(request.pruned, scenes[0])
-            return scenes, find_views(request, scenes[0]), pruned
+            return scenes, find_views(request, scenes[0]), find_pruned(request, scenes[0])
 
         self.panel.say("loading ... (Esc stops)")
-        self.worker.submit("load", read, self._loaded, self.fail)
-
-    def _loaded(self, found: Any) -> None:
-        scenes, cameras, pruned = found
-        self.show(scenes, cameras, pruned)
+        self.worker.submit("load", read, lambda found: self.show(*found), self.fail)
 
     def show(self, scenes: list[Opened], cameras: list[Any], pruned: Pruned | None) -> None:
         """Show opened scenes in place of those that are there."""
@@ -199,7 +196,7 @@ class Viewer:
         em = self.window.theme.font_size
         dialog = gui.Dialog(title)
         box = gui.Vert(0.5 * em, gui.Margins(em, em, em, em))
-        for line in [title, *_folded(text)]:
+        for line in [title, *folded(text, _DIALOG)]:
             box.add_child(gui.Label(line))
         button = gui.Button("OK")
         button.set_on_clicked(self.dismiss)
@@ -478,26 +475,25 @@ class Viewer:
 
     def ask_open(self) -> None:
         """Ask for a scene's file."""
-        dialog = gui.FileDialog(gui.FileDialog.OPEN, "Open a scene", self.window.theme)
-        dialog.add_filter(".ply .egs", "3DGS scenes (.ply, .egs)")
-        dialog.set_on_cancel(self.window.close_dialog)
-
-        def done(path: str) -> None:
-            self.window.close_dialog()
-            self.open(path)
-
-        dialog.set_on_done(done)
-        self.window.show_dialog(dialog)
+        kind = (".ply .egs", "3DGS scenes (.ply, .egs)")
+        self._ask(gui.FileDialog.OPEN, "Open a scene", kind, self.open)
 
     def ask_save(self) -> None:
         """Ask where to write a picture of what is shown."""
-        dialog = gui.FileDialog(gui.FileDialog.SAVE, "Save a picture", self.window.theme)
-        dialog.add_filter(".png", "PNG images (.png)")
+        kind = (".png", "PNG images (.png)")
+        self._ask(gui.FileDialog.SAVE, "Save a picture", kind, self.save)
+
+    def _ask(
+        self, purpose: Any, title: str, kind: tuple[str, str], then: Callable[[str], None]
+    ) -> None:
+        """Ask for a file of a kind, its suffixes and their description."""
+        dialog = gui.FileDialog(purpose, title, self.window.theme)
+        dialog.add_filter(*kind)
         dialog.set_on_cancel(self.window.close_dialog)
 
         def done(path: str) -> None:
             self.window.close_dialog()
-            self.save(path)
+            then(path)
 
         dialog.set_on_done(done)
         self.window.show_dialog(dialog)
@@ -530,13 +526,6 @@ def _cut(image: NDArray, place: tuple[int, int, int, int], coarse: int) -> NDArr
     first = left // coarse
     part = image[:, first : max(first + (stop - start) // coarse, first + 1)]
     return np.clip(part, 0, 1)
-
-
-def _folded(text: str, width: int = 76) -> list[str]:
-    """Lines no longer than a dialog."""
-    import textwrap
-
-    return [part for line in text.splitlines() for part in textwrap.wrap(line, width) or [""]]
 
 
 def run(request: Request, device: Literal["gpu", "cpu"]) -> None:

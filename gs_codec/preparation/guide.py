@@ -14,7 +14,7 @@ from gs_codec.config import LatticeProfile
 from gs_codec.model.table import shannon_bits
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.refit_colour import refit_colour
-from gs_codec.preparation.sensitivity import sensitivity_and_weights
+from gs_codec.preparation.sensitivity import sensitivity
 from gs_codec.preparation.targets import Targets
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
@@ -52,7 +52,7 @@ def guide(
     """
     cameras, background = views.cameras, views.background
     loss = views.error(scene)
-    found, weights = sensitivity_and_weights(
+    found, weights = sensitivity(
         scene, cameras, background, None, threads, progress, keep=scene.sh_degree > 0
     )
     pays: list[bool] = []

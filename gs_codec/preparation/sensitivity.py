@@ -52,7 +52,8 @@ def sensitivity(
     antialiased: bool | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
-) -> Sensitivity:
+    keep: bool = True,
+) -> tuple[Sensitivity, NDArray[np.float32]]:
     """The squared error, over views, pixels and colours, by small changes of each attribute.
 
     What is drawn where, and in what order, is taken as constant; pixels where a change takes a
@@ -73,32 +74,16 @@ def sensitivity(
         Views drawn at the same time; never changes the result. Default one for each available
         processor.
     progress : callable, optional
+    keep : bool
+        Whether to keep what each view adds to `colour`.
 
     Returns
     -------
     Sensitivity
         0 for Gaussians that are not drawn in any view, and so for those with values that are
         not finite.
-    """
-    return sensitivity_and_weights(scene, cameras, background, antialiased, threads, progress)[0]
-
-
-def sensitivity_and_weights(
-    scene: Scene,
-    cameras: Sequence[Camera],
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-    antialiased: bool | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    keep: bool = True,
-) -> tuple[Sensitivity, NDArray[np.float32]]:
-    """`sensitivity`, and to how much of it in colour each view comes: as `squared_weights` has it.
-
-    Returns
-    -------
-    Sensitivity
     ndarray, shape (views, N), float32
-        Of no view if they are not to be kept.
+        What each view adds to `colour`, as `squared_weights` has it; of no view without `keep`.
     """
     if antialiased is None:
         antialiased = scene.antialiased

@@ -46,7 +46,7 @@ def test_residual_is_the_references(seed):
     expected = sum(np.sum((t - d.colour) ** 2) for t, d in zip(targets, drawn, strict=True))
     coefficients = coefficients_of(scene, np.float64)
     assert operator.linearise(coefficients, targets).error == pytest.approx(expected, rel=1e-7)
-    assert operator.error(coefficients, targets) == pytest.approx(expected, rel=1e-7)
+    assert operator.errors(coefficients, targets).sum() == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -59,7 +59,7 @@ def test_gradient_is_the_difference_of_the_objective(degree):
     gradient = -2 * operator.linearise(at, targets).gradient
     for _ in range(5):
         direction = rng.normal(size=at.shape)
-        above, below = (operator.error(at + h * direction, targets) for h in (1e-7, -1e-7))
+        above, below = (operator.errors(at + h * direction, targets).sum() for h in (1e-7, -1e-7))
         assert (above - below) / 2e-7 == pytest.approx(np.sum(gradient * direction), rel=1e-5)
 
 
@@ -92,8 +92,8 @@ def test_transpose_is_the_adjoint(seed):
     # |t - image|^2 differs from |image|^2 by |t|^2 - 2 <image, t>.
     forth = 0.0
     for coefficients, sign in ((moved, 1), (at, -1)):
-        with_target = operator.error(coefficients, targets)
-        forth -= sign * 0.5 * (with_target - operator.error(coefficients, black(cameras)))
+        with_target = operator.errors(coefficients, targets).sum()
+        forth -= sign * 0.5 * (with_target - operator.errors(coefficients, black(cameras)).sum())
     assert forth == pytest.approx(np.sum(change * back), rel=1e-9)
 
 
@@ -128,7 +128,7 @@ def test_views_that_are_not_kept_are_traced_anew(monkeypatch):
         monkeypatch.setattr(module, "_KEPT_BYTES", limit)
         operator = ImageOperator(scene, cameras)
         near = operator.linearise(at, targets)
-        results.append((near, operator.apply(at, near.lit), operator.error(at, targets)))
+        results.append((near, operator.apply(at, near.lit), operator.errors(at, targets).sum()))
         assert list(operator.kept) == list(range(number))
     for near, product, error in results[1:]:
         np.testing.assert_array_equal(near.gradient, results[0][0].gradient)
@@ -149,7 +149,7 @@ def test_more_fragments_than_first_room_for():
     cameras = orbit(1)
     drawn = images(scene, cameras)
     operator = ImageOperator(scene, cameras)
-    assert operator.error(coefficients_of(scene, np.float64), drawn) < 1e-8
+    assert operator.errors(coefficients_of(scene, np.float64), drawn).sum() < 1e-8
 
 
 # Refitting

@@ -13,8 +13,10 @@ from gs_codec.codec.guidance import Guidance
 from gs_codec.config import LatticeProfile
 from gs_codec.model.table import shannon_bits
 from gs_codec.preparation.compact_sh import compact_sh
+from gs_codec.preparation.image_operator import ImageOperator
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sensitivity import sensitivity
+from gs_codec.preparation.sh_weights import coefficients_of
 from gs_codec.preparation.targets import Targets
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
@@ -50,81 +52,120 @@ def guide(
     Colours are refitted to the views' images once shapes are rounded and, where views tell enough
     of them, compacted before: which is found out at the steps that are asked for first.
     """
-    cameras, background = views.cameras, views.background
+    cameras = views.cameras
     loss = views.error(scene)
     found, weights = sensitivity(
-        scene, cameras, background, None, threads, progress, keep=scene.sh_degree > 0
+        scene, cameras, views.background, None, threads, progress, keep=scene.sh_degree > 0
     )
-    pays: list[bool] = []
+    colours = _Colours(views, weights, threads, progress)
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    return Guidance(found, loss, pixels, colours.compact, colours.refit)
+
+
+@dataclass
+class _Colours:
+    """Colours that views choose.
+
+    Attributes
+    ----------
+    views : Targets
+    weights : ndarray, shape (views, N), float32
+        Sums of (alpha T)^2 of the scene that is encoded, in its own order.
+    compacts : bool or None
+        Whether compaction pays, once that is known.
+    operator : ImageOperator or None
+        What views see of the shapes they were asked about last.
+    """
+
+    views: Targets
+    weights: NDArray[np.float32]
+    threads: int | None
+    progress: Progress | None
+    compacts: bool | None = None
+    operator: ImageOperator | None = None
 
     def compact(
+        self,
         decoded: Scene,
         order: NDArray[np.unsignedinteger],
         steps: NDArray[np.float32],
         profile: LatticeProfile,
     ) -> Scene:
-        if not scene.sh_degree:
+        """See `Guidance`."""
+        if not decoded.sh_degree:
             return decoded
-        trial = _Compaction(decoded, views, weights[:, order], steps, profile.compaction, threads)
-        if not pays:
-            pays.append(trial.pays())
-        return trial.by(range(len(cameras))) if pays[0] else decoded
+        weights = self.weights[:, order]
+        trial = _Compaction(self._operator_of(decoded), self.views, weights, steps, profile)
+        if self.compacts is None:
+            self.compacts = trial.pays(decoded)
+        return trial.by(decoded, range(len(weights))) if self.compacts else decoded
 
-    def refit(decoded: Scene) -> Scene:
+    def refit(self, decoded: Scene) -> Scene:
+        """See `Guidance`."""
         return refit_colour(
             decoded,
-            cameras,
-            views.images,
+            self.views.cameras,
+            self.views.images,
             _REFIT,
-            background=background,
-            threads=threads,
-            progress=progress,
+            operator=self._operator_of(decoded),
+            threads=self.threads,
+            progress=self.progress,
         )[0]
 
-    pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, loss, pixels, compact, refit)
+    def _operator_of(self, scene: Scene) -> ImageOperator:
+        if self.operator is None or not _same_shapes(self.operator.scene, scene):
+            self.operator = None  # Both would not fit into memory.
+            views = self.views
+            self.operator = ImageOperator(
+                scene, views.cameras, views.background, None, self.threads
+            )
+        return self.operator
+
+
+def _same_shapes(first: Scene, second: Scene) -> bool:
+    return all(
+        np.array_equal(getattr(first, name), getattr(second, name))
+        for name in ("positions", "opacity", "log_scale", "rot")
+    )
 
 
 @dataclass(frozen=True)
 class _Compaction:
     """Compaction of a scene at the steps its SH will have."""
 
-    scene: Scene
+    operator: ImageOperator
     views: Targets
     weights: NDArray[np.float32]
     steps: NDArray[np.float32]
-    strength: float
-    threads: int | None
+    profile: LatticeProfile
 
-    def by(self, seen: Sequence[int]) -> Scene:
+    def by(self, scene: Scene, seen: Sequence[int]) -> Scene:
         """The scene compacted by some of the views."""
-        cameras = [self.views.cameras[i] for i in seen]
         return compact_sh(
-            self.scene,
-            cameras,
-            self.strength,
+            scene,
+            [self.views.cameras[i] for i in seen],
+            self.profile.compaction,
             smallest=0.5 * self.steps,
             weights=self.weights[list(seen)],
-            threads=self.threads,
+            threads=self.operator.threads,
         )[0]
 
-    def pays(self) -> bool:
+    def pays(self, scene: Scene) -> bool:
         """Whether views tell enough of the colours.
 
         They do if the bits saved are more than finer steps would take to win back what is lost,
         compacted by most of the views, in the others, and none of these is spoilt, whichever are
         left out: where views are few, or far apart, it keeps only what they see.
         """
-        count = len(self.views.cameras)
+        count = len(self.weights)
         if count < 2:
             return False
-        plain, plain_bits, levels = _rounded(self.scene, self.steps)
+        plain, plain_bits, levels = _rounded(scene, self.steps)
         for first in range(min(_FOLDS, count)):
-            left_out = slice(first, None, _FOLDS)
-            most = sorted(set(range(count)) - set(range(count)[left_out]))
-            others = self.views.only(left_out)
-            sparse, sparse_bits, _ = _rounded(self.by(most), self.steps)
-            lost, before = (np.maximum(others.errors(coded), _EPS) for coded in (sparse, plain))
+            others = range(first, count, _FOLDS)
+            most = sorted(set(range(count)) - set(others))
+            sparse, sparse_bits, _ = _rounded(self.by(scene, most), self.steps)
+            lost, before = (self._errors(coded, others) for coded in (sparse, plain))
             # Halving all steps takes a bit for each value not 0, and a quarter of the error.
             octaves = 0.5 * math.log2(lost.mean() / before.mean())
             if sparse_bits + (_OTHERS + levels) * octaves >= plain_bits:
@@ -132,6 +173,12 @@ class _Compaction:
             if lost.max() > _WORST * before.max():
                 return False
         return True
+
+    def _errors(self, scene: Scene, seen: Sequence[int]) -> NDArray[np.float64]:
+        """Mean squared errors in some of the views."""
+        values = [self.views.images[view].size for view in seen]
+        errors = self.operator.errors(coefficients_of(scene), self.views.images, seen)
+        return np.maximum(errors / values, _EPS)
 
 
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:

@@ -6,7 +6,7 @@ Gaussians' colours by their weights alpha T, which the rasteriser's own trace gi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.kernels import kernel
 from gs_codec.preparation.sh_weights import sh_row
-from gs_codec.preparation.traced_view import SQUARED, TracedView, trace_view
+from gs_codec.preparation.traced_view import SQUARED, Room, TracedView, trace_view
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 from gs_codec.workers import available_threads, run_all
@@ -81,6 +81,7 @@ class ImageOperator:
     antialiased: bool | None = None
     threads: int | None = None
     kept: dict[int, TracedView] = field(default_factory=dict, init=False, repr=False)
+    rooms: list[Room] = field(default_factory=list, init=False, repr=False)
 
     def linearise(self, coefficients: NDArray, targets: Targets, advance: Advance = None) -> Linear:
         """The residual ``target - image`` of all views, and what follows from it.
@@ -100,16 +101,31 @@ class ImageOperator:
         error = self._add_up(gather, lit, gradient, curvature, advance)
         return Linear(gradient, curvature, lit, error)
 
-    def error(self, coefficients: NDArray, targets: Targets, advance: Advance = None) -> float:
-        """Sum over views, pixels and colours of the squared residual."""
-        nothing = coefficients[:0]
+    def errors(
+        self,
+        coefficients: NDArray,
+        targets: Targets,
+        views: Sequence[int] | None = None,
+        advance: Advance = None,
+    ) -> NDArray[np.float64]:
+        """Sum over pixels and colours of the squared residual of each view, or of those chosen."""
 
-        def gather(view: int) -> _Gathered:
-            lit = np.empty(self.scene.count, np.uint8)
+        def measure(view: int) -> tuple[TracedView, float]:
             target = _target(targets, view, self.cameras[view])
-            return self._gather(view, coefficients, lit, target)
+            lit = np.empty(self.scene.count, np.uint8)
+            traced = self._traced(view)
+            colours = self._colours(traced, coefficients, lit, clamp=True)
+            return traced, traced.error(colours, target, np.array(self.background, np.float64))
 
-        return self._add_up(gather, None, nothing, nothing, advance)
+        chosen = range(len(self.cameras)) if views is None else views
+        errors = []
+        for group in self._groups(chosen):
+            for view, (traced, error) in zip(
+                group, run_all(measure, group, len(group), advance), strict=True
+            ):
+                errors.append(error)
+                self._keep(view, traced)
+        return np.array(errors)
 
     def apply(self, direction: NDArray, lit: NDArray[np.uint8], advance: Advance = None) -> NDArray:
         """The normal equations on a change of SH: transposed operator on what images change by."""
@@ -125,11 +141,8 @@ class ImageOperator:
         self, view: int, coefficients: NDArray, lit: NDArray[np.uint8], target: NDArray | None
     ) -> _Gathered:
         """What a view's residual says; without a target, of a change of SH."""
-        scene, camera = self.scene, self.cameras[view]
-        traced = self.kept.get(view) or trace_view(scene, camera, self.antialiased)
-        colours = np.empty((len(traced.seen), 3))
-        seen = (scene.positions, camera.position, traced.seen)
-        _fill_colours(*seen, coefficients, target is not None, lit, colours)
+        camera, traced = self.cameras[view], self._traced(view)
+        colours = self._colours(traced, coefficients, lit, clamp=target is not None)
         if target is None:
             background = np.zeros(3)
             target = np.zeros((camera.height, camera.width, 3), np.float32)
@@ -137,25 +150,30 @@ class ImageOperator:
             background = np.array(self.background, np.float64)
         return _Gathered(traced, *traced.transpose(colours, target, background))
 
+    def _colours(
+        self, traced: TracedView, coefficients: NDArray, lit: NDArray[np.uint8], clamp: bool
+    ) -> NDArray[np.float64]:
+        """Colours ``(V, 3)`` of what a view sees; see `_fill_colours`."""
+        colours = np.empty((len(traced.seen), 3))
+        seen = (self.scene.positions, traced.camera.position, traced.seen)
+        _fill_colours(*seen, coefficients, clamp, lit, colours)
+        return colours
+
     def _add_up(
         self,
         gather: Callable[[int], _Gathered],
-        lit: NDArray[np.uint8] | None,
+        lit: NDArray[np.uint8],
         gradient: NDArray,
         curvature: NDArray,
         advance: Advance,
     ) -> float:
-        """Add views in order to what is not empty of the two, or None; returns the error."""
+        """Add views in order to the gradient and, if it is not empty, curvature; their error."""
         threads = self.threads or available_threads()
-        at_once = min(threads, _MOST_AT_ONCE)
         error = 0.0
-        for first in range(0, len(self.cameras), at_once):
-            views = range(first, min(first + at_once, len(self.cameras)))
-            for view, found in zip(views, run_all(gather, views, at_once, advance), strict=True):
+        for group in self._groups(range(len(self.cameras))):
+            for view, found in zip(group, run_all(gather, group, len(group), advance), strict=True):
                 error += found.error
                 self._keep(view, found.traced)
-                if lit is None:
-                    continue
                 seen, camera = found.traced.seen, self.cameras[view]
                 of_view = (self.scene.positions, camera.position, seen, found.sums, lit[view])
 
@@ -165,6 +183,23 @@ class ImageOperator:
 
                 run_all(add, range(0, len(seen), _CHUNK), threads)
         return error
+
+    def _groups(self, views: Sequence[int]) -> Iterator[Sequence[int]]:
+        """Views worked on together."""
+        at_once = min(self.threads or available_threads(), _MOST_AT_ONCE)
+        for first in range(0, len(views), at_once):
+            yield views[first : first + at_once]
+
+    def _traced(self, view: int) -> TracedView:
+        if view in self.kept:
+            return self.kept[view]
+        try:
+            room = self.rooms.pop()
+        except IndexError:
+            room = None
+        traced, room = trace_view(self.scene, self.cameras[view], self.antialiased, room)
+        self.rooms.append(room)
+        return traced
 
     def _keep(self, view: int, traced: TracedView) -> None:
         taken = sum(known.nbytes for known in self.kept.values())

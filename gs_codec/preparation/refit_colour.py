@@ -58,6 +58,7 @@ def refit_colour(
     keep_zeros: bool = True,
     background: Sequence[float] = (0.0, 0.0, 0.0),
     antialiased: bool | None = None,
+    operator: ImageOperator | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, RefitReport]:
@@ -92,6 +93,8 @@ def refit_colour(
         RGB behind the scene in the targets.
     antialiased : bool, optional
         As for `render`.
+    operator : ImageOperator, optional
+        Of the cameras and of a scene of the same shapes, where it is known.
     threads : int, optional
         Never changes the result.
     progress : callable, optional
@@ -103,7 +106,7 @@ def refit_colour(
         camera's shape.
     """
     _check(cameras, targets, steps, ridge=ridge, strength=strength, smallest=smallest)
-    operator = ImageOperator(scene, cameras, background, antialiased, threads)
+    operator = operator or ImageOperator(scene, cameras, background, antialiased, threads)
     advance = step_counter(progress, "refit", (steps + 2) * len(cameras))
     start = coefficients_of(scene)
     near = operator.linearise(start, targets, advance)
@@ -115,7 +118,7 @@ def refit_colour(
         near.curvature[:, 1:][start[:, 1:] == 0] = 0
     change, errors, objectives = _descend(operator, near, damping, steps, advance)
     refitted = np.add(start, change, out=change)
-    rendered = operator.error(refitted, targets, advance)
+    rendered = float(operator.errors(refitted, targets, advance=advance).sum())
     kept = not rendered + (objectives[-1] - errors[-1]) < objectives[0]
     psnr = tuple(_psnr(error / (3 * pixels)) for error in errors)
     last = psnr[0] if kept else _psnr(rendered / (3 * pixels))

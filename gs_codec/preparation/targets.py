@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -39,10 +39,6 @@ class Targets:
     photographs: bool
     background: tuple[float, float, float]
     source: Scene | None = None
-
-    def only(self, chosen: slice) -> Targets:
-        """Some of the views."""
-        return replace(self, cameras=self.cameras[chosen], images=self.images[chosen])
 
     def quality(self, scene: Scene) -> Quality:
         """Mean over the views of PSNR and SSIM of a scene's images against them."""

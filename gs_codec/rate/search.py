@@ -17,6 +17,9 @@ _AIM = 0.7
 #: How far `expected` looks from a place at most.
 _FARTHEST = 2.0
 
+#: How far the next place is taken, as a share of the way a line points; and the least of it.
+_BEYOND, _LEAST_STEP = 1.25, 0.02
+
 #: Measures below this are not told apart.
 _LEAST = 1e-6
 
@@ -87,6 +90,11 @@ def _bracket(
         place = min(max(start + reach, FINEST), COARSEST)
         if place == before:
             return None
-        if height(place) * found < 0:
+        value = height(place)
+        if value * found < 0:
             return before, place
-        before, reach = place, 2 * reach
+        # On to beyond where a line through both points to, or as far again, if that is nearer.
+        line = (value - found) / (place - start)
+        further = abs(_BEYOND * value / line) if line * slope > 0 else math.inf
+        further = min(max(further, _LEAST_STEP), abs(reach))
+        before, reach = place, reach + math.copysign(further, reach)

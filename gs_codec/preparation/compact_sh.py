@@ -208,8 +208,8 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
     solution would light up there: then they count for good, lest it goes to and fro.
     """
     count, size = rows.shape
-    right = np.empty(size)
-    matrix = np.empty((size, size))
+    right, sums = np.empty(size), np.empty(size)
+    matrix, evident = np.empty((size, size)), shared
     targets, evidence = np.empty(count), np.empty(count)
     dark, inertia = False, 0.0
     for j in range(count):
@@ -218,18 +218,24 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
         evidence[j] = seen[j] if colour >= 0.0 else 0.0
         dark = dark or colour < 0.0
         inertia += _INERTIA * seen[j]
+    if dark:
+        evident = np.empty((size, size))
     for turn in range(_ROUNDS + 1):
+        changed = turn == 0
         for j in range(count):
             if evidence[j] == 0.0 and 0.5 + _dot(rows[j], solution) > 0.0:
                 evidence[j] = seen[j]
-        if dark:
-            fill_matrix(rows, evidence, matrix)
-        else:
-            matrix[:] = shared
-        for k in range(size):
-            right[k] = 0.0
+                changed = True
+        if changed:
+            if dark:
+                fill_matrix(rows, evidence, evident)
+            sums[:] = 0.0
             for j in range(count):
-                right[k] += evidence[j] * targets[j] * rows[j, k]
+                weight = evidence[j] * targets[j]
+                for k in range(size):
+                    sums[k] += weight * rows[j, k]
+        matrix[:] = evident
+        right[:] = sums
         _penalise(matrix, right, solution, inertia, penalty, smallest, turn == _ROUNDS)
         if not solve(matrix, right):
             return False

@@ -32,7 +32,11 @@ if TYPE_CHECKING:
     from gs_codec.preparation.report import PrepareReport
 
 
-def read(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> PointCloud:
+def read(
+    path: str | Path,
+    extra: Literal["error", "keep", "drop"] = "error",
+    progress: Progress | None = None,
+) -> PointCloud:
     """Read a PLY or `.egs` file.
 
     Parameters
@@ -40,6 +44,9 @@ def read(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") ->
     path : str or Path
     extra : {"error", "keep", "drop"}
         What to do with properties beyond the INRIA layout.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` while an `.egs` file is decoded, in the calling
+        thread; what it raises ends that.
 
     Returns
     -------
@@ -52,7 +59,7 @@ def read(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") ->
     ------
     InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
     """
-    return to_cloud(files.read_scene(path, extra))
+    return to_cloud(files.read_scene(path, extra, progress))
 
 
 def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> None:

@@ -278,11 +278,17 @@ def decode_file(
     return DecodeReport(scene.count, scene.sh_degree, bytes_read, size, seconds)
 
 
-def read_scene(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:
+def read_scene(
+    path: str | Path,
+    extra: Literal["error", "keep", "drop"] = "error",
+    progress: Progress | None = None,
+) -> Scene:
     """The scene of a PLY or `.egs` file, told apart by content; see `read_ply` for `extra`."""
     with opened(path) as data:
         is_egs = data[: len(MAGIC)] == MAGIC or Path(path).suffix.lower() == ".egs"
-    return _decode_ordered(Path(path), Part())[0] if is_egs else read_ply(path, extra)
+    if is_egs:
+        return _decode_ordered(Path(path), Part(), progress=progress)[0]
+    return read_ply(path, extra)
 
 
 def inspect_file(path: str | Path) -> Info:

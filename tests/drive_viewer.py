@@ -45,7 +45,7 @@ class Driver:
         before, equal = None, 0
         for _ in range(400):
             self.tick(20)
-            if self.viewer.busy or not self.viewer.panes:
+            if self.viewer.busy or not self.viewer.stage.panes:
                 before = None
                 continue
             now = self.grab()
@@ -92,7 +92,8 @@ class Driver:
 
     def models(self) -> list[list]:
         return [
-            np.array(p.widget.scene.camera.get_model_matrix()).tolist() for p in self.viewer.panes
+            np.array(p.widget.scene.camera.get_model_matrix()).tolist()
+            for p in self.viewer.stage.panes
         ]
 
 
@@ -102,7 +103,7 @@ def run(folder: Path) -> dict:
     found: dict = {"layers": {}}
     first = before = driver.rest()
     found["drawn"] = float(driver.scenes(first).std())
-    found["quality"] = viewer.quality
+    found["quality"] = viewer.stage.quality
     for layer, box in viewer.panel.boxes.items():
         driver.click(box)
         after = driver.rest()
@@ -114,7 +115,7 @@ def run(folder: Path) -> dict:
         apart = np.abs(driver.scenes(before) - driver.scenes(first)).max()
         found["layers"][layer].append(int(apart))
     found["at_first"] = driver.models()
-    driver.drag(viewer.panes[0].widget.frame)
+    driver.drag(viewer.stage.panes[0].widget.frame)
     moved = driver.rest()
     found["after_drag"] = driver.models()
     found["drag_changed"] = int((np.abs(driver.scenes(moved) - driver.scenes(first)) > 12).sum())
@@ -127,7 +128,7 @@ def run(folder: Path) -> dict:
     driver.click(viewer.panel.boxes["error"])
     driver.key("f")
     a = driver.rest()
-    found["front_first"] = viewer.front
+    found["front_first"] = viewer.choice.front
     driver.key("f")
     b = driver.rest()
     found["flip_changed"] = int((np.abs(driver.scenes(a) - driver.scenes(b)) > 12).sum())
@@ -145,7 +146,7 @@ def run(folder: Path) -> dict:
     viewer.dismiss()
     driver.key("m")
     driver.rest()
-    found["mode"] = viewer.mode
+    found["mode"] = viewer.choice.mode
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,9 @@ import gs_codec
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
+
+#: Called with what is done, how many steps of it, and of how many.
+Progress = Callable[[str, int, int], None]
 
 #: Colour of a unit of SH-DC.
 _SH_C0 = 0.28209479177387814
@@ -97,8 +101,10 @@ class Opened:
         return np.ascontiguousarray(self.cloud.point[name].numpy())
 
 
-def open_scene(source: Path | str | PointCloud, name: str = "") -> Opened:
-    """Read a scene's file, or take a cloud.
+def open_scene(
+    source: Path | str | PointCloud, name: str = "", progress: Progress | None = None
+) -> Opened:
+    """Read a scene's file, or take a cloud; `progress` is as for `gs_codec.read`.
 
     Raises
     ------
@@ -106,7 +112,7 @@ def open_scene(source: Path | str | PointCloud, name: str = "") -> Opened:
     """
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
-    cloud = gs_codec.read(source, "drop")
+    cloud = gs_codec.read(source, "drop", progress)
     try:
         info = gs_codec.inspect(source)
     except gs_codec.GsCodecError:  # a scene, but no .egs

@@ -30,10 +30,16 @@ class Pane:
     ----------
     window : gui.Window
     scene : Opened
+
+    Attributes
+    ----------
+    points : dict
+        Points that may be shown, by name.
     """
 
     def __init__(self, window: gui.Window, scene: Opened) -> None:
         self.scene = scene
+        self.points: dict[str, Points] = {}
         self.widget = gui.SceneWidget()
         self.widget.scene = rendering.Open3DScene(window.renderer)
         self.widget.scene.set_background(_BACKGROUND)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from open3d.visualization import gui
 
-from viewer.layers import COLOURINGS, LAYERS, Legend, heat_bar, reason_colour
+from viewer.choice import MODES
+from viewer.layers import COLOURINGS, LAYERS, heat_bar, reason_colour
 from viewer.numbers import between, facts
 from viewer.pane import picture_of
-from viewer.request import MODES
 
 if TYPE_CHECKING:
     from viewer.window import Viewer
@@ -28,15 +28,10 @@ class Panel:
     ----------
     boxes : dict of str to gui.Checkbox
         By layer.
-    legends : list of Legend
-        Of what centres are coloured by.
-    error_legend : Legend or None
     """
 
     def __init__(self, viewer: Viewer, font: int) -> None:
         self.viewer = viewer
-        self.legends: list[Legend] = []
-        self.error_legend: Legend | None = None
         em = viewer.window.theme.font_size
         self._em = em
         margins = gui.Margins(0.6 * em, 0.5 * em, 0.6 * em, 0.5 * em)
@@ -82,37 +77,47 @@ class Panel:
         self.widget.add_child(self._numbers)
         self.status = gui.Label("")
         self.widget.add_child(self.status)
+        self.progress = gui.ProgressBar()
+        self.progress.visible = False
+        self.widget.add_child(self.progress)
 
-    def say(self, text: str) -> None:
-        """Show a line of status."""
+    def say(self, text: str, progress: float | None = None) -> None:
+        """Show a line of status, and how far it is, 0-1."""
         self.status.text = "\n".join(folded(text, 34))
+        self.progress.visible = progress is not None
+        self.show_progress(progress or 0.0)
         self.viewer.window.set_needs_layout()
+
+    def show_progress(self, progress: float) -> None:
+        """Show how far it is, 0-1."""
+        self.progress.value = progress
+        self.viewer.window.post_redraw()
 
     def next_colouring(self) -> None:
         """Colour centres by the next of what is known."""
-        place = (COLOURINGS.index(self.viewer.colouring) + 1) % len(COLOURINGS)
+        place = (COLOURINGS.index(self.viewer.choice.colouring) + 1) % len(COLOURINGS)
         self.viewer.set_colouring(COLOURINGS[place])
 
     def refresh(self) -> None:
         """Show what the viewer shows."""
-        viewer = self.viewer
+        viewer, choice, stage = self.viewer, self.viewer.choice, self.viewer.stage
+        two = len(stage.scenes) > 1
         for layer, box in self.boxes.items():
-            box.checked = layer in viewer.layers
-        self.boxes["pruned"].enabled = viewer.pruned is not None
-        self.boxes["error"].enabled = len(viewer.scenes) > 1
-        self.colouring.selected_index = COLOURINGS.index(viewer.colouring)
-        self.mode.selected_index = MODES.index(viewer.mode)
-        self.mode.enabled = len(viewer.scenes) > 1
-        self.wipe.visible = len(viewer.scenes) > 1 and viewer.mode == "wipe"
-        self.wipe.double_value = viewer.place
+            box.checked = layer in choice.layers
+        self.boxes["pruned"].enabled = stage.pruned is not None
+        self.boxes["error"].enabled = self.mode.enabled = two
+        self.colouring.selected_index = COLOURINGS.index(choice.colouring)
+        self.mode.selected_index = MODES.index(choice.mode)
+        self.wipe.visible = two and choice.mode == "wipe"
+        self.wipe.double_value = choice.place
         self._cameras.visible = bool(viewer.cameras)
         if viewer.cameras:
             name = viewer.cameras[viewer.number].name
             self._camera.text = f"{viewer.number} of {len(viewer.cameras)}: {name}"
-        legends = [*self.legends, *([self.error_legend] if self.error_legend else [])]
+        legends = [*stage.legends, *([stage.error_legend] if stage.error_legend else [])]
         self._bar.visible = self._legend.visible = bool(legends)
         self._legend.text = "\n".join(f"{e.title}: {e.low} to {e.high}" for e in legends)
-        counts = list(viewer.pruned.counts.items()) if viewer.pruned is not None else []
+        counts = list(stage.pruned.counts.items()) if stage.pruned is not None else []
         for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
             label.visible = bool(n)
             label.text = f"{n:,} pruned by {reason}"
@@ -120,12 +125,12 @@ class Panel:
         viewer.window.set_needs_layout()
 
     def _all_numbers(self) -> str:
-        viewer = self.viewer
-        lines = [_DRAWN_BY[viewer.device]] if viewer.scenes else []
-        if len(viewer.scenes) > 1:
-            lines += ["", "this view, B against A:", f"  {viewer.quality or '...'}"]
-            lines += [f"{name}: {value}" for name, value in between(*viewer.scenes)]
-        for letter, scene in zip("AB", viewer.scenes, strict=False):
+        stage = self.viewer.stage
+        lines = [_DRAWN_BY[stage.device]] if stage.scenes else []
+        if len(stage.scenes) > 1:
+            lines += ["", "this view, B against A:", f"  {stage.quality or '...'}"]
+            lines += [f"{name}: {value}" for name, value in between(*stage.scenes)]
+        for letter, scene in zip("AB", stage.scenes, strict=False):
             lines += ["", f"{letter}: {scene.name}"]
             lines += [f"{name:<16} {value:>12}" for name, value in facts(scene)]
         return "\n".join(lines)

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import gs_codec
+from viewer.choice import MODES
 from viewer.layers import COLOURINGS, LAYERS
-from viewer.opened import Opened, Pruned, open_scene, read_pruned
-
-#: How two scenes are shown.
-MODES = ("side", "wipe", "flip")
+from viewer.opened import Opened, Progress, Pruned, open_scene, read_pruned
 
 #: Largest side of a picture, pixels.
 _MAX_SIDE = 1 << 14
@@ -69,9 +67,18 @@ class Request:
         if self.a is None and (self.pruned is not None or self.cameras is not None):
             raise gs_codec.GsCodecError("no scene to show")
 
-    def scenes(self) -> list[Opened]:
+    def scenes(self, progress: Progress | None = None) -> list[Opened]:
         """Open what is to be shown."""
-        return [open_scene(source) for source in (self.a, self.b) if source is not None]
+        sources = [source for source in (self.a, self.b) if source is not None]
+
+        def part(k: int) -> Progress | None:
+            if progress is None:
+                return None
+            return lambda stage, done, total: progress(
+                stage, k * total + done, len(sources) * total
+            )
+
+        return [open_scene(source, progress=part(k)) for k, source in enumerate(sources)]
 
 
 def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:

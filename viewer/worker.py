@@ -6,10 +6,16 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from viewer.opened import Progress
+
 #: Tells a job that its result is not wanted any more.
 Stale = Callable[[], bool]
 
 Job = Callable[[Stale], Any]
+
+
+class Cancelled(Exception):
+    """Ends a job whose result is not wanted any more."""
 
 
 class Worker:
@@ -53,6 +59,16 @@ class Worker:
         with self._changed:
             self._wanted[kind] = self._wanted.get(kind, 0) + 1
             self._waiting.pop(kind, None)
+
+    def progress(self, stale: Stale, show: Callable[[float], None]) -> Progress:
+        """For a job to tell how far it is, 0-1; ends the job if it has become stale."""
+
+        def progress(stage: str, done: int, total: int) -> None:
+            if stale():
+                raise Cancelled
+            self._post(lambda: None if stale() else show(done / max(total, 1)))
+
+        return progress
 
     @property
     def busy(self) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from PIL import ImageGrab
 
 from viewer.request import Request
 from viewer.window import Viewer
+from viewer.worker import Stale
 
 
 class Driver:
@@ -73,6 +75,17 @@ class Driver:
         frame = self.viewer.window.os_frame
         self.xdotool("mousemove", frame.x + round(x), frame.y + round(y))
 
+    def toggle(self, layer: str) -> None:
+        """Click on a layer's checkbox, and wait until that has come through."""
+        viewer = self.viewer
+        wanted = viewer.choice.layers ^ {layer}
+        self.click(viewer.panel.boxes[layer])
+        for _ in range(400):
+            if viewer.choice.layers == wanted:
+                return
+            self.tick(2)
+        raise SystemExit(f"no click on {layer}")
+
     def click(self, widget: gui.Widget) -> None:
         frame = widget.frame
         self.move(frame.x + frame.height / 2, frame.y + frame.height / 2)
@@ -97,6 +110,31 @@ class Driver:
         ]
 
 
+def stop_loading(driver: Driver) -> list[str]:
+    """What is open after a scene was to be opened in place of the second, twice."""
+    viewer, scenes = driver.viewer, []
+    started, go_on = threading.Event(), threading.Event()
+    for stop in (lambda: driver.key("BackSpace"), lambda: driver.click(viewer.panel.stop)):
+        started.clear()
+        go_on.clear()
+
+        def wait(stale: Stale) -> None:
+            started.set()
+            go_on.wait(60)
+
+        viewer.worker.submit("save", wait, print, print)  # what is to be stopped waits behind it
+        started.wait(60)
+        viewer.open(str(driver.folder / "a.ply"))
+        driver.tick(5)
+        scenes.append(viewer.panel.status.text)
+        stop()
+        scenes.append(viewer.panel.status.text)
+        go_on.set()
+        driver.rest()
+        scenes.append(viewer.stage.scenes[1].name)
+    return scenes
+
+
 def run(folder: Path) -> dict:
     driver = Driver(folder)
     viewer = driver.viewer
@@ -104,13 +142,13 @@ def run(folder: Path) -> dict:
     first = before = driver.rest()
     found["drawn"] = float(driver.scenes(first).std())
     found["quality"] = viewer.stage.quality
-    for layer, box in viewer.panel.boxes.items():
-        driver.click(box)
+    for layer in viewer.panel.boxes:
+        driver.toggle(layer)
         after = driver.rest()
         changed = np.abs(driver.scenes(after) - driver.scenes(before)).max(axis=2) > 12
         halves = np.array_split(changed, 2, axis=1)
         found["layers"][layer] = [int(half.sum()) for half in halves]
-        driver.click(box)
+        driver.toggle(layer)
         before = driver.rest()
         apart = np.abs(driver.scenes(before) - driver.scenes(first)).max()
         found["layers"][layer].append(int(apart))
@@ -125,7 +163,7 @@ def run(folder: Path) -> dict:
     driver.key("p")
     driver.rest()
     found["back"] = driver.models()
-    driver.click(viewer.panel.boxes["error"])
+    driver.toggle("error")
     driver.key("f")
     a = driver.rest()
     found["front_first"] = viewer.choice.front
@@ -144,6 +182,7 @@ def run(folder: Path) -> dict:
     driver.rest()
     found["message"] = viewer.message
     viewer.dismiss()
+    found["stopped"] = stop_loading(driver)
     driver.key("m")
     driver.rest()
     found["mode"] = viewer.choice.mode

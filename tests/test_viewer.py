@@ -260,6 +260,44 @@ def test_only_the_newest_job_of_a_kind_is_told():
     worker.end()
 
 
+def test_jobs_tell_how_far_they_are_and_end_when_nobody_waits():
+    calls, told, went_on = [], [], []
+    worker = Worker(calls.append)
+    shown, go_on = threading.Event(), threading.Event()
+
+    def job(stale):
+        progress = worker.progress(stale, told.append)
+        progress("decode", 1, 4)
+        shown.set()
+        go_on.wait(10)
+        progress("decode", 2, 4)
+        went_on.append(True)
+
+    worker.submit("load", job, told.append, told.append)
+    assert shown.wait(10)
+    calls.pop()()
+    assert told == [0.25]
+    worker.cancel("load")
+    go_on.set()
+    for _ in range(1000):
+        if not worker.busy:
+            break
+        time.sleep(0.01)
+    for call in calls:
+        call()
+    assert told == [0.25]
+    assert not went_on
+    worker.end()
+
+
+def test_reading_tells_how_far_it_is(files):
+    steps = []
+    request = Request(files / "a.ply", files / "b.egs")
+    request.scenes(lambda stage, done, total: steps.append(done / total))
+    assert steps == sorted(steps)
+    assert 0.5 < steps[0] <= steps[-1] == 1.0
+
+
 # The command line
 
 

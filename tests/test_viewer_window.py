@@ -61,13 +61,12 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def found(display, folder) -> dict:
-    """What came of driving the window."""
+def drive(script: str, display: str, folder: Path) -> dict:
+    """What came of driving a window by a script of this folder."""
     here = Path(__file__).parent
     environment = os.environ | {"DISPLAY": display, "PYTHONPATH": str(here.parent)}
     result = subprocess.run(
-        [sys.executable, here / "drive_viewer.py", folder],
+        [sys.executable, here / script, folder],
         capture_output=True,
         text=True,
         check=False,
@@ -77,6 +76,11 @@ def found(display, folder) -> dict:
     lines = [line for line in result.stdout.splitlines() if line.startswith("RESULT ")]
     assert lines, result.stdout + result.stderr
     return json.loads(lines[0].removeprefix("RESULT "))
+
+
+@pytest.fixture(scope="module")
+def found(display, folder) -> dict:
+    return drive("drive_viewer.py", display, folder)
 
 
 def test_it_draws_both_scenes(found):
@@ -132,6 +136,18 @@ def test_a_broken_file_is_told_and_the_window_lives(found):
     title, text = found["message"]
     assert title == "Not possible"
     assert "report.json" in text
+
+
+def test_loading_is_stopped(found):
+    assert found["stopped"] == 2 * ["loading a.ply ...", "", "b.egs"]
+
+
+def test_the_plugin_opens_shows_what_was_pruned_and_compares(display, folder):
+    found = drive("drive_plugin.py", display, folder)
+    assert found["count"] == 3000
+    assert found["refused"] == "no scene is open"
+    opened, pruned, compared = found["changed"]
+    assert min(opened, pruned, compared) > 1000
 
 
 def test_without_a_driver_it_says_so(display, folder):

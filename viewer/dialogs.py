@@ -24,9 +24,9 @@ _KEYS = (
     ("C", "what centres are coloured by"),
     ("O", "open a scene"),
     ("S", "save a picture"),
-    ("Esc", "stop loading"),
+    ("Backspace", "stop loading"),
     ("H", "this help"),
-    ("Q", "quit"),
+    ("Q, Esc", "quit"),
 )
 
 HELP = "\n".join(f"{keys}: {what}" for keys, what in _KEYS)

@@ -45,6 +45,15 @@ class Panel:
         ):
             buttons.add_child(self._button(text, action))
         self.widget.add_child(buttons)
+        self.status = gui.Label("")
+        self.widget.add_child(self.status)
+        self.progress = gui.ProgressBar()
+        self.stop = self._button("Stop", viewer.stop_loading)
+        self._loading = gui.Vert(0.3 * em)
+        self._loading.add_child(self.progress)
+        self._loading.add_child(self.stop)
+        self._loading.visible = False
+        self.widget.add_child(self._loading)
         for box in self.boxes.values():
             self.widget.add_child(box)
         self.colouring = self._choice(
@@ -75,16 +84,11 @@ class Panel:
         self._numbers = gui.Label("")
         self._numbers.font_id = font
         self.widget.add_child(self._numbers)
-        self.status = gui.Label("")
-        self.widget.add_child(self.status)
-        self.progress = gui.ProgressBar()
-        self.progress.visible = False
-        self.widget.add_child(self.progress)
 
     def say(self, text: str, progress: float | None = None) -> None:
-        """Show a line of status, and how far it is, 0-1."""
+        """Show a line of status; of what can be stopped, how far it is, 0-1."""
         self.status.text = "\n".join(folded(text, 34))
-        self.progress.visible = progress is not None
+        self._loading.visible = progress is not None
         self.show_progress(progress or 0.0)
         self.viewer.window.set_needs_layout()
 

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import gs_codec
 from viewer.device import find_device
-from viewer.layers import centres, pruned_centres
+from viewer.layers import Points, centres, pruned_centres
 from viewer.opened import Opened, open_scene, read_pruned
+from viewer.pose import overview
 from viewer.request import Request, parse_layers
 
 
@@ -98,12 +101,19 @@ class Actions:
         self._show("centres", centres(scene, "colour", None))
         self._drop("pruned")
         self.scene = scene
-        self._visualizer.reset_camera_to_default()
+        pose = overview(scene.positions, scene.opacities)
+        _, down, forward = pose.rotation
+        middle = np.median(scene.positions, axis=0) if scene.count else pose.position + forward
+        centre = pose.position + forward * np.linalg.norm(middle - pose.position)
+        self._visualizer.setup_camera(60.0, centre, pose.position, -down)
 
     def pruned(self, folder: str | Path) -> None:
-        """Show which of its Gaussians preparation took out."""
+        """Show which of its Gaussians preparation took out, and the others as they are."""
         scene = self._needed()
-        self._show("pruned", pruned_centres(scene, read_pruned(folder, scene)))
+        pruned = read_pruned(folder, scene)
+        left = pruned.labels == 0
+        self._show("centres", Points(scene.positions[left], scene.colours[left]))
+        self._show("pruned", pruned_centres(scene, pruned))
 
     def compare(self, path: str | Path) -> None:
         """Show another version, coloured by its error against the scene."""
@@ -127,7 +137,7 @@ class Actions:
             raise gs_codec.GsCodecError("no scene is open")
         return self.scene
 
-    def _show(self, name: str, points: Any) -> None:
+    def _show(self, name: str, points: Points) -> None:
         from viewer.pane import point_geometry
 
         self._drop(name)

@@ -85,7 +85,7 @@ class Viewer:
             scenes = request.scenes(self.worker.progress(stale, self.panel.show_progress))
             return scenes, find_views(request, scenes[0]), find_pruned(request, scenes[0])
 
-        self.panel.say("loading ... (Esc stops)", progress=0)
+        self.panel.say("loading ...", progress=0)
         self.worker.submit("load", read, lambda found: self.show(*found), self.fail)
 
     def open(self, path: str) -> None:
@@ -99,7 +99,7 @@ class Viewer:
         def done(scenes: list[Opened]) -> None:
             self.show(scenes, self.cameras, self.stage.pruned)
 
-        self.panel.say(f"loading {Path(path).name} ... (Esc stops)", progress=0)
+        self.panel.say(f"loading {Path(path).name} ...", progress=0)
         self.worker.submit("load", read, done, self.fail)
 
     def stop_loading(self) -> None:
@@ -259,7 +259,7 @@ class Viewer:
             ord("s"): self.ask_save,
             ord("h"): self.help,
             ord("q"): self.window.close,
-            int(gui.KeyName.ESCAPE): self.stop_loading,
+            int(gui.KeyName.BACKSPACE): self.stop_loading,
             int(gui.KeyName.LEFT): lambda: self.set_place(place - _WIPE),
             int(gui.KeyName.RIGHT): lambda: self.set_place(place + _WIPE),
         }

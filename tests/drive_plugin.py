@@ -1,0 +1,60 @@
+"""Drives an Open3D visualizer with our actions in it, and prints what came of it as JSON.
+
+Run by test_viewer_window.py, in a process of its own, on a display of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from open3d.visualization import O3DVisualizer, gui
+from PIL import ImageGrab
+
+import gs_codec
+import viewer
+
+
+def run(folder: Path) -> dict:
+    app = gui.Application.instance
+    app.initialize()
+    visualizer = O3DVisualizer("plugin", 600, 400)
+    app.add_window(visualizer)
+    actions = viewer.attach(visualizer)
+
+    def shown() -> np.ndarray:
+        for _ in range(60):
+            visualizer.post_redraw()
+            app.run_one_tick()
+            time.sleep(0.01)
+        frame = visualizer.os_frame
+        box = (frame.x, frame.y, frame.get_right(), frame.get_bottom())
+        return np.asarray(ImageGrab.grab(box).convert("RGB"), np.int16)
+
+    pictures = [shown()]
+    try:
+        actions.compare(folder / "b.egs")
+    except gs_codec.GsCodecError as error:
+        refused = str(error)
+    for action in (
+        lambda: actions.open(folder / "a.ply"),
+        lambda: actions.pruned(folder / "report"),
+        lambda: actions.compare(folder / "b.egs"),
+    ):
+        action()
+        pictures.append(shown())
+    changed = [
+        int((np.abs(after - before).max(axis=2) > 12).sum())
+        for before, after in zip(pictures, pictures[1:], strict=False)
+    ]
+    return {"changed": changed, "refused": refused, "count": actions.scene.count}
+
+
+if __name__ == "__main__":
+    print("RESULT " + json.dumps(run(Path(sys.argv[1]))), flush=True)
+    # Open3D has no orderly end outside Application.run.
+    os._exit(0)

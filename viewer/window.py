@@ -145,11 +145,13 @@ class Viewer:
             return gs_codec.render(scene.cloud, "auto").cameras
 
         def done(cameras: list[Any]) -> None:
+            self.panel.say("")
             self.cameras, self.number = cameras, 0
             if self.stage.pose is pose:
                 self.stage.look_from(of_camera(cameras[0]))
             self.panel.refresh()
 
+        self.panel.say("choosing views ...")
         self.worker.submit("cameras", choose, done, lambda error: self.panel.say(str(error)))
 
     def fail(self, error: Exception) -> None:

@@ -20,6 +20,11 @@ _FARTHEST = 2.0
 #: How far the next place is taken, as a share of the way a line points; and the least of it.
 _BEYOND, _LEAST_STEP = 1.25, 0.02
 
+#: How near to each other places are told apart; and, in such, where else a measure that is rough
+#: there is tried.
+_NARROW = 1e-3
+_BESIDE = (3, -3, 6, -6, 9, -9, 12, -12)
+
 #: Measures below this are not told apart.
 _LEAST = 1e-6
 
@@ -53,8 +58,8 @@ def search(
     Returns
     -------
     float or None
-        The last place that was measured. Where the measure jumps over the interval, that of the
-        highest value below it; None where it never comes so far.
+        The last place that was measured. Where the measure jumps over the interval, there and
+        beside, that of the highest value below it; None where it never comes so far.
     """
     aim = math.log2(max((1 - _AIM) * low + _AIM * high, _LEAST))
     below: dict[float, float] = {}
@@ -71,7 +76,9 @@ def search(
     try:
         bracket = _bracket(height, min(max(start, FINEST), COARSEST), slope)
         if bracket is not None:
-            brentq(height, *bracket, xtol=1e-3)
+            place = brentq(height, *bracket, xtol=_NARROW)
+            for shift in _BESIDE:
+                height(min(max(place + shift * _NARROW, FINEST), COARSEST))
             place = below[max(below)]
             measure(place)
             return place

@@ -32,7 +32,7 @@ class Driver:
             cameras=str(folder / "cameras.json"),
             pruned=folder / "report",
             layers=("splats",),
-            size=(900, 560),
+            size=(760, 480),
         )
         self.viewer = Viewer(request)
 
@@ -46,7 +46,7 @@ class Driver:
         """Tick until nothing moves any more; what is on the screen then."""
         before, equal = None, 0
         for _ in range(400):
-            self.tick(20)
+            self.tick(8)
             if self.viewer.busy or not self.viewer.stage.panes:
                 before = None
                 continue

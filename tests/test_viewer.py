@@ -181,6 +181,18 @@ def test_poses_draw_what_their_cameras_draw(files):
 # Pictures
 
 
+@pytest.mark.parametrize(("width", "height"), [(200, 100), (80, 100), (100, 300)])
+def test_pictures_show_all_that_their_camera_sees(files, width, height):
+    camera = gs_codec.render(gs_codec.read(files / "a.ply"), "auto").cameras[0]
+    pose = of_camera(camera)
+    corners = np.array([[-0.5, -0.5], [0.5, 0.5]]) * (camera.width, camera.height)
+    rays = np.column_stack([corners / (camera.fx, camera.fy), np.ones(2)])
+    places, _ = pose.project(rays @ camera.rotation + camera.position, width, height)
+    sides = places[1] - places[0]
+    assert np.all(sides <= np.array([width, height]) + 1e-6)
+    assert np.isclose(sides, (width, height)).any()
+
+
 def test_the_nearest_point_is_on_top():
     image = np.zeros((40, 60, 3), np.float32)
     positions = np.array([[0, 0, 1], [0, 0, 0], [0, 0, 2], [0, 0, -9]], np.float32)

@@ -26,33 +26,37 @@ class Pose:
     position : ndarray, shape (3,)
     focal : tuple of two float
         Focal lengths, in picture heights.
+    aspect : float
+        Width by height of what is to be seen; a narrower picture shows more above and below.
     """
 
     rotation: NDArray[np.float64]
     position: NDArray[np.float64]
     focal: tuple[float, float] = (_FOCAL, _FOCAL)
+    aspect: float = 0.0
+
+    def focal_lengths(self, width: int, height: int) -> tuple[float, float]:
+        """In pixels, for a picture of this size."""
+        size = min(height, width / self.aspect) if self.aspect else height
+        return self.focal[0] * size, self.focal[1] * size
 
     def camera(self, width: int, height: int) -> dict[str, Any]:
         """An entry of ``cameras.json`` for a picture of this size."""
+        fx, fy = self.focal_lengths(width, height)
         return {
             "img_name": "view",
             "width": width,
             "height": height,
-            "fx": self.focal[0] * height,
-            "fy": self.focal[1] * height,
+            "fx": fx,
+            "fy": fy,
             "rotation": self.rotation.T.tolist(),
             "position": self.position.tolist(),
         }
 
     def intrinsics(self, width: int, height: int, left: float = 0.0) -> NDArray[np.float64]:
         """Matrix for a pane that begins `left` pixels into a picture of this size."""
-        return np.array(
-            [
-                [self.focal[0] * height, 0, width / 2 - left],
-                [0, self.focal[1] * height, height / 2],
-                [0, 0, 1.0],
-            ]
-        )
+        fx, fy = self.focal_lengths(width, height)
+        return np.array([[fx, 0, width / 2 - left], [0, fy, height / 2], [0, 0, 1.0]])
 
     @property
     def extrinsics(self) -> NDArray[np.float64]:
@@ -79,17 +83,18 @@ class Pose:
         self, points: NDArray, width: int, height: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixels ``(n, 2)`` and depths ``(n,)`` of points ``(n, 3)``."""
+        fx, fy = self.focal_lengths(width, height)
         x, y, depth = self.rotation @ (np.asarray(points, np.float64) - self.position).T
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = self.focal[0] * height * x / depth + width / 2
-            v = self.focal[1] * height * y / depth + height / 2
+            u = fx * x / depth + width / 2
+            v = fy * y / depth + height / 2
         return np.stack([u, v], axis=1), depth
 
 
 def of_camera(camera: Any) -> Pose:
     """The pose of one of gs_codec's cameras."""
     focal = camera.fx / camera.height, camera.fy / camera.height
-    return Pose(camera.rotation, camera.position, focal)
+    return Pose(camera.rotation, camera.position, focal, camera.width / camera.height)
 
 
 def overview(positions: NDArray, opacities: NDArray) -> Pose:

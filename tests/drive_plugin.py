@@ -5,15 +5,13 @@ Run by test_viewer_window.py, in a process of its own, on a display of its own.
 
 from __future__ import annotations
 
-import json
-import os
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from drive_viewer import grab, tell
 from open3d.visualization import O3DVisualizer, gui
-from PIL import ImageGrab
 
 import gs_codec
 import viewer
@@ -31,9 +29,7 @@ def run(folder: Path) -> dict:
             visualizer.post_redraw()
             app.run_one_tick()
             time.sleep(0.01)
-        frame = visualizer.os_frame
-        box = (frame.x, frame.y, frame.get_right(), frame.get_bottom())
-        return np.asarray(ImageGrab.grab(box).convert("RGB"), np.int16)
+        return grab(visualizer)
 
     pictures = [shown()]
     try:
@@ -55,6 +51,4 @@ def run(folder: Path) -> dict:
 
 
 if __name__ == "__main__":
-    print("RESULT " + json.dumps(run(Path(sys.argv[1]))), flush=True)
-    # Open3D has no orderly end outside Application.run.
-    os._exit(0)
+    tell(run(Path(sys.argv[1])))

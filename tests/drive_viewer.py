@@ -6,11 +6,13 @@ Run by test_viewer_window.py, in a process of its own, on a display of its own.
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from open3d.visualization import gui
@@ -19,6 +21,19 @@ from PIL import ImageGrab
 from viewer.request import Request
 from viewer.window import Viewer
 from viewer.worker import Stale
+
+
+def grab(window: gui.Window) -> np.ndarray:
+    """What is on the screen of a window, RGB."""
+    frame = window.os_frame
+    box = (frame.x, frame.y, frame.get_right(), frame.get_bottom())
+    return np.asarray(ImageGrab.grab(box).convert("RGB"), np.int16)
+
+
+def tell(found: dict) -> NoReturn:
+    """Print what came of it and end, as Open3D has no orderly end outside Application.run."""
+    print("RESULT " + json.dumps(found), flush=True)
+    os._exit(0)
 
 
 class Driver:
@@ -50,18 +65,13 @@ class Driver:
             if self.viewer.busy or not self.viewer.stage.panes:
                 before = None
                 continue
-            now = self.grab()
+            now = grab(self.viewer.window)
             # A frame may be on its way: a software driver takes its time on a busy machine.
             equal = equal + 1 if before is not None and np.array_equal(now, before) else 0
             if equal == 3:
                 return now
             before = now
         raise SystemExit("the window never rests")
-
-    def grab(self) -> np.ndarray:
-        frame = self.viewer.window.os_frame
-        box = (frame.x, frame.y, frame.get_right(), frame.get_bottom())
-        return np.asarray(ImageGrab.grab(box).convert("RGB"), np.int16)
 
     def scenes(self, image: np.ndarray) -> np.ndarray:
         """The part of the window that is not the panel."""
@@ -190,8 +200,4 @@ def run(folder: Path) -> dict:
 
 
 if __name__ == "__main__":
-    print("RESULT " + json.dumps(run(Path(sys.argv[1]))), flush=True)
-    # Open3D has no orderly end outside Application.run.
-    import os
-
-    os._exit(0)
+    tell(run(Path(sys.argv[1])))

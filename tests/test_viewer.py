@@ -243,6 +243,16 @@ def test_pictures_are_of_the_size_asked_for(files):
 # The worker
 
 
+def finish(worker: Worker, calls: list) -> None:
+    """Wait until nothing waits or runs, and do what it has posted."""
+    for _ in range(1000):
+        if not worker.busy:
+            break
+        time.sleep(0.01)
+    for call in calls:
+        call()
+
+
 def test_only_the_newest_job_of_a_kind_is_told():
     calls, told = [], []
     worker = Worker(calls.append)
@@ -260,12 +270,7 @@ def test_only_the_newest_job_of_a_kind_is_told():
     )
     worker.submit("other", lambda _: 1 / 0, told.append, lambda error: told.append(type(error)))
     go_on.set()
-    for _ in range(1000):
-        if not worker.busy:
-            break
-        time.sleep(0.01)
-    for call in calls:
-        call()
+    finish(worker, calls)
     assert told == [("second", 2), ZeroDivisionError]
     worker.submit("picture", lambda _: 3, told.append, told.append)
     worker.cancel("picture")
@@ -291,12 +296,7 @@ def test_jobs_tell_how_far_they_are_and_end_when_nobody_waits():
     assert told == [0.25]
     worker.cancel("load")
     go_on.set()
-    for _ in range(1000):
-        if not worker.busy:
-            break
-        time.sleep(0.01)
-    for call in calls:
-        call()
+    finish(worker, calls)
     assert told == [0.25]
     assert not went_on
     worker.end()

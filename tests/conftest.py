@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import NamedTuple
 
+import hypothesis
 import pytest
 from scenes import random_scene
 
 from gs_codec.config import Config
 from gs_codec.files import decode_file, encode_file
 from gs_codec.io.ply import write_ply
+
+# A shell that starts tests in the background lets them, and so what they start, ignore Ctrl-C.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# The same examples on every run, on however slow a machine.
+hypothesis.settings.register_profile(
+    "same", derandomize=True, deadline=None, database=None, print_blob=True
+)
+hypothesis.settings.load_profile("same")
 
 
 class Trio(NamedTuple):

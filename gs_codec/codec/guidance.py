@@ -12,6 +12,8 @@ from gs_codec.config import LatticeProfile
 from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.scene import Scene
 
+Compact = Callable[[Scene, NDArray[np.unsignedinteger], NDArray[np.float32], LatticeProfile], Scene]
+
 
 @dataclass(frozen=True)
 class Guidance:
@@ -28,6 +30,8 @@ class Guidance:
         ``compact(scene, order, steps, profile) -> Scene``: given the scene as it decodes but for
         its SH, which are the original's, in an order ``(N,)``, the steps ``(N,)`` its SH will be
         quantised at, and the profile, a scene with fewer SH that are not 0.
+    sketch : callable
+        As `compact`, without asking whether views tell enough for that: quick, for sizes.
     refit : callable
         ``refit(scene) -> Scene``: given that, a scene with SH that make up for what its shape, and
         compaction, have lost.
@@ -36,7 +40,6 @@ class Guidance:
     sensitivity: Sensitivity
     loss: float
     pixels: int
-    compact: Callable[
-        [Scene, NDArray[np.unsignedinteger], NDArray[np.float32], LatticeProfile], Scene
-    ] = lambda decoded, *_: decoded
+    compact: Compact = lambda decoded, *_: decoded
+    sketch: Compact = lambda decoded, *_: decoded
     refit: Callable[[Scene], Scene] = lambda decoded: decoded

@@ -50,7 +50,8 @@ def guide(
     """What views say of a scene to be encoded.
 
     Colours are refitted to the views' images once shapes are rounded and, where views tell enough
-    of them, compacted before: which is found out at the steps that are asked for first.
+    of them, compacted before: which is found out at the steps that are asked for first, sketches
+    aside.
     """
     cameras = views.cameras
     loss = views.error(scene)
@@ -59,7 +60,7 @@ def guide(
     )
     colours = _Colours(views, weights, threads, progress)
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, loss, pixels, colours.compact, colours.refit)
+    return Guidance(found, loss, pixels, colours.compact, colours.sketch, colours.refit)
 
 
 @dataclass
@@ -94,11 +95,22 @@ class _Colours:
         """See `Guidance`."""
         if not decoded.sh_degree:
             return decoded
-        weights = self.weights[:, order]
-        trial = _Compaction(self._operator_of(decoded), self.views, weights, steps, profile)
+        trial = self._compaction(order, steps, profile)
         if self.compacts is None:
-            self.compacts = trial.pays(decoded)
-        return trial.by(decoded, range(len(weights))) if self.compacts else decoded
+            self.compacts = trial.pays(decoded, self._operator_of(decoded))
+        return trial.whole(decoded) if self.compacts else decoded
+
+    def sketch(
+        self,
+        decoded: Scene,
+        order: NDArray[np.unsignedinteger],
+        steps: NDArray[np.float32],
+        profile: LatticeProfile,
+    ) -> Scene:
+        """See `Guidance`."""
+        if not decoded.sh_degree or self.compacts is False:
+            return decoded
+        return self._compaction(order, steps, profile).whole(decoded)
 
     def refit(self, decoded: Scene) -> Scene:
         """See `Guidance`."""
@@ -111,6 +123,14 @@ class _Colours:
             threads=self.threads,
             progress=self.progress,
         )[0]
+
+    def _compaction(
+        self,
+        order: NDArray[np.unsignedinteger],
+        steps: NDArray[np.float32],
+        profile: LatticeProfile,
+    ) -> _Compaction:
+        return _Compaction(self.views, self.weights[:, order], steps, profile, self.threads)
 
     def _operator_of(self, scene: Scene) -> ImageOperator:
         if self.operator is None or not _same_shapes(self.operator.scene, scene):
@@ -133,11 +153,15 @@ def _same_shapes(first: Scene, second: Scene) -> bool:
 class _Compaction:
     """Compaction of a scene at the steps its SH will have."""
 
-    operator: ImageOperator
     views: Targets
     weights: NDArray[np.float32]
     steps: NDArray[np.float32]
     profile: LatticeProfile
+    threads: int | None
+
+    def whole(self, scene: Scene) -> Scene:
+        """The scene compacted by all views."""
+        return self.by(scene, range(len(self.weights)))
 
     def by(self, scene: Scene, seen: Sequence[int]) -> Scene:
         """The scene compacted by some of the views."""
@@ -147,10 +171,10 @@ class _Compaction:
             self.profile.compaction,
             smallest=0.5 * self.steps,
             weights=self.weights[list(seen)],
-            threads=self.operator.threads,
+            threads=self.threads,
         )[0]
 
-    def pays(self, scene: Scene) -> bool:
+    def pays(self, scene: Scene, operator: ImageOperator) -> bool:
         """Whether views tell enough of the colours.
 
         They do if the bits saved are more than finer steps would take to win back what is lost,
@@ -165,7 +189,7 @@ class _Compaction:
             others = range(first, count, _FOLDS)
             most = sorted(set(range(count)) - set(others))
             sparse, sparse_bits, _ = _rounded(self.by(scene, most), self.steps)
-            lost, before = (self._errors(coded, others) for coded in (sparse, plain))
+            lost, before = (self._errors(coded, operator, others) for coded in (sparse, plain))
             # Halving all steps takes a bit for each value not 0, and a quarter of the error.
             octaves = 0.5 * math.log2(lost.mean() / before.mean())
             if sparse_bits + (_OTHERS + levels) * octaves >= plain_bits:
@@ -174,10 +198,12 @@ class _Compaction:
                 return False
         return True
 
-    def _errors(self, scene: Scene, seen: Sequence[int]) -> NDArray[np.float64]:
+    def _errors(
+        self, scene: Scene, operator: ImageOperator, seen: Sequence[int]
+    ) -> NDArray[np.float64]:
         """Mean squared errors in some of the views."""
         values = [self.views.images[view].size for view in seen]
-        errors = self.operator.errors(coefficients_of(scene), self.views.images, seen)
+        errors = operator.errors(coefficients_of(scene), self.views.images, seen)
         return np.maximum(errors / values, _EPS)
 
 

@@ -201,10 +201,10 @@ class _Trials:
         return len(self.last[0])
 
     def compact(self, place: float) -> None:
-        """Let views choose which SH are left, for steps as coarse: a part of `refit`."""
+        """Let views choose which SH are left, for steps as coarse: about, a part of `refit`."""
         self._recolour(
             place,
-            lambda known: Guidance(known.sensitivity, known.loss, known.pixels, known.compact),
+            lambda known: Guidance(known.sensitivity, known.loss, known.pixels, known.sketch),
         )
 
     def refit(self, place: float) -> None:
@@ -214,7 +214,8 @@ class _Trials:
     def leave_sh(self) -> None:
         """Let `refit` do without compaction from now on."""
         if self.guidance is not None:
-            self.guidance = replace(self.guidance, compact=lambda decoded, *_: decoded)
+            known = self.guidance
+            self.guidance = Guidance(known.sensitivity, known.loss, known.pixels, refit=known.refit)
 
     def _recolour(self, place: float, changed: Callable[[Guidance], Guidance]) -> None:
         with self.times.stage("recolour"):

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint check clean
+.PHONY: demo test lint check fuzz clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -24,6 +24,13 @@ lint: $(VENV)/installed-test
 
 check: lint test
 
+# Every reader, one after another, MINUTES each; findings are kept in the folder `fuzz`.
+MINUTES ?= 30
+TARGET ?= all
+fuzz: $(VENV)/installed-test
+	$(PIP) install -e '.[fuzz]'
+	$(BIN)/python tests/fuzz/fuzz.py $(TARGET) --minutes $(MINUTES) --corpus fuzz
+
 $(VENV)/installed: pyproject.toml .ci/system-packages
 	.ci/system-packages
 	$(PYTHON) -m venv $(VENV)
@@ -38,4 +45,4 @@ $(VENV)/installed-test: $(VENV)/installed
 	@touch $@
 
 clean:
-	rm -rf $(VENV) demo build *.egg-info
+	rm -rf $(VENV) demo build fuzz *.egg-info

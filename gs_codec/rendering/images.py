@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from gs_codec.errors import InvalidInput, one_line
 from gs_codec.io.atomic import atomic_writer
 from gs_codec.rendering.camera import MAX_SIDE, Camera
 
+_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 
@@ -27,7 +29,9 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(), Image.open(path, formats=_FORMATS) as image:
+            # What is odd in a file, but does not keep it from being read, is no matter of ours.
+            warnings.simplefilter("ignore")
             if max(image.size) > MAX_SIDE:
                 raise InvalidInput(f"{path}: {image.size} pixels, expected at most {MAX_SIDE}")
             pixels = np.asarray(image.convert("RGBA"), np.float32) / np.float32(255)

@@ -1,0 +1,47 @@
+"""A process that a fuzzing engine drives: one target, until its time is over or it finds something.
+
+``python tests/fuzz/engine.py TARGET [options of libFuzzer] CORPUS``
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import warnings
+from importlib.util import find_spec
+from pathlib import Path
+
+import atheris
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("gs_codec", "plyfile", "zipfile", "json")
+
+
+def kernel_modules() -> list[str]:
+    """Modules with kernels, which are compiled from code that must be as it is written."""
+    spec = find_spec("gs_codec")
+    assert spec is not None
+    assert spec.origin is not None
+    package = Path(spec.origin).parent
+    return [
+        ".".join(("gs_codec", *path.relative_to(package).with_suffix("").parts))
+        for path in sorted(package.rglob("*.py"))
+        if re.search(r"^@kernel|^@njit|kernel\(", path.read_text(), re.MULTILINE)
+    ]
+
+
+def main() -> None:
+    name = sys.argv[1]
+    sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "fuzz")]
+    warnings.simplefilter("ignore")
+    with atheris.instrument_imports(include=list(PACKAGES), exclude=kernel_modules()):
+        from targets import TARGETS
+    target = TARGETS[name]
+    for seed in target.seeds():
+        target.check(seed)  # what is compiled is compiled here
+    atheris.Setup([sys.argv[0], *sys.argv[2:]], target.check)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

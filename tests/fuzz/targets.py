@@ -1,0 +1,203 @@
+"""What is fuzzed: readers of files, which may refuse an input, but by an error of ours alone."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scenes import made_up_guide, random_scene
+from test_damage import ENTRY, HEADER, with_checksums
+
+from gs_codec.codec import decode_part, encode_scene
+from gs_codec.codec.part import Part
+from gs_codec.config import PROFILE_CHOICES, Config
+from gs_codec.errors import GsCodecError
+from gs_codec.inspection import inspect_bytes
+from gs_codec.io.ply import write_ply
+from gs_codec.preparation.adam import AdamState, new_state
+from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.rendering.images import read_image
+from gs_codec.scene import GROUPS, Scene
+
+#: Most bytes of a decoded scene.
+_MOST = 1 << 22
+
+#: Gaussians of the streams to start from.
+_COUNT = 60
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader, and sound inputs to start from.
+
+    Attributes
+    ----------
+    read : callable
+        ``read(data)``; raises `GsCodecError` where it refuses.
+    seeds : callable
+        Inputs that it takes.
+    """
+
+    read: Callable[[bytes], object]
+    seeds: Callable[[], list[bytes]]
+
+    def check(self, data: bytes) -> None:
+        """Read an input; what it refuses must be refused in one line."""
+        try:
+            self.read(data)
+        except GsCodecError as error:
+            if not str(error) or "\n" in str(error):
+                raise AssertionError(f"not one line: {error!r}") from error
+
+
+def _from_file(read: Callable[[Path], object], suffix: str, data: bytes) -> object:
+    """Read an input from a file, in memory where the system has such."""
+    with tempfile.TemporaryDirectory(dir=_memory_folder()) as folder:
+        path = Path(folder) / f"input{suffix}"
+        path.write_bytes(data)
+        return read(path)
+
+
+def _memory_folder() -> str | None:
+    return "/dev/shm" if os.path.isdir("/dev/shm") else None
+
+
+def _to_file(write: Callable[[Path], object], suffix: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"seed{suffix}"
+        write(path)
+        return path.read_bytes()
+
+
+def _decode(data: bytes) -> None:
+    """Decode the whole or a part; the first byte says which, and what is made right before."""
+    if not data:
+        return
+    stream = bytearray(data[1:])
+    if data[0] & 8:
+        _fit_last(stream)
+    if data[0] & 1 and len(stream) > HEADER:
+        stream = with_checksums(stream)
+    part = Part()
+    if data[0] & 2:
+        part = Part((-0.5, -0.5, -0.5, 0.5, 0.5, 0.5))
+    if data[0] & 4:
+        part = replace(part, sh_degree=0)
+    inspect_bytes(bytes(stream))
+    scene, _ = decode_part(bytes(stream), part, 1, _MOST)
+    for group in GROUPS if data[0] & 1 else ():
+        getattr(scene, group).sum()
+
+
+def _fit_last(stream: bytearray) -> None:
+    """Let the last section be as long as what is left for it."""
+    if len(stream) < HEADER:
+        return
+    table = HEADER + ENTRY * struct.unpack_from("<I", stream, 32)[0]
+    if HEADER < table <= len(stream) - 4:
+        sizes = [struct.unpack_from("<Q", stream, at + 8)[0] for at in range(HEADER, table, ENTRY)]
+        left = len(stream) - table - 4 - sum(sizes[:-1])
+        if left >= 0:
+            struct.pack_into("<Q", stream, table - ENTRY + 8, left)
+
+
+def _streams() -> list[bytes]:
+    streams = []
+    for profile in PROFILE_CHOICES:
+        for degree in (0, 1, 3):
+            scene = random_scene(_COUNT, degree, seed=degree)
+            if degree == 1:
+                extra = {"label": np.arange(_COUNT, dtype="<i4")}
+                scene = replace(scene, extra=extra, comments=("a comment",))
+            streams.append(encode_scene(scene, Config(profile, extra="keep", block_size=1024))[0])
+    streams.append(encode_scene(random_scene(_COUNT, 2), Config("m"), guide=made_up_guide())[0])
+    return [bytes([first]) + stream for stream in streams for first in (9, 11, 13)]
+
+
+def _scene_file(suffix: str) -> Callable[[bytes], object]:
+    from gs_codec.files import read_scene
+
+    return partial(_from_file, partial(read_scene, extra="keep"), suffix)
+
+
+def _plys() -> list[bytes]:
+    scenes: Iterable[Scene] = (random_scene(8, degree, seed=degree) for degree in range(4))
+    files = [_to_file(partial(write_ply, scene=scene), ".ply") for scene in scenes]
+    ascii_scene = b"ply\nformat ascii 1.0\ncomment SplatRenderMode: mip\nelement vertex 1\n"
+    names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+    ascii_scene += b"".join(f"property float {name}\n".encode() for name in names.split())
+    return [*files, ascii_scene + b"end_header\n" + b"0.5 " * 14 + b"\n"]
+
+
+def _cameras() -> list[bytes]:
+    entry = {
+        "id": 0, "img_name": "00001", "width": 400, "height": 266, "fx": 350.0, "fy": 350.0,
+        "position": [0.0, 1.0, -3.0], "rotation": np.eye(3).tolist(), "split": "test",
+    }  # fmt: skip
+    return [json.dumps([entry, {**entry, "img_name": "b", "split": "train"}]).encode()]
+
+
+def _images() -> list[bytes]:
+    from PIL import Image
+
+    image = Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3))
+    seeds = []
+    for kind in ("PNG", "JPEG", "WEBP", "TIFF", "BMP"):
+        file = io.BytesIO()
+        image.save(file, kind)
+        seeds.append(file.getvalue())
+    return seeds
+
+
+def _first_state() -> AdamState:
+    return new_state(np.zeros((4, 3), np.float32))
+
+
+def _checkpoints() -> list[bytes]:
+    done = Checkpoint(_first_state(), np.zeros(2), np.ones(2))
+    return [_to_file(partial(write_checkpoint, digest="digest", checkpoint=done), ".npz")]
+
+
+def _colmap(folder: Path, data: bytes) -> None:
+    """A binary model; its cameras end where the input says so."""
+    end = int.from_bytes(data[:2], "little")
+    (folder / "cameras.bin").write_bytes(data[2 : 2 + end])
+    (folder / "images.bin").write_bytes(data[2 + end :])
+    read_cameras(folder)
+
+
+def _models() -> list[bytes]:
+    """One pinhole camera and an image without points."""
+    camera = struct.pack("<QiiQQ4d", 1, 7, 1, 400, 266, 350.0, 350.0, 200.0, 133.0)
+    image = struct.pack("<Qi7di", 1, 3, 1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 3.0, 7)
+    image += b"view.png\0" + struct.pack("<Q", 0)
+    return [struct.pack("<H", len(camera)) + camera + image]
+
+
+def _in_folder(read: Callable[[Path, bytes], object], data: bytes) -> object:
+    with tempfile.TemporaryDirectory(dir=_memory_folder()) as folder:
+        return read(Path(folder), data)
+
+
+TARGETS = {
+    "decode": Target(_decode, _streams),
+    "ply": Target(_scene_file(".ply"), _plys),
+    "cameras": Target(partial(_from_file, read_cameras, ".json"), _cameras),
+    "image": Target(partial(_from_file, read_image, ".png"), _images),
+    "colmap": Target(partial(_in_folder, _colmap), _models),
+    "checkpoint": Target(
+        partial(
+            _from_file, partial(read_checkpoint, digest="digest", fresh=_first_state()), ".npz"
+        ),
+        _checkpoints,
+    ),
+}

@@ -29,12 +29,13 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with warnings.catch_warnings(), Image.open(path, formats=_FORMATS) as image:
+        with warnings.catch_warnings():
             # What is odd in a file, but does not keep it from being read, is no matter of ours.
             warnings.simplefilter("ignore")
-            if max(image.size) > MAX_SIDE:
-                raise InvalidInput(f"{path}: {image.size} pixels, expected at most {MAX_SIDE}")
-            pixels = np.asarray(image.convert("RGBA"), np.float32) / np.float32(255)
+            with Image.open(path, formats=_FORMATS) as image:
+                if max(image.size) > MAX_SIDE:
+                    raise InvalidInput(f"{path}: {image.size} pixels, expected at most {MAX_SIDE}")
+                pixels = np.asarray(image.convert("RGBA"), np.float32) / np.float32(255)
     except UnidentifiedImageError:
         raise InvalidInput(f"{path}: not an image") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:

@@ -14,7 +14,7 @@ from pathlib import Path
 import atheris
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("gs_codec", "plyfile", "zipfile", "json")
+PACKAGES = ("gs_codec", "plyfile", "PIL", "zipfile", "json")
 
 
 def kernel_modules() -> list[str]:

@@ -31,3 +31,8 @@ def test_damaged_seeds_are_refused_in_one_line(name):
             damaged[rng.integers(len(seed))] = rng.integers(256)
             TARGETS[name].check(bytes(damaged[: rng.integers(1, len(seed) + 1)]))
             TARGETS[name].check(bytes(damaged))
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("found/*/*")), ids=lambda path: path.name)
+def test_what_was_found_stays_mended(path):
+    TARGETS[path.parent.name].check(path.read_bytes())

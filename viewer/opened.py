@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tokenize
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,12 @@ Progress = Callable[[str, int, int], None]
 
 #: Colour of a unit of SH-DC.
 _SH_C0 = 0.28209479177387814
+
+#: What reading a damaged report may raise.
+_DAMAGE = (
+    OSError, EOFError, LookupError, ValueError, TypeError, SyntaxError, RecursionError, MemoryError,
+    OverflowError, tokenize.TokenError,
+)  # fmt: skip
 
 #: SH degree by coefficients beyond the first.
 _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
@@ -151,10 +158,11 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
     """
     folder = Path(folder)
     try:
-        reasons = tuple(json.loads((folder / "report.json").read_text())["removed"])
+        reasons = tuple(dict(json.loads((folder / "report.json").read_text())["removed"]))
         labels = np.load(folder / "labels.npy", allow_pickle=False)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({error})") from error
+    except _DAMAGE as error:
+        reason = str(error).splitlines()[:1] or [type(error).__name__]
+        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason[0]})") from error
     if labels.dtype != np.uint8 or labels.shape != (scene.count,):
         raise gs_codec.GsCodecError(
             f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.count:,}"

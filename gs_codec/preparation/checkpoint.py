@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -23,6 +24,7 @@ from gs_codec.preparation.adam import AdamState
 _DAMAGE = (
     OSError, EOFError, LookupError, ValueError, TypeError, AttributeError, SyntaxError,
     RuntimeError, MemoryError, OverflowError, struct.error, zipfile.BadZipFile, zlib.error,
+    tokenize.TokenError,
 )  # fmt: skip
 
 

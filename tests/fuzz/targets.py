@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from scenes import made_up_guide, random_scene
@@ -27,6 +28,7 @@ from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_c
 from gs_codec.rendering.camera_files import read_cameras
 from gs_codec.rendering.images import read_image
 from gs_codec.scene import GROUPS, Scene
+from viewer.opened import read_pruned
 
 #: Most bytes of a decoded scene.
 _MOST = 1 << 22
@@ -183,6 +185,22 @@ def _models() -> list[bytes]:
     return [struct.pack("<H", len(camera)) + camera + image]
 
 
+def _pruned(folder: Path, data: bytes) -> None:
+    """A report of what was pruned; its labels come first."""
+    end = int.from_bytes(data[:2], "little")
+    (folder / "labels.npy").write_bytes(data[2 : 2 + end])
+    (folder / "report.json").write_bytes(data[2 + end :])
+    cloud = SimpleNamespace(count=5, name="scene")
+    read_pruned(folder, cloud)  # type: ignore[arg-type]
+
+
+def _reports() -> list[bytes]:
+    file = io.BytesIO()
+    np.save(file, np.array([0, 1, 0, 2, 0], np.uint8))
+    labels = file.getvalue()
+    return [struct.pack("<H", len(labels)) + labels + b'{"removed": {"scale": 1, "opacity": 1}}']
+
+
 def _in_folder(read: Callable[[Path, bytes], object], data: bytes) -> object:
     with tempfile.TemporaryDirectory(dir=_memory_folder()) as folder:
         return read(Path(folder), data)
@@ -194,6 +212,7 @@ TARGETS = {
     "cameras": Target(partial(_from_file, read_cameras, ".json"), _cameras),
     "image": Target(partial(_from_file, read_image, ".png"), _images),
     "colmap": Target(partial(_in_folder, _colmap), _models),
+    "pruned": Target(partial(_in_folder, _pruned), _reports),
     "checkpoint": Target(
         partial(
             _from_file, partial(read_checkpoint, digest="digest", fresh=_first_state()), ".npz"

@@ -16,8 +16,10 @@ from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
+from gs_codec.io.formats import read_foreign
 from gs_codec.io.mapped import located, opened
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.io.ply import write_ply
+from gs_codec.io.splat import pack_splat
 from gs_codec.matching import (
     order_of,
     order_of_file,
@@ -56,7 +58,7 @@ def encode_file(
     report_folder: str | Path | None = None,
     goal: Target | None = None,
 ) -> EncodeReport:
-    """Encode a PLY file to an `.egs` file, which appears whole or not at all.
+    """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
     With a `plan`, the scene is prepared first, if that has steps, and profiles that go by what is
     seen go by its views; `report_folder` receives what preparation did, and what each stage of
@@ -68,9 +70,9 @@ def encode_file(
         If the source cannot be used, the goal is out of reach, or the target cannot be written.
     """
     config = config or Config()
-    _check_target(source, target)
+    check_target(source, target)
     start = time.perf_counter()
-    scene = read_ply(source, config.extra)
+    scene = read_scene(source, config.extra)
     read = time.perf_counter() - start
     with located(source):
         prepared, views, original = None, None, scene
@@ -100,15 +102,15 @@ def prepare_file(
     report_folder: str | Path | None = None,
     progress: Progress | None = None,
 ) -> PrepareReport:
-    """Prepare the scene of a file and write it as ``.ply`` or ``.egs``.
+    """Prepare the scene of a file and write it as ``.ply``, ``.egs`` or ``.splat``.
 
     Raises
     ------
     InvalidInput
         If the source cannot be used, or the target or the report cannot be written.
     """
-    _check_target(source, target)
-    suffix = _format_of(target)
+    check_target(source, target)
+    suffix = suffix_of(target)
     scene = without_order(read_scene(source, "keep"))
     # The paper's profile has the stages of the paper's ablation.
     config = Config("paper-m", extra="keep")
@@ -116,34 +118,48 @@ def prepare_file(
         scene, prepared = _prepare(scene, plan, report_folder, progress)
         data, report = encode_scene(scene, config)
         prepared = _finish_report(prepared, scene, config, data, report, report_folder)
-    if suffix == ".ply":
-        write_ply(target, scene)
-    else:
+    if suffix == ".egs":
         with atomic_writer(target) as file:
             file.write(data)
+    else:
+        write_scene(target, scene, config)
     return prepared
 
 
-def write_scene(path: str | Path, scene: Scene, config: Config) -> None:
-    """Write a scene as ``.ply`` or, encoded, as ``.egs``.
+def write_scene(path: str | Path, scene: Scene, config: Config) -> tuple[str, ...]:
+    """Write a scene as ``.ply``, ``.splat`` or, encoded, as ``.egs``.
+
+    Returns
+    -------
+    tuple of str
+        What the format cannot hold, in words.
 
     Raises
     ------
     InvalidInput
-        If the suffix is neither, or the file cannot be written.
+        If the suffix is another, or the file cannot be written.
     """
-    if _format_of(path) == ".ply":
+    suffix = suffix_of(path)
+    if suffix == ".ply":
         write_ply(path, scene)
-    else:
-        with atomic_writer(path) as file:
-            file.write(encode_scene(scene, config)[0])
+        return ()
+    data: bytes
+    lost: tuple[str, ...] = ()
+    with located(path):
+        if suffix == ".splat":
+            data, lost = pack_splat(scene)
+        else:
+            data = encode_scene(scene, config)[0]
+    with atomic_writer(path) as file:
+        file.write(data)
+    return lost
 
 
-def _format_of(path: str | Path) -> str:
+def suffix_of(path: str | Path) -> str:
     """The suffix of a scene to be written, which tells its format."""
     suffix = Path(path).suffix.lower()
-    if suffix not in (".ply", ".egs"):
-        raise InvalidInput(f"{path}: suffix '{suffix}', expected '.ply' or '.egs'")
+    if suffix not in (".ply", ".egs", ".splat"):
+        raise InvalidInput(f"{path}: suffix '{suffix}', expected '.ply', '.egs' or '.splat'")
     return suffix
 
 
@@ -267,7 +283,7 @@ def decode_file(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is not a sound `.egs` file.
     """
-    _check_target(source, target)
+    check_target(source, target)
     start = time.perf_counter()
     whole = part or Part()
     scene, bytes_read = _decode_ordered(Path(source), whole, threads, max_bytes, progress)
@@ -283,12 +299,16 @@ def read_scene(
     extra: Literal["error", "keep", "drop"] = "error",
     progress: Progress | None = None,
 ) -> Scene:
-    """The scene of a PLY or `.egs` file, told apart by content; see `read_ply` for `extra`."""
-    with opened(path) as data:
-        is_egs = data[: len(MAGIC)] == MAGIC or Path(path).suffix.lower() == ".egs"
-    if is_egs:
+    """The scene of a file, its format told by content; see `read_ply` for `extra`."""
+    if is_egs(path):
         return _decode_ordered(Path(path), Part(), progress=progress)[0]
-    return read_ply(path, extra)
+    return read_foreign(path, extra)
+
+
+def is_egs(path: str | Path) -> bool:
+    """Whether a file is an `.egs` file, sound or not."""
+    with opened(path) as data:
+        return data[: len(MAGIC)] == MAGIC or Path(path).suffix.lower() == ".egs"
 
 
 def inspect_file(path: str | Path) -> Info:
@@ -307,7 +327,7 @@ def compare_files(first: str | Path, second: str | Path) -> Comparison:
     return compare_scenes(*put_side_by_side(scenes[0], scenes[1]))
 
 
-def _check_target(source: str | Path, target: str | Path) -> None:
+def check_target(source: str | Path, target: str | Path) -> None:
     """Refuse a target that could not be written, before the work is done."""
     check_writable(target)
     if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):

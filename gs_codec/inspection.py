@@ -9,13 +9,14 @@ import numpy as np
 
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS
 from gs_codec.container.box import Box, read_box
+from gs_codec.container.carried import read_comments
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import DESCRIPTIONS, VERSION, EgsFile, SectionId, read_file
 from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
 from gs_codec.lattice.fixed import PLACES
 from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.plan import Pass, passes
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import SH_COEFFICIENTS, antialiased_of, coordinates_of
 from gs_codec.skipped import skipped_by_channels, skipped_by_header, skipped_by_lattice
 
 
@@ -60,6 +61,10 @@ class Info:
         Kinds of symbols, of profiles `l`, `m` and `s`.
     grid : PositionGrid or None
         What positions are multiples of, likewise.
+    coordinates : str or None
+        Where the axes point, if comments say: `Scene.coordinates`.
+    antialiased : bool
+        Whether comments ask for opacity compensation.
     skipped : tuple of str
         What takes no bits, in words, as far as it is known without the blocks.
     """
@@ -79,6 +84,8 @@ class Info:
     channels: tuple[Channel, ...]
     passes: tuple[PassInfo, ...]
     grid: PositionGrid | None
+    coordinates: str | None
+    antialiased: bool
     skipped: tuple[str, ...]
 
     @property
@@ -103,13 +110,16 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     ------
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
-    return describe(read_file(data, lambda section, _: section in DESCRIPTIONS))
+    wanted = {*DESCRIPTIONS, SectionId.COMMENTS}
+    return describe(read_file(data, lambda section, _: section in wanted))
 
 
 def describe(file: EgsFile) -> Info:
     """What the header of a file, and what is read with it, say."""
     header = file.header
     details = _lattice_details if header.profile in LATTICE_PROFILES else _channel_details
+    stored = file.sections.get((SectionId.COMMENTS, 0))
+    comments = () if stored is None else read_comments(stored)
     return Info(
         version=VERSION,
         count=header.count,
@@ -122,6 +132,8 @@ def describe(file: EgsFile) -> Info:
         file_bytes=len(file.data),
         raw_bytes=header.float_bytes,
         streams=_streams(file),
+        coordinates=coordinates_of(comments),
+        antialiased=antialiased_of(comments),
         **details(file),
     )
 

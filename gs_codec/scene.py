@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,7 +23,35 @@ GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
 _NAME = re.compile("[!-~]{1,255}")
 _LAYOUT = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]")
 _RENDER_MODE = re.compile(r"\s*(?:SplatRenderMode:|antialiased\s)\s*(\w+)\s*", re.IGNORECASE)
+_COORDINATES = re.compile(
+    r"\s*CoordinateSystem:\s*([LR](?:[UD][FB]|[FB][UD]))\s*", re.ASCII | re.IGNORECASE
+)
+
+#: Comment of a scene that was trained with opacity compensation.
+ANTIALIASED = "SplatRenderMode: mip"
 _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+
+
+def coordinates_comment(system: str) -> str:
+    """Comment that names the system that centres and rotations are in."""
+    return f"CoordinateSystem: {system}"
+
+
+def is_coordinates_comment(line: str) -> bool:
+    """Whether a comment names a coordinate system."""
+    return bool(_COORDINATES.fullmatch(line))
+
+
+def coordinates_of(comments: Iterable[str]) -> str | None:
+    """The coordinate system that comments name, as `Scene.coordinates`."""
+    found = [m[1].upper() for m in map(_COORDINATES.fullmatch, comments) if m]
+    return found[-1] if found else None
+
+
+def antialiased_of(comments: Iterable[str]) -> bool:
+    """Whether comments ask for opacity compensation, as `Scene.antialiased`."""
+    found = [m[1].lower() for m in map(_RENDER_MODE.fullmatch, comments) if m]
+    return bool(found) and found[-1] in ("mip", "1")
 
 
 def is_extra_name(name: str) -> bool:
@@ -110,8 +138,15 @@ class Scene:
 
         Brush and splat-transform write ``SplatRenderMode: mip``, Postshot ``antialiased 1``.
         """
-        modes = [_RENDER_MODE.fullmatch(line) for line in self.comments]
-        return next((m[1].lower() in ("mip", "1") for m in reversed(modes) if m), False)
+        return antialiased_of(self.comments)
+
+    @property
+    def coordinates(self) -> str | None:
+        """Where +x, +y and +z point (``RDF``: right, down, forward), if the last comment says.
+
+        The trainer's PLY says nothing; of an `.spz` file the format does.
+        """
+        return coordinates_of(self.comments)
 
     @property
     def float_bytes(self) -> int:

@@ -31,7 +31,8 @@ def command(
         f"SH degree {info.sh_degree}, {info.blocks} blocks of at most {info.block_size:,}\n"
         f"{size_text(info.file_bytes)}, {info.ratio:.2f} times smaller than the floats, "
         f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian\n"
-        f"bounds {low} to {high}"
+        f"bounds {low} to {high}, coordinates {info.coordinates or 'not stated'}"
+        f"{', antialiased' if info.antialiased else ''}"
     )
     print_table(
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],

@@ -1,9 +1,8 @@
-"""INRIA-layout PLY files, read through plyfile and written in the trainer's property order."""
+"""INRIA-layout PLY files, read in any order and written in the trainer's."""
 
 from __future__ import annotations
 
 import logging
-import os
 from pathlib import Path
 from typing import Literal
 
@@ -11,14 +10,19 @@ import numpy as np
 import plyfile
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput, one_line
+from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import atomic_writer
+from gs_codec.io.mapped import located
+from gs_codec.io.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
+from gs_codec.io.packed_values import SH_C0
+from gs_codec.io.ply_body import Ply, open_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from gs_codec.transform.planar import to_planes, to_rows
 
 log = logging.getLogger(__name__)
 
 _NORMALS = ("nx", "ny", "nz")
+_COLOURS = ("red", "green", "blue")
 
 
 def _group_names(coefficients: int) -> dict[str, list[str]]:
@@ -36,11 +40,14 @@ def _group_names(coefficients: int) -> dict[str, list[str]]:
 def read_ply(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
+    The trainer's layout in any order of properties, or PlayCanvas' of packed properties.
+
     Parameters
     ----------
     path : str or Path
     extra : {"error", "keep", "drop"}
-        What to do with properties beyond the INRIA layout and normals that are not all zero.
+        What to do with properties beyond the INRIA layout, normals that are not all zero, and
+        elements beside the Gaussians, which cannot be kept.
 
     Returns
     -------
@@ -51,61 +58,57 @@ def read_ply(path: str | Path, extra: Literal["error", "keep", "drop"] = "error"
     InvalidInput
         If the file is not a PLY, is truncated, or lacks or adds properties.
     """
-    vertex, comments = _open_vertices(Path(path))
-    data = vertex.data
-    for prop in vertex.properties:
-        if isinstance(prop, plyfile.PlyListProperty):
-            raise InvalidInput(f"{path}: property '{prop.name}' is a list, expected a scalar")
-    groups = _find_groups(path, data.dtype.names)
+    path = Path(path)
+    ply = open_ply(path)
+    with located(path):
+        packed = is_packed(ply.header)
+        _check_elements(ply, PACKED_ELEMENTS if packed else ("vertex",), extra)
+        if packed:
+            return read_packed(ply)
+        data = ply.rows("vertex")
+    groups, colours = _find_groups(path, data.dtype)
     wanted = [name for group in GROUPS for name in groups[group]]
     planes = _read_planes(path, data, wanted)
+    if colours:
+        planes[3:6] = (planes[3:6] / 255 - 0.5) / SH_C0
     bounds = np.cumsum([0] + [len(groups[group]) for group in GROUPS])
     parts = {g: planes[a:b] for g, a, b in zip(GROUPS, bounds[:-1], bounds[1:], strict=True)}
     has_normals, kept = _read_rest(path, data, set(wanted), extra)
-    return Scene(**parts, has_normals=has_normals, comments=comments, extra=kept)
+    with located(path):
+        return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=kept)
 
 
-def _open_vertices(path: Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
-    if os.path.isdir(path):
-        raise InvalidInput(f"{path}: a directory, expected a PLY file")
-    try:
-        ply = plyfile.PlyData.read(path, mmap="r")
-    except plyfile.PlyParseError as error:
-        raise InvalidInput(f"{path}: not a readable PLY file ({one_line(error)})") from error
-    except MemoryError as error:
-        raise InvalidInput(f"{path}: more Gaussians than memory can hold") from error
-    except UnicodeDecodeError as error:
-        raise InvalidInput(
-            f"{path}: not a readable PLY file (its header is not ASCII text)"
-        ) from error
-    except (ValueError, OverflowError) as error:
-        raise InvalidInput(f"{path}: not a readable PLY file ({one_line(error)})") from error
-    except OSError as error:
-        raise InvalidInput(f"{path}: {one_line(error)}") from error
-    names = [element.name for element in ply.elements]
-    if names != ["vertex"]:
-        found = ", ".join(f"'{name}'" for name in names) or "none"
-        raise InvalidInput(f"{path}: elements {found}, expected 'vertex' alone")
-    vertex = ply["vertex"]
-    if ply.obj_info:
-        log.warning("%s: %d obj_info lines not kept", path, len(ply.obj_info))
-    # Data that is mapped knows where it begins; without Gaussians nothing is.
-    size = path.stat().st_size
-    surplus = size - getattr(vertex.data, "offset", size) - vertex.data.nbytes
-    if not ply.text and surplus > 0:
-        log.warning("%s: %d bytes after the last vertex not read", path, surplus)
-    return vertex, (*ply.comments, *vertex.comments)
+def _check_elements(ply: Ply, used: tuple[str, ...], extra: str) -> None:
+    """Refuse a file without Gaussians, or with other elements that have rows."""
+    if "vertex" not in ply.header.names:
+        found = ", ".join(f"'{name[:60]}'" for name in ply.header.names) or "none"
+        raise InvalidInput(f"elements {found}, expected 'vertex'")
+    others = [e.name[:60] for e in ply.header.elements if e.name not in used and e.count]
+    if others and extra == "error":
+        raise InvalidInput(f"element '{others[0]}' beside 'vertex'; choose --extra drop")
+    if others and extra == "keep":
+        log.warning("%s: element '%s' beside 'vertex' not kept", ply.path, others[0])
 
 
-def _find_groups(path: str | Path, names: tuple[str, ...]) -> dict[str, list[str]]:
+def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]], bool]:
+    """Properties of each group, and whether colours are bytes instead of SH."""
+    names = dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in [3 * k for k in SH_COEFFICIENTS]:
         raise InvalidInput(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45")
+    if "scale_0" in names and "scale_1" in names and "scale_2" not in names:
+        raise InvalidInput(f"{path}: a scene of flat Gaussians (2DGS): no scale_2, expected 3DGS")
     groups = _group_names(rest // 3)
+    # Trainers without SH write colours so (nerfstudio).
+    colours = "f_dc_0" not in names and all(
+        name in names and dtype[name] == np.uint8 for name in _COLOURS
+    )
+    if colours:
+        groups["f_dc"] = list(_COLOURS)
     missing = [n for group in GROUPS for n in groups[group] if n not in names]
     if missing:
         raise InvalidInput(f"{path}: missing property '{missing[0]}' ({len(missing)} missing)")
-    return groups
+    return groups, colours
 
 
 def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[np.float32]:

@@ -1,0 +1,94 @@
+"""``gs-codec convert``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gs_codec.cli.encode import parse_depths
+from gs_codec.cli.output import print_json, print_status, print_text, progress_bar, size_text
+from gs_codec.cli.threads import Threads
+from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, Config
+
+if TYPE_CHECKING:
+    from gs_codec.conversion import ConvertReport
+
+_EGS = {"rich_help_panel": "For an .egs"}
+
+
+def command(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="IN", help="A scene: .ply, .splat, .spz, .sog, meta.json or .egs."),
+    ],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File to write: .ply, .egs or .splat.")
+    ],
+    extra: Annotated[
+        str, typer.Option(help="Properties beyond the 3DGS layout: keep, drop or error.")
+    ] = "keep",
+    nonfinite: Annotated[
+        str, typer.Option(help="Gaussians with NaN or infinity: error or drop.")
+    ] = "error",
+    coordinates: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AXES",
+            help="Turn to this system, where IN states its own: RDF is right, down, forward.",
+        ),
+    ] = None,
+    profile: Annotated[
+        str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILE_CHOICES)}.", **_EGS)
+    ] = "m",
+    depth: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GROUP=BITS",
+            help=f"Bits of a group ({', '.join(DEPTH_GROUPS)}, sh-ac); may be repeated.",
+            **_EGS,
+        ),
+    ] = None,
+    keep_order: Annotated[
+        bool,
+        typer.Option("--keep-order", help="With lossless: keep the order of Gaussians.", **_EGS),
+    ] = False,
+    threads: Threads = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Convert a scene to another format, and say what that loses."""
+    config = Config(
+        profile,
+        parse_depths(depth or []),
+        nonfinite,  # type: ignore[arg-type]
+        extra,  # type: ignore[arg-type]
+        threads,
+        keep_order=keep_order,
+    )
+    from gs_codec.conversion import convert_file
+
+    with progress_bar(not json) as progress:
+        done = convert_file(source, target, config, coordinates, progress)
+    _say_what_changed(done)
+    if json:
+        print_json({"input": str(source), "output": str(target), **asdict(done)})
+    else:
+        print_text(
+            f"{target}: {done.count:,} Gaussians, SH degree {done.sh_degree}, "
+            f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
+        )
+
+
+def _say_what_changed(done: ConvertReport) -> None:
+    if done.dropped:
+        print_status(f"dropped {done.dropped:,} Gaussians with NaN or infinity")
+    for line in done.lost:
+        print_status(f"lost: {line}")
+    if done.turned_from:
+        print_status(f"coordinates turned from {done.turned_from} to {done.coordinates}")
+    elif done.coordinates:
+        print_status(f"coordinates {done.coordinates}, as they were")
+    else:
+        print_status("coordinates as they were; no system is stated")

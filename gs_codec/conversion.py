@@ -1,0 +1,100 @@
+"""From one format to another, and what that loses."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from gs_codec.codec.clean import drop_nonfinite
+from gs_codec.config import LOSSLESS, Config
+from gs_codec.files import check_target, read_scene, suffix_of, write_scene
+from gs_codec.io.mapped import located
+from gs_codec.report import Progress
+from gs_codec.transform.coordinates import turn_axes
+
+
+@dataclass(frozen=True)
+class ConvertReport:
+    """What converting a file gave.
+
+    Attributes
+    ----------
+    count, sh_degree : int
+        Of what was written.
+    coordinates : str or None
+        Coordinate system of what was written, where it is known.
+    turned_from : str or None
+        The source's, where that was another.
+    antialiased : bool
+        Whether the source asks for opacity compensation.
+    dropped : int
+        Gaussians with NaN or infinity.
+    lost : tuple of str
+        What the target's format cannot hold, in words.
+    file_bytes : int
+    seconds : dict of str to float
+    """
+
+    count: int
+    sh_degree: int
+    coordinates: str | None
+    turned_from: str | None
+    antialiased: bool
+    dropped: int
+    lost: tuple[str, ...]
+    file_bytes: int
+    seconds: dict[str, float]
+
+
+def convert_file(
+    source: str | Path,
+    target: str | Path,
+    config: Config | None = None,
+    coordinates: str | None = None,
+    progress: Progress | None = None,
+) -> ConvertReport:
+    """Convert a scene to the format of the target's suffix; it appears whole or not at all.
+
+    Parameters
+    ----------
+    source, target : str or Path
+    config : Config, optional
+        For `.egs` targets; of others only what is done with extra properties and NaN.
+    coordinates : str, optional
+        Coordinate system to turn to, for example ``RDF``; the source must state its own.
+    progress : callable, optional
+
+    Raises
+    ------
+    InvalidInput
+        If the source cannot be used, or the target cannot be written.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the source is an unsound `.egs` file.
+    """
+    config = config or Config(extra="keep")
+    check_target(source, target)
+    suffix = suffix_of(target)
+    start = time.perf_counter()
+    scene = read_scene(source, config.extra, progress)
+    read = time.perf_counter() - start
+    dropped, before = 0, scene.coordinates
+    with located(source):
+        if suffix != ".egs" or config.profile != LOSSLESS:
+            scene, dropped = drop_nonfinite(scene, config)
+        if coordinates is not None:
+            scene = turn_axes(scene, coordinates.upper())
+    start = time.perf_counter()
+    lost = write_scene(target, scene, config)
+    return ConvertReport(
+        scene.count,
+        scene.sh_degree,
+        scene.coordinates,
+        before if before != scene.coordinates else None,
+        scene.antialiased,
+        dropped,
+        lost,
+        os.path.getsize(target),
+        {"read": read, "write": time.perf_counter() - start},
+    )

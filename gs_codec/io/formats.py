@@ -1,0 +1,70 @@
+"""Formats of scenes beside `.egs`, told apart by content first and by suffix second."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from gs_codec.errors import InvalidInput
+from gs_codec.io.mapped import opened
+from gs_codec.io.ply import read_ply
+from gs_codec.io.sog import read_sog
+from gs_codec.io.sog_files import ZIP
+from gs_codec.io.splat import read_splat
+from gs_codec.io.spz import GZIP, MAGIC, read_spz
+from gs_codec.scene import Scene
+
+Format = Literal["ply", "splat", "spz", "sog"]
+
+_BY_SUFFIX: dict[str, Format] = {
+    ".ply": "ply",
+    ".splat": "splat",
+    ".spz": "spz",
+    ".sog": "sog",
+    ".json": "sog",
+}
+
+_BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
+    (b"ply\n", "ply"),
+    (b"ply\r", "ply"),
+    (MAGIC, "spz"),
+    (ZIP, "sog"),
+)
+
+#: So few bytes that a `.splat`, which begins with a number, may begin with them.
+_BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((GZIP, "spz"), (b"{", "sog"))
+
+
+def tell_format(path: str | Path) -> Format:
+    """The format of a file that is no `.egs`.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be opened, or is none that is read.
+    """
+    with opened(path) as data:
+        head = bytes(data[:16])
+    suffix = Path(path).suffix.lower()
+    known = _BY_CONTENT if suffix == ".splat" else _BY_CONTENT + _BY_LITTLE
+    for begin, name in known:
+        if head.startswith(begin):
+            return name
+    if suffix not in _BY_SUFFIX:
+        raise InvalidInput(
+            f"{path}: begins with {head[:4]!a}, expected .egs, {', '.join(_BY_SUFFIX)} of a scene"
+        )
+    return _BY_SUFFIX[suffix]
+
+
+def read_foreign(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:
+    """Read a scene of any format but `.egs`; of `extra` see `read_ply`.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a sound file of a format that is read.
+    """
+    readers = {"splat": read_splat, "spz": read_spz, "sog": read_sog}
+    name = tell_format(path)
+    return read_ply(path, extra) if name == "ply" else readers[name](path)

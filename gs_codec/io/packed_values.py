@@ -1,0 +1,55 @@
+"""Values that formats of few bits share: opacities and colours of a byte, quaternions of three."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+log = logging.getLogger(__name__)
+
+#: Value of the SH basis function of degree 0.
+SH_C0 = 0.28209479177387814
+
+#: Of an opacity of 0 or 255, which has no logit: so far from it, a quarter of a step.
+_END = 0.25
+
+
+def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Logits ``(1, N)`` of opacities in 255ths ``(N,)``; those of 0 and 1 are made finite."""
+    ends = int(np.count_nonzero((alpha == 0) | (alpha == 255)))
+    if ends:
+        log.warning(
+            "%s: opacity of 0 or 1 in %d Gaussians, which has no logit: made %.2g or 1 less it",
+            *(path, ends, _END / 255),
+        )
+    share = np.clip(np.arange(256.0), _END, 255 - _END) / 255
+    return np.log(share / (1 - share)).astype(np.float32)[alpha][None]
+
+
+def bytes_of_opacities(logits: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """The inverse of `opacities_of`, rounded."""
+    with np.errstate(over="ignore"):
+        return np.rint(255 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.uint8)
+
+
+def sh_of_colours(colours: NDArray) -> NDArray[np.float32]:
+    """Degree-0 SH coefficients of colours, 0-1."""
+    return ((colours - 0.5) / SH_C0).astype(np.float32)
+
+
+def largest_restored(
+    three: NDArray[np.floating], largest: NDArray[np.integer]
+) -> NDArray[np.float32]:
+    """Unit quaternions ``(4, N)`` of all components but the largest ``(3, N)``, in their order.
+
+    Where the three are too long for a unit quaternion, the fourth is zero.
+    """
+    rest = np.sqrt(np.maximum(0.0, 1.0 - (three * three).sum(axis=0)))
+    rows = np.arange(4)[:, None]
+    place = np.clip(rows - (rows > largest), 0, 2)
+    return np.where(rows == largest, rest, np.take_along_axis(three, place, axis=0)).astype(
+        np.float32
+    )

@@ -1,0 +1,131 @@
+"""Rows of the elements of PLY files, binary or text."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import warnings
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.io.limits import refusing
+from gs_codec.io.mapped import located
+from gs_codec.io.ply_header import Element, PlyHeader, read_header
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Ply:
+    """A PLY file, mapped.
+
+    Attributes
+    ----------
+    path : Path
+    header : PlyHeader
+    data : ndarray, shape (bytes,), uint8
+    """
+
+    path: Path
+    header: PlyHeader
+    data: NDArray[np.uint8]
+
+    def rows(self, name: str) -> NDArray:
+        """Structured rows of an element; those of a binary file are where it is mapped.
+
+        Raises
+        ------
+        InvalidInput
+            If they are not all there, or hold lists.
+        """
+        index = self.header.names.index(name)
+        element = self.header.elements[index]
+        if element.lists:
+            raise InvalidInput(f"property '{element.lists[0]}' is a list, expected a scalar")
+        before = self.header.elements[:index]
+        if self.header.byte_order:
+            return self._binary_rows(element, before)
+        return self._text_rows(element, sum(other.count for other in before))
+
+    def _binary_rows(self, element: Element, before: list[Element]) -> NDArray:
+        start = self.header.size
+        for other in before:
+            if other.lists and other.count:
+                raise InvalidInput(
+                    f"element '{other.name}' with lists before '{element.name}', expected after"
+                )
+            start += other.count * other.dtype("<").itemsize
+        dtype = element.dtype(self.header.byte_order)
+        end = start + element.count * dtype.itemsize
+        if end > len(self.data):
+            there = max(len(self.data) - start, 0) // max(dtype.itemsize, 1)
+            raise InvalidInput(
+                f"element '{element.name}': {element.count} rows, but the file ends in row {there}"
+            )
+        if element is self.header.elements[-1] and end < len(self.data):
+            surplus = len(self.data) - end
+            log.warning("%s: %d bytes after the last %s not read", self.path, surplus, element.name)
+        return self.data[start:end].view(dtype) if dtype.itemsize else np.empty(0, dtype)
+
+    def _text_rows(self, element: Element, skipped: int) -> NDArray:
+        body = self.data[self.header.size :].tobytes()
+        # A digit and a space is the least a number takes.
+        if 2 * element.count * max(len(element.types), 1) > len(body) + 1:
+            raise InvalidInput(
+                f"element '{element.name}': {element.count} rows of {len(element.types)} numbers, "
+                f"but {len(body)} bytes of text"
+            )
+        lines = io.TextIOWrapper(io.BytesIO(body), "latin-1")
+        wanted = islice((line for line in lines if line.strip()), skipped, skipped + element.count)
+        table = np.empty((0, len(element.types)))
+        if element.count:
+            with refusing(f"element '{element.name}'"), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of no line at all, which is told below
+                table = np.loadtxt(wanted, np.float64, comments=None, ndmin=2, encoding="latin-1")
+        if table.shape != (element.count, len(element.types)):
+            raise InvalidInput(
+                f"element '{element.name}': {len(table)} rows of {table.shape[1]} numbers, "
+                f"expected {element.count} of {len(element.types)}"
+            )
+        return _typed(table, element)
+
+
+def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
+    """Rows of the types the header says, of numbers read from text."""
+    rows = np.empty(len(table), element.dtype("<"))
+    for column, name in zip(table.T, element.types, strict=True):
+        with np.errstate(all="ignore"):
+            rows[name] = column
+        if rows.dtype[name].kind != "f" and not np.array_equal(rows[name], column):
+            raise InvalidInput(f"property '{name}': a number that is no {rows.dtype[name].name}")
+    return rows
+
+
+def open_ply(path: str | Path) -> Ply:
+    """Map a PLY file and read its header.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be opened, or is no PLY file.
+    """
+    path = Path(path)
+    if os.path.isdir(path):
+        raise InvalidInput(f"{path}: a directory, expected a PLY file")
+    try:
+        data = np.memmap(path, np.uint8, "r")
+    except ValueError:
+        raise InvalidInput(f"{path}: empty file, expected 'ply'") from None
+    except OSError as error:
+        raise InvalidInput(f"{path}: {error.strerror or error}") from error
+    with located(path):
+        header = read_header(data)
+    if header.obj_info:
+        log.warning("%s: %d obj_info lines not kept", path, header.obj_info)
+    return Ply(path, header, data)

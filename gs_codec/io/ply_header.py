@@ -1,0 +1,172 @@
+"""Headers of PLY files: what elements there are, and where."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+
+#: No header is longer: `.egs` files keep comments of 2^20 bytes, each line a word longer here.
+_HEADER_BYTES = 1 << 24
+_PROPERTIES = 1 << 16
+_ELEMENTS = 64
+
+_FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_CODES = {
+    "i1": ("char", "int8"),
+    "u1": ("uchar", "uint8"),
+    "i2": ("short", "int16"),
+    "u2": ("ushort", "uint16"),
+    "i4": ("int", "int32"),
+    "u4": ("uint", "uint32"),
+    "f4": ("float", "float32"),
+    "f8": ("double", "float64"),
+}
+_TYPES = {name: code for code, names in _CODES.items() for name in names}
+_COUNT = re.compile(r"\d{1,18}", re.ASCII)
+
+
+@dataclass
+class Element:
+    """An element of a PLY file.
+
+    Attributes
+    ----------
+    name : str
+    count : int
+        Rows, as the header says.
+    types : dict of str to str
+        NumPy's code of each scalar property, without byte order.
+    lists : list of str
+        Names of properties that are lists.
+    """
+
+    name: str
+    count: int
+    types: dict[str, str] = field(default_factory=dict)
+    lists: list[str] = field(default_factory=list)
+
+    def dtype(self, byte_order: str) -> np.dtype:
+        """Type of a row in a binary file."""
+        return np.dtype([(name, byte_order + code) for name, code in self.types.items()])
+
+
+@dataclass
+class PlyHeader:
+    """What a header says.
+
+    Attributes
+    ----------
+    byte_order : {"<", ">", ""}
+        Empty in a text file.
+    elements : list of Element
+    comments : tuple of str
+    obj_info : int
+        Lines of object information.
+    size : int
+        Bytes of the header.
+    """
+
+    byte_order: str
+    elements: list[Element]
+    comments: tuple[str, ...]
+    obj_info: int
+    size: int
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the elements."""
+        return [element.name for element in self.elements]
+
+
+def read_header(data: NDArray[np.uint8]) -> PlyHeader:
+    """Read the header of a PLY file; the body is not touched.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not the header of a PLY file.
+    """
+    lines, size = _split_lines(bytes(data[:_HEADER_BYTES]))
+    byte_order: str | None = None
+    elements: list[Element] = []
+    comments: list[str] = []
+    obj_info = 0
+    for number, line in enumerate(lines, 2):
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "comment":
+            comments.append(line.strip()[len("comment ") :])
+        elif words[0] == "obj_info":
+            obj_info += 1
+        elif words[0] == "format" and byte_order is None:
+            byte_order = _parse_format(words, number)
+        elif words[0] == "element" and byte_order is not None:
+            elements.append(_parse_element(words, number, elements))
+        elif words[0] == "property" and elements:
+            _parse_property(words, number, elements[-1])
+        else:
+            raise _error(number, f"{line[:60]!a} is not expected there")
+    if byte_order is None:
+        raise _error(len(lines) + 2, "no format")
+    return PlyHeader(byte_order, elements, tuple(comments), obj_info, size)
+
+
+def _split_lines(head: bytes) -> tuple[list[str], int]:
+    """The lines between ``ply`` and ``end_header``, and where the body begins."""
+    start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
+    if not start:
+        raise _error(1, f"{head[:20]!a}, expected 'ply'")
+    # One kind of line end throughout: after the last, a byte of the body may look like another.
+    newline = start[1]
+    end = re.compile(rb"(?<=[\r\n])end_header[ \t]*" + newline).search(head, start.end())
+    if not end:
+        where = "beyond 16 MiB" if len(head) == _HEADER_BYTES else "early end-of-file"
+        raise InvalidInput(f"not a readable PLY file (no end of the header: {where})")
+    try:
+        text = head[start.end() : end.start()].decode("ascii")
+    except UnicodeDecodeError:
+        raise InvalidInput("not a readable PLY file (its header is not ASCII text)") from None
+    return text.split(newline.decode())[:-1], end.end()
+
+
+def _parse_format(words: list[str], line: int) -> str:
+    if len(words) != 3 or words[1] not in _FORMATS or words[2] != "1.0":
+        expected = ", ".join(_FORMATS)
+        raise _error(line, f"format {' '.join(words[1:])[:60]!a}, expected 1.0 of {expected}")
+    return _FORMATS[words[1]]
+
+
+def _parse_element(words: list[str], line: int, before: list[Element]) -> Element:
+    if len(words) != 3 or not _COUNT.fullmatch(words[2]):
+        raise _error(line, f"element {' '.join(words[1:])[:60]!a}, expected a name and a count")
+    if words[1] in (element.name for element in before):
+        raise _error(line, f"two elements of the same name {words[1][:60]!a}")
+    if len(before) == _ELEMENTS:
+        raise _error(line, f"more than {_ELEMENTS} elements")
+    return Element(words[1], int(words[2]))
+
+
+def _parse_property(words: list[str], line: int, element: Element) -> None:
+    is_list = words[1:2] == ["list"]
+    types = words[2:4] if is_list else words[1:2]
+    if len(words) != (5 if is_list else 3) or not all(name in _TYPES for name in types):
+        raise _error(line, f"property {' '.join(words[1:])[:60]!a}, expected a type and a name")
+    name = words[-1]
+    if name in element.types or name in element.lists:
+        raise _error(line, f"two properties of the same name {name[:60]!a}")
+    if len(element.types) + len(element.lists) == _PROPERTIES:
+        raise _error(line, f"more than {_PROPERTIES} properties")
+    if is_list:
+        element.lists.append(name)
+    else:
+        element.types[name] = _TYPES[types[0]]
+
+
+def _error(line: int, what: str) -> InvalidInput:
+    return InvalidInput(f"not a readable PLY file (line {line}: {what})")

@@ -1,0 +1,140 @@
+"""SOG scenes, versions 1 and 2: values are pixels of lossless WebP images, `meta.json` says how.
+
+In one zip (`.sog`), or as files beside `meta.json`. Centres are 16 bits of their logarithm, SH-AC
+are rows of a palette; the rest is a byte each, in version 2 of a table, before between bounds.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.io.limits import check_count
+from gs_codec.io.mapped import located, opened
+from gs_codec.io.packed_values import largest_restored, opacities_of
+from gs_codec.io.sog_files import ZIP, read_pixels, sog_files, stored_bytes
+from gs_codec.io.sog_meta import Meta, parse_meta
+from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
+
+log = logging.getLogger(__name__)
+
+_META_BYTES = 1 << 22
+_PALETTE_COLUMNS = 64
+
+#: The last byte of a quaternion says which component is left out, from here.
+_FIRST_TAG = 252
+
+#: Pixels of an image, by its name and most pixels.
+_Load = Callable[[str, int], NDArray[np.uint8]]
+
+
+def read_sog(path: str | Path) -> Scene:
+    """Read a `.sog` file, or the scene of a `meta.json`.
+
+    Raises
+    ------
+    InvalidInput
+        If a file cannot be read, or is not as `meta.json` says.
+    """
+    path = Path(path)
+    with opened(path) as data:
+        is_zip = bytes(data[:4]) == ZIP
+    with located(path), sog_files(path, is_zip) as read:
+        meta = parse_meta(read("meta.json", _META_BYTES))
+        if meta.model == "2dgs":
+            raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
+        if meta.model not in ("default", "antialiased"):
+            log.warning("%s: model '%s' not known, not kept", path, ascii(meta.model)[1:40])
+
+        def load(name: str, most: int) -> NDArray[np.uint8]:
+            # Pixels are four bytes; a file of twice as many is none that anyone has written.
+            return read_pixels(read(name, 8 * most), name, most)
+
+        file_bytes = path.stat().st_size if is_zip else stored_bytes(path, meta.files)
+        check_count(meta.count, meta.bands or 0, file_bytes)
+        values = {group: _values(meta, group, load) for group in ("scales", "quats", "sh0")}
+        f_rest = _read_palette(meta, load, file_bytes)
+        return Scene(
+            _centres(meta, load),
+            _looked_up(meta.tables["sh0"], values["sh0"]),
+            f_rest,
+            _opacities(path, meta, values["sh0"][3]),
+            _looked_up(meta.tables["scales"], values["scales"]),
+            _quaternions(path, values["quats"]),
+            comments=(ANTIALIASED,) if meta.model == "antialiased" else (),
+        )
+
+
+def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.uint8]:
+    """Bytes ``(4, N)`` of the Gaussians, whose pixels follow each other."""
+    name = meta.files[group][image]
+    # Sides are rounded up to multiples of four.
+    pixels = load(name, 2 * meta.count + (1 << 16)).reshape(-1, 4)
+    if len(pixels) < meta.count:
+        raise InvalidInput(f"image '{name}': {len(pixels)} pixels, expected {meta.count}")
+    return np.ascontiguousarray(pixels[: meta.count].T)
+
+
+def _looked_up(table: NDArray[np.float32], values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Values of the first three bytes, each by its column of a table."""
+    planes = np.stack([table[values[i], i] for i in range(3)])
+    if np.isnan(planes).any():
+        raise InvalidInput("a byte beyond its codebook")
+    return planes
+
+
+def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
+    low, high = (_values(meta, "means", load, image)[:3].astype(np.int64) for image in range(2))
+    share = (low | high << 8) / 65535
+    ends = meta.means[:, :, None]
+    logarithm = ends[0] * (1 - share) + ends[1] * share
+    with np.errstate(over="ignore"):  # infinite, as a PLY may say: told later
+        return (np.sign(logarithm) * np.expm1(np.abs(logarithm))).astype(np.float32)
+
+
+def _opacities(path: Path, meta: Meta, values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    if meta.version == 1:
+        return meta.tables["sh0"][values, 3][None]
+    return opacities_of(path, values)
+
+
+def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    three = (values[:3] / 127.5 - 1) * np.sqrt(0.5)
+    rot = largest_restored(three, values[3].astype(np.int64) - _FIRST_TAG)
+    untold = values[3] < _FIRST_TAG
+    if untold.any():
+        log.warning("%s: %d rotations say nothing, made the identity", path, untold.sum())
+        rot[:, untold] = np.array([[1], [0], [0], [0]], np.float32)
+    return rot
+
+
+def _read_palette(meta: Meta, load: _Load, file_bytes: int) -> NDArray[np.float32]:
+    """SH-AC ``(3 * K, N)``: of each Gaussian a row of the palette."""
+    if "shN" not in meta.files:
+        return np.empty((0, meta.count), np.float32)
+    name = meta.files["shN"][0]
+    pixels = load(name, _PALETTE_COLUMNS * SH_COEFFICIENTS[3] * (1 << 10))
+    height, width, _ = pixels.shape
+    widths = [_PALETTE_COLUMNS * k for k in SH_COEFFICIENTS]
+    degree = widths.index(width) if width in widths else 0
+    if not degree or meta.bands not in (None, degree):
+        expected = widths[1:] if meta.bands is None else widths[meta.bands]
+        raise InvalidInput(f"image '{name}': {width} pixels wide, expected {expected}")
+    check_count(meta.count, degree, file_bytes)
+    labels = _values(meta, "shN", load, 1).astype(np.int64)
+    rows = labels[0] | labels[1] << 8
+    there = min(meta.palette, height * _PALETTE_COLUMNS)
+    if rows.max(initial=0) >= max(there, 1):
+        raise InvalidInput(f"row {rows.max()} of a palette of {there}")
+    table = meta.tables["shN"]
+    colours = pixels.reshape(height * _PALETTE_COLUMNS, -1, 4)[..., :3]
+    palette = table[colours, np.arange(3)].transpose(2, 1, 0).reshape(-1, len(colours))
+    f_rest = palette[:, rows]
+    if np.isnan(f_rest).any():
+        raise InvalidInput("a byte beyond its codebook")
+    return f_rest

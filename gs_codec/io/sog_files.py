@@ -1,0 +1,124 @@
+"""Files of a SOG scene, of a zip or a folder, and the pixels of its images."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.io.limits import refusing
+
+ZIP = b"PK\x03\x04"
+
+#: Reads a file of this name, of at most so many bytes.
+Files = Callable[[str, int], bytes]
+
+_ENTRIES = 1000
+
+
+@contextmanager
+def sog_files(path: Path, is_zip: bool) -> Iterator[Files]:
+    """What reads the files of a scene: of a zip, or beside its `meta.json`.
+
+    Raises
+    ------
+    InvalidInput
+        If the zip is none; in reading, if a file is missing, encrypted, or too large.
+    """
+    if not is_zip:
+        yield lambda name, limit: _read_beside(path, name, limit)
+        return
+    with refusing("zip", zipfile.BadZipFile):
+        archive = zipfile.ZipFile(path)
+    with archive:
+        entries = archive.infolist()
+        if len(entries) > _ENTRIES:
+            raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
+        # Some bundles have all in one folder.
+        folder = min((e.filename for e in entries if _base(e) == "meta.json"), key=len, default="")
+        folder = folder[: -len("meta.json")]
+        yield lambda name, limit: _read_entry(archive, folder + name, limit)
+
+
+def stored_bytes(meta: Path, files: Mapping[str, Iterable[str]]) -> int:
+    """Size of a `meta.json` and the files of a scene beside it, as far as they are there."""
+    paths = [meta, *(meta.parent / name for names in files.values() for name in names)]
+    return sum(path.stat().st_size for path in paths if path.is_file())
+
+
+def _base(entry: zipfile.ZipInfo) -> str:
+    return entry.filename.rpartition("/")[2]
+
+
+def _read_beside(meta: Path, name: str, limit: int) -> bytes:
+    path = meta if name == "meta.json" else meta.parent / name
+    with refusing(f"file '{name}'"):
+        if not path.is_file() or path.stat().st_size > limit:
+            raise InvalidInput(f"file '{name}': no file, or of more than {limit} bytes")
+        return path.read_bytes()
+
+
+def _read_entry(archive: zipfile.ZipFile, name: str, limit: int) -> bytes:
+    with refusing(f"zip entry '{name[:60]}'", zipfile.BadZipFile):
+        entry = archive.getinfo(name)
+        if entry.flag_bits & 1:
+            raise InvalidInput(f"zip entry '{name[:60]}': encrypted")
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise InvalidInput(f"zip entry '{name[:60]}': compressed otherwise than by deflate")
+        if entry.file_size > limit:
+            raise InvalidInput(
+                f"zip entry '{name[:60]}': {entry.file_size} bytes, expected at most {limit}"
+            )
+        with archive.open(entry) as file:
+            data = file.read(entry.file_size + 1)
+    if len(data) != entry.file_size:
+        raise InvalidInput(f"zip entry '{name[:60]}': {len(data)} bytes, not as many as it says")
+    return data
+
+
+def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:
+    """Pixels ``(height, width, 4)`` of a WebP image, RGBA.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a still WebP image, or of more than `most` pixels.
+    """
+    from PIL import Image
+
+    width, height = _webp_size(data, name)
+    if width * height > most:
+        raise InvalidInput(f"image '{name}': {width}x{height} pixels, expected at most {most}")
+    more = Image.DecompressionBombError, Image.DecompressionBombWarning
+    with refusing(f"image '{name}'", *more), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
+            if image.size != (width, height) or getattr(image, "n_frames", 1) != 1:
+                raise InvalidInput(f"image '{name}': {image.size}, not as its header says")
+            return np.asarray(image.convert("RGBA"))
+
+
+def _webp_size(data: bytes, name: str) -> tuple[int, int]:
+    """Width and height, before a library takes memory for them."""
+    if len(data) < 30 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        raise InvalidInput(f"image '{name}': begins with {data[:4]!a}, expected WebP")
+    kind = data[12:16]
+    if kind == b"VP8L" and data[20] == 0x2F:
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"VP8X":
+        width, height = (int.from_bytes(data[i : i + 3], "little") + 1 for i in (24, 27))
+        return width, height
+    # Lossy images of version 1 exist; values that are only about right are.
+    if kind == b"VP8 ":
+        width, height = struct.unpack_from("<HH", data, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    raise InvalidInput(f"image '{name}': WebP of kind {kind!a}, expected a still image")

@@ -293,6 +293,18 @@ def rewritten(old: str, new: str, form: str = "binary_little_endian"):
     return make
 
 
+def one_row(text: str) -> bytes:
+    """An ASCII file of one Gaussian, of degree 1."""
+    names = "".join(f"property float {name}\n" for name in inria_properties(1, False))
+    return f"ply\nformat ascii 1.0\nelement vertex 1\n{names}end_header\n{text}".encode()
+
+
+@pytest.mark.parametrize("number", ["1e999", "9" * 100_000, "-1e400"], ids=["e", "digits", "-e"])
+def test_numbers_too_large_for_a_float_are_infinite(number, tmp_path):
+    (tmp_path / "a.ply").write_bytes(one_row(" ".join([number] + ["1"] * 22)))
+    assert np.isinf(read_ply(tmp_path / "a.ply").positions[0, 0])
+
+
 LIST = "property list uchar float "
 BAD_FILES = {
     "empty": (lambda good: b"", "expected 'ply'"),
@@ -334,7 +346,156 @@ BAD_FILES = {
     "fractional count": (rewritten("vertex 5", "vertex 5.0"), "count"),
     "non-ASCII comment": (rewritten("element", "comment \xff\xfe\nelement"), "ASCII"),
     "non-ASCII name": (rewritten("opacity", "opacit\xe9"), "ASCII"),
+    "header without end": (
+        lambda good: b"ply\nformat ascii 1.0\n" + b"comment lorem ipsum\n" * (1 << 20),
+        "no end of the header: beyond 16 MiB",
+    ),
+    "2^63 Gaussians": (rewritten("vertex 5", f"vertex {2**63}"), "count"),
+    "2^59 rows before": (
+        rewritten("element", f"element a {2**59}\nproperty double i\nelement"),
+        "row 0|beside",
+    ),
+    "2^59 rows before in ASCII": (
+        rewritten("element", f"element a {2**59}\nproperty double i\nelement", "ascii"),
+        "numbers|beside",
+    ),
+    "two of an element": (
+        rewritten("element", "element vertex 0\nproperty float x\nelement"),
+        "two elements of the same name",
+    ),
+    "100 elements": (
+        rewritten("element", "".join(f"element e{i} 0\n" for i in range(100)) + "element"),
+        "more than 64 elements",
+    ),
+    "100,000 properties": (
+        rewritten("property", "".join(f"property char e{i}\n" for i in range(10**5)) + "property"),
+        "more than 65536 properties",
+    ),
+    "property before elements": (rewritten("element", "property int i\nelement"), "not expected"),
+    "no format": (rewritten("format binary_little_endian 1.0\n", ""), "not expected"),
+    "other version": (rewritten("1.0", "2.0"), "expected 1.0"),
+    "two formats": (rewritten("element", "format ascii 1.0\nelement"), "not expected"),
+    "text rows too short": (
+        lambda good: one_row(" ".join(["1"] * 22) + "\n\n\n"),
+        "1 rows of 22 numbers, expected 1 of 23",
+    ),
+    "a byte of 300": (
+        lambda good: one_row("1 " * 22 + "300\n").replace(b"float rot_3", b"uchar rot_3"),
+        "'rot_3': a number that is no uint8",
+    ),
 }
+
+
+def scalar_rows(scene: Scene, order: list[str]) -> np.ndarray:
+    """The trainer's rows with their properties in another order, or fewer."""
+    rows = vertex_rows(scene)
+    picked = np.empty(len(rows), [(name, "<f4") for name in order])
+    for name in order:
+        picked[name] = rows[name]
+    return picked
+
+
+#: Orders of properties that exporters write, for SH degree 1.
+DIALECTS = {
+    "nerfstudio": inria_properties(1, True),
+    "gsplat": inria_properties(1, False),
+    "Postshot": [
+        *("x", "y", "z", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+        *("opacity", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(9))),
+    ],
+    "SuperSplat": [
+        *("x", "y", "z", "rot_0", "rot_1", "rot_2", "rot_3", "scale_0", "scale_1", "scale_2"),
+        *("f_dc_0", "f_dc_1", "f_dc_2", "opacity", *(f"f_rest_{i}" for i in range(9))),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+@pytest.mark.parametrize("form", [{}, {"text": True}, {"byte_order": ">"}], ids=str)
+def test_dialects_are_read_seed8(name, form, tmp_path):
+    scene = replace(random_scene(20, 1, seed=8), has_normals="nx" in DIALECTS[name])
+    comments = ("Vertical Axis: z", "antialiased 1")
+    rows = scalar_rows(scene, DIALECTS[name])
+    back = read_ply(write_rows(tmp_path / "a.ply", rows, comments, **form))
+    assert_same_bits(replace(scene, comments=comments), back)
+    assert back.antialiased
+
+
+def test_colours_of_bytes_stand_for_sh_where_there_is_none_seed9(tmp_path):
+    scene = random_scene(20, 0, seed=9)
+    rng = np.random.default_rng(9)
+    names = [name for name in inria_properties(0, False) if not name.startswith("f_dc")]
+    colours = {name: rng.integers(0, 256, 20).astype("u1") for name in ("red", "green", "blue")}
+    rows = with_columns(scalar_rows(scene, names), colours)
+    back = read_ply(write_rows(tmp_path / "a.ply", rows))
+    expected = (np.stack(list(colours.values())) / 255 - 0.5) / 0.28209479177387814
+    np.testing.assert_allclose(back.f_dc, expected, atol=1e-6)
+    assert back.extra == {}
+
+
+def test_colours_beside_sh_are_extra_properties_seed10(tmp_path):
+    scene = random_scene(20, 1, seed=10)
+    colours = {name: np.arange(20, dtype="u1") for name in ("red", "green", "blue")}
+    path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), colours))
+    with pytest.raises(InvalidInput, match=r"red, green, blue .*--extra keep or --extra drop"):
+        read_ply(path)
+    assert_same_bits(replace(scene, extra=colours), read_ply(path, "keep"))
+
+
+def test_flat_gaussians_are_refused(tmp_path):
+    order = [name for name in inria_properties(1, True) if name != "scale_2"]
+    scene = replace(random_scene(5, 1), has_normals=True)
+    path = write_rows(tmp_path / "a.ply", scalar_rows(scene, order))
+    with pytest.raises(InvalidInput, match=r"flat Gaussians \(2DGS\)") as caught:
+        read_ply(path, "drop")
+    assert_one_line(caught.value, path)
+
+
+def with_elements(path: Path, scene: Scene, before: str, after: str, text: bool) -> Path:
+    """A file with other elements of five rows; those after have lists."""
+    write_rows(path, vertex_rows(scene), text=text)
+    header, body = path.read_bytes().split(b"end_header\n")
+    extra = header.replace(b"element vertex", before.encode() + b"element vertex")
+    rows = [b"1 2\n" * 5, b"3 0 1 2\n" * 5] if text else [bytes(5 * 6), b"\3" + bytes(64)]
+    body = (rows[0] if before else b"") + body + (rows[1] if after else b"")
+    path.write_bytes(extra + after.encode() + b"end_header\n" + body)
+    return path
+
+
+BEFORE = "element camera 5\nproperty uchar id\nproperty uchar kind\nproperty int size\n"
+AFTER = "element face 5\nproperty list uchar int vertex_indices\n"
+
+
+@pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
+@pytest.mark.parametrize(
+    ("before", "after", "named"), [(BEFORE, "", "camera"), ("", AFTER, "face")]
+)
+def test_other_elements_are_refused_or_left_out(before, after, named, text, tmp_path, caplog):
+    scene = random_scene(20, 1, seed=11)
+    path = with_elements(tmp_path / "a.ply", scene, before, after, text)
+    with pytest.raises(InvalidInput, match=f"element '{named}' beside 'vertex'; choose --extra"):
+        read_ply(path)
+    assert_same_bits(scene, read_ply(path, "drop"))
+    assert caplog.messages == []
+    assert_same_bits(scene, read_ply(path, "keep"))
+    assert caplog.messages == [f"{path}: element '{named}' beside 'vertex' not kept"]
+
+
+def test_other_elements_without_rows_do_not_matter(tmp_path):
+    scene = random_scene(20, 1, seed=12)
+    write_ply(tmp_path / "a.ply", scene)
+    data = (tmp_path / "a.ply").read_bytes()
+    face = b"element face 0\nproperty list uchar int vertex_indices\n"
+    for place in (b"element vertex", b"end_header"):
+        (tmp_path / "b.ply").write_bytes(data.replace(place, face + place, 1))
+        assert_same_bits(scene, read_ply(tmp_path / "b.ply"))
+
+
+def test_lists_before_the_gaussians_are_refused(tmp_path):
+    path = with_elements(tmp_path / "a.ply", random_scene(5, 0), AFTER, "", False)
+    with pytest.raises(InvalidInput, match="element 'face' with lists before 'vertex'") as caught:
+        read_ply(path, "drop")
+    assert_one_line(caught.value, path)
 
 
 def assert_one_line(error: BaseException, path: Path | str) -> None:

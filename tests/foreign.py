@@ -1,0 +1,178 @@
+"""Writers of other formats, from what their specifications say; of one kind of file each."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import struct
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib.recfunctions import repack_fields
+
+from gs_codec.scene import SH_COEFFICIENTS
+
+SH_C0 = 0.28209479177387814
+
+PACKED_BOUNDS = [f"{end}_{axis}" for axis in "xyz" for end in ("min", "max")]
+PACKED_BOUNDS += [f"{end}_scale_{axis}" for axis in "xyz" for end in ("min", "max")]
+PACKED_COLOURS = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
+
+
+def ply_file(elements: list[tuple[str, np.ndarray]], lines: str = "", end: str = "<") -> bytes:
+    """A binary PLY of elements, by hand."""
+    codes = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u4": "uint"}
+    form = {"<": "little", ">": "big"}[end]
+    header = f"ply\nformat binary_{form}_endian 1.0\n{lines}"
+    body = b""
+    for name, rows in elements:
+        rows = repack_fields(rows)
+        header += f"element {name} {len(rows)}\n"
+        for key in rows.dtype.names or ():
+            header += f"property {codes[rows.dtype[key].str[1:]]} {key}\n"
+        body += rows.astype(rows.dtype.newbyteorder(end)).tobytes()
+    return header.encode() + b"end_header\n" + body
+
+
+def packed_rows(count: int, seed: int, degree: int = 0) -> dict[str, np.ndarray]:
+    """Elements of a packed PLY, of any bits."""
+    rng = np.random.default_rng(seed)
+    chunks = -(-count // 256)
+    limits = np.sort(rng.normal(size=(chunks, 9, 2)).astype("<f4"), axis=2).reshape(chunks, 18)
+    chunk = np.zeros(chunks, [(name, "<f4") for name in PACKED_BOUNDS + PACKED_COLOURS])
+    for i, name in enumerate(chunk.dtype.names or ()):
+        chunk[name] = limits[:, i]
+    names = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+    vertex = np.zeros(count, [(name, "<u4") for name in names])
+    for name in names:
+        vertex[name] = rng.integers(0, 1 << 32, count, dtype=np.uint64)
+    elements = {"chunk": chunk, "vertex": vertex}
+    if degree:
+        sh = np.zeros(count, [(f"f_rest_{i}", "u1") for i in range(3 * SH_COEFFICIENTS[degree])])
+        for name in sh.dtype.names or ():
+            sh[name] = rng.integers(0, 256, count)
+        elements["sh"] = sh
+    return elements
+
+
+def spz_streams(count: int, version: int, degree: int, seed: int) -> list[bytes]:
+    """Attributes of an `.spz` file, of any bits; version 1 has finite halves."""
+    rng = np.random.default_rng(seed)
+    sizes = [9, 1, 3, 3, 3 if version < 3 else 4, 3 * SH_COEFFICIENTS[degree]]
+    streams = [rng.bytes(size * count) for size in sizes]
+    if version == 1:
+        streams[0] = rng.normal(size=(count, 3)).astype("<f2").tobytes()
+    return streams
+
+
+def spz_file(
+    streams: list[bytes],
+    count: int,
+    version: int,
+    degree: int,
+    flags: int = 0,
+    bits: int = 12,
+    extensions: bytes = b"",
+) -> bytes:
+    """An `.spz` file of attributes."""
+    fields = (b"NGSP", version, count, degree, bits, flags)
+    if version < 4:
+        data = struct.pack("<4sIIBBBB", *fields, 0) + b"".join(streams) + extensions
+        return gzip.compress(data, mtime=0)
+    import zstandard
+
+    kept = [stream for stream in streams if stream]
+    packed = [zstandard.ZstdCompressor().compress(stream) for stream in kept]
+    header = struct.pack("<4sIIBBBBI12x", *fields, len(kept), 32 + len(extensions))
+    table = b"".join(struct.pack("<QQ", len(a), len(b)) for a, b in zip(packed, kept, strict=True))
+    return header + extensions + table + b"".join(packed)
+
+
+def splat_rows(count: int, seed: int) -> np.ndarray:
+    """Records of a `.splat` file."""
+    rng = np.random.default_rng(seed)
+    dtype = [("p", "<f4", 3), ("s", "<f4", 3), ("c", "u1", 4), ("r", "u1", 4)]
+    rows = np.zeros(count, dtype)
+    rows["p"] = rng.normal(size=(count, 3))
+    rows["s"] = np.exp(rng.normal(-4, 1, size=(count, 3)))
+    rows["c"] = rng.integers(0, 256, (count, 4))
+    rows["r"] = rng.integers(0, 256, (count, 4))
+    return rows
+
+
+def webp(pixels: np.ndarray) -> bytes:
+    """A lossless image of pixels ``(H, W, 4)``."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(pixels.astype(np.uint8), "RGBA").save(out, "WEBP", lossless=True, exact=True)
+    return out.getvalue()
+
+
+def sog_parts(
+    count: int, version: int, degree: int, seed: int, palette: int = 70
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """`meta.json` and the pixels of the images of a SOG scene, of any values."""
+    rng = np.random.default_rng(seed)
+    side = 4 * -(-max(count, 1) // 16)
+    names = ["means_l", "means_u", "quats", "scales", "sh0"]
+    images = {f"{name}.webp": rng.integers(0, 256, (side, 4, 4)) for name in names}
+    images["quats.webp"][..., 3] = rng.integers(252, 256, (side, 4))
+    meta: dict[str, Any] = {
+        "means": {
+            "mins": [-1.5, -1, -2],
+            "maxs": [1, 2.5, 3],
+            "files": names_of("means_l means_u"),
+        },
+        "scales": {"files": names_of("scales")},
+        "quats": {"files": names_of("quats")},
+        "sh0": {"files": names_of("sh0")},
+    }
+    if degree:
+        coefficients = SH_COEFFICIENTS[degree]
+        labels = rng.integers(0, 256, (side, 4, 4))
+        rows = rng.integers(0, palette, (side, 4))
+        labels[..., 0], labels[..., 1] = rows & 255, rows >> 8
+        height = -(-palette // 64)
+        images["shN_labels.webp"] = labels
+        images["shN_centroids.webp"] = rng.integers(0, 256, (height, 64 * coefficients, 4))
+        meta["shN"] = {"files": names_of("shN_centroids shN_labels")}
+    if version == 2:
+        meta |= {"version": 2, "count": count}
+        for name in ("scales", "sh0", "shN"):
+            if name in meta:
+                meta[name]["codebook"] = np.sort(rng.normal(size=256)).tolist()
+        if degree:
+            meta["shN"] |= {"count": palette, "bands": degree}
+    else:
+        meta["means"]["shape"] = [count, 3]
+        meta["scales"] |= {"mins": [-9, -8, -7], "maxs": [0, 1, 2]}
+        meta["sh0"] |= {"mins": [-2, -1, -2, -5], "maxs": [2, 3, 1, 9]}
+        if degree:
+            meta["shN"] |= {"mins": -0.5, "maxs": 0.75}
+    return meta, images
+
+
+def names_of(stems: str) -> list[str]:
+    return [f"{stem}.webp" for stem in stems.split()]
+
+
+def sog_file(meta: dict[str, Any], images: dict[str, np.ndarray], folder: str = "") -> bytes:
+    """All in one zip."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr(folder + "meta.json", json.dumps(meta))
+        for name, pixels in images.items():
+            archive.writestr(folder + name, webp(pixels))
+    return out.getvalue()
+
+
+def sog_folder(folder: Path, meta: dict[str, Any], images: dict[str, np.ndarray]) -> Path:
+    """Files in a folder; the path of `meta.json`."""
+    for name, pixels in images.items():
+        (folder / name).write_bytes(webp(pixels))
+    (folder / "meta.json").write_text(json.dumps(meta))
+    return folder / "meta.json"

@@ -37,13 +37,13 @@ def read(
     extra: Literal["error", "keep", "drop"] = "error",
     progress: Progress | None = None,
 ) -> PointCloud:
-    """Read a PLY or `.egs` file.
+    """Read a scene: PLY, `.egs`, `.splat`, `.spz` or SOG, told apart by content.
 
     Parameters
     ----------
     path : str or Path
     extra : {"error", "keep", "drop"}
-        What to do with properties beyond the INRIA layout.
+        What to do with properties of a PLY beyond the INRIA layout.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` while an `.egs` file is decoded, in the calling
         thread; what it raises ends that.
@@ -63,12 +63,12 @@ def read(
 
 
 def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> None:
-    """Write a cloud as ``.ply`` or, encoded with `config`, as ``.egs``.
+    """Write a cloud as ``.ply``, ``.splat`` or, encoded with `config`, as ``.egs``.
 
     Raises
     ------
     InvalidInput
-        If the suffix is neither, an attribute is missing, or the file cannot be written.
+        If the suffix is another, an attribute is missing, or the file cannot be written.
     """
     config = config or Config()
     extra = config.extra if Path(path).suffix.lower() == ".egs" else "keep"
@@ -185,7 +185,7 @@ def prepare(
 
     Parameters
     ----------
-    source : open3d.t.geometry.PointCloud, or path of a PLY or `.egs` file
+    source : open3d.t.geometry.PointCloud, or path of a scene
     cameras : path, "auto", or sequence of Camera
         As for `render`. Quality is measured in those marked ``test``.
     photographs : path, optional
@@ -281,7 +281,7 @@ def render(
 
     Parameters
     ----------
-    source : open3d.t.geometry.PointCloud, or path of a PLY or `.egs` file
+    source : open3d.t.geometry.PointCloud, or path of a scene
     cameras : path, "auto", or sequence of Camera or mapping
         ``cameras.json`` of the INRIA trainer, the folder of a COLMAP model, cameras chosen
         from the scene itself, or entries of such a ``cameras.json``.
@@ -336,7 +336,7 @@ def compare(
 
     Parameters
     ----------
-    first, second : open3d.t.geometry.PointCloud, or paths of PLY or `.egs` files
+    first, second : open3d.t.geometry.PointCloud, or paths of scenes
         Or images ``(H, W, 3)``, 0-1: PSNR and SSIM.
     cameras, split, width, background, device, progress
         As for `render`; ``auto`` cameras are chosen from the first scene.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Callable
@@ -30,6 +31,8 @@ from gs_codec.matching import (
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
+
+log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
     from gs_codec.codec.guidance import Guidance
@@ -132,7 +135,7 @@ def write_scene(path: str | Path, scene: Scene, config: Config) -> tuple[str, ..
     Returns
     -------
     tuple of str
-        What the format cannot hold, in words.
+        What the format cannot hold, in words; warnings say it, too.
 
     Raises
     ------
@@ -152,6 +155,8 @@ def write_scene(path: str | Path, scene: Scene, config: Config) -> tuple[str, ..
             data = encode_scene(scene, config)[0]
     with atomic_writer(path) as file:
         file.write(data)
+    for line in lost:
+        log.warning("%s: %s", path, line)
     return lost
 
 

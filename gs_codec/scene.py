@@ -19,6 +19,9 @@ SH_COEFFICIENTS = (0, 3, 8, 15)
 #: Attribute groups of a scene, in the order reports list them.
 GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
 
+#: Value of the SH basis function of degree 0: a colour is 0.5 + SH_C0 * f_dc.
+SH_C0 = 0.28209479177387814
+
 #: What an extra property may be: printable, without spaces, of a scalar type of PLY.
 _NAME = re.compile("[!-~]{1,255}")
 _LAYOUT = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]")

@@ -448,7 +448,7 @@ def without(name: str) -> Callable[[bytes], bytes]:
 
 
 BAD_PLY = {
-    "empty": (lambda good: b"", "expected 'ply'"),
+    "empty": (lambda good: b"", "empty file"),
     "text": (lambda good: b"these are\nno Gaussians\n", "expected 'ply'"),
     "truncated": (lambda good: good[:-100], "end-of-file"),
     "truncated header": (lambda good: good[:300], "end-of-file"),

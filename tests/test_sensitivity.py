@@ -15,8 +15,7 @@ from gs_codec.preparation.gradients import draw
 from gs_codec.preparation.sensitivity import sensitivity
 from gs_codec.preparation.sh_weights import squared_weights
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.harmonics import SH_C0
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import GROUPS, SH_C0, Scene
 
 STEPS = (1e-5, 1e-6)
 

@@ -52,7 +52,7 @@ def show_message(window: gui.Window, title: str, text: str, closed: Callable[[],
 
 def ask_open(window: gui.Window, then: Callable[[str], None]) -> None:
     """Ask for a scene's file."""
-    kind = (".ply .egs", "3DGS scenes (.ply, .egs)")
+    kind = (".ply .egs .splat .spz .sog", "3DGS scenes")
     _ask(window, gui.FileDialog.OPEN, "Open a scene", kind, then)
 
 

@@ -63,7 +63,7 @@ def command(
     height: Annotated[int, typer.Option(help="Its height.")] = 800,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
-    """Show a 3D Gaussian Splatting scene, or two versions of one: .ply or .egs."""
+    """Show a 3D Gaussian Splatting scene, or two versions of one, of any format."""
     if version:
         print(f"gs-viewer {gs_codec.__version__}")
         return

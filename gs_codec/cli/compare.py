@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gs_codec.cli.output import print_json, print_table, print_text, progress_bar
+from gs_codec.cli.output import SCENES, print_json, print_table, print_text, progress_bar
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 from gs_codec.errors import InvalidInput
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    first: Annotated[Path, typer.Argument(metavar="A", help="A scene, .ply or .egs.")],
+    first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another version of it.")],
     cameras: Annotated[
         str | None, typer.Option(metavar="C", help=f"Compare what these see: {CAMERAS}")

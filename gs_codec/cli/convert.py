@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gs_codec.cli.encode import parse_depths
-from gs_codec.cli.output import print_json, print_status, print_text, progress_bar, size_text
+from gs_codec.cli.output import (
+    SCENES,
+    print_json,
+    print_status,
+    print_text,
+    progress_bar,
+    size_text,
+)
 from gs_codec.cli.threads import Threads
 from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, Config
 
@@ -20,10 +27,7 @@ _EGS = {"rich_help_panel": "For an .egs"}
 
 
 def command(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="IN", help="A scene: .ply, .splat, .spz, .sog, meta.json or .egs."),
-    ],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES)],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="File to write: .ply, .egs or .splat.")
     ],
@@ -84,8 +88,6 @@ def command(
 def _say_what_changed(done: ConvertReport) -> None:
     if done.dropped:
         print_status(f"dropped {done.dropped:,} Gaussians with NaN or infinity")
-    for line in done.lost:
-        print_status(f"lost: {line}")
     if done.turned_from:
         print_status(f"coordinates turned from {done.turned_from} to {done.coordinates}")
     elif done.coordinates:

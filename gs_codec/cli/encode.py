@@ -11,6 +11,7 @@ import typer
 from gs_codec.bench import paper
 from gs_codec.cli import goal, steps
 from gs_codec.cli.output import (
+    SCENES,
     print_json,
     print_status,
     print_table,
@@ -25,7 +26,7 @@ from gs_codec.report import EncodeReport
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Scene, a 3DGS .ply.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES)],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
     profile: Annotated[
         str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILE_CHOICES)}.")

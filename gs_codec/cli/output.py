@@ -13,6 +13,9 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from gs_codec.report import Progress as ProgressCallback
 
+#: What commands read.
+SCENES = "A scene: .ply, .egs, .splat, .spz, .sog or its meta.json."
+
 
 def print_json(value: Any) -> None:
     """One JSON document on stdout."""

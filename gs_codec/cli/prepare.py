@@ -8,13 +8,15 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli import steps
-from gs_codec.cli.output import print_json, progress_bar
+from gs_codec.cli.output import SCENES, print_json, progress_bar
 from gs_codec.errors import InvalidInput
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="A scene, .ply or .egs.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="Scene to write, .ply or .egs.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES)],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Scene to write: .ply, .egs or .splat.")
+    ],
     prune_geometry: steps.PruneGeometry = 0.0,
     prune_importance: steps.PruneImportance = 0.0,
     prune_loo: steps.PruneLoo = 0.0,

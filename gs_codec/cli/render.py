@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.output import print_text, progress_bar
+from gs_codec.cli.output import SCENES, print_text, progress_bar
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 
 
 def command(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A scene, .ply or .egs.")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     cameras: Annotated[str, typer.Option(metavar="C", help=CAMERAS)],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the images, PNG.")],
     width: Width = None,

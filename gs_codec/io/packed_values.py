@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-log = logging.getLogger(__name__)
+from gs_codec.scene import SH_C0
 
-#: Value of the SH basis function of degree 0.
-SH_C0 = 0.28209479177387814
+log = logging.getLogger(__name__)
 
 #: Of an opacity of 0 or 255, which has no logit: so far from it, a quarter of a step.
 _END = 0.25

@@ -14,9 +14,8 @@ from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import atomic_writer
 from gs_codec.io.mapped import located
 from gs_codec.io.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
-from gs_codec.io.packed_values import SH_C0
 from gs_codec.io.ply_body import Ply, open_ply
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene
 from gs_codec.transform.planar import to_planes, to_rows
 
 log = logging.getLogger(__name__)

@@ -12,13 +12,8 @@ import numpy as np
 
 from gs_codec.errors import InvalidInput
 from gs_codec.io.mapped import located, opened
-from gs_codec.io.packed_values import (
-    SH_C0,
-    bytes_of_opacities,
-    opacities_of,
-    sh_of_colours,
-)
-from gs_codec.scene import Scene
+from gs_codec.io.packed_values import bytes_of_opacities, opacities_of, sh_of_colours
+from gs_codec.scene import SH_C0, Scene
 
 _ROW = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rot", "u1", 4)]

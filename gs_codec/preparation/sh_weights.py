@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from gs_codec.kernels import inlined
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.harmonics import SH_C0, sh_basis
+from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
-from gs_codec.scene import Scene
+from gs_codec.scene import SH_C0, Scene
 from gs_codec.workers import run_all
 
 

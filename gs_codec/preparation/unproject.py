@@ -17,7 +17,7 @@ from gs_codec.preparation.backward import (
     MOMENT_YY,
 )
 from gs_codec.preparation.sh_slope import sh_slope
-from gs_codec.rendering.harmonics import SH_C0, sh_basis
+from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.project import (
     LOW_PASS,
     before_camera,
@@ -25,6 +25,7 @@ from gs_codec.rendering.project import (
     covariance,
     quaternion_turn,
 )
+from gs_codec.scene import SH_C0
 
 #: First rows of the attribute groups among those of a Gaussian; behind f_rest come opacity,
 #: log_scale and rot.

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from gs_codec.kernels import inlined
 
-#: Value of the constant harmonic: colour = 0.5 + SH_C0 * f_dc.
-SH_C0 = 0.28209479177387814
-
 SH_C1 = 0.4886025119029199
 SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 SH_C3 = (

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from gs_codec.kernels import inlined, kernel
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.harmonics import SH_C0, sh_basis
-from gs_codec.scene import Scene
+from gs_codec.rendering.harmonics import sh_basis
+from gs_codec.scene import SH_C0, Scene
 
 #: Gaussians nearer than this before the camera are not drawn, scene units.
 NEAR = 0.2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
@@ -13,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import foreign
 import numpy as np
 from scenes import made_up_guide, random_scene
 from test_damage import ENTRY, HEADER, with_checksums
@@ -23,6 +25,7 @@ from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import write_ply
+from gs_codec.io.sog_meta import parse_meta
 from gs_codec.preparation.adam import AdamState, new_state
 from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from gs_codec.rendering.camera_files import read_cameras
@@ -164,6 +167,51 @@ def _first_state() -> AdamState:
     return new_state(np.zeros((4, 3), np.float32))
 
 
+def _packed_plys() -> list[bytes]:
+    return [
+        foreign.ply_file(list(foreign.packed_rows(40, degree, degree).items()))
+        for degree in range(4)
+    ]
+
+
+def _splats() -> list[bytes]:
+    return [foreign.splat_rows(8, seed=1).tobytes()]
+
+
+def _spzs() -> list[bytes]:
+    extension = struct.pack("<III", 0xADBE0003, 4, 6)
+    files = []
+    for version in range(1, 5):
+        streams = foreign.spz_streams(12, version, version - 1, seed=version)
+        sound = partial(foreign.spz_file, streams, 12, version, version - 1)
+        files += [sound(flags=1), sound(flags=2, extensions=extension)]
+    return files
+
+
+def _spz(data: bytes) -> object:
+    """An `.spz` file; one that is not compressed is, so that what is inside is reached."""
+    if data[:4] == b"NGSP" and data[4:5] in (b"\1", b"\2", b"\3"):
+        data = gzip.compress(data, 1, mtime=0)
+    return _scene_file(".spz")(data)
+
+
+def _unzipped_spzs() -> list[bytes]:
+    return [gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data for data in _spzs()]
+
+
+def _sogs() -> list[bytes]:
+    return [
+        foreign.sog_file(*foreign.sog_parts(8, version, degree, seed=degree))
+        for version, degree in ((1, 0), (1, 3), (2, 0), (2, 1))
+    ]
+
+
+def _sog_metas() -> list[bytes]:
+    pairs = ((1, 0), (1, 2), (2, 0), (2, 3))
+    parts = [foreign.sog_parts(8, version, degree, seed=1)[0] for version, degree in pairs]
+    return [json.dumps(meta).encode() for meta in parts]
+
+
 def _checkpoints() -> list[bytes]:
     done = Checkpoint(_first_state(), np.zeros(2), np.ones(2))
     return [_to_file(partial(write_checkpoint, digest="digest", checkpoint=done), ".npz")]
@@ -209,6 +257,11 @@ def _in_folder(read: Callable[[Path, bytes], object], data: bytes) -> object:
 TARGETS = {
     "decode": Target(_decode, _streams),
     "ply": Target(_scene_file(".ply"), _plys),
+    "packed-ply": Target(_scene_file(".ply"), _packed_plys),
+    "splat": Target(_scene_file(".splat"), _splats),
+    "spz": Target(_spz, lambda: [*_spzs(), *_unzipped_spzs()]),
+    "sog": Target(_scene_file(".sog"), _sogs),
+    "sog-meta": Target(parse_meta, _sog_metas),
     "cameras": Target(partial(_from_file, read_cameras, ".json"), _cameras),
     "image": Target(partial(_from_file, read_image, ".png"), _images),
     "colmap": Target(partial(_in_folder, _colmap), _models),

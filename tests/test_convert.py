@@ -1,0 +1,237 @@
+"""``gs-codec convert``: what is kept, what is lost and said, and coordinate systems."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import foreign
+import numpy as np
+import pytest
+from scenes import random_scene
+from test_ply import assert_same_bits
+from typer.testing import CliRunner
+
+from gs_codec.cli.main import app
+from gs_codec.config import Config
+from gs_codec.conversion import convert_file
+from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.files import decode_file, encode_file, inspect_file, read_scene
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.rendering.harmonics import sh_basis
+from gs_codec.scene import Scene, coordinates_comment
+from gs_codec.transform.coordinates import turn_axes
+
+
+def run(*arguments: object) -> tuple[str, str]:
+    """Standard output and error of a command that succeeds."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    return result.stdout, result.stderr
+
+
+@pytest.fixture
+def spz(tmp_path) -> Path:
+    path = tmp_path / "scene.spz"
+    streams = foreign.spz_streams(40, 3, 2, seed=1)
+    streams[1] = bytes([0, 255]) + streams[1][2:]
+    path.write_bytes(foreign.spz_file(streams, 40, 3, 2, flags=1))
+    return path
+
+
+@pytest.fixture
+def ply(tmp_path) -> Path:
+    path = tmp_path / "scene.ply"
+    extra = {"label": np.arange(60, dtype="<i4"), "Weight_2": np.linspace(0, 1, 60)}
+    write_ply(path, replace(random_scene(60, 2, seed=3), extra=extra, comments=("one", "two")))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".egs"])
+def test_what_spz_declares_stays_with_the_scene(suffix, spz, tmp_path, caplog):
+    target = tmp_path / f"out{suffix}"
+    out, err = run("convert", spz, target, "-p", "lossless", "--keep-order")
+    assert out.startswith(f"{target}: 40 Gaussians, SH degree 2, ")
+    assert "coordinates RUB, as they were" in err
+    scene, back = read_scene(spz), read_scene(target)
+    assert_same_bits(scene, back)
+    assert (back.coordinates, back.antialiased) == ("RUB", True)
+    assert f"{spz}: opacity of 0 or 1 in 2 Gaussians" in caplog.messages[0]
+
+
+def test_inspect_shows_what_was_declared(spz, tmp_path):
+    encode_file(spz, tmp_path / "a.egs", Config("paper-m"))
+    write_ply(tmp_path / "b.ply", random_scene(20, 0))
+    encode_file(tmp_path / "b.ply", tmp_path / "b.egs")
+    assert "coordinates RUB, antialiased\n" in run("inspect", tmp_path / "a.egs")[0]
+    assert "coordinates not stated\n" in run("inspect", tmp_path / "b.egs")[0]
+    shown = json.loads(run("inspect", tmp_path / "a.egs", "--json")[0])
+    assert (shown["coordinates"], shown["antialiased"]) == ("RUB", True)
+    assert inspect_file(tmp_path / "b.egs").coordinates is None
+
+
+def test_extra_properties_survive_both_ways(ply, tmp_path):
+    run("convert", ply, tmp_path / "a.egs", "-p", "lossless", "--keep-order")
+    run("convert", tmp_path / "a.egs", tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_bytes() == ply.read_bytes()
+    run("convert", ply, tmp_path / "c.ply", "--extra", "drop")
+    assert read_ply(tmp_path / "c.ply").extra == {}
+    result = CliRunner().invoke(
+        app, ["convert", str(ply), str(tmp_path / "d.ply"), "--extra=error"]
+    )
+    assert result.exit_code != 0
+    assert not (tmp_path / "d.ply").exists()
+
+
+def test_names_of_extra_properties_survive_a_lossy_file(ply, tmp_path):
+    run("convert", ply, tmp_path / "a.egs", "-p", "s")
+    run("convert", tmp_path / "a.egs", tmp_path / "b.ply")
+    back = read_ply(tmp_path / "b.ply", "keep")
+    assert list(back.extra) == ["label", "Weight_2"]
+    assert sorted(back.extra["label"]) == list(range(60))
+
+
+def test_converting_to_ply_is_decoding(ply, tmp_path):
+    encode_file(ply, tmp_path / "a.egs", Config(extra="keep"))
+    decode_file(tmp_path / "a.egs", tmp_path / "b.ply")
+    convert_file(tmp_path / "a.egs", tmp_path / "c.ply")
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "c.ply").read_bytes()
+
+
+def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
+    out, err = run("convert", ply, tmp_path / "a.splat", "--json")
+    report = json.loads(out)
+    assert report["count"] == 60
+    assert report["file_bytes"] == 60 * 32 == (tmp_path / "a.splat").stat().st_size
+    for line in ("SH of degrees 1 to 2 left out", "properties left out: label, Weight_2"):
+        assert line in report["lost"]
+        assert f"{tmp_path / 'a.splat'}: {line}" in caplog.messages
+    assert "no system is stated" in err
+
+
+def test_what_is_not_finite_is_refused_or_dropped(tmp_path):
+    scene = random_scene(30, 0)
+    opacity = scene.opacity.copy()
+    opacity[0, 4:7] = np.nan
+    write_ply(tmp_path / "a.ply", replace(scene, opacity=opacity))
+    result = CliRunner().invoke(
+        app, ["convert", *map(str, (tmp_path / "a.ply", tmp_path / "b.ply"))]
+    )
+    assert isinstance(result.exception, InvalidInput)
+    assert "3 in opacity" in str(result.exception)
+    _, err = run("convert", tmp_path / "a.ply", tmp_path / "b.ply", "--nonfinite", "drop")
+    assert "dropped 3 Gaussians" in err
+    assert read_ply(tmp_path / "b.ply").count == 27
+    run("convert", tmp_path / "a.ply", tmp_path / "c.egs", "-p", "lossless", "--keep-order")
+    np.testing.assert_array_equal(read_scene(tmp_path / "c.egs").opacity, opacity)
+
+
+@pytest.mark.parametrize("name", ["out.spz", "out.sog", "out", "out.obj"])
+def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
+    with pytest.raises(InvalidInput, match=r"expected '\.ply', '\.egs' or '\.splat'"):
+        convert_file(ply, tmp_path / name)
+    assert not (tmp_path / name).exists()
+
+
+def test_converting_a_file_to_itself_is_refused(ply):
+    before = ply.read_bytes()
+    with pytest.raises(InvalidInput, match="the source itself"):
+        convert_file(ply, ply)
+    assert ply.read_bytes() == before
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".egs", ".splat"])
+def test_a_source_that_is_broken_leaves_nothing(suffix, spz, tmp_path):
+    spz.write_bytes(spz.read_bytes()[:-30])
+    with pytest.raises(GsCodecError):
+        convert_file(spz, tmp_path / f"out{suffix}")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.spz"]
+
+
+def test_every_command_reads_other_formats(spz, tmp_path):
+    run("encode", spz, tmp_path / "a.egs", "-p", "paper-m", "--nonfinite", "drop")
+    run("compare", spz, tmp_path / "a.egs", "--json")
+    run("render", spz, "--cameras", "auto", "--width", "16", "--out", tmp_path / "views")
+    run(
+        "prepare",
+        spz,
+        tmp_path / "b.splat",
+        *["--prune-geometry", "10", "--width", "16", "--views", "2"],
+    )
+    assert read_scene(tmp_path / "b.splat").count < 40
+
+
+# Coordinate systems
+
+
+def stated(scene: Scene, system: str) -> Scene:
+    return replace(scene, comments=("first", coordinates_comment(system)))
+
+
+def colours(scene: Scene, directions: np.ndarray) -> np.ndarray:
+    """SH-AC part of each Gaussian's colour, ``(3, N)``, in its direction."""
+    basis = np.zeros((15, scene.count))
+    for i, direction in enumerate(directions.T):
+        sh_basis.py_func(*direction, 15, basis[:, i])
+    return (scene.f_rest.reshape(3, 15, -1) * basis).sum(axis=1)
+
+
+def covariance(scene: Scene) -> np.ndarray:
+    """Covariances ``(N, 3, 3)``."""
+    w, x, y, z = (scene.rot / np.linalg.norm(scene.rot, axis=0)).astype(np.float64)
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)
+    variance = np.exp(2 * scene.log_scale.T.astype(np.float64))
+    return (turn * variance[:, None]) @ turn.transpose(0, 2, 1)
+
+
+@pytest.mark.parametrize("system", ["RUB", "LDB", "LUF", "LUB", "RUF", "RDB", "LDF"])
+def test_turned_scenes_look_the_same_from_turned_directions(system):
+    scene = stated(random_scene(30, 3, seed=4), "RDF")
+    turned = turn_axes(scene, system)
+    assert turned.coordinates == system
+    assert turned.comments == ("first", coordinates_comment(system))
+    signs = np.array([1 if a == b else -1 for a, b in zip("RDF", system, strict=True)])
+    np.testing.assert_array_equal(turned.positions, scene.positions * signs[:, None])
+    mirrored = covariance(scene) * signs[:, None] * signs
+    np.testing.assert_allclose(covariance(turned), mirrored, rtol=1e-5, atol=1e-12)
+    rng = np.random.default_rng(5)
+    away = rng.normal(size=(3, 30))
+    away = (away / np.linalg.norm(away, axis=0)).astype(np.float32)
+    seen = colours(scene, away), colours(turned, away * signs[:, None].astype(np.float32))
+    np.testing.assert_allclose(*seen, atol=1e-5)
+    assert_same_bits(scene, turn_axes(turned, "RDF"))
+
+
+def test_turning_needs_a_system_and_one_of_the_same_axes(spz, ply, tmp_path):
+    target = tmp_path / "out.ply"
+    with pytest.raises(InvalidInput, match="states no system"):
+        convert_file(ply, target, coordinates="RDF")
+    for system in ("RFU", "up", "", "RDFX", "DRF"):
+        with pytest.raises(InvalidInput, match="expected such as RDF"):
+            convert_file(spz, target, coordinates=system)
+    assert not target.exists()
+    _, err = run("convert", spz, target, "--coordinates", "rdf")
+    assert "coordinates turned from RUB to RDF" in err
+    flip = np.array([[1], [-1], [-1]], np.float32)
+    np.testing.assert_array_equal(read_ply(target).positions, read_scene(spz).positions * flip)
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        ((), None),
+        (("CoordinateSystem: RUB",), "RUB"),
+        (("coordinatesystem:luf", "another"), "LUF"),
+        (("CoordinateSystem: RUB", "CoordinateSystem: RFU"), "RFU"),
+        (("CoordinateSystem: RRR", "CoordinateSystem: UP", "CoordinateSystem: RUBX"), None),
+    ],
+)
+def test_the_last_comment_that_names_a_system_counts(comments, expected):
+    assert replace(random_scene(1, 0), comments=comments).coordinates == expected

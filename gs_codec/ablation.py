@@ -24,7 +24,8 @@ def coding_steps(
         name, took = f"coding ({config.profile})", sum(report.seconds.values())
         return [StepReport(name, report.count, report.file_bytes, quality, took)]
     quantised = _quantised_bytes(scene, config)
-    coded = report.file_bytes - sum(report.section_bytes.get(s, 0) for s in ("geometry", "sh-dc"))
+    points = ("geometry", "sh-dc", "gpcc", "tool")
+    coded = report.file_bytes - sum(report.section_bytes.get(name, 0) for name in points)
     plain = quantised["geometry"] + quantised["sh-dc"]
     sizes = {
         "quantisation": sum(quantised.values()),

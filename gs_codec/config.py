@@ -32,6 +32,9 @@ PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
 )
 
 
+#: Most bits of what G-PCC codes.
+GPCC_DEPTHS: Mapping[str, int] = MappingProxyType({"geometry": 18, "sh-dc": 8})
+
 #: The profile that keeps every bit, and so has no depths.
 LOSSLESS = "lossless"
 
@@ -176,6 +179,15 @@ class Config:
     coarseness : float
         With ``l``, ``m``, ``s``, what all steps are multiplied by (their rate control) but those
         of `depths`, 1/64-64. Default 1.
+    geometry : {"octree", "gpcc", "auto"}
+        With a paper profile, what codes positions and SH-DC: our own coders, or MPEG's reference
+        software ``tmc3``, for depths up to 18 and 8. ``auto`` is ``gpcc`` for those where the
+        program is found, else ``octree``. Default ``octree``.
+    tmc3 : str or None
+        The program, for ``gpcc`` and ``auto``; None is what the environment variable
+        ``GS_CODEC_TMC3`` or PATH say.
+    verify : bool
+        Decode once what ``tmc3`` has coded, and compare. Default True.
 
     Raises
     ------
@@ -191,6 +203,9 @@ class Config:
     block_size: int = 1 << 16
     keep_order: bool = False
     coarseness: float = 1.0
+    geometry: Literal["octree", "gpcc", "auto"] = "octree"
+    tmc3: str | None = None
+    verify: bool = True
 
     def __post_init__(self) -> None:
         _check_choice("profile", self.profile, PROFILE_CHOICES)
@@ -207,6 +222,29 @@ class Config:
             raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
+        self._check_geometry()
+
+    def _check_geometry(self) -> None:
+        _check_choice("geometry", self.geometry, ("octree", "gpcc", "auto"))
+        if self.geometry == "octree" and (self.tmc3 is not None or not self.verify):
+            what = "verify" if self.tmc3 is None else "tmc3"
+            raise InvalidInput(f"{what}: geometry 'octree' has no use for it, gpcc and auto do")
+        if self.geometry != "gpcc":
+            return
+        if self.profile not in PROFILES:
+            known = ", ".join(PROFILES)
+            raise InvalidInput(f"geometry 'gpcc': profile '{self.profile}', expected {known}")
+        for group, most in GPCC_DEPTHS.items():
+            if (bits := self.resolved_depths()[group]) > most:
+                raise InvalidInput(f"geometry 'gpcc': {group} of {bits} bits, at most {most}")
+
+    @property
+    def may_use_gpcc(self) -> bool:
+        """Whether G-PCC is asked for, or allowed where its program is found."""
+        if self.geometry == "octree" or self.profile not in PROFILES:
+            return False
+        depths = self.resolved_depths()
+        return all(depths[group] <= most for group, most in GPCC_DEPTHS.items())
 
     def asked_depths(self) -> dict[str, int]:
         """Bits of the groups of `DEPTH_GROUPS` that `depths` names."""

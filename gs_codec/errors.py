@@ -25,6 +25,10 @@ class MissingTool(GsCodecError):
     """An optional program or package that the request needs is not installed."""
 
 
+class ToolFailed(GsCodecError):
+    """A program of others that was started did not do what it was asked to."""
+
+
 def one_line(error: BaseException) -> str:
     """What an exception says, on one line."""
     return " ".join((getattr(error, "strerror", None) or str(error)).split())

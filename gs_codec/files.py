@@ -275,6 +275,7 @@ def decode_file(
     max_bytes: int | None = None,
     progress: Progress | None = None,
     part: Part | None = None,
+    tmc3: str | Path | None = None,
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
@@ -287,11 +288,14 @@ def decode_file(
         If the source cannot be read, or the target cannot be written.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is not a sound `.egs` file.
+    MissingTool, ToolFailed
+        If it uses G-PCC, and the program (`tmc3`, or what the environment says) is not there or
+        does not decode it.
     """
     check_target(source, target)
     start = time.perf_counter()
     whole = part or Part()
-    scene, bytes_read = _decode_ordered(Path(source), whole, threads, max_bytes, progress)
+    scene, bytes_read = _decode_ordered(Path(source), whole, threads, max_bytes, progress, tmc3)
     decoded = time.perf_counter()
     write_ply(target, scene)
     seconds = {"decode": decoded - start, "write": time.perf_counter() - decoded}
@@ -345,10 +349,11 @@ def _decode_ordered(
     threads: int | None = None,
     max_bytes: int | None = None,
     progress: Progress | None = None,
+    tmc3: str | Path | None = None,
 ) -> tuple[Scene, int]:
     """A scene, or a part of it, and the bytes read; what is whole tells its order."""
     with opened(path) as view, located(path):
-        scene, file = decode_part(view, part, threads, max_bytes, progress)
+        scene, file = decode_part(view, part, threads, max_bytes, progress, tmc3)
         order = order_of_file(describe(file))
         if part.box is None and order is not None:
             scene = with_order(scene, order)

@@ -13,6 +13,7 @@ from gs_codec.container.carried import read_comments
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import DESCRIPTIONS, VERSION, EgsFile, SectionId, read_file
 from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
+from gs_codec.container.tool import read_tool
 from gs_codec.lattice.fixed import PLACES
 from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.plan import Pass, passes
@@ -48,6 +49,10 @@ class Info:
     ----------
     version, count, sh_degree, profile, blocks, block_size, has_normals, keeps_order
         As in the header.
+    geometry : str
+        What codes positions: ``octree``, ``gpcc`` (SH-DC too), or ``columns`` (`lossless`).
+    tool : str or None
+        With ``gpcc``, what the program that coded them said it was.
     bounds : tuple of two tuples of float
         Lowest and highest x, y, z of the centres.
     file_bytes : int
@@ -77,6 +82,8 @@ class Info:
     block_size: int
     has_normals: bool
     keeps_order: bool
+    geometry: str
+    tool: str | None
     bounds: Box
     file_bytes: int
     raw_bytes: int
@@ -120,6 +127,8 @@ def describe(file: EgsFile) -> Info:
     details = _lattice_details if header.profile in LATTICE_PROFILES else _channel_details
     stored = file.sections.get((SectionId.COMMENTS, 0))
     comments = () if stored is None else read_comments(stored)
+    tool = file.sections.get((SectionId.TOOL, 0))
+    coder = "columns" if header.profile == LOSSLESS else "octree"
     return Info(
         version=VERSION,
         count=header.count,
@@ -129,6 +138,8 @@ def describe(file: EgsFile) -> Info:
         block_size=header.block_size,
         has_normals=header.has_normals,
         keeps_order=header.keeps_order,
+        geometry=coder if tool is None else "gpcc",
+        tool=None if tool is None else read_tool(tool),
         file_bytes=len(file.data),
         raw_bytes=header.float_bytes,
         streams=_streams(file),

@@ -31,6 +31,14 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
+    tmc3: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="G-PCC program, for files coded with it.",
+            show_default="GS_CODEC_TMC3, or tmc3 in PATH",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
@@ -40,7 +48,7 @@ def command(
 
     part = Part(box, sh_degree)
     with progress_bar(not json) as progress:
-        report = decode_file(source, target, threads, max_bytes, progress, part)
+        report = decode_file(source, target, threads, max_bytes, progress, part, tmc3)
     size = target.stat().st_size
     if json:
         print_json(

@@ -47,6 +47,22 @@ def command(
     keep_order: Annotated[
         bool, typer.Option("--keep-order", help="With lossless: keep the order of Gaussians too.")
     ] = False,
+    geometry: Annotated[
+        str,
+        typer.Option(
+            help="What codes geometry and SH-DC of paper-*: octree (ours), gpcc (MPEG's tmc3), or "
+            "auto (gpcc where tmc3 is found)."
+        ),
+    ] = "octree",
+    tmc3: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="G-PCC program.", show_default="GS_CODEC_TMC3, or tmc3 in PATH"
+        ),
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify/--no-verify", help="Decode once what tmc3 has coded.")
+    ] = True,
     target_size: goal.TargetSize = None,
     target_ratio: goal.TargetRatio = None,
     target_bpg: goal.TargetBits = None,
@@ -79,6 +95,9 @@ def command(
         extra,  # type: ignore[arg-type]
         threads,
         keep_order=keep_order,
+        geometry=geometry,  # type: ignore[arg-type]
+        tmc3=None if tmc3 is None else str(tmc3),
+        verify=verify,
     )
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.files import encode_file

@@ -34,6 +34,8 @@ def command(
         f"bounds {low} to {high}, coordinates {info.coordinates or 'not stated'}"
         f"{', antialiased' if info.antialiased else ''}"
     )
+    if info.tool is not None:
+        print_text(f"geometry and SH-DC: G-PCC, by '{info.tool}'")
     print_table(
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],
         [_stream_row(stream, info) for stream in info.streams],
@@ -60,7 +62,8 @@ def _stream_row(stream, info) -> list[str]:
     if tables:
         models = f"{tables} tables"
         return [stream.name, f"{stream.bytes:,}", f"{stream.bits_per_gaussian:.3f}", "", models]
-    members = [c for c in info.channels if c.stream == stream.name]
+    names = ("geometry", "sh-dc") if stream.name == "gpcc" else (stream.name,)
+    members = [c for c in info.channels if c.stream in names]
     depths = "/".join(str(d) for d in sorted({c.quantiser.depth for c in members}))
     kinds = Counter(
         c.model.kind if c.model else "constant" for c in members if c.model or not c.quantiser.depth

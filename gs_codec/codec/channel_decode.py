@@ -10,17 +10,21 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codec.gpcc import decode_gpcc, is_gpcc
 from gs_codec.codec.order import triple_depths
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
 from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.entropy.rans import TableSet, decode_symbols
 from gs_codec.geometry.colour import decode_colour
 from gs_codec.geometry.count_tree import decode_geometry
+from gs_codec.geometry.tmc3 import Tmc3
 from gs_codec.quantise import dequantise
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS
 from gs_codec.transform.morton import decode_morton
 from gs_codec.workers import run_all
+
+_POINTS = {SectionId.GEOMETRY, SectionId.SH_DC}
 
 
 def channels_of(file: EgsFile) -> list[Channel]:
@@ -35,13 +39,21 @@ def channel_sections(file: EgsFile) -> set[SectionId]:
     expected = {SectionId.of_stream(stream) for stream in streams}
     if streams & set(RANS_STREAMS):
         expected.add(SectionId.STATES)
+    if is_gpcc(file) and expected & _POINTS:
+        expected = expected - _POINTS | {SectionId.GPCC}
     return expected
 
 
-def channel_positions(file: EgsFile, channels: list[Channel], block: int) -> NDArray[np.float32]:
-    """Positions ``(3, n)`` of a block, from its section `geometry` alone."""
+def channel_positions(
+    file: EgsFile, channels: list[Channel], tool: Tmc3 | None, block: int
+) -> NDArray[np.float32]:
+    """Positions ``(3, n)`` of a block, from its section `geometry` or `gpcc` alone."""
     axes = channels[:3]
-    cells = _decode_cells(file, axes, block)
+    cells = (
+        _decode_cells(file, axes, block)
+        if tool is None
+        else decode_gpcc(file, tool, channels, block)[0]
+    )
     return np.stack([dequantise(row, c.quantiser) for row, c in zip(cells, axes, strict=True)])
 
 
@@ -62,13 +74,15 @@ def decode_channels(
     degree: int,
     threads: int | None = None,
     progress: Progress | None = None,
+    tool: Tmc3 | None = None,
 ) -> dict[str, NDArray[np.float32]]:
     """The attribute groups of blocks, in the order of the stream.
 
-    `spans` tells where each block goes; SH is decoded up to `degree`.
+    `spans` tells where each block goes; SH is decoded up to `degree`. `tool` decodes points that
+    are coded by G-PCC.
     """
     count = max((span.stop for span in spans.values()), default=0)
-    decoder = _Blocks.of(file, channels_of(file), degree, count)
+    decoder = _Blocks.of(file, channels_of(file), degree, count, tool)
     stages = decoder.stages()
     jobs = [
         partial(stage, block, span.start, span.stop)
@@ -96,9 +110,17 @@ class _Blocks:
     tables: TableSet
     levels: list[NDArray[np.float32]]
     whole: bool
+    tool: Tmc3 | None
 
     @classmethod
-    def of(cls, file: EgsFile, channels: list[Channel], degree: int, count: int) -> _Blocks:
+    def of(
+        cls,
+        file: EgsFile,
+        channels: list[Channel],
+        degree: int,
+        count: int,
+        tool: Tmc3 | None,
+    ) -> _Blocks:
         """Set up tables, and constant planes of `count` Gaussians, for SH up to a degree."""
         kept, coded = SH_COEFFICIENTS[degree], SH_COEFFICIENTS[file.header.sh_degree]
         channels = [
@@ -120,7 +142,8 @@ class _Blocks:
                 tables.append(channel.model.frequencies(channel.alphabet))
                 levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
         packed = TableSet.pack(tables)
-        return cls(file, channels, groups, planes, varying, packed, levels, kept == coded)
+        whole = kept == coded
+        return cls(file, channels, groups, planes, varying, packed, levels, whole, tool)
 
     def stages(self) -> list[Callable[[int, int, int], None]]:
         """What there is to do for each block."""
@@ -134,15 +157,22 @@ class _Blocks:
     def decode_points(self, block: int, start: int, stop: int) -> None:
         """Fill positions and f_dc of a block."""
         quantisers = [channel.quantiser for channel in self.channels]
-        cells = _decode_cells(self.file, self.channels[:3], block)
-        colour_depths = triple_depths(quantisers[3:6])
-        symbols = [*cells]
-        if sum(colour_depths):
-            data = self.file.section(SectionId.SH_DC, block)
-            symbols += [*decode_colour(data, cells, colour_depths, f"sh-dc of block {block}")]
+        symbols = self._symbols_of_points(block)
         for row, plane in enumerate(symbols):
             if quantisers[row].depth:
                 self.planes[row][start:stop] = dequantise(plane, quantisers[row])
+
+    def _symbols_of_points(self, block: int) -> list[NDArray]:
+        """Symbols of x, y, z and, unless all are constant, of f_dc."""
+        if self.tool is not None:
+            cells, colours = decode_gpcc(self.file, self.tool, self.channels, block)
+            return [*cells, *colours]
+        cells = _decode_cells(self.file, self.channels[:3], block)
+        depths = triple_depths([channel.quantiser for channel in self.channels[3:6]])
+        if not sum(depths):
+            return [*cells]
+        data = self.file.section(SectionId.SH_DC, block)
+        return [*cells, *decode_colour(data, cells, depths, f"sh-dc of block {block}")]
 
     def decode_attributes(self, block: int, start: int, stop: int) -> None:
         """Fill everything else of a block."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from gs_codec.codec.channel_decode import (
     channels_of,
     decode_channels,
 )
+from gs_codec.codec.gpcc import tool_for
 from gs_codec.codec.lattice_decode import block_boxes, decode_lattice, lattice_sections
 from gs_codec.codec.lossless import block_sections, decode_lossless, lossless_positions
 from gs_codec.codec.part import Part
@@ -28,6 +30,7 @@ from gs_codec.container.file import (
     read_file,
 )
 from gs_codec.errors import CorruptStream
+from gs_codec.geometry.tmc3 import Tmc3
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
@@ -53,6 +56,7 @@ def decode_part(
     threads: int | None = None,
     max_bytes: int | None = None,
     progress: Progress | None = None,
+    tmc3: str | Path | None = None,
 ) -> tuple[Scene, EgsFile]:
     """Decode a part of an `.egs` stream.
 
@@ -70,6 +74,8 @@ def decode_part(
         `EXPANSION` times the stream's size, whichever is more.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
+    tmc3 : path, optional
+        The program for streams that use G-PCC; by default ``GS_CODEC_TMC3`` or PATH say where.
 
     Returns
     -------
@@ -83,6 +89,8 @@ def decode_part(
     InvalidInput
         If there can be no such number of threads.
     CorruptStream, TruncatedStream, UnsupportedVersion
+    MissingTool, ToolFailed
+        If the stream uses G-PCC, and its program is not there or does not decode it.
     """
     check_threads(threads)
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
@@ -90,12 +98,13 @@ def decode_part(
     limit = max(DECODED_BYTES, EXPANSION * len(data)) if max_bytes is None else max_bytes
     _check_size(header, limit)
     coded = _check_sections(file)
+    tool = tool_for(file, tmc3)
     degree = part.degree_of(header.sh_degree)
     # Blocks of which nothing is coded are one: a small file may have any number of them.
     blocks: Sequence[int] = range(header.block_count)
     spans = {0: slice(0, header.count)}
     if coded:
-        file, blocks = _choose_blocks(file, part, threads)
+        file, blocks = _choose_blocks(file, part, threads, tool)
         spans = _spans(header, blocks)
     chosen = blocks if isinstance(blocks, range) else frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
@@ -104,31 +113,34 @@ def decode_part(
             section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
         ),
     )
-    groups = _decoder(header.profile)(file, spans, degree, threads, progress)
+    groups = _decoder(header.profile, tool)(file, spans, degree, threads, progress)
     scene = _assemble(file, groups, blocks)
     if part.box is not None:
         scene = scene.take(part.contains(scene.positions))
     return scene, file
 
 
-def _decoder(profile: str) -> Callable[..., dict[str, NDArray[np.float32]]]:
+def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray[np.float32]]]:
     if profile == LOSSLESS:
         return decode_lossless
-    return decode_lattice if profile in LATTICE_PROFILES else decode_channels
+    return decode_lattice if profile in LATTICE_PROFILES else partial(decode_channels, tool=tool)
 
 
-def _choose_blocks(file: EgsFile, part: Part, threads: int | None) -> tuple[EgsFile, Sequence[int]]:
+def _choose_blocks(
+    file: EgsFile, part: Part, threads: int | None, tool: Tmc3 | None
+) -> tuple[EgsFile, Sequence[int]]:
     """Blocks that may have something in the part's box, and the file with what tells so read."""
     every = range(file.header.block_count)
     if part.box is None or not every:
         return file, every
     if file.header.profile in LATTICE_PROFILES:
         return file, np.flatnonzero(part.meets(*block_boxes(file))).tolist()
-    file = file.read(lambda section, _: section == SectionId.GEOMETRY)
+    points = SectionId.GEOMETRY if tool is None else SectionId.GPCC
+    file = file.read(lambda section, _: section == points)
     if file.header.profile == LOSSLESS:
         positions = partial(lossless_positions, file)
     else:
-        positions = partial(channel_positions, file, channels_of(file))
+        positions = partial(channel_positions, file, channels_of(file), tool)
     found = run_all(lambda block: part.contains(positions(block)).any(), every, threads)
     return file, np.flatnonzero(found).tolist()
 
@@ -160,6 +172,8 @@ def _check_sections(file: EgsFile) -> set[SectionId]:
         expected = lattice_sections(header.sh_degree)
     else:
         own, expected = {SectionId.CHANNELS}, channel_sections(file)
+        if SectionId.GPCC in expected:
+            own.add(SectionId.TOOL)
     others = set(SectionId) - own - expected - {SectionId.COMMENTS, SectionId.EXTRA}
     for section_id, block in file.table:
         if section_id in others:

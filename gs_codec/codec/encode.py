@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
+from gs_codec.codec.gpcc import encode_gpcc, tool_of, tool_section
 from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_encode import encode_lattice
 from gs_codec.codec.lossless import encode_lossless
@@ -26,6 +27,7 @@ from gs_codec.container.file import (
 from gs_codec.entropy.rans import TableSet, encode_symbols
 from gs_codec.geometry.colour import encode_colour
 from gs_codec.geometry.count_tree import encode_geometry
+from gs_codec.geometry.tmc3 import Tmc3
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
@@ -57,6 +59,8 @@ def encode_scene(
     ------
     InvalidInput
         If values are not finite and `config` does not say to drop them.
+    MissingTool, ToolFailed
+        If `config` asks for G-PCC, and its program is not there or fails.
     """
     config = config or Config()
     if config.profile == LOSSLESS:
@@ -71,16 +75,17 @@ def encode_scene(
         return data, replace(
             report, zero_quaternions=zero_quaternions, dropped=dropped, seconds=seconds
         )
-    depths = config.resolved_depths()
+    depths, tool = config.resolved_depths(), tool_of(config)
     with times.stage("order"):
         ordered = order_scene(scene, depths["geometry"], depths["sh-dc"])
     with times.stage("quantise and model"):
         coded = quantise_and_model(scene, ordered.order, config, progress)
     with times.stage("code"):
         header = _header(scene, config)
-        block_sections = _encode_blocks(header, ordered, coded, config.threads, progress)
+        block_sections = _encode_blocks(header, ordered, coded, config, tool, progress)
     with times.stage("container"):
-        sections = [_channels_section(scene, ordered, coded), *block_sections]
+        sections = [_channels_section(scene, ordered, coded), *tool_section(tool, ordered)]
+        sections += block_sections
         sections += carried_sections(scene, ordered.order)
         data = write_file(header, sections)
     return data, EncodeReport(
@@ -112,23 +117,23 @@ def _encode_blocks(
     header: Header,
     ordered: Ordered,
     coded: Coded,
-    threads: int | None,
+    config: Config,
+    tool: Tmc3 | None,
     progress: Progress | None,
 ) -> list[Section]:
     """Sections of all blocks, block after block."""
     tables = TableSet.pack(coded.tables)
-    stages = (
-        partial(_encode_geometry, ordered),
-        partial(_encode_colour, ordered),
-        partial(_encode_symbols, coded, tables),
-    )
+    stages = [partial(_encode_geometry, ordered), partial(_encode_colour, ordered)]
+    if tool is not None:
+        stages = [partial(encode_gpcc, tool, config.verify, ordered)]
+    stages.append(partial(_encode_symbols, coded, tables))
     jobs = [
         partial(stage, block, *header.block_range(block))
         for block in range(header.block_count)
         for stage in stages
     ]
     advance = step_counter(progress, "code", len(jobs))
-    done = run_all(lambda job: job(), jobs, threads, advance)
+    done = run_all(lambda job: job(), jobs, config.threads, advance)
     return [section for sections in done for section in sections]
 
 

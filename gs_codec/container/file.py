@@ -46,6 +46,8 @@ class SectionId(IntEnum):
     LOW_BITS = 15
     BOUNDS = 16
     BOX = 17
+    GPCC = 18
+    TOOL = 19
 
     @property
     def label(self) -> str:
@@ -67,11 +69,20 @@ SCENE_SECTIONS = frozenset(
         SectionId.LATTICE,
         SectionId.BOUNDS,
         SectionId.BOX,
+        SectionId.TOOL,
     }
 )
 
 #: Sections that say how the others are coded.
-DESCRIPTIONS = frozenset({SectionId.CHANNELS, SectionId.LATTICE, SectionId.BOUNDS, SectionId.BOX})
+DESCRIPTIONS = frozenset(
+    {
+        SectionId.CHANNELS,
+        SectionId.LATTICE,
+        SectionId.BOUNDS,
+        SectionId.BOX,
+        SectionId.TOOL,
+    }
+)
 
 #: Whether a section, of an id and a block, is to be read.
 Wanted = Callable[[int, int], bool]

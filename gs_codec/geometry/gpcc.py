@@ -1,0 +1,141 @@
+"""Coder of coloured points by `tmc3` (G-PCC), lossless; the order of the points is not kept.
+
+What it is given and gives back are PLY files, of which those it writes are not trusted.
+FORMAT.md, section "G-PCC".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import ToolFailed
+from gs_codec.geometry.tmc3 import Tmc3
+
+Depths = tuple[int, int, int]
+
+_AXES = ("x", "y", "z")
+_COLOURS = ("red", "green", "blue")
+_ROW = np.dtype([(name, "<f4") for name in _AXES] + [(name, "u1") for name in _COLOURS])
+
+#: Lossless geometry, duplicates kept; lossless 8-bit colour. An attribute's options come first.
+_ENCODE = (
+    "--mode=0", "--uncompressedDataPath=in.ply", "--compressedStreamPath=out.bin",
+    "--trisoupNodeSizeLog2=0", "--mergeDuplicatedPoints=0", "--positionQuantizationScale=1",
+    "--neighbourAvailBoundaryLog2=8", "--intra_pred_max_node_size_log2=6",
+    "--maxNumQtBtBeforeOt=4", "--minQtbtSizeLog2=0", "--planarEnabled=1", "--planarModeIdcmUse=0",
+    "--inferredDirectCodingMode=3", "--convertPlyColourspace=1", "--transformType=1",
+    "--numberOfNearestNeighborsInPrediction=3", "--levelOfDetailCount=0",
+    "--intraLodPredictionSkipLayers=0", "--adaptivePredictionThreshold=64", "--colourMatrix=0",
+    "--interComponentPredictionEnabled=1", "--qp=4", "--qpChromaOffset=0", "--bitdepth=8",
+    "--attrOffset=0", "--attrScale=1", "--attribute=color",
+)  # fmt: skip
+_DECODE = (
+    "--mode=1", "--compressedStreamPath=in.bin", "--reconstructedDataPath=out.ply",
+    "--outputBinaryPly=1", "--convertPlyColourspace=1",
+)  # fmt: skip
+
+_HEADER_BYTES = 1 << 13
+_PLY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "<i2"),
+    **dict.fromkeys(("ushort", "uint16"), "<u2"),
+    **dict.fromkeys(("int", "int32"), "<i4"),
+    **dict.fromkeys(("uint", "uint32"), "<u4"),
+    **dict.fromkeys(("float", "float32"), "<f4"),
+    **dict.fromkeys(("double", "float64"), "<f8"),
+}
+
+
+def encode_points(tool: Tmc3, cells: NDArray[np.uint32], colours: NDArray[np.uint16]) -> bytes:
+    """Code points of at most 18 bits an axis and 8 a colour.
+
+    Parameters
+    ----------
+    tool : Tmc3
+    cells : ndarray, shape (3, N), uint32
+        Quantised positions; duplicates allowed.
+    colours : ndarray, shape (3, N), uint16
+        Quantised SH-DC of R, G, B.
+
+    Raises
+    ------
+    ToolFailed
+    """
+    rows = np.empty(cells.shape[1], _ROW)
+    for name, plane in zip((*_AXES, *_COLOURS), (*cells, *colours), strict=True):
+        rows[name] = plane
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    lines += [f"property float {name}" for name in _AXES]
+    lines += [f"property uchar {name}" for name in _COLOURS]
+    header = "\n".join([*lines, "end_header", ""]).encode()
+    most = 64 * len(rows) + (1 << 16)
+    return tool.run(_ENCODE, {"in.ply": header + rows.tobytes()}, "out.bin", most)
+
+
+def decode_points(
+    tool: Tmc3, data: bytes | memoryview, count: int, axes: Depths, colours: Depths
+) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
+    """The inverse of `encode_points` for `count` points of these depths, in any order.
+
+    Raises
+    ------
+    ToolFailed
+        If the program fails, or gives anything else than so many points.
+    """
+    most = _HEADER_BYTES + 64 * count
+    ply = tool.run(_DECODE, {"in.bin": data}, "out.ply", most)
+    rows = _read_rows(ply, count)
+    cells = np.stack([_symbols(rows, *pair) for pair in zip(_AXES, axes, strict=True)])
+    found = np.stack([_symbols(rows, *pair) for pair in zip(_COLOURS, colours, strict=True)])
+    return cells, found.astype(np.uint16)
+
+
+def _read_rows(ply: bytes, count: int) -> NDArray:
+    """The rows of a binary PLY that has `count` vertices, and nothing else."""
+    end = ply.find(b"end_header\n", 0, _HEADER_BYTES)
+    if not ply.startswith(b"ply\n") or end < 0:
+        raise ToolFailed("wrote something that is no PLY file")
+    dtype = _row_type(ply[:end].decode("ascii", "replace").splitlines()[1:], count)
+    start = end + len(b"end_header\n")
+    if len(ply) - start != count * dtype.itemsize:
+        expected = count * dtype.itemsize
+        raise ToolFailed(f"wrote a PLY with {len(ply) - start} bytes of data, expected {expected}")
+    return np.frombuffer(ply, dtype, count, start)
+
+
+def _row_type(lines: list[str], count: int) -> np.dtype:
+    """What a vertex is, of the lines of a header."""
+    fields: dict[str, str] = {}
+    element = ""
+    for line in lines:
+        match line.split():
+            case ["comment" | "obj_info", *_] | ["format", "binary_little_endian", "1.0"]:
+                pass
+            case ["element", "vertex", number] if not element:
+                element = "vertex"
+                if number != str(count):
+                    raise ToolFailed(f"gave {number[:20]!a} points, expected {count}")
+            case ["element", name, "0"] if element and name != "vertex":
+                element = name
+            case ["property", kind, name] if element == "vertex" and kind in _PLY_TYPES:
+                if name in fields:
+                    raise ToolFailed(f"wrote a PLY with two properties {name[:20]!a}")
+                fields[name] = _PLY_TYPES[kind]
+            case ["property", *_] if element not in ("", "vertex"):
+                pass
+            case _:
+                raise ToolFailed(f"wrote a PLY header with the line {line[:60]!a}")
+    if missing := [name for name in (*_AXES, *_COLOURS) if name not in fields]:
+        raise ToolFailed(f"wrote a PLY without property '{missing[0]}'")
+    return np.dtype(list(fields.items()))
+
+
+def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
+    """A column of symbols of so many bits."""
+    column = rows[name]
+    # NaN is in no range.
+    if not np.all((column >= 0) & (column < 1 << depth)) or np.any(column % 1):
+        raise ToolFailed(f"gave a value of {name} that is no integer of {depth} bits")
+    return column.astype(np.uint32)

@@ -233,10 +233,13 @@ class Config:
             return
         if self.profile not in PROFILES:
             known = ", ".join(PROFILES)
-            raise InvalidInput(f"geometry 'gpcc': profile '{self.profile}', expected {known}")
+            raise InvalidInput(
+                f"geometry 'gpcc': profile '{self.profile}' has no points of plain integers, "
+                f"{known} have"
+            )
         for group, most in GPCC_DEPTHS.items():
             if (bits := self.resolved_depths()[group]) > most:
-                raise InvalidInput(f"geometry 'gpcc': {group} of {bits} bits, at most {most}")
+                raise InvalidInput(f"geometry 'gpcc': depth of {group} {bits}, at most {most}")
 
     @property
     def may_use_gpcc(self) -> bool:

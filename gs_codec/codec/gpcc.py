@@ -81,9 +81,12 @@ def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:
 
     Raises
     ------
-    MissingTool
+    CorruptStream, MissingTool
     """
-    return Tmc3.find(path) if is_gpcc(file) else None
+    if not is_gpcc(file):
+        return None
+    read_tool(file.section(SectionId.TOOL))
+    return Tmc3.find(path)
 
 
 def decode_gpcc(

@@ -24,13 +24,12 @@ from gs_codec.errors import MissingTool, ToolFailed
 VARIABLE = "GS_CODEC_TMC3"
 
 _MISSING = (
-    "tmc3 is MPEG's G-PCC reference software (mpeg-pcc-tmc13, published at "
-    "https://github.com/MPEGGroup/mpeg-pcc-tmc13), named by --tmc3, GS_CODEC_TMC3 or PATH; "
-    "geometry 'octree' needs nothing"
+    "tmc3 is MPEG's reference software for G-PCC, https://github.com/MPEGGroup/mpeg-pcc-tmc13, "
+    f"found by --tmc3, {VARIABLE} or PATH; geometry 'octree' needs no program"
 )
 
 # A shell sets the limits: setting them between fork and exec is unsafe where there are threads.
-_LIMITED = 'ulimit -c 0; ulimit -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shift 3; exec "$@"'
+_LIMITED = 'ulimit -c 0; ulimit -S -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shift 3; exec "$@"'
 
 _LOG_BYTES = 4096
 
@@ -92,7 +91,7 @@ class Tmc3:
             raise MissingTool(f"{found}: cannot be run ({error}); {_MISSING}") from error
         line = plain_text(text.partition(b"\n")[0])
         if "tmc3" not in line.lower():
-            raise MissingTool(f"{found}: says it is '{line[:80]}', expected tmc3; {_MISSING}")
+            raise MissingTool(f"{found}: not tmc3, its help begins '{line[:80]}'; {_MISSING}")
         return cls(found, line[:200], limits)
 
     def run(

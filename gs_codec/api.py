@@ -125,6 +125,8 @@ def encode(
     InvalidInput
         If an attribute is missing or of a wrong type, a value is not finite, or the target is out
         of reach.
+    MissingTool, ToolFailed
+        If `config` asks for G-PCC, and its program is not there or fails.
     """
     config = config or Config()
     scene = from_cloud(cloud, config.extra)
@@ -155,6 +157,8 @@ def decode(data: bytes, max_bytes: int | None = None) -> PointCloud:
     Raises
     ------
     CorruptStream, TruncatedStream, UnsupportedVersion
+    MissingTool, ToolFailed
+        If points are coded by G-PCC, and its program is not there or does not decode them.
     """
     return to_cloud(decode_scene(data, max_bytes=max_bytes))
 

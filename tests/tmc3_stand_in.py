@@ -49,13 +49,15 @@ def encode(options):
     assert options["--mergeDuplicatedPoints"] == "0"
     # By colour, as if positions did not matter.
     rows = sorted(ROW_IN.iter_unpack(data), key=lambda row: row[::-1])
-    packed = b"".join(ROW_IN.pack(*row) for row in rows)
-    Path(options["--compressedStreamPath"]).write_bytes(b"STAND" + zlib.compress(packed, 1))
+    packed = zlib.compress(b"".join(ROW_IN.pack(*row) for row in rows), 1)
+    # One unit: its type (geometry), its size, its data.
+    unit = b"\2" + len(packed).to_bytes(4, "big") + packed
+    Path(options["--compressedStreamPath"]).write_bytes(unit)
 
 
 def decode(options, failure):
     content = Path(options["--compressedStreamPath"]).read_bytes()
-    assert content[:5] == b"STAND"
+    assert content[:1] == b"\2"
     assert options["--outputBinaryPly"] == "1"
     rows = [list(row) for row in ROW_IN.iter_unpack(zlib.decompress(content[5:]))]
     if failure == "count":

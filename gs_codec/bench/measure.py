@@ -132,8 +132,8 @@ def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
     """Peak resident memory of whole processes; 0 where the system does not tell."""
     stream, back = ply.with_suffix(".egs"), ply.with_name("back.ply")
     depths = [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
-    encode = _peak_memory(["encode", str(ply), str(stream), "-p", config.profile, *depths])
-    decode = _peak_memory(["decode", str(stream), str(back)])
+    encode = peak_memory(["encode", str(ply), str(stream), "-p", config.profile, *depths])
+    decode = peak_memory(["decode", str(stream), str(back)])
     return {
         "encode_peak_bytes": encode,
         "decode_peak_bytes": decode,
@@ -143,6 +143,7 @@ def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
     }
 
 
-def _peak_memory(arguments: list[str]) -> int:
+def peak_memory(arguments: list[str]) -> int:
+    """Peak resident memory of one command of the command line; 0 where the system does not tell."""
     command = [sys.executable, "-m", "gs_codec.bench.peak", *arguments]
     return int(subprocess.run(command, check=True, capture_output=True).stdout)

@@ -17,12 +17,14 @@ from gs_codec.cli.bench_tables import (
     GAIN_COLUMNS,
     PART_COLUMNS,
     PEER_COLUMNS,
+    POINT_COLUMNS,
     PREPARATION_COLUMNS,
     TARGET_COLUMNS,
     add_to_rows,
     gain_row,
     part_row,
     peer_row,
+    point_row,
     preparation_row,
     target_row,
 )
@@ -30,7 +32,7 @@ from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.cli.threads import Threads
 from gs_codec.cli.views import CAMERAS, Width
-from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -80,6 +82,10 @@ def command(
             "--targets", help="Measure wanted sizes and qualities beside l, m, s instead."
         ),
     ] = False,
+    points: Annotated[
+        bool,
+        typer.Option("--points", help="Measure octree and G-PCC on geometry and SH-DC instead."),
+    ] = False,
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
@@ -98,8 +104,6 @@ def command(
     ]
     if plot and not (prepare or targets):
         raise InvalidInput("--plot needs --prepare or --targets")
-    if prepare and not cameras:
-        raise InvalidInput("--prepare needs --cameras")
     if prepare:
         _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
         return
@@ -118,6 +122,10 @@ def command(
     if parts:
         chosen = configs if profile else [replace(configs[0], profile="m")]
         _measure_parts(scenes, chosen, tile, (cameras, against_gt, width))
+        return
+    if points:
+        chosen = configs if profile else [replace(configs[0], profile="paper-m")]
+        _measure_points(scenes, chosen, tile, repeats)
         return
     if peers:
         _measure_peers(scenes, configs, tile, repeats, (cameras, against_gt, width))
@@ -254,6 +262,27 @@ def _measure_parts(
     print_table(PART_COLUMNS, rows, sys.stderr)
 
 
+def _measure_points(
+    scenes: list[Path], configs: list[Config], tile: int | None, repeats: int
+) -> None:
+    if not {config.profile for config in configs} <= set(PROFILES):
+        raise InvalidInput(f"--points: profiles {', '.join(PROFILES)}; paper-m when none is given")
+    from gs_codec.bench.measure import machine
+    from gs_codec.bench.points import measure_points
+
+    print_text(json_module.dumps(machine()))
+    rows = []
+    for path in scenes:
+        name, scene = _load(path, configs[0], tile)
+        for config in configs:
+            for line in _printed(measure_points(scene, name, config, repeats)):
+                if "absent" in line:
+                    print_status(line["absent"])
+                else:
+                    rows.append(point_row(line))
+    print_table(POINT_COLUMNS, rows, sys.stderr)
+
+
 def _held_out(
     scenes: list[Path],
     config: Config,
@@ -285,6 +314,9 @@ def _measure_preparation(
     views: tuple[str | None, Path | None, int | None],
     plot: Path | None,
 ) -> None:
+    source, truth, width = views
+    if not source:
+        raise InvalidInput("--prepare needs --cameras")
     from gs_codec.bench.frontier_plot import plot_frontier
     from gs_codec.bench.measure import machine
     from gs_codec.bench.prepared import measure_frontier, measure_pruning
@@ -292,11 +324,10 @@ def _measure_preparation(
     from gs_codec.preparation.steps import Steps
 
     print_text(json_module.dumps(machine()))
-    source, truth, width = views
     lines: list[dict[str, Any]] = []
     for path in scenes:
         name, scene = _load(path, configs[0], tile)
-        plan = Plan(Steps(), source or "auto", truth, width)
+        plan = Plan(Steps(), source, truth, width)
         results = [measure_pruning(scene, name, plan)]
         results += [measure_frontier(scene, name, plan, config) for config in configs]
         lines += _printed(chain(*results))

@@ -19,6 +19,10 @@ TARGET_COLUMNS = [
     "scene, steps", "asked", "reached", "pruned", "ratio", "bits/G", "profiles' bits/G", "PSNR dB",
     "delta-PSNR", "s",
 ]  # fmt: skip
+POINT_COLUMNS = [
+    "scene, coder", "geometry bits/G", "SH-DC bits/G", "both", "encode CPU s", "decode CPU s",
+    "peak MB", "tmc3 MB",
+]  # fmt: skip
 PART_COLUMNS = ["scene, profile", "without", "bits/G", "PSNR dB", "saves bits/G at equal PSNR"]
 GAIN_COLUMNS = ["scene, steps", "at", "PSNR dB", "paper bits/G", "bits/G", "saved"]
 
@@ -102,6 +106,19 @@ def gain_row(line: dict[str, Any]) -> list[str]:
     saving = line["saving_percent"]
     saved = "out of range" if saving is None else f"{saving:.1f} %"
     return [label, line["at"], f"{line['psnr']:.2f}", *shown, saved]
+
+
+def point_row(line: dict[str, Any]) -> list[str]:
+    """A row of what codes geometry and SH-DC."""
+    bits = [line[f"{part}_bits_per_gaussian"] for part in ("geometry", "colour")]
+    times = [line[f"{way}_cpu_seconds"]["median"] for way in ("encode", "decode")]
+    peak = max(line["encode_peak_bytes"], line["decode_peak_bytes"])
+    return [
+        f"{line['scene']}, {line['coder']}",
+        *(f"{number:.2f}" for number in (*bits, sum(bits), *times)),
+        f"{peak / 1e6:.0f}",
+        f"{line['tool_peak_bytes'] / 1e6:.0f}" if "tool_peak_bytes" in line else "",
+    ]
 
 
 def part_row(line: dict[str, Any]) -> list[str]:

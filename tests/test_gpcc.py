@@ -9,6 +9,7 @@ import errno
 import json
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from gs_codec.cli.main import app
 from gs_codec.codec import decode_part, decode_scene, encode_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILES, Config
-from gs_codec.container.file import Section, SectionId, read_file, write_file
+from gs_codec.container.file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed, TruncatedStream
 from gs_codec.geometry.gpcc import decode_points, encode_points
 from gs_codec.geometry.tmc3 import Limits, Tmc3
@@ -453,6 +454,15 @@ def test_too_deep_points_are_refused(stand_in):
     sections += [Section(SectionId.TOOL, 0, b"tmc3"), Section(SectionId.GPCC, 0, bytes(8))]
     with pytest.raises(CorruptStream, match="geometry of 19 bits, expected at most 18"):
         decode_scene(write_file(file.header, sections))
+
+
+def test_many_small_blocks_are_refused(stand_in):
+    file = read_file(encode_scene(random_scene(1200, 0, seed=103), config())[0])
+    header = replace(file.header, block_size=500)
+    sections = [Section(SectionId(key[0]), key[1], part) for key, part in file.sections.items()]
+    sections += [replace(s, block=2) for s in sections if s.id not in SCENE_SECTIONS and s.block]
+    with pytest.raises(CorruptStream, match="blocks of 500 Gaussians, expected at least 512"):
+        decode_scene(write_file(header, sections))
 
 
 def test_another_version_is_named(stand_in, monkeypatch):

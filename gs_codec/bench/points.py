@@ -48,7 +48,7 @@ def measure_points(
     else:
         gpcc = replace(config, geometry="gpcc", tmc3=tool.path, verify=False)
         yield from _measure(scene, name, "gpcc", gpcc, repeats)
-    yield from _measure(scene, name, "m", Config(threads=config.threads), repeats)
+    yield from _measure(scene, name, "m", replace(octree, profile="m", depths={}), repeats)
 
 
 def _measure(
@@ -115,7 +115,7 @@ def _memory(scene: Scene, config: Config) -> dict[str, int]:
     with tempfile.TemporaryDirectory() as folder:
         ply, stream, peaks = (Path(folder, name) for name in ("a.ply", "a.egs", "peaks"))
         write_ply(ply, scene)
-        encode = ["encode", str(ply), str(stream), "-p", config.profile]
+        encode = ["encode", str(ply), str(stream), "-p", config.profile, "--extra", config.extra]
         encode += [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
         decode = ["decode", str(stream), str(ply.with_suffix(".back.ply"))]
         if config.tmc3 is not None:

@@ -22,6 +22,9 @@ from gs_codec.transform.morton import canonical_order, encode_morton
 
 _CHECKSUM = "<I"
 
+#: Gaussians in a block where there are several: each takes a run of the program.
+_LEAST_BLOCK = 512
+
 
 def tool_of(config: Config) -> Tmc3 | None:
     """The program that a configuration asks for; None where the octree codes the points.
@@ -86,6 +89,11 @@ def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:
     if not is_gpcc(file):
         return None
     read_tool(file.section(SectionId.TOOL))
+    header = file.header
+    if header.block_count > 1 and header.block_size < _LEAST_BLOCK:
+        raise CorruptStream(
+            f"gpcc: blocks of {header.block_size} Gaussians, expected at least {_LEAST_BLOCK}"
+        )
     return Tmc3.find(path)
 
 

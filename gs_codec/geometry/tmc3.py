@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -86,7 +86,8 @@ class Tmc3:
         found = os.path.abspath(found)
         try:
             with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
-                text = _run([found, "--help"], folder, limits, 1 << 20)[0]
+                brief = replace(limits, seconds=60.0, processor_seconds=10)
+                text = _run([found, "--help"], folder, brief, 1 << 20)[0]
         except (OSError, ToolFailed) as error:
             raise MissingTool(f"{found}: cannot be run ({error}); {_MISSING}") from error
         line = plain_text(text.partition(b"\n")[0])

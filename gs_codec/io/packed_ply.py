@@ -99,9 +99,9 @@ def _between(limits: NDArray, prefix: str, axes: str, shares: NDArray) -> NDArra
     """Values at shares between the bounds of their chunks."""
     values = np.empty_like(shares)
     for value, share, axis in zip(values, shares, axes, strict=True):
-        ends = [limits[f"{end}_{prefix}{axis}"].astype(np.float64) for end in ("min", "max")]
-        low, high = (np.repeat(end, _CHUNK)[: len(share)] for end in ends)
-        with np.errstate(invalid="ignore"):  # a bound that is infinite
+        with np.errstate(invalid="ignore"):  # a bound that is infinite, or no number
+            ends = [limits[f"{end}_{prefix}{axis}"].astype(np.float64) for end in ("min", "max")]
+            low, high = (np.repeat(end, _CHUNK)[: len(share)] for end in ends)
             value[:] = low * (1 - share) + high * share
     return values
 

@@ -36,7 +36,8 @@ def bytes_of_opacities(logits: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 def sh_of_colours(colours: NDArray) -> NDArray[np.float32]:
     """Degree-0 SH coefficients of colours, 0-1."""
-    return ((colours - 0.5) / SH_C0).astype(np.float32)
+    with np.errstate(over="ignore"):  # between bounds that are
+        return ((colours - 0.5) / SH_C0).astype(np.float32)
 
 
 def largest_restored(

@@ -119,9 +119,9 @@ def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[
         return to_planes(rows, [names.index(name) for name in wanted])
     planes = np.empty((len(wanted), len(data)), np.float32)
     for plane, name in zip(planes, wanted, strict=True):
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             plane[:] = data[name]
-        changed = int(np.count_nonzero((plane != data[name]) & (data[name] == data[name])))
+            changed = int(np.count_nonzero((plane != data[name]) & (data[name] == data[name])))
         if changed:
             log.warning("%s: %s rounded to float32 in %d Gaussians", path, name, changed)
     return planes

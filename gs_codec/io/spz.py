@@ -212,7 +212,8 @@ def _scene_of(path: str | Path, header: _Header, streams: list[bytes], system: s
 
 def _positions(rows: NDArray[np.uint8], header: _Header) -> NDArray[np.float32]:
     if header.version == 1:
-        return np.ascontiguousarray(rows.T).view("<f2").T.astype(np.float32, order="C")
+        with np.errstate(invalid="ignore"):  # a NaN that signals
+            return np.ascontiguousarray(rows.T).view("<f2").T.astype(np.float32, order="C")
     low, middle, high = (rows[i::3].astype(np.int32) for i in range(3))
     fixed = low | middle << 8 | (high ^ 128) - 128 << 16
     return (fixed * 2.0**-header.fraction_bits).astype(np.float32)

@@ -17,7 +17,7 @@ from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
-from gs_codec.io.formats import read_foreign
+from gs_codec.io.formats import read_foreign, stored_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply
 from gs_codec.io.splat import pack_splat
@@ -83,7 +83,7 @@ def encode_file(
             scene, prepared = _prepare(scene, plan, report_folder, progress)
             views = prepared.views
         if goal is not None:
-            size = os.path.getsize(source)
+            size = source_bytes(source)
             data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
         else:
             targets = None if views is None else views.renders
@@ -312,6 +312,11 @@ def read_scene(
     if is_egs(path):
         return _decode_ordered(Path(path), Part(), progress=progress)[0]
     return read_foreign(path, extra)
+
+
+def source_bytes(path: str | Path) -> int:
+    """Size of a scene in files."""
+    return os.path.getsize(path) if is_egs(path) else stored_bytes(path)
 
 
 def is_egs(path: str | Path) -> bool:

@@ -17,7 +17,7 @@ from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.conversion import convert_file
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.files import decode_file, encode_file, inspect_file, read_scene
+from gs_codec.files import decode_file, encode_file, inspect_file, read_scene, source_bytes
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.scene import Scene, coordinates_comment
@@ -160,6 +160,16 @@ def test_every_command_reads_other_formats(spz, tmp_path):
         *["--prune-geometry", "10", "--width", "16", "--views", "2"],
     )
     assert read_scene(tmp_path / "b.splat").count < 40
+
+
+def test_a_scene_of_several_files_is_as_large_as_all(tmp_path):
+    parts = foreign.sog_parts(300, 2, 0, seed=1)
+    path = foreign.sog_folder(tmp_path, *parts)
+    total = sum(file.stat().st_size for file in tmp_path.iterdir())
+    out, _ = run("encode", path, tmp_path / "a.egs", "--json")
+    assert json.loads(out)["input_bytes"] == source_bytes(path) == total
+    (tmp_path / "b.sog").write_bytes(foreign.sog_file(*parts))
+    assert source_bytes(tmp_path / "b.sog") == (tmp_path / "b.sog").stat().st_size
 
 
 # Coordinate systems

@@ -100,19 +100,20 @@ def command(
         verify=verify,
     )
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
-    from gs_codec.files import encode_file
+    from gs_codec.files import encode_file, source_bytes
 
     with progress_bar(not json) as progress:
         done = encode_file(source, target, config, progress, plan, report, wanted)
     _say_what_changed(done)
+    size = source_bytes(source)
     if json:
         print_json(
             {"input": str(source), "output": str(target), "profile": profile}
             | asdict(done)
-            | {"input_bytes": source.stat().st_size, "file_bytes": done.file_bytes}
+            | {"input_bytes": size, "file_bytes": done.file_bytes}
         )
     else:
-        _print_report(source, target, done, profile in LATTICE_PROFILES)
+        _print_report(size, target, done, profile in LATTICE_PROFILES)
 
 
 def parse_depths(options: list[str]) -> dict[str, int]:
@@ -133,8 +134,8 @@ def _say_what_changed(report: EncodeReport) -> None:
         print_status(f"replaced {report.zero_quaternions:,} zero quaternions by the identity")
 
 
-def _print_report(source: Path, target: Path, report: EncodeReport, lattices: bool) -> None:
-    size, count = source.stat().st_size, max(report.count, 1)
+def _print_report(size: int, target: Path, report: EncodeReport, lattices: bool) -> None:
+    count = max(report.count, 1)
     print_text(
         f"{target}: {report.count:,} Gaussians, {size_text(size)} -> "
         f"{size_text(report.file_bytes)}, {size / report.file_bytes:.2f} times smaller, "

@@ -8,7 +8,7 @@ from typing import Literal
 from gs_codec.errors import InvalidInput
 from gs_codec.io.mapped import opened
 from gs_codec.io.ply import read_ply
-from gs_codec.io.sog import read_sog
+from gs_codec.io.sog import read_sog, sog_bytes
 from gs_codec.io.sog_files import ZIP
 from gs_codec.io.splat import read_splat
 from gs_codec.io.spz import GZIP, MAGIC, read_spz
@@ -55,6 +55,11 @@ def tell_format(path: str | Path) -> Format:
             f"{path}: begins with {head[:4]!a}, expected .egs, {', '.join(_BY_SUFFIX)} of a scene"
         )
     return _BY_SUFFIX[suffix]
+
+
+def stored_bytes(path: str | Path) -> int:
+    """Size of a scene: of its file, or of all its files."""
+    return sog_bytes(path) if tell_format(path) == "sog" else Path(path).stat().st_size
 
 
 def read_foreign(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:

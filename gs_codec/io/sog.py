@@ -70,6 +70,17 @@ def read_sog(path: str | Path) -> Scene:
         )
 
 
+def sog_bytes(path: str | Path) -> int:
+    """Size of all files of a scene."""
+    path = Path(path)
+    size = path.stat().st_size
+    with opened(path) as data:
+        if bytes(data[:4]) == ZIP:
+            return size
+    with located(path), sog_files(path, False) as read:
+        return stored_bytes(path, parse_meta(read("meta.json", _META_BYTES)).files)
+
+
 def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.uint8]:
     """Bytes ``(4, N)`` of the Gaussians, whose pixels follow each other."""
     name = meta.files[group][image]

@@ -11,6 +11,7 @@ from gs_codec.codec.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
 from gs_codec.files import check_target, read_scene, suffix_of, write_scene
 from gs_codec.io.mapped import located
+from gs_codec.matching import without_order
 from gs_codec.report import Progress
 from gs_codec.transform.coordinates import turn_axes
 
@@ -84,7 +85,7 @@ def convert_file(
         if suffix != ".egs" or config.profile != LOSSLESS:
             scene, dropped = drop_nonfinite(scene, config)
         if coordinates is not None:
-            scene = turn_axes(scene, coordinates.upper())
+            scene = turn_axes(without_order(scene), coordinates.upper())
     start = time.perf_counter()
     lost = write_scene(target, scene, config)
     return ConvertReport(

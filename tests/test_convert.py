@@ -231,6 +231,10 @@ def test_turning_needs_a_system_and_one_of_the_same_axes(spz, ply, tmp_path):
     assert "coordinates turned from RUB to RDF" in err
     flip = np.array([[1], [-1], [-1]], np.float32)
     np.testing.assert_array_equal(read_ply(target).positions, read_scene(spz).positions * flip)
+    # Where a file is sorted by places that are others then, its comment goes.
+    encode_file(spz, tmp_path / "a.egs")
+    convert_file(tmp_path / "a.egs", target, coordinates="LUF")
+    assert read_ply(target).comments == ("SplatRenderMode: mip", "CoordinateSystem: LUF")
 
 
 @pytest.mark.parametrize(

@@ -317,7 +317,7 @@ BAD_FILES = {
     "truncated data": (lambda good: good[:-1], "row 4"),
     "truncated ASCII": (
         lambda good: rewritten("", "", "ascii")(good).split(b"end_header")[0] + b"end_header\n1 2",
-        "5 rows of 23 numbers, but 3 bytes",
+        "5 rows of 23 numbers after 0 of others, but 3 bytes",
     ),
     "not a number": (
         lambda good: (
@@ -358,6 +358,15 @@ BAD_FILES = {
     "2^59 rows before in ASCII": (
         rewritten("element", f"element a {2**59}\nproperty double i\nelement", "ascii"),
         "numbers|beside",
+    ),
+    "rows before beyond 2^63 in ASCII": (
+        rewritten(
+            "element",
+            "".join(f"element a{i} {10**18 - 1}\nproperty double i\n" for i in range(20))
+            + "element",
+            "ascii",
+        ),
+        "after 19999999999999999980 of others|beside",
     ),
     "two of an element": (
         rewritten("element", "element vertex 0\nproperty float x\nelement"),

@@ -51,7 +51,7 @@ class Ply:
         before = self.header.elements[:index]
         if self.header.byte_order:
             return self._binary_rows(element, before)
-        return self._text_rows(element, sum(other.count for other in before))
+        return self._text_rows(element, sum(e.count for e in before if e.types or e.lists))
 
     def _binary_rows(self, element: Element, before: list[Element]) -> NDArray:
         start = self.header.size
@@ -76,10 +76,10 @@ class Ply:
     def _text_rows(self, element: Element, skipped: int) -> NDArray:
         body = self.data[self.header.size :].tobytes()
         # A digit and a space is the least a number takes.
-        if 2 * element.count * max(len(element.types), 1) > len(body) + 1:
+        if 2 * (skipped + element.count * max(len(element.types), 1)) > len(body) + 1:
             raise InvalidInput(
-                f"element '{element.name}': {element.count} rows of {len(element.types)} numbers, "
-                f"but {len(body)} bytes of text"
+                f"element '{element.name}': {element.count} rows of {len(element.types)} numbers "
+                f"after {skipped} of others, but {len(body)} bytes of text"
             )
         lines = io.TextIOWrapper(io.BytesIO(body), "latin-1")
         wanted = islice((line for line in lines if line.strip()), skipped, skipped + element.count)

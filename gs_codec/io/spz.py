@@ -74,7 +74,7 @@ def read_spz(path: str | Path) -> Scene:
         elif data.startswith(MAGIC):
             header, streams, extensions = _decompress(data)
         else:
-            raise InvalidInput(f"begins with {data[:4]!a}, expected an .spz file, '{MAGIC!a}'")
+            raise InvalidInput(f"begins with {data[:4]!a}, expected {MAGIC!a} or gzip (.spz)")
         system = _read_extensions(path, extensions)
         return _scene_of(path, header, streams, system)
 
@@ -99,7 +99,7 @@ def _inflate(data: bytes) -> tuple[_Header, list[bytes], bytes]:
     with refusing("gzip stream"):
         head = inflater.decompress(data, _HEADER.size)
     if len(head) < _HEADER.size or not head.startswith(MAGIC):
-        raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected '{MAGIC!a}'")
+        raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected {MAGIC!a}")
     _, version, *fields, _ = _HEADER.unpack(head)
     if not 1 <= version <= 3:
         raise InvalidInput(f"version {version} in a gzip stream, expected 1 to 3")
@@ -137,8 +137,8 @@ def _decompress(data: bytes) -> tuple[_Header, list[bytes], bytes]:
         packed, stated = next(entries) if size else (0, 0)
         if stated != size or packed > len(data) - place:
             raise InvalidInput(
-                f"stream '{name}': {stated} bytes of {packed}, expected {size} of at most "
-                f"{len(data) - place}"
+                f"stream '{name}': {packed} bytes packed, of {stated}; expected at most "
+                f"{len(data) - place}, of {size}"
             )
         streams.append(_decompress_stream(data[place : place + packed], name, size))
         place += packed

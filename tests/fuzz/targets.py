@@ -25,6 +25,7 @@ from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import write_ply
+from gs_codec.io.sog_files import read_pixels
 from gs_codec.io.sog_meta import parse_meta
 from gs_codec.preparation.adam import AdamState, new_state
 from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
@@ -212,6 +213,11 @@ def _sog_metas() -> list[bytes]:
     return [json.dumps(meta).encode() for meta in parts]
 
 
+def _pixels() -> list[bytes]:
+    images = foreign.sog_parts(8, 2, 1, seed=1)[1]
+    return [foreign.webp(pixels) for pixels in images.values()]
+
+
 def _checkpoints() -> list[bytes]:
     done = Checkpoint(_first_state(), np.zeros(2), np.ones(2))
     return [_to_file(partial(write_checkpoint, digest="digest", checkpoint=done), ".npz")]
@@ -262,6 +268,7 @@ TARGETS = {
     "spz": Target(_spz, lambda: [*_spzs(), *_unzipped_spzs()]),
     "sog": Target(_scene_file(".sog"), _sogs),
     "sog-meta": Target(parse_meta, _sog_metas),
+    "sog-image": Target(partial(read_pixels, name="image", most=1 << 16), _pixels),
     "cameras": Target(partial(_from_file, read_cameras, ".json"), _cameras),
     "image": Target(partial(_from_file, read_image, ".png"), _images),
     "colmap": Target(partial(_in_folder, _colmap), _models),

@@ -90,7 +90,7 @@ def convert_file(
     lost = write_scene(target, scene, config)
     return ConvertReport(
         scene.count,
-        scene.sh_degree,
+        0 if suffix == ".splat" else scene.sh_degree,
         scene.coordinates,
         before if before != scene.coordinates else None,
         scene.antialiased,

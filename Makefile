@@ -41,7 +41,7 @@ $(VENV)/installed: pyproject.toml .ci/system-packages
 $(VENV)/installed-test: $(VENV)/installed
 	.ci/system-packages test
 	$(PIP) install torch==2.13.0
-	$(PIP) install -e '.[paper,test]'
+	$(PIP) install -e '.[cluster,paper,test]'
 	@touch $@
 
 clean:

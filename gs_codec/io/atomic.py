@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -31,6 +32,18 @@ def check_writable(path: str | Path) -> None:
         raise InvalidInput(f"{target}: no permission to write in '{target.parent}'")
 
 
+def temporary_name(name: str) -> str:
+    """What a file is called, beside its place, until it is whole."""
+    return f".{name[:100]}.{secrets.token_hex(4)}"
+
+
+def leftovers(entries: Iterable[str], names: Iterable[str]) -> list[str]:
+    """Those entries of a folder that are temporary names of these files."""
+    begun = {name[:100] for name in names}
+    found = [(entry, re.fullmatch(r"\.(.*)\.[0-9a-f]{8}", entry, re.DOTALL)) for entry in entries]
+    return [entry for entry, match in found if match and match[1] in begun]
+
+
 @contextmanager
 def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
     """Open a temporary file beside `path` that replaces it, fsynced, if the block succeeds.
@@ -42,7 +55,7 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
     """
     check_writable(path)
     target = Path(path)
-    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}")
+    temporary = target.with_name(temporary_name(target.name))
     try:
         with open(temporary, "xb") as file:
             yield file

@@ -1,0 +1,173 @@
+"""The same work on a Dask cluster; its scheduler tries again what a lost worker had."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+from gs_codec import __version__
+from gs_codec.batch.ledger import Record
+from gs_codec.batch.memory import available_bytes
+from gs_codec.batch.scenes import Options, Task
+from gs_codec.batch.watch import Watcher
+from gs_codec.batch.work import encode_one
+from gs_codec.errors import InvalidInput, MissingTool, one_line
+from gs_codec.workers import available_threads
+
+#: Seconds to wait for a scheduler.
+_TIMEOUT = 60
+
+#: Dask stops a worker that takes more of its limit than this from starting tasks.
+_SHARE = 0.7
+
+
+class Cluster:
+    """Workers of an existing scheduler, or of one on this machine.
+
+    A worker runs as many scenes at once as it has threads, but no more than fit into 70 % of its
+    memory limit; a scene that its limit could not hold is refused.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If Dask is not installed, or there is no scheduler at the address.
+    """
+
+    def __init__(self, address: str, jobs: int | None, options: Options, watcher: Watcher) -> None:
+        try:
+            import distributed
+        except ImportError as error:
+            text = f"--dask: needs {error.name}; pip install 'gs-codec[cluster]'"
+            raise MissingTool(text) from error
+        self._distributed, self._address, self._jobs = distributed, address, jobs
+        self._options, self._watcher = options, watcher
+        self._futures: dict[Any, Task] = {}
+        self._client: Any = None
+        # What it has to say of workers that come and go is not for those who encode.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+
+    def run(self, tasks: Sequence[Task]) -> Generator[tuple[Task, Record], None, None]:
+        """See `Runner.run`."""
+        with ExitStack() as stack:
+            self._client = stack.enter_context(self._connected())
+            self._check_versions()
+            for task in tasks:
+                future = self._client.submit(_encode_there, task, self._options, pure=False)
+                self._futures[future] = task
+            # Those that were not asked for are not left to the cluster.
+            stack.callback(self.stop)
+            done = self._distributed.as_completed(self._futures, loop=self._client.loop)
+            for future in done:
+                task = self._futures.pop(future)
+                if future.status in ("cancelled", "lost"):
+                    self._check_scheduler()
+                    continue
+                yield task, self._record(task, future)
+
+    def stop(self) -> None:
+        """Start no more."""
+        if self._futures and self._client.status == "running":
+            self._client.cancel(list(self._futures))
+
+    @contextmanager
+    def _connected(self) -> Iterator[Any]:
+        with ExitStack() as stack:
+            try:
+                scheduler: Any = self._address
+                if scheduler == "local":
+                    jobs = self._jobs or available_threads()
+                    scheduler = stack.enter_context(
+                        self._distributed.LocalCluster(
+                            n_workers=jobs,
+                            threads_per_worker=1,
+                            dashboard_address=None,
+                            silence_logs=logging.CRITICAL,
+                        )
+                    )
+                client = stack.enter_context(
+                    self._distributed.Client(scheduler, timeout=_TIMEOUT, set_as_default=False)
+                )
+            except (OSError, ValueError, TimeoutError) as error:
+                text = f"--dask {self._address}: no scheduler there ({one_line(error)})"
+                raise InvalidInput(text) from error
+            yield client
+
+    def _check_versions(self) -> None:
+        for worker, found in self._client.run(_version, on_error="return").items():
+            if found != __version__:
+                has = f"gs_codec {found}" if isinstance(found, str) else "no gs_codec"
+                raise InvalidInput(f"{worker}: {has}, expected gs_codec {__version__} on workers")
+
+    def _check_scheduler(self) -> None:
+        if self._client.status != "running":
+            raise InvalidInput(f"--dask {self._address}: the scheduler is gone")
+
+    def _record(self, task: Task, future: Any) -> Record:
+        if future.status == "finished":
+            return future.result()
+        error = future.exception()
+        lost = isinstance(error, self._distributed.KilledWorker)
+        kind = "WorkerLost" if lost else type(error).__name__
+        text = f"{task.shown[0]}: {one_line(error) or kind}"
+        return Record(*task.shown, error={"kind": kind, "text": text})
+
+
+def _version() -> str:
+    return __version__
+
+
+class _Gate:
+    """Lets tasks of a worker's threads in as they fit into its memory."""
+
+    def __init__(self) -> None:
+        self._taken, self._running, self._changed = 0, 0, threading.Condition()
+
+    @contextmanager
+    def passed(self, need: int, room: int | None) -> Iterator[None]:
+        """Wait until there is room, or nothing else runs."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: not self._running or room is None or self._taken + need <= room
+            )
+            self._taken += need
+            self._running += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._taken -= need
+                self._running -= 1
+                self._changed.notify_all()
+
+
+_GATE = _Gate()
+
+
+@lru_cache
+def _free_at_first() -> int | None:
+    """Memory for all tasks of this worker, where it has no limit of its own."""
+    return available_bytes()
+
+
+def _encode_there(task: Task, options: Options) -> Record:
+    """Encode a scene on a worker, with its share of the processors."""
+    import distributed
+
+    worker = distributed.get_worker()
+    limit = worker.memory_manager.memory_limit
+    if limit is not None and task.need > limit:
+        text = (
+            f"{task.shown[0]}: needs about {task.need} bytes of memory, "
+            f"the limit of {worker.address} is {limit}"
+        )
+        return Record(*task.shown, error={"kind": "InvalidInput", "text": text})
+    room = _free_at_first() if limit is None else int(limit * _SHARE)
+    threads = options.config.threads or max(available_threads() // worker.state.nthreads, 1)
+    options = replace(options, config=replace(options.config, threads=threads))
+    with _GATE.passed(task.need, room):
+        return encode_one(task, options, worker.local_directory)

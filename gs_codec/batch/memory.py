@@ -1,0 +1,78 @@
+"""How much memory a scene takes to encode, and how much there is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+#: Python, its packages, and compiled kernels.
+_FIXED = 400 << 20
+
+#: Bytes at the peak for each byte of raw floats: 2.6 are measured (bench/RESULTS.md).
+_ENCODING = 4
+
+#: Where views are drawn, sensitivities and a copy of the scene come on top.
+_DRAWING = 8
+
+#: Floats in memory for each byte of a file that is packed more tightly.
+_PACKED = {".splat": 2, ".spz": 20, ".sog": 20, ".egs": 30}
+
+
+def needed_bytes(size: int, name: str, draws: bool) -> int:
+    """Memory that encoding a scene takes at most, about.
+
+    Parameters
+    ----------
+    size : int
+        Bytes of its file; what is below 0 is not known, and taken for little.
+    name : str
+        Of the file, whose suffix tells how it is packed.
+    draws : bool
+        Whether views of it are drawn.
+    """
+    packed = 5 if name.lower().endswith(".compressed.ply") else _PACKED.get(Path(name).suffix, 1)
+    return _FIXED + (_DRAWING if draws else _ENCODING) * packed * max(size, 0)
+
+
+def available_bytes() -> int | None:
+    """Memory that may be taken now, by this machine and its control groups; None if unknown."""
+    rooms = [room for room in (_of_machine(), *_of_groups()) if room is not None]
+    return min(rooms, default=None)
+
+
+def _of_machine() -> int | None:
+    with suppress(OSError):
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024 * int(line.split()[1])
+    with suppress(AttributeError, OSError, ValueError):
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return None
+
+
+def _of_groups(root: Path = Path("/sys/fs/cgroup")) -> Iterator[int]:
+    """Room in each control group that this process is in, of either version."""
+    with suppress(OSError):
+        for line in Path("/proc/self/cgroup").read_text().splitlines():
+            number, controllers, path = line.split(":", 2)
+            if number == "0":
+                yield from _along(root, path, "memory.max", "memory.current")
+            elif "memory" in controllers.split(","):
+                names = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+                yield from _along(root / "memory", path, *names)
+
+
+def _along(root: Path, path: str, limit: str, used: str) -> Iterator[int]:
+    """Room in a group and those around it; inside a container only the root may be seen."""
+    group = root / path.strip("/")
+    for folder in [group, *group.parents]:
+        if not folder.is_relative_to(root):
+            return
+        with suppress(OSError, ValueError):  # no such file here, or no limit: "max"
+            most = int((folder / limit).read_text())
+            # Cached files go when memory is asked for.
+            stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+            cached = int(stat.get("inactive_file", 0))
+            yield max(most - int((folder / used).read_text()) + cached, 0)

@@ -1,0 +1,114 @@
+"""Where scenes lie: on this machine, or at a URL."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import unquote, urlsplit
+
+#: What files of a folder are scenes.
+SUFFIXES = (".ply",)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A file at a place.
+
+    Parameters
+    ----------
+    path : str
+        As the file system of the place names it.
+    base : str
+        The URL that was given for the place; empty on this machine.
+    """
+
+    path: str
+    base: str = ""
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What tells whether a file is still the same.
+
+    Parameters
+    ----------
+    size : int
+        Bytes; -1 where the place does not say.
+    modified : int or str
+        Nanoseconds, or whatever the place has: a time, an ETag, nothing.
+    """
+
+    size: int
+    modified: int | str
+
+
+class Place(Protocol):
+    """What a batch asks of a place; errors name it and are `InvalidInput` or `MissingTool`."""
+
+    #: Whether other processes of this machine see the same files.
+    shared: bool
+    #: Whether files are used where they lie, without a copy on this machine.
+    local: bool
+
+    def find(self, pattern: str) -> list[tuple[str, Spot]]:
+        """Scenes that a file, folder or glob matches, with their names below its fixed part."""
+
+    def spot(self, folder: str, name: str) -> Spot:
+        """The file of a name, which may have folders, in a folder as it was given."""
+
+    def shown(self, spot: Spot) -> str:
+        """What to call a file, without secrets."""
+
+    def check_folder(self, folder: str) -> None:
+        """Make a folder where that is how it is done, and refuse one to write nothing to."""
+
+    def stamp(self, spot: Spot) -> Stamp | None:
+        """Size and age of a file; None if there is none."""
+
+    def sha256(self, spot: Spot) -> str:
+        """Checksum of a file."""
+
+    def fetch(self, spot: Spot, folder: Path) -> Path:
+        """The file on this machine, copied to `folder` unless it is."""
+
+    def store(self, file: Path, spot: Spot) -> None:
+        """Copy a file there; it appears whole or not at all."""
+
+    def sweep(self, spots: Iterable[Spot]) -> None:
+        """Remove what was left half-written of these files."""
+
+
+def place_of(text: str) -> Place:
+    """The place that a path or URL is at.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If it is of no known kind, or cannot be reached.
+    """
+    from gs_codec.batch.local import LocalPlace
+    from gs_codec.batch.remote import RemotePlace
+
+    return RemotePlace(text) if is_url(text) else LocalPlace()
+
+
+def is_url(text: str) -> bool:
+    """Whether this is anywhere but among this machine's files."""
+    return "://" in text and not text.startswith("file://")
+
+
+def local_path(text: str) -> str:
+    """The path of a path or ``file://`` URL."""
+    return unquote(urlsplit(text).path) if text.startswith("file://") else text
+
+
+def without_secrets(url: str) -> str:
+    """A URL without a password, and without the query that may sign it."""
+    scheme, separator, rest = url.partition("://")
+    host, slash, path = rest.partition("/")
+    account, at, host = host.rpartition("@")
+    if scheme in ("http", "https"):
+        path = path.partition("?")[0]
+    return scheme + separator + account.partition(":")[0] + at + host + slash + path

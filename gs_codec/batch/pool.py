@@ -1,0 +1,189 @@
+"""Worker processes: as many at once as fit into memory, ended with the process that began them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import multiprocessing.resource_tracker
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+
+from gs_codec.batch.ledger import Record
+from gs_codec.batch.scenes import Task
+from gs_codec.batch.watch import Watcher
+from gs_codec.report import Progress
+
+#: What a worker does with a task; importable by name, or a partial of such.
+Work = Callable[[Task, Progress], Record]
+
+_SPAWN = multiprocessing.get_context("spawn")
+
+
+class Pool:
+    """Processes that work on one task after another.
+
+    A task whose process is ended from outside is tried once more, after all others and alone.
+
+    Parameters
+    ----------
+    work : callable
+    jobs : int
+        Most processes.
+    room : int, optional
+        Bytes of memory for all tasks at once; one that needs more runs alone. None: no limit.
+    watcher : Watcher
+    """
+
+    def __init__(self, work: Work, jobs: int, room: int | None, watcher: Watcher) -> None:
+        self._work, self._jobs, self._room, self._watcher = work, jobs, room, watcher
+        self._waiting: deque[Task] = deque()
+        self._again: deque[Task] = deque()
+        self._idle: list[_Worker] = []
+        self._busy: list[_Worker] = []
+        self._tried: set[Task] = set()
+
+    def run(self, tasks: Iterable[Task]) -> Generator[tuple[Task, Record], None, None]:
+        """Tasks with what came of them, as they are done; ends all processes at the end."""
+        self._waiting.extend(tasks)
+        try:
+            while self._start() or self._busy:
+                for connection in wait([worker.connection for worker in self._busy]):
+                    worker = next(w for w in self._busy if w.connection is connection)
+                    if (record := self._hear(worker)) is not None:
+                        yield worker.task, record
+        finally:
+            for worker in [*self._busy, *self._idle]:
+                worker.end()
+
+    def stop(self) -> None:
+        """Start no more."""
+        self._waiting.clear()
+        self._again.clear()
+
+    def _start(self) -> bool:
+        """Start what fits."""
+        started = False
+        while len(self._busy) < self._jobs and (task := self._next()) is not None:
+            worker = self._idle.pop() if self._idle else _Worker(self._work)
+            self._busy.append(worker)
+            self._watcher.started(task)
+            worker.give(task)
+            started = True
+        return started
+
+    def _next(self) -> Task | None:
+        """The first task that fits beside those that run."""
+        taken = sum(worker.task.need for worker in self._busy)
+        for task in self._waiting:
+            if not self._busy or self._room is None or taken + task.need <= self._room:
+                self._waiting.remove(task)
+                return task
+        return self._again.popleft() if self._again and not self._busy else None
+
+    def _hear(self, worker: _Worker) -> Record | None:
+        """A record, if that is what the worker sent."""
+        try:
+            said = worker.connection.recv()
+        except (EOFError, OSError):
+            return self._lost(worker)
+        if isinstance(said, Record):
+            self._busy.remove(worker)
+            self._idle.append(worker)
+            return said
+        self._watcher.stage(worker.task, *said)
+        return None
+
+    def _lost(self, worker: _Worker) -> Record | None:
+        self._busy.remove(worker)
+        ended, task = worker.end(), worker.task
+        if task not in self._tried:
+            self._tried.add(task)
+            self._again.append(task)
+            self._watcher.said(f"{task.name}: its process {ended}; tried again later, alone")
+            return None
+        text = f"{task.shown[0]}: its process {ended}, twice; it may need more memory than there is"
+        return Record(*task.shown, error={"kind": "WorkerLost", "text": text})
+
+
+class _Worker:
+    """A process, and the task it has."""
+
+    task: Task
+
+    def __init__(self, work: Work) -> None:
+        self.connection, other = _SPAWN.Pipe()
+        self.process = _SPAWN.Process(target=_serve, args=(other, work), daemon=True)
+        with _without_interrupt():
+            self.process.start()
+        # The worker's end has to be its own alone, so that it is closed when that dies.
+        other.close()
+
+    def give(self, task: Task) -> None:
+        """Start a task; that the process is gone shows when its answer is read."""
+        self.task = task
+        with suppress(OSError):
+            self.connection.send(task)
+
+    def end(self) -> str:
+        """End the process, whatever it does, and tell how it had ended before, if it had."""
+        self.process.join(0.0 if self.process.is_alive() else None)
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+        status = self.process.exitcode or 0
+        if status >= 0:
+            return f"ended with status {status}"
+        return f"was ended by {signal.Signals(-status).name}"
+
+
+@contextmanager
+def _without_interrupt() -> Iterator[None]:
+    """Children that are started here do not hear Ctrl-C: whoever started them ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    # It is started with the first process, and leaves signals unblocked.
+    multiprocessing.resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(connection: Connection, work: Work) -> None:
+    """Work on what comes until nobody is there."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            task = connection.recv()
+            connection.send(work(task, _Reporter(connection)))
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            return
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+class _Reporter:
+    """Sends progress, not more often than anyone can read."""
+
+    _EVERY = 0.1
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection, self._stage, self._last = connection, "", 0.0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if stage != self._stage or now - self._last > self._EVERY:
+            self._stage, self._last = stage, now
+            self._connection.send((stage, done, total))

@@ -1,0 +1,177 @@
+"""Scenes at URLs, through fsspec and what it finds installed."""
+
+from __future__ import annotations
+
+import posixpath
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from gs_codec.batch.local import by_folder, file_sha256, fixed_part
+from gs_codec.batch.places import SUFFIXES, Spot, Stamp, without_secrets
+from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
+from gs_codec.io.atomic import leftovers, temporary_name
+
+_READ_ONLY = ("http", "https")
+
+#: Stores that show a file when it is closed, and know neither folders nor moving.
+_OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory")
+
+_INSTALL = "pip install 'gs-codec[cluster]'"
+
+
+class RemotePlace:
+    """See `Place`; `base` is the URL that was given.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If its protocol is unknown, or what speaks it is not installed, or it cannot be reached.
+    """
+
+    local = False
+
+    def __init__(self, base: str) -> None:
+        self._base = base
+        self._protocol = base.partition("://")[0]
+        self._name = without_secrets(base)
+        self.shared = self._protocol != "memory"
+        self._fs, self._root = self._open()
+        shown_root = self._name.rstrip("/")
+        known = shown_root.endswith(self._root.rstrip("/"))
+        self._prefix = shown_root[: len(shown_root) - len(self._root.rstrip("/"))] if known else ""
+
+    def _open(self) -> tuple[Any, str]:
+        try:
+            import fsspec
+        except ImportError as error:
+            raise MissingTool(f"{self._name}: needs fsspec; {_INSTALL}") from error
+        # Hosts are known by ~/.ssh/known_hosts, as ssh has it; sshfs alone would trust any.
+        options = {"known_hosts": ()} if self._protocol in ("ssh", "sftp") else {}
+        try:
+            return fsspec.core.url_to_fs(self._base, **options)
+        except ImportError as error:
+            raise MissingTool(f"{self._name}: {one_line(error)}; {_INSTALL}") from error
+        except Exception as error:
+            raise InvalidInput(f"{self._name}: {_cause(error)}") from error
+
+    @contextmanager
+    def _named(self, shown: str) -> Iterator[None]:
+        """Errors of the place name it and are one line; backends raise whatever they like."""
+        try:
+            yield
+        except GsCodecError:
+            raise
+        except Exception as error:
+            raise InvalidInput(f"{shown}: {_cause(error)}") from error
+
+    def find(self, pattern: str) -> list[tuple[str, Spot]]:
+        """See `Place.find`; a folder of the web is told by its slash."""
+        wild = "*[" if self._protocol in _READ_ONLY else "*[?"
+        root = self._root
+        with self._named(self._name):
+            if any(sign in root for sign in wild):
+                found = self._fs.glob(root, detail=True)
+                root = fixed_part(root, wild)
+            elif self._is_folder(pattern):
+                found = self._fs.find(root, detail=True)
+                found = {p: info for p, info in found.items() if p.lower().endswith(SUFFIXES)}
+            else:
+                found = {root: self._fs.info(root)}
+                root = posixpath.dirname(root)
+        paths = sorted(path for path, info in found.items() if info.get("type") != "directory")
+        names = [posixpath.relpath(without_secrets(path), root or "/") for path in paths]
+        return [(name, Spot(path, self._base)) for name, path in zip(names, paths, strict=True)]
+
+    def _is_folder(self, pattern: str) -> bool:
+        if self._protocol in _READ_ONLY:
+            return pattern.endswith("/")
+        return self._fs.isdir(self._root)
+
+    def spot(self, folder: str, name: str) -> Spot:
+        """See `Place.spot`."""
+        return Spot(posixpath.join(self._root, name), folder)
+
+    def shown(self, spot: Spot) -> str:
+        """See `Place.shown`."""
+        return self._prefix + without_secrets(spot.path)
+
+    def check_folder(self, folder: str) -> None:
+        """See `Place.check_folder`."""
+        if self._protocol in _READ_ONLY:
+            raise InvalidInput(f"{self._name}: {self._protocol} can be read only")
+        if self._protocol not in _OBJECTS:
+            with self._named(self._name):
+                self._fs.makedirs(self._root, exist_ok=True)
+
+    def stamp(self, spot: Spot) -> Stamp | None:
+        """See `Place.stamp`."""
+        with self._named(self.shown(spot)):
+            try:
+                info = self._fs.info(spot.path)
+            except FileNotFoundError:
+                return None
+        keys = ("mtime", "LastModified", "last_modified", "updated", "created", "ETag")
+        modified = next((str(info[key]) for key in keys if info.get(key)), "")
+        size = info.get("size")
+        return Stamp(size if isinstance(size, int) else -1, modified)
+
+    def sha256(self, spot: Spot) -> str:
+        """See `Place.sha256`."""
+        import tempfile
+
+        with tempfile.TemporaryDirectory() as folder:
+            return file_sha256(self.fetch(spot, Path(folder)))
+
+    def fetch(self, spot: Spot, folder: Path) -> Path:
+        """See `Place.fetch`; there must be room for the copy."""
+        shown, stamp = self.shown(spot), self.stamp(spot)
+        if stamp is None:
+            raise InvalidInput(f"{shown}: No such file or directory")
+        if stamp.size > (free := shutil.disk_usage(folder).free):
+            raise InvalidInput(f"{shown}: {stamp.size} bytes, {folder} has room for {free}")
+        name = posixpath.basename(without_secrets(spot.path)) or "scene"
+        target = folder / name
+        with self._named(shown):
+            self._fs.get_file(spot.path, str(target))
+            size = target.stat().st_size
+        if stamp.size not in (-1, size):
+            raise InvalidInput(f"{shown}: {size} bytes came, expected {stamp.size}")
+        return target
+
+    def store(self, file: Path, spot: Spot) -> None:
+        """See `Place.store`."""
+        with self._named(self.shown(spot)):
+            if self._protocol in _OBJECTS:
+                self._fs.put_file(str(file), spot.path)
+                return
+            folder, _, name = spot.path.rpartition("/")
+            begun = posixpath.join(folder, temporary_name(name))
+            self._fs.makedirs(folder, exist_ok=True)
+            try:
+                self._fs.put_file(str(file), begun)
+                self._fs.mv(begun, spot.path)
+            except BaseException:
+                with suppress(Exception):
+                    self._fs.rm_file(begun)
+                raise
+
+    def sweep(self, spots: Iterable[Spot]) -> None:
+        """See `Place.sweep`."""
+        if self._protocol in _OBJECTS:
+            return
+        for folder, names in by_folder(spots).items():
+            with self._named(self._name):
+                try:
+                    entries = [posixpath.basename(p) for p in self._fs.ls(folder, detail=False)]
+                except FileNotFoundError:
+                    continue
+                for entry in leftovers(entries, names):
+                    self._fs.rm_file(posixpath.join(folder, entry))
+
+
+def _cause(error: BaseException) -> str:
+    """What went wrong, which some backends tell by the kind of error alone."""
+    return one_line(error) or type(error).__name__

@@ -1,0 +1,284 @@
+"""A batch from its options to its report."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal, Protocol
+
+from gs_codec import __version__
+from gs_codec.batch.ledger import Ledger, Record, open_ledger
+from gs_codec.batch.memory import available_bytes
+from gs_codec.batch.places import Place, Stamp, local_path, place_of
+from gs_codec.batch.pool import Pool
+from gs_codec.batch.scenes import Options, Task, find_tasks
+from gs_codec.batch.watch import Watcher
+from gs_codec.batch.work import encode_one, versions
+from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.workers import available_threads
+
+_REPORT = "report.jsonl"
+
+#: Tasks with what came of them.
+Results = Generator[tuple[Task, Record], None, None]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What to encode, where to, and how.
+
+    Parameters
+    ----------
+    source : str
+        A file, folder or glob, or a URL of one.
+    target : str
+        A folder, or a URL of one, for the same tree of ``.egs`` files.
+    options : Options
+        With `threads` None, a scene has its share of the processors.
+    jobs : int, optional
+        Most scenes at once. Default one for each processor.
+    resume : bool
+        Go on with the report that is there. Default False: a new one takes its place.
+    report : str, optional
+        A file of this machine. Default ``report.jsonl`` in the target's folder, or here if that
+        is elsewhere.
+    on_error : {"continue", "stop"}
+        Whether others are started after a scene that failed.
+    dask : str, optional
+        Address of a scheduler, or ``local`` for a cluster of `jobs` processes.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is outside its range.
+    """
+
+    source: str
+    target: str
+    options: Options
+    jobs: int | None = None
+    resume: bool = False
+    report: str | None = None
+    on_error: Literal["continue", "stop"] = "continue"
+    dask: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.on_error not in ("continue", "stop"):
+            raise InvalidInput(f"on_error '{self.on_error}': expected 'continue' or 'stop'")
+        if self.jobs is not None and not 1 <= self.jobs <= 1024:
+            raise InvalidInput(f"jobs {self.jobs}: expected 1 to 1024")
+        if self.jobs is not None and self.dask not in (None, "local"):
+            raise InvalidInput("jobs: the cluster's workers decide, expected none with an address")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What came of a batch.
+
+    Attributes
+    ----------
+    report : str
+        Where its lines are.
+    done, skipped, failed, not_started : int
+        Scenes encoded now, complete before, failed, and left after a failure.
+    input_bytes, output_bytes : int
+        Of those that are complete.
+    seconds : float
+    """
+
+    report: str
+    done: int
+    skipped: int
+    failed: int
+    not_started: int
+    input_bytes: int
+    output_bytes: int
+    seconds: float
+
+
+class Runner(Protocol):
+    """What works on tasks somewhere."""
+
+    def run(self, tasks: Sequence[Task]) -> Results:
+        """Tasks with what came of them, as they are done."""
+
+    def stop(self) -> None:
+        """Start no more."""
+
+
+def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
+    """Encode the scenes of a folder or glob; one that fails leaves the others alone.
+
+    Outputs appear whole or not at all. The report has a line for each scene as soon as it is done.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If there is nothing to do, or a place cannot be used, or the report cannot be written.
+    """
+    start, watcher = time.perf_counter(), watcher or Watcher()
+    sources, targets = place_of(batch.source), place_of(batch.target)
+    options = batch.options.absolute()
+    tasks = find_tasks(batch.source, batch.target, sources, targets, options)
+    if batch.dask is not None and not (sources.shared and targets.shared):
+        raise InvalidInput("memory: is this process's own, expected a place that workers see")
+    targets.check_folder(batch.target)
+    path = batch.report or _default_report(batch.target, targets)
+    with open_ledger(path, batch.resume) as ledger, _scratch(path) as scratch:
+        spots = [task.target for task in tasks]
+        targets.sweep(spots)
+        digest = options.digest()
+        known = {t: r for t in tasks if (r := _complete(t, ledger, digest, sources, targets))}
+        waiting = [task for task in tasks if task not in known]
+        watcher.begun(len(waiting), len(known), path)
+        runner = _runner(batch, options, scratch, sources.shared and targets.shared, watcher)
+        try:
+            records = _work(runner, waiting, digest, batch, ledger, watcher)
+        finally:
+            if targets.local:
+                targets.sweep(spots)
+    return _sum_up(path, records, list(known.values()), len(waiting), time.perf_counter() - start)
+
+
+def _work(
+    runner: Runner,
+    tasks: Sequence[Task],
+    digest: str,
+    batch: Batch,
+    ledger: Ledger,
+    watcher: Watcher,
+) -> list[Record]:
+    records: list[Record] = []
+    results = runner.run(tasks)
+    try:
+        for task, record in results:
+            record = _completed(record, task, digest)
+            ledger.add(record)
+            records.append(record)
+            watcher.ended(task, record)
+            if record.error is not None and batch.on_error == "stop":
+                runner.stop()
+    finally:
+        results.close()
+    return records
+
+
+def _completed(record: Record, task: Task, digest: str) -> Record:
+    """With what is known of a scene that failed, however early."""
+    if record.error is None:
+        return record
+    size, modified = task.stamp.size, task.stamp.modified
+    return replace(
+        record, options=digest, versions=versions(), input_bytes=size, input_modified=modified
+    )
+
+
+def _default_report(target: str, targets: Place) -> str:
+    return os.path.join(os.path.abspath(local_path(target)), _REPORT) if targets.local else _REPORT
+
+
+def _runner(batch: Batch, options: Options, scratch: str, shared: bool, watcher: Watcher) -> Runner:
+    if batch.dask is not None:
+        from gs_codec.batch.cluster import Cluster
+
+        return Cluster(batch.dask, batch.jobs, options, watcher)
+    processors = available_threads()
+    jobs = batch.jobs or processors
+    threads = options.config.threads or max(processors // jobs, 1)
+    options = replace(options, config=replace(options.config, threads=threads))
+    work = partial(_encode_in, options, scratch)
+    if shared:
+        return Pool(work, jobs, available_bytes(), watcher)
+    return _Here(work, watcher)
+
+
+def _encode_in(
+    options: Options, scratch: str, task: Task, progress: Callable[[str, int, int], None]
+) -> Record:
+    return encode_one(task, options, scratch, progress)
+
+
+class _Here:
+    """One task after another in this process, for places that no other sees."""
+
+    def __init__(
+        self, work: Callable[[Task, Callable[[str, int, int], None]], Record], watcher: Watcher
+    ) -> None:
+        self._work, self._watcher, self._stopped = work, watcher, False
+
+    def run(self, tasks: Sequence[Task]) -> Results:
+        """See `Runner.run`."""
+        for task in tasks:
+            if self._stopped:
+                return
+            self._watcher.started(task)
+            yield task, self._work(task, partial(self._watcher.stage, task))
+
+    def stop(self) -> None:
+        """See `Runner.stop`."""
+        self._stopped = True
+
+
+@contextmanager
+def _scratch(report: str) -> Iterator[str]:
+    """A folder for copies; those of batches with this report that were killed go first."""
+    digest = hashlib.sha256(os.path.abspath(report).encode("utf-8", "surrogateescape"))
+    prefix = f"gs-codec-{digest.hexdigest()[:16]}-"
+    for old in glob.glob(os.path.join(glob.escape(tempfile.gettempdir()), prefix + "*")):
+        shutil.rmtree(old, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as folder:
+        yield folder
+
+
+def _complete(
+    task: Task, ledger: Ledger, digest: str, sources: Place, targets: Place
+) -> Record | None:
+    """The record of a scene that is done, and neither it nor its output has changed since."""
+    record = ledger.records.get(task.shown)
+    if record is None or record.error is not None or record.options != digest:
+        return None
+    if record.versions.get("gs_codec") != __version__:
+        return None
+    try:
+        written = targets.stamp(task.target)
+        if written is None or written.size not in (-1, record.output_bytes):
+            return None
+        was = Stamp(record.input_bytes, record.input_modified)
+        if task.stamp != was and not _same_bytes(task, was, record, sources):
+            return None
+        same = targets.sha256(task.target) == record.output_sha256
+    except GsCodecError:  # what cannot be read is not complete
+        return None
+    return record if same else None
+
+
+def _same_bytes(task: Task, was: Stamp, record: Record, sources: Place) -> bool:
+    """Whether a file of this machine, touched since, still says the same."""
+    if not sources.local or task.stamp.size != was.size:
+        return False
+    return sources.sha256(task.source) == record.input_sha256
+
+
+def _sum_up(
+    path: str, records: list[Record], known: list[Record], asked: int, seconds: float
+) -> Summary:
+    done = [record for record in records if record.error is None]
+    complete = [*done, *known]
+    return Summary(
+        path,
+        len(done),
+        len(known),
+        len(records) - len(done),
+        asked - len(records),
+        sum(record.input_bytes for record in complete),
+        sum(record.output_bytes for record in complete),
+        seconds,
+    )

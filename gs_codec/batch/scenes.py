@@ -1,0 +1,125 @@
+"""Which scenes a batch encodes, how, and what they become."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gs_codec.batch.local import file_sha256
+from gs_codec.batch.memory import needed_bytes
+from gs_codec.batch.places import Place, Spot, Stamp
+from gs_codec.config import Config, Target
+from gs_codec.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.pipeline import Plan
+
+
+@dataclass(frozen=True)
+class Options:
+    """How each scene is encoded; see `encode_file`."""
+
+    config: Config
+    plan: Plan | None = None
+    goal: Target | None = None
+
+    def digest(self) -> str:
+        """What tells options apart that may give other bytes; the number of threads does not."""
+        parts = {
+            "config": asdict(replace(self.config, threads=None)),
+            "plan": self.plan and asdict(self.plan),
+            "goal": self.goal and asdict(self.goal),
+            "files": list(self._files()),
+        }
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+    def draws(self) -> bool:
+        """Whether views are drawn."""
+        wished = self.goal is not None and (
+            self.goal.psnr_drop is not None or self.goal.allow_prune
+        )
+        return self.plan is not None or wished
+
+    def absolute(self) -> Options:
+        """The same where processes may have another working folder."""
+        plan = self.plan
+        if plan is None:
+            return self
+        cameras, photographs = plan.cameras, plan.photographs
+        if isinstance(cameras, str | Path) and cameras != "auto":
+            cameras = os.path.abspath(cameras)
+        if photographs is not None:
+            photographs = os.path.abspath(photographs)
+        return replace(self, plan=replace(plan, cameras=cameras, photographs=photographs))
+
+    def _files(self) -> Iterator[tuple[str, str]]:
+        """What the files are like that a plan names: those of cameras, the list of pictures."""
+        if self.plan is None:
+            return
+        for path in (self.plan.cameras, self.plan.photographs):
+            if isinstance(path, str | Path) and os.path.isfile(path):
+                yield str(path), file_sha256(path)
+            elif isinstance(path, str | Path) and os.path.isdir(path):
+                for file in sorted(Path(path).rglob("*")):
+                    found = file.stat()
+                    yield str(file), f"{found.st_size} {found.st_mtime_ns}"
+
+
+@dataclass(frozen=True)
+class Task:
+    """A scene to encode.
+
+    Parameters
+    ----------
+    name : str
+        Below the folder or the fixed part of the glob.
+    source, target : Spot
+    shown : tuple of str
+        Both, without secrets: what they are called in reports.
+    stamp : Stamp
+        The source when the batch was planned.
+    need : int
+        Bytes of memory that it takes, about.
+    """
+
+    name: str
+    source: Spot
+    target: Spot
+    shown: tuple[str, str]
+    stamp: Stamp
+    need: int
+
+
+def find_tasks(
+    source: str, target: str, sources: Place, targets: Place, options: Options
+) -> list[Task]:
+    """The scenes that a file, folder or glob matches, and their places in the target's folder.
+
+    Raises
+    ------
+    InvalidInput
+        If there are none, or two would be written to the same file or one over itself.
+    """
+    found = sources.find(source)
+    if not found:
+        raise InvalidInput(f"{source}: no scenes there")
+    tasks, taken = [], dict[str, str]()
+    for name, spot in found:
+        written = targets.spot(target, os.path.splitext(name)[0] + ".egs")
+        shown = sources.shown(spot), targets.shown(written)
+        if shown[1] in taken:
+            both = f"{taken[shown[1]]} and {shown[0]}"
+            raise InvalidInput(f"{shown[1]}: wanted for {both}, expected one source for a file")
+        if shown[0] == shown[1]:
+            raise InvalidInput(f"{shown[1]}: the source itself")
+        taken[shown[1]] = shown[0]
+        # What went meanwhile fails when it is read.
+        stamp = sources.stamp(spot) or Stamp(-1, "")
+        need = needed_bytes(stamp.size, name, options.draws())
+        tasks.append(Task(name, spot, written, shown, stamp, need))
+    return tasks

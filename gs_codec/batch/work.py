@@ -1,0 +1,124 @@
+"""One scene, from where it lies to where it belongs."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+import os
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from gs_codec import __version__
+from gs_codec.batch.ledger import Record
+from gs_codec.batch.local import file_sha256
+from gs_codec.batch.places import place_of
+from gs_codec.batch.scenes import Options, Task
+from gs_codec.errors import GsCodecError, InvalidInput, one_line
+from gs_codec.report import EncodeReport, Progress
+
+#: Packages that compute.
+_COMPUTING = ("numpy", "numba", "llvmlite", "scipy", "pcodec")
+
+
+def encode_one(
+    task: Task, options: Options, scratch: str | None = None, progress: Progress | None = None
+) -> Record:
+    """Encode a scene; whatever goes wrong is in the record.
+
+    Copies of what lies elsewhere are in folders of their own in `scratch`, and go.
+    """
+    blank = Record(*task.shown, options.digest(), versions())
+    warnings: list[str] = []
+    try:
+        with tempfile.TemporaryDirectory(dir=scratch) as folder, _collected(warnings):
+            record = _encode(task, options, Path(folder), progress, blank)
+    except Exception as error:
+        # Others are to be encoded all the same, whatever this was.
+        kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__
+        text = one_line(error) or kind
+        if not isinstance(error, GsCodecError) and task.shown[0] not in text:
+            text = f"{task.shown[0]}: {text}"
+        record = replace(blank, error={"kind": kind, "text": text})
+    return replace(record, warnings=warnings)
+
+
+def _encode(
+    task: Task, options: Options, folder: Path, progress: Progress | None, blank: Record
+) -> Record:
+    from gs_codec.files import encode_file
+
+    sources, targets = place_of(task.source.base), place_of(task.target.base)
+    start = time.perf_counter()
+    before = sources.stamp(task.source)
+    file = sources.fetch(task.source, folder)
+    digest, size = file_sha256(file), os.path.getsize(file)
+    seconds = {"fetch": time.perf_counter() - start}
+    output = Path(task.target.path) if targets.local else folder / "scene.egs"
+    if targets.local:
+        targets.check_folder(str(output.parent))
+    try:
+        report = encode_file(
+            file, output, options.config, progress, options.plan, goal=options.goal
+        )
+    except GsCodecError as error:
+        # Copies on this machine mean nothing to anybody.
+        text = str(error).replace(str(file), task.shown[0]).replace(str(output), task.shown[1])
+        raise type(error)(text) from error
+    after = sources.stamp(task.source)
+    if before is None or before != after:
+        raise InvalidInput(f"{task.shown[0]}: changed while it was read")
+    start = time.perf_counter()
+    written = file_sha256(output), os.path.getsize(output)
+    if not targets.local:
+        targets.store(output, task.target)
+    seconds |= report.seconds | {"store": time.perf_counter() - start}
+    return replace(
+        blank,
+        input_bytes=size,
+        input_modified=before.modified,
+        input_sha256=digest,
+        output_bytes=written[1],
+        output_sha256=written[0],
+        gaussians=report.count,
+        ratio=size / written[1],
+        bits_per_gaussian=8 * written[1] / max(report.count, 1),
+        seconds=seconds,
+        changed=_changed(report),
+    )
+
+
+def _changed(report: EncodeReport) -> dict[str, int]:
+    names = ("dropped", "rectified", "zero_quaternions")
+    return {name: getattr(report, name) for name in names if getattr(report, name)}
+
+
+@lru_cache
+def versions() -> dict[str, str]:
+    """Versions of what the bytes of a scene may depend on."""
+    return {"gs_codec": __version__} | {
+        name: importlib.metadata.version(name) for name in _COMPUTING
+    }
+
+
+@contextmanager
+def _collected(warnings: list[str]) -> Iterator[None]:
+    """Warnings that this thread logs meanwhile go to a list."""
+    thread = threading.get_ident()
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.thread == thread:
+                warnings.append(record.getMessage())
+
+    logger, collector = logging.getLogger("gs_codec"), Collector(logging.WARNING)
+    logger.addHandler(collector)
+    try:
+        yield
+    finally:
+        logger.removeHandler(collector)

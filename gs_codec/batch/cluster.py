@@ -19,9 +19,6 @@ from gs_codec.batch.work import encode_one
 from gs_codec.errors import InvalidInput, MissingTool, one_line
 from gs_codec.workers import available_threads
 
-#: Seconds to wait for a scheduler.
-_TIMEOUT = 60
-
 #: Dask stops a worker that takes more of its limit than this from starting tasks.
 _SHARE = 0.7
 
@@ -90,7 +87,7 @@ class Cluster:
                         )
                     )
                 client = stack.enter_context(
-                    self._distributed.Client(scheduler, timeout=_TIMEOUT, set_as_default=False)
+                    self._distributed.Client(scheduler, set_as_default=False)
                 )
             except (OSError, ValueError, TimeoutError) as error:
                 text = f"--dask {self._address}: no scheduler there ({one_line(error)})"

@@ -19,6 +19,10 @@ _READ_ONLY = ("http", "https")
 #: Stores that show a file when it is closed, and know neither folders nor moving.
 _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory")
 
+#: Hosts are known by ~/.ssh/known_hosts, as ssh has it, since sshfs alone trusts any; one that
+#: does not answer is given up.
+_SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
+
 _INSTALL = "pip install 'gs-codec[cluster]'"
 
 
@@ -48,8 +52,7 @@ class RemotePlace:
             import fsspec
         except ImportError as error:
             raise MissingTool(f"{self._name}: needs fsspec; {_INSTALL}") from error
-        # Hosts are known by ~/.ssh/known_hosts, as ssh has it; sshfs alone would trust any.
-        options = {"known_hosts": ()} if self._protocol in ("ssh", "sftp") else {}
+        options = _SSH if self._protocol in ("ssh", "sftp") else {}
         try:
             return fsspec.core.url_to_fs(self._base, **options)
         except ImportError as error:

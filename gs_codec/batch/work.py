@@ -72,6 +72,8 @@ def _encode(
         raise type(error)(text) from error
     after = sources.stamp(task.source)
     if before is None or before != after:
+        # What was read may be neither the old scene nor the new one.
+        output.unlink()
         raise InvalidInput(f"{task.shown[0]}: changed while it was read")
     start = time.perf_counter()
     written = file_sha256(output), os.path.getsize(output)

@@ -1,0 +1,78 @@
+"""What workers of the batch tests do instead of their work; found by name in their processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+from gs_codec.batch import cluster, run
+from gs_codec.batch.ledger import Record
+from gs_codec.batch.scenes import Options, Task
+
+encode_in, encode_one = run._encode_in, cluster.encode_one
+
+FOREVER = 3600.0
+
+
+def lines(report: str | Path) -> int:
+    """Whole lines of a report, which may not be there yet."""
+    path = Path(report)
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def stuck_in_fsync(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+    """Never end writing an output once $REPORT has $HOLD lines."""
+    if lines(os.environ["REPORT"]) >= int(os.environ["HOLD"]):
+        os.fsync = lambda descriptor: time.sleep(FOREVER)
+    return encode_in(options, scratch, task, progress)
+
+
+def killed(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+    """As if the system had killed it: always at `twice.ply`, at `once.ply` the first time."""
+    mark = Path(task.source.path).with_suffix(".mark")
+    if task.name == "twice.ply" or (task.name == "once.ply" and not mark.exists()):
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return encode_in(options, scratch, task, progress)
+
+
+def waiting(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+    """Create $HELD, and go on once $GO is there."""
+    Path(os.environ["HELD"]).touch()
+    while not Path(os.environ["GO"]).exists():
+        time.sleep(0.02)
+    return encode_in(options, scratch, task, progress)
+
+
+def held(task: Task, options: Options, scratch: str | None = None) -> Record:
+    """Take a task of a Dask worker, and say so in $HELD once $REPORT has $HOLD lines; no more."""
+    while lines(os.environ["REPORT"]) < int(os.environ["HOLD"]):
+        time.sleep(0.05)
+    Path(os.environ["HELD"]).touch()
+    time.sleep(FOREVER)
+    return encode_one(task, options, scratch)
+
+
+def main() -> None:
+    """The command line, whose workers do what $WORK says, and which hears Ctrl-C."""
+    from gs_codec.cli.main import main as command
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if "WORK" in os.environ:
+        run._encode_in = globals()[os.environ["WORK"]]
+    command()
+
+
+def dask_setup(worker: Any) -> None:
+    """What ``dask worker --preload`` calls."""
+    cluster.encode_one = held
+
+
+if __name__ == "__main__":
+    # Workers find the functions above by the name of this module, which is not __main__.
+    from batch_work import main
+
+    main()

@@ -1,0 +1,571 @@
+"""Batches: which scenes, which outputs, what is done again, and reports that are not to be trusted."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scenes import random_scene
+from test_cli import Folder, assert_one_error_line
+
+from gs_codec.batch import local, memory, run
+from gs_codec.batch.ledger import Record, parse_record
+from gs_codec.batch.places import Spot, is_url, place_of, without_secrets
+from gs_codec.batch.pool import Pool
+from gs_codec.batch.run import Batch, Summary, run_batch
+from gs_codec.batch.scenes import Options, Task
+from gs_codec.batch.watch import Watcher
+from gs_codec.config import Config, Target
+from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.files import encode_file
+from gs_codec.io.atomic import atomic_writer, leftovers
+from gs_codec.io.ply import write_ply
+from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.steps import Steps
+
+NAMES = ("a.ply", "sub/b.ply", "sub/deeper/c.ply")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, capsys) -> Folder:
+    """Three scenes in folders, and batches that run in this process."""
+    for seed, name in enumerate(NAMES):
+        path = tmp_path / "in" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_ply(path, random_scene(200, seed, seed=seed))
+    monkeypatch.setattr(run, "Pool", lambda work, jobs, room, watcher: run._Here(work, watcher))
+    monkeypatch.chdir(tmp_path)
+    return Folder(tmp_path, monkeypatch, capsys)
+
+
+def records(path: str | Path = "out/report.jsonl") -> list[dict[str, Any]]:
+    return [json.loads(line) for line in Path(path).read_text().splitlines()]
+
+
+def encoded(path: str | Path, config: Config | None = None) -> bytes:
+    """What `encode` makes of a scene."""
+    encode_file(path, "one.egs", config)
+    content = Path("one.egs").read_bytes()
+    Path("one.egs").unlink()
+    return content
+
+
+# What is written
+
+
+def test_tree_is_mirrored_and_reported(folder):
+    status, out, err = folder.run("batch", "in", "out", "--jobs", "2")
+    assert status == 0
+    assert out.startswith("3 scenes encoded; ")
+    assert len(err.splitlines()) == 4
+    for name, record in zip(NAMES, records(), strict=True):
+        source, output = Path("in", name), Path("out", name).with_suffix(".egs")
+        assert output.read_bytes() == encoded(source)
+        expected = {
+            "source": str(source.absolute()),
+            "output": str(output.absolute()),
+            "input_bytes": source.stat().st_size,
+            "input_modified": source.stat().st_mtime_ns,
+            "input_sha256": local.file_sha256(source),
+            "output_bytes": output.stat().st_size,
+            "output_sha256": local.file_sha256(output),
+            "gaussians": 200,
+            "ratio": source.stat().st_size / output.stat().st_size,
+            "error": None,
+        }
+        assert expected.items() <= record.items()
+        assert {"gs_codec", "numpy", "numba"} <= record["versions"].keys()
+        assert {"fetch", "read", "code", "write"} <= record["seconds"].keys()
+    assert sum(path.is_file() for path in Path("out").rglob("*")) == 4
+
+
+@pytest.mark.parametrize(
+    ("source", "outputs"),
+    [
+        ("in", ["a", "sub/b", "sub/deeper/c"]),
+        ("in/", ["a", "sub/b", "sub/deeper/c"]),
+        ("in/**/*.ply", ["a", "sub/b", "sub/deeper/c"]),
+        ("in/*.ply", ["a"]),
+        ("in/*/*.ply", ["sub/b"]),
+        ("in/sub/**/*.ply", ["b", "deeper/c"]),
+        ("in/sub/b.ply", ["b"]),
+        ("*/a.ply", ["in/a"]),
+        ("file://{here}/in/sub", ["b", "deeper/c"]),
+    ],
+)
+def test_tree_begins_where_the_glob_is_no_longer_fixed(folder, source, outputs):
+    source = source.format(here=folder.path)
+    assert folder.run("batch", source, "out").status == 0
+    found = [str(path.relative_to("out").with_suffix("")) for path in Path("out").rglob("*.egs")]
+    assert sorted(found) == outputs
+
+
+def test_options_are_those_of_encode(folder):
+    options = ("-p", "paper-s", "--depth", "rotation=9", "--extra", "drop", "--threads", "2")
+    assert folder.run("batch", "in/*.ply", "out", *options, "--json").status == 0
+    config = Config("paper-s", {"rotation": 9}, extra="drop")
+    assert Path("out/a.egs").read_bytes() == encoded("in/a.ply", config)
+
+
+def test_summary_as_json(folder):
+    Path("in/broken.ply").write_text("no scene")
+    status, out, _ = folder.run("batch", "in", "out", "--json", "--report", "lines")
+    found = Summary(**json.loads(out))
+    assert (status, found.done, found.failed, found.report) == (1, 3, 1, "lines")
+    assert found.output_bytes == sum(path.stat().st_size for path in Path("out").rglob("*.egs"))
+
+
+def test_error_stops_if_it_is_to(folder):
+    Path("in/sub/b.ply").write_text("no scene")
+    status, out, _ = folder.run("batch", "in", "out", "--on-error", "stop")
+    assert status == 1
+    assert "1 scenes encoded, 1 failed, 1 not started" in out
+    assert [record["error"] is None for record in records()] == [True, False]
+    error = records()[1]["error"]
+    assert error["kind"] == "InvalidInput"
+    assert error["text"].startswith(f"{Path('in/sub/b.ply').absolute()}: not a readable PLY")
+
+
+def test_what_was_changed_and_warned_of_is_reported(folder):
+    scene = random_scene(200, 0)
+    scene.rot[:, 3] = 0
+    write_ply("in/a.ply", scene)
+    with open("in/a.ply", "ab") as file:
+        file.write(b"more")
+    status, _, err = folder.run("batch", "in/a.ply", "out")
+    assert status == 0
+    assert records()[0]["changed"] == {"zero_quaternions": 1}
+    assert "4 bytes after the last vertex not read" in records()[0]["warnings"][0]
+    assert "warning: " in err
+
+
+# What is refused before anything is done
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("missing", "out"), "missing: no scenes there"),
+        (("in/**/*.splat", "out"), "no scenes there"),
+        (("in", "out", "--jobs", "0"), "jobs 0: expected 1 to 1024"),
+        (("in", "out", "--on-error", "panic"), "on_error 'panic': expected 'continue' or 'stop'"),
+        (("in", "out", "--profile", "xl"), "profile 'xl': expected one of"),
+        (("in", "out", "--dask", "tcp://h:1", "--jobs", "2"), "the cluster's workers decide"),
+        (("in", "out", "--target-size", "much"), "--target-size much: expected a size"),
+        (("in", "out", "--report", "in"), "in: a directory, expected a file name"),
+        (("in", "out", "--report", "no/report"), "no/report: no directory 'no'"),
+        (("in", "in/a.ply"), "in/a.ply: File exists, expected a folder"),
+        (("in", "in/a.ply/out"), "in/a.ply/out: Not a directory, expected a folder"),
+        (("in", "http://localhost/out"), "http://localhost/out: http can be read only"),
+        (("in", "nonsense://out"), "nonsense://out: Protocol not known: nonsense"),
+        (("memory://in/a.ply", "out", "--dask", "local"), "this process's own"),
+    ],
+)
+def test_wrong_use_is_one_line(folder, arguments, text):
+    pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
+    place_of("memory://in")._fs.pipe_file("/in/a.ply", b"x")
+    before = {name for name in folder.contents() if name != "out"}
+    status, out, err = folder.run("batch", *arguments)
+    assert (status, out) == (2, "")
+    assert_one_error_line(err)
+    assert text in err
+    assert folder.contents().keys() - {"out"} == before
+
+
+def test_two_sources_of_one_output_are_refused(folder):
+    Path("in/a.PLY").write_bytes(Path("in/a.ply").read_bytes())
+    err = folder.refuse("batch", "in", "out")
+    assert f"{Path('out/a.egs').absolute()}: wanted for " in err
+    assert "in/a.PLY and " in err
+
+
+def test_scene_is_not_written_over_itself(folder):
+    Path("in/a.egs").write_bytes(b"")
+    assert "a.egs: the source itself" in folder.refuse("batch", "in/a.egs", "in")
+
+
+def test_other_file_is_not_taken_for_a_report(folder):
+    Path("thesis.txt").write_text("Chapter 1\n")
+    err = folder.refuse("batch", "in", ".", "--report", "thesis.txt")
+    assert "thesis.txt: exists and is not a report of gs-codec batch" in err
+    assert "not a report" in folder.refuse("batch", "in", ".", "--report", "thesis.txt", "--resume")
+
+
+def test_two_batches_do_not_share_a_report(folder):
+    fcntl = pytest.importorskip("fcntl")
+    assert folder.run("batch", "in", "out").status == 0
+    with open("out/report.jsonl", "rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert "another batch is writing to it" in folder.refuse("batch", "in", "out")
+
+
+def test_report_that_cannot_be_written_ends_the_batch(folder):
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    Path("out").mkdir()
+    folder.monkeypatch.setattr(os, "fsync", full)
+    status, out, err = folder.run("batch", "in", "out")
+    assert (status, out) == (2, "")
+    line = f"gs-codec: error: {Path('out/report.jsonl').absolute()}: No space left on device"
+    assert err.splitlines()[-1] == line
+
+
+# What is done again
+
+
+def resumed(folder: Folder, *options: str) -> Summary:
+    status, out, err = folder.run("batch", "in", "out", "--json", "--resume", *options)
+    assert status == 0, err
+    return Summary(**json.loads(out))
+
+
+def test_complete_scenes_are_left_alone(folder):
+    assert resumed(folder).done == 3
+    before = folder.contents()
+    again = resumed(folder, "--threads", "2")
+    assert (again.done, again.skipped) == (0, 3)
+    assert folder.contents() == before
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda: Path("in/a.ply").write_bytes(Path("in/sub/b.ply").read_bytes()),
+        lambda: Path("out/a.egs").unlink(),
+        lambda: Path("out/a.egs").write_bytes(b"x"),
+        lambda: Path("out/a.egs").write_bytes(bytes(Path("out/a.egs").stat().st_size)),
+    ],
+    ids=["input", "no output", "short output", "other output"],
+)
+def test_what_changed_is_done_again(folder, change):
+    resumed(folder)
+    change()
+    again = resumed(folder)
+    assert (again.done, again.skipped) == (1, 2)
+    assert Path("out/a.egs").read_bytes() == encoded("in/a.ply")
+    assert resumed(folder).skipped == 3
+
+
+def test_input_that_was_only_touched_is_not(folder):
+    resumed(folder)
+    os.utime("in/a.ply", (1, 1))
+    assert resumed(folder).skipped == 3
+
+
+def test_input_of_the_same_size_and_another_time_is(folder):
+    resumed(folder)
+    write_ply("in/a.ply", random_scene(200, 0, seed=9))
+    os.utime("in/a.ply", (1, 1))
+    assert resumed(folder).done == 1
+
+
+def test_other_options_do_all_again(folder):
+    resumed(folder)
+    assert resumed(folder, "--profile", "s").done == 3
+    assert resumed(folder, "--profile", "s").skipped == 3
+
+
+def test_other_version_does_all_again(folder):
+    resumed(folder)
+    text = Path("out/report.jsonl").read_text()
+    Path("out/report.jsonl").write_text(text.replace('"gs_codec": "0', '"gs_codec": "9'))
+    assert resumed(folder).done == 3
+
+
+def test_failures_are_tried_again(folder):
+    good = Path("in/a.ply").read_bytes()
+    Path("in/a.ply").write_bytes(good[:-1])
+    assert folder.run("batch", "in", "out").status == 1
+    Path("in/a.ply").write_bytes(good)
+    again = resumed(folder)
+    assert (again.done, again.skipped) == (1, 2)
+
+
+def test_without_resume_the_report_begins_anew(folder):
+    resumed(folder)
+    status, out, _ = folder.run("batch", "in", "out")
+    assert (status, len(records())) == (0, 3)
+    assert out.startswith("3 scenes encoded; ")
+
+
+def test_half_written_files_go(folder):
+    Path("out/sub").mkdir(parents=True)
+    ours = [Path("out/.a.egs.0123abcd"), Path("out/sub/.b.egs.ffffffff")]
+    others = [Path("out/.a.egs.0123"), Path("out/.c.egs.0123abcd"), Path("out/.a.egs.0123ABCD")]
+    for path in (*ours, *others):
+        path.touch()
+    resumed(folder)
+    assert not any(path.exists() for path in ours)
+    assert all(path.exists() for path in others)
+
+
+def test_temporary_names_are_known_again(tmp_path):
+    name = "x" * 120 + ".egs"
+    with atomic_writer(tmp_path / name) as file:
+        file.write(b"x")
+        assert leftovers(os.listdir(tmp_path), [name]) == os.listdir(tmp_path)
+    assert leftovers(os.listdir(tmp_path), [name]) == []
+
+
+def test_source_that_changes_meanwhile_is_an_error(folder):
+    original = local.LocalPlace.fetch
+
+    def fetch(self, spot: Spot, into: Path) -> Path:
+        os.utime(spot.path, (1, 1))
+        return original(self, spot, into)
+
+    folder.monkeypatch.setattr(local.LocalPlace, "fetch", fetch)
+    assert folder.run("batch", "in/a.ply", "out").status == 1
+    assert records()[0]["error"]["text"].endswith("a.ply: changed while it was read")
+    assert not Path("out/a.egs").exists()
+
+
+def test_pipe_is_not_waited_for(folder):
+    os.mkfifo("in/pipe.ply")
+    assert folder.run("batch", "in", "out").status == 1
+    assert [r["error"]["text"] for r in records() if r["error"]] == [
+        f"{Path('in/pipe.ply').absolute()}: not a regular file"
+    ]
+
+
+def test_surprises_are_errors_of_their_scene(folder):
+    def surprise(*arguments: Any, **options: Any) -> None:
+        raise ZeroDivisionError
+
+    folder.monkeypatch.setattr("gs_codec.files.encode_file", surprise)
+    assert folder.run("batch", "in/a.ply", "out").status == 1
+    text = f"{Path('in/a.ply').absolute()}: ZeroDivisionError"
+    assert records()[0]["error"] == {"kind": "ZeroDivisionError", "text": text}
+
+
+# Reports that are not to be trusted
+
+GOOD = json.dumps({"source": "s", "output": "o", "input_bytes": 3, "error": None})
+
+GARBAGE = [
+    b"",
+    b"null",
+    b"[]",
+    b'"text"',
+    b"{}",
+    b"{" * 100_000,
+    b"[" * 100_000,
+    b'{"source": "s"}',
+    b'{"source": "s", "output": 7}',
+    b'{"source": "s", "output": "o", "input_bytes": "3"}',
+    b'{"source": "s", "output": "o", "input_bytes": true}',
+    b'{"source": "s", "output": "o", "input_bytes": 1e400}',
+    b'{"source": "s", "output": "o", "ratio": NaN}',
+    b'{"source": "s", "output": "o", "ratio": Infinity}',
+    b'{"source": "s", "output": "o", "input_bytes": ' + b"9" * 10_000 + b"}",
+    b'{"source": "s", "output": "o", "versions": {"gs_codec": 1}}',
+    b'{"source": "s", "output": "o", "error": ["kind"]}',
+    b'{"source": "s", "output": "o", "seconds": {"read": {"read": 1}}}',
+    b'{"source": "\xff", "output": "o"}',
+    GOOD.encode()[:-1],
+]
+
+
+@pytest.mark.parametrize("line", GARBAGE, ids=range(len(GARBAGE)))
+def test_line_that_is_no_record_is_none(line):
+    assert parse_record(line) is None
+
+
+def test_line_that_is_a_record_is_one():
+    assert parse_record(GOOD.encode()) == Record("s", "o", input_bytes=3)
+    later = GOOD[:-1] + ', "what later versions have": [1]}'
+    assert parse_record(later.encode()) == Record("s", "o", input_bytes=3)
+
+
+def test_garbage_in_a_report_is_left_aside(folder, caplog):
+    resumed(folder)
+    report = Path("out/report.jsonl")
+    first, *rest = report.read_bytes().splitlines()
+    garbage = [line for line in GARBAGE if line]
+    report.write_bytes(b"\n".join([first, *garbage, *rest, b'{"source": "torn']))
+    assert resumed(folder).skipped == 3
+    assert f"{len(garbage)} lines are not records" in caplog.text
+    assert b"torn" not in report.read_bytes()
+
+
+def test_torn_only_line_is_still_a_report(folder):
+    Path("out").mkdir()
+    Path("out/report.jsonl").write_bytes(b'{"sour')
+    assert resumed(folder).done == 3
+    assert len(records()) == 3
+
+
+# Options
+
+
+def test_digest_tells_what_bytes_depend_on(tmp_path):
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text("[]")
+    plan = Plan(Steps(), cameras=str(cameras))
+    options = [
+        Options(Config()),
+        Options(Config("s")),
+        Options(Config(depths={"rotation": 9})),
+        Options(Config(), Plan(Steps(prune_loo=30))),
+        Options(Config(), plan),
+        Options(Config(), goal=Target(ratio=12)),
+    ]
+    digests = [one.digest() for one in options]
+    assert len(set(digests)) == len(options)
+    assert Options(Config(threads=3)).digest() == digests[0]
+    cameras.write_text("[ ]")
+    assert Options(Config(), plan).digest() not in digests
+    (tmp_path / "model").mkdir()
+    model = Options(Config(), replace(plan, cameras=tmp_path / "model"))
+    before = model.digest()
+    (tmp_path / "model/images.bin").touch()
+    assert model.digest() != before
+
+
+# Memory
+
+
+def task(name: str, need: int) -> Task:
+    return Task(name, Spot(name), Spot(name), (name, name), place_of(".").stamp(Spot(".")), need)
+
+
+def test_tasks_start_as_they_fit():
+    pool = Pool(lambda *_: None, 3, 100, Watcher())
+    pool._waiting.extend([large := task("large", 150), small := task("small", 40)])
+    pool._waiting.append(middle := task("middle", 70))
+    pool._again.append(lost := task("lost", 1))
+
+    class Busy:
+        def __init__(self, running: Task) -> None:
+            self.task = running
+
+    assert pool._next() is large  # alone, since it never fits
+    pool._busy.append(Busy(large))
+    assert pool._next() is None
+    pool._busy[:] = [Busy(task("other", 50))]
+    assert pool._next() is small
+    pool._busy.append(Busy(small))
+    assert pool._next() is None
+    pool._busy.clear()
+    assert pool._next() is middle
+    pool._busy.append(Busy(middle))
+    assert pool._next() is None  # what is tried again runs alone
+    pool._busy.clear()
+    assert pool._next() is lost
+    assert pool._next() is None
+
+
+def test_need_grows_with_the_scene():
+    small, large = (
+        memory.needed_bytes(0, "a.ply", False),
+        memory.needed_bytes(10**9, "a.ply", False),
+    )
+    assert 0 < small < 10**9
+    assert large - small >= 2.7e9
+    assert memory.needed_bytes(10**9, "a.ply", True) > large
+    assert memory.needed_bytes(10**9, "a.spz", False) > large
+    assert memory.needed_bytes(-1, "a.ply", False) == small
+
+
+def test_room_is_what_control_groups_leave(tmp_path):
+    group = tmp_path / "user/me"
+    group.mkdir(parents=True)
+    (group / "memory.max").write_text("max\n")
+    for folder, most in ((tmp_path, 900), (tmp_path / "user", 1000)):
+        (folder / "memory.max").write_text(f"{most}\n")
+        (folder / "memory.current").write_text("300\n")
+        (folder / "memory.stat").write_text("anon 7\ninactive_file 50\n")
+    rooms = memory._along(tmp_path, "/user/me", "memory.max", "memory.current")
+    assert sorted(rooms) == [650, 750]
+    assert memory.available_bytes() is None or memory.available_bytes() > 0
+
+
+# Places
+
+
+def test_urls_are_told_from_paths():
+    assert is_url("s3://bucket/a")
+    assert not is_url("file:///a")
+    assert not is_url("C:/a")
+    assert not is_url("a/b")
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("sftp://me:secret@host:22/a", "sftp://me@host:22/a"),
+        ("sftp://me:se@cret@host/a@b", "sftp://me@host/a@b"),
+        ("https://host/a.ply?signature=secret", "https://host/a.ply"),
+        ("s3://bucket/a?b", "s3://bucket/a?b"),
+        ("/a/b:c@d", "/a/b:c@d"),
+    ],
+)
+def test_secrets_are_not_shown(url, shown):
+    assert without_secrets(url) == shown
+
+
+def test_missing_backend_is_named_with_the_line_that_installs_it(monkeypatch):
+    fsspec = pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
+
+    def missing(*arguments: Any, **options: Any) -> None:
+        raise ImportError("Install s3fs to access S3")
+
+    monkeypatch.setattr(fsspec.core, "url_to_fs", missing)
+    with pytest.raises(MissingTool, match=r"s3://b/a: Install s3fs .* pip install 'gs-codec\[clu"):
+        place_of("s3://b/a")
+
+
+def test_memory_is_a_place_too(folder):
+    pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
+    store = place_of("memory://")._fs
+    for name in NAMES:
+        store.pipe_file(f"/scenes/{name}", Path("in", name).read_bytes())
+    store.pipe_file("/scenes/bad.ply", b"no scene")
+    batch = Batch("memory://scenes/**/*.ply", "memory://coded", Options(Config()), resume=True)
+    summary = run_batch(batch)
+    assert (summary.done, summary.failed, summary.report) == (3, 1, "report.jsonl")
+    for name in NAMES:
+        coded = store.cat_file(f"/coded/{name.replace('.ply', '.egs')}")
+        assert coded == encoded(Path("in", name))
+    assert records("report.jsonl")[1]["error"]["text"].startswith("memory://scenes/bad.ply: not a ")
+    assert run_batch(batch).skipped == 3
+    store.pipe_file("/coded/a.egs", b"other")
+    assert run_batch(batch).done == 1
+
+
+def test_download_needs_room(folder):
+    pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
+    place_of("memory://")._fs.pipe_file("/scenes/large.ply", b"large")
+    folder.monkeypatch.setattr("shutil.disk_usage", lambda path: type("", (), {"free": 4}))
+    assert folder.run("batch", "memory://scenes/large.ply", "out").status == 1
+    assert "memory://scenes/large.ply: 5 bytes, " in records()[0]["error"]["text"]
+    assert records()[0]["error"]["text"].endswith("has room for 4")
+
+
+def test_watcher_hears_every_scene_and_its_stages(folder):
+    heard = []
+
+    class Ears(Watcher):
+        def started(self, task: Task) -> None:
+            heard.append(("started", task.name))
+
+        def stage(self, task: Task, stage: str, done: int, total: int) -> None:
+            heard.append(("stage", stage))
+
+        def ended(self, task: Task, record: Record) -> None:
+            heard.append(("ended", task.name))
+
+    run_batch(Batch("in/a.ply", "out", Options(Config("paper-m"))), Ears())
+    assert heard[0] == ("started", "a.ply")
+    assert heard[-1] == ("ended", "a.ply")
+    assert {kind for kind, _ in heard} == {"started", "stage", "ended"}
+
+
+def test_batch_of_wrong_use_in_python():
+    with pytest.raises(InvalidInput, match="jobs 2000"):
+        Batch("a", "b", Options(Config()), jobs=2000)

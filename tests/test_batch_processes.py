@@ -1,0 +1,302 @@
+"""Batches whose processes are killed, interrupted, or on a cluster: nothing lost or half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import batch_work
+import pytest
+from batch_work import lines
+from scenes import random_scene
+
+from gs_codec.batch import run
+from gs_codec.batch.run import Batch, run_batch
+from gs_codec.batch.scenes import Options
+from gs_codec.config import Config
+from gs_codec.files import encode_file
+from gs_codec.io.ply import write_ply
+
+TESTS = Path(__file__).parent
+
+#: Seconds that nothing here should ever take; what is waited for comes long before.
+LIMIT = 600
+
+ASCII = b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n"
+
+BROKEN = {
+    "empty.ply": b"",
+    "text.ply": b"not a scene\n",
+    "header.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n",
+    "deep/short.ply": ASCII % 2,
+    "deep/points.ply": ASCII % 1,
+}
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
+    """A folder of 60 scenes and 5 broken files, and what `encode` makes of the scenes."""
+    folder, wanted = tmp_path_factory.mktemp("batch"), {}
+    source, output = folder / "in", folder / "one.egs"
+    for index in range(60):
+        name = f"{'deep/er/' if index % 3 else ''}scene {index}"
+        path = source / f"{name}.ply"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_ply(path, random_scene(200 + 30 * index, index % 4, seed=index))
+        encode_file(path, output)
+        wanted[f"{name}.egs"] = output.read_bytes()
+    for name, content in BROKEN.items():
+        (source / name).parent.mkdir(exist_ok=True)
+        (source / name).write_bytes(content)
+    return source, wanted
+
+
+class Place:
+    """A target's folder, its report, and a folder for temporary files."""
+
+    def __init__(self, path: Path) -> None:
+        self.target, self.report, self.temporary = path / "out", path / "report.jsonl", path / "tmp"
+        self.temporary.mkdir()
+
+    def start(self, source: str | Path, *options: str, **environment: str) -> subprocess.Popen:
+        """Start the command in a group of processes of its own."""
+        command = [sys.executable, str(TESTS / "batch_work.py"), "batch"]
+        arguments = [str(source), str(self.target), "--report", str(self.report), *options]
+        return subprocess.Popen(
+            command + arguments,
+            env=os.environ
+            | {"PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}", "TMPDIR": str(self.temporary)}
+            | {"REPORT": str(self.report)}
+            | environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def outputs(self) -> dict[str, bytes]:
+        """All files of the target, by name."""
+        found = (path for path in self.target.rglob("*") if path.is_file())
+        return {str(path.relative_to(self.target)): path.read_bytes() for path in found}
+
+    def begun(self) -> list[str]:
+        """Names of temporary files in the target's folders."""
+        return [path.name for path in self.target.rglob(".*")]
+
+    def records(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.report.read_text().splitlines()]
+
+
+@pytest.fixture
+def place(tmp_path) -> Place:
+    return Place(tmp_path)
+
+
+def wait_for(condition: Callable[[], Any], process: subprocess.Popen) -> None:
+    """Wait until something is the case, which it has to be before a process ends."""
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert process.poll() is None, process.communicate(timeout=LIMIT)
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def finish(process: subprocess.Popen) -> tuple[int, str, str]:
+    """Wait for a process and all that it started, which hold its pipes."""
+    out, err = process.communicate(timeout=LIMIT)
+    return process.returncode, out, err
+
+
+def check_whole(place: Place, wanted: dict[str, bytes]) -> None:
+    """All scenes are encoded, once; the broken files are failures."""
+    assert place.outputs() == wanted
+    records = place.records()
+    done = [record["output"] for record in records if record["error"] is None]
+    assert sorted(done) == sorted(str(place.target / name) for name in wanted)
+    failed = {record["source"].rpartition("/")[2] for record in records if record["error"]}
+    assert failed == {name.rpartition("/")[2] for name in BROKEN}
+    assert list(place.temporary.iterdir()) == []
+
+
+def test_batch_killed_twice_is_resumed(scenes, place):
+    source, wanted = scenes
+    pattern = f"{source}/**/*.ply"
+    for hold in (10, 30):
+        process = place.start(
+            pattern, "--jobs", "2", "--resume", WORK="stuck_in_fsync", HOLD=str(hold)
+        )
+        wait_for(lambda hold=hold: lines(place.report) >= hold and place.begun(), process)
+        os.kill(process.pid, signal.SIGKILL)
+        # The pipes close when the workers have ended too.
+        assert finish(process)[0] == -signal.SIGKILL
+        assert place.begun()
+    with open(place.report, "ab") as file:
+        file.write(b'{"source": "torn')
+    status, out, err = finish(place.start(pattern, "--jobs", "2", "--resume"))
+    assert status == 1, err
+    assert "5 failed" in out
+    check_whole(place, wanted)
+
+
+def test_interrupt_ends_all_at_once_and_can_be_resumed(scenes, place):
+    source = scenes[0] / "deep/er"
+    process = place.start(source, "--jobs", "2", WORK="stuck_in_fsync", HOLD="3")
+    wait_for(lambda: lines(place.report) >= 3 and place.begun(), process)
+    os.killpg(process.pid, signal.SIGINT)
+    status, out, err = finish(process)
+    assert (status, out) == (130, "")
+    assert err.splitlines()[-1] == "gs-codec: interrupted"
+    assert "Traceback" not in err
+    assert place.begun() == []
+    assert list(place.temporary.iterdir()) == []
+    before = len(place.records())
+    status, out, err = finish(place.start(source, "--jobs", "2", "--resume"))
+    assert (status, len(place.outputs())) == (0, 40)
+    assert f"{before} complete before" in out
+
+
+def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatch):
+    source = tmp_path / "in"
+    source.mkdir()
+    for seed, name in enumerate(("a", "once", "twice", "z")):
+        write_ply(source / f"{name}.ply", random_scene(200, 0, seed=seed))
+    monkeypatch.setattr(run, "_encode_in", batch_work.killed)
+    batch = Batch(str(source), str(tmp_path / "out"), Options(Config()), jobs=2)
+    summary = run_batch(batch)
+    assert (summary.done, summary.failed) == (3, 1)
+    records = [json.loads(line) for line in Path(summary.report).read_text().splitlines()]
+    assert [record["error"]["kind"] for record in records if record["error"]] == ["WorkerLost"]
+    assert "was ended by SIGKILL, twice" in records[-1]["error"]["text"]
+    assert sorted(p.name for p in (tmp_path / "out").glob("*.egs")) == [
+        "a.egs",
+        "once.egs",
+        "z.egs",
+    ]
+
+
+SMALL_DISK = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+from gs_codec.cli.main import main
+main()
+"""
+
+
+def test_full_disk_is_an_error_of_the_scene_that_has_no_room(scenes, tmp_path):
+    source = tmp_path / "in"
+    source.mkdir()
+    for name in ("scene 3", "scene 57"):  # small, and larger than the disk
+        (source / f"{name}.ply").write_bytes((scenes[0] / f"{name}.ply").read_bytes())
+    done = subprocess.run(
+        [sys.executable, "-c", SMALL_DISK, "batch", "in", "out", "--jobs", "1"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(TESTS.parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "scene 57.egs: File too large" in done.stderr
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.jsonl", "scene 3.egs"]
+
+
+# On a cluster
+
+#: Nothing is to be given up on a machine that is busy.
+PATIENT = {
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "300s",
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "300s",
+    "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "10",
+    "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "30 minutes",
+    "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "300s",
+}
+
+WAIT = f"""
+import sys
+from distributed import Client
+with Client(sys.argv[1], timeout={LIMIT}) as client:
+    client.wait_for_workers(2, timeout={LIMIT})
+"""
+
+
+@pytest.fixture
+def cluster(tmp_path, place):
+    """A function that starts a scheduler and two workers and returns their address and processes.
+
+    The second worker holds the first task that it gets.
+    """
+    processes = []
+
+    def start_one(name: str, *arguments: str, **environment: str) -> subprocess.Popen:
+        with open(tmp_path / f"{name}.log", "wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", *arguments],
+                cwd=tmp_path,
+                env=os.environ
+                | PATIENT
+                | {"PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}"}
+                | environment,
+                stdout=log,
+                stderr=log,
+            )
+        processes.append(process)
+        return process
+
+    def start(**environment: str) -> tuple[str, subprocess.Popen]:
+        file = tmp_path / "scheduler.json"
+        options = ("--scheduler-file", str(file), "--no-dashboard")
+        scheduler = start_one(
+            "scheduler", "scheduler", "--host", "127.0.0.1", "--port", "0", *options
+        )
+        wait_for(lambda: file.exists() and file.stat().st_size, scheduler)
+        wait_for(lambda: file.read_bytes().rstrip().endswith(b"}"), scheduler)
+        address = json.loads(file.read_text())["address"]
+        worker = ("worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard")
+        worker += ("--local-directory", str(place.temporary))
+        start_one("first", *worker)
+        second = start_one("second", *worker, "--preload", "batch_work", **environment)
+        waited = subprocess.run(
+            [sys.executable, "-c", WAIT, address], env=os.environ | PATIENT, check=False
+        )
+        assert waited.returncode == 0
+        return address, second
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def test_cluster_does_the_same_though_a_worker_is_killed(scenes, place, cluster, tmp_path):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    source, wanted = scenes
+    held = tmp_path / "held"
+    address, second = cluster(REPORT=str(place.report), HOLD="10", HELD=str(held))
+    process = place.start(f"{source}/**/*.ply", "--dask", address, **PATIENT)
+    wait_for(held.exists, process)
+    second.kill()
+    second.wait()
+    status, out, err = finish(process)
+    assert status == 1, err
+    assert "60 scenes encoded, 5 failed" in out
+    assert place.outputs() == wanted
+    assert len(place.records()) == 65
+
+
+def test_scheduler_that_is_not_there_is_one_line(scenes, place):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    environment = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
+    process = place.start(scenes[0], "--dask", "tcp://127.0.0.1:1", **environment)
+    status, out, err = finish(process)
+    assert (status, out) == (2, "")
+    assert err.splitlines()[-1].startswith(
+        "gs-codec: error: --dask tcp://127.0.0.1:1: no scheduler"
+    )

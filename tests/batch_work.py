@@ -24,9 +24,14 @@ def lines(report: str | Path) -> int:
 
 
 def stuck_in_fsync(options: Options, scratch: str, task: Task, progress: Any) -> Record:
-    """Never end writing an output once $REPORT has $HOLD lines."""
+    """Never end writing an output once $REPORT has $HOLD lines, and create $HELD."""
+
+    def stick(descriptor: int) -> None:
+        Path(os.environ["HELD"]).touch()
+        time.sleep(FOREVER)
+
     if lines(os.environ["REPORT"]) >= int(os.environ["HOLD"]):
-        os.fsync = lambda descriptor: time.sleep(FOREVER)
+        os.fsync = stick
     return encode_in(options, scratch, task, progress)
 
 

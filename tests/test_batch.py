@@ -1,4 +1,4 @@
-"""Batches: which scenes, which outputs, what is done again, and reports that are not to be trusted."""
+"""Batches: which scenes, which outputs, what is done again, and distrust of reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Batches whose processes are killed, interrupted, or on a cluster: nothing lost or half-written."""
+"""Batches whose processes are killed, interrupted, or on a cluster: nothing is lost."""
 
 from __future__ import annotations
 
@@ -63,6 +63,7 @@ class Place:
 
     def __init__(self, path: Path) -> None:
         self.target, self.report, self.temporary = path / "out", path / "report.jsonl", path / "tmp"
+        self.held = path / "held"
         self.temporary.mkdir()
 
     def start(self, source: str | Path, *options: str, **environment: str) -> subprocess.Popen:
@@ -73,7 +74,7 @@ class Place:
             command + arguments,
             env=os.environ
             | {"PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}", "TMPDIR": str(self.temporary)}
-            | {"REPORT": str(self.report)}
+            | {"REPORT": str(self.report), "HELD": str(self.held)}
             | environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -132,10 +133,12 @@ def test_batch_killed_twice_is_resumed(scenes, place):
         process = place.start(
             pattern, "--jobs", "2", "--resume", WORK="stuck_in_fsync", HOLD=str(hold)
         )
-        wait_for(lambda hold=hold: lines(place.report) >= hold and place.begun(), process)
+        wait_for(place.held.exists, process)
         os.kill(process.pid, signal.SIGKILL)
         # The pipes close when the workers have ended too.
         assert finish(process)[0] == -signal.SIGKILL
+        place.held.unlink()
+        assert lines(place.report) >= hold
         assert place.begun()
     with open(place.report, "ab") as file:
         file.write(b'{"source": "torn')
@@ -148,7 +151,8 @@ def test_batch_killed_twice_is_resumed(scenes, place):
 def test_interrupt_ends_all_at_once_and_can_be_resumed(scenes, place):
     source = scenes[0] / "deep/er"
     process = place.start(source, "--jobs", "2", WORK="stuck_in_fsync", HOLD="3")
-    wait_for(lambda: lines(place.report) >= 3 and place.begun(), process)
+    wait_for(place.held.exists, process)
+    assert place.begun()
     os.killpg(process.pid, signal.SIGINT)
     status, out, err = finish(process)
     assert (status, out) == (130, "")
@@ -275,13 +279,12 @@ def cluster(tmp_path, place):
         process.wait()
 
 
-def test_cluster_does_the_same_though_a_worker_is_killed(scenes, place, cluster, tmp_path):
+def test_cluster_does_the_same_though_a_worker_is_killed(scenes, place, cluster):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     source, wanted = scenes
-    held = tmp_path / "held"
-    address, second = cluster(REPORT=str(place.report), HOLD="10", HELD=str(held))
+    address, second = cluster(HOLD="10", REPORT=str(place.report), HELD=str(place.held))
     process = place.start(f"{source}/**/*.ply", "--dask", address, **PATIENT)
-    wait_for(held.exists, process)
+    wait_for(place.held.exists, process)
     second.kill()
     second.wait()
     status, out, err = finish(process)

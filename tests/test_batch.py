@@ -123,7 +123,7 @@ def test_error_stops_if_it_is_to(folder):
     Path("in/sub/b.ply").write_text("no scene")
     status, out, _ = folder.run("batch", "in", "out", "--on-error", "stop")
     assert status == 1
-    assert "1 scenes encoded, 1 failed, 1 not started" in out
+    assert "1 scene encoded, 1 failed, 1 not started" in out
     assert [record["error"] is None for record in records()] == [True, False]
     error = records()[1]["error"]
     assert error["kind"] == "InvalidInput"
@@ -536,6 +536,26 @@ def test_memory_is_a_place_too(folder):
     assert run_batch(batch).skipped == 3
     store.pipe_file("/coded/a.egs", b"other")
     assert run_batch(batch).done == 1
+
+
+def test_errors_of_a_place_have_no_secrets(monkeypatch):
+    pytest.importorskip("aiohttp", reason="no client for the web")
+    place = place_of("https://host/a.ply?signature=secret")
+
+    def fails(error: Exception) -> str:
+        def raise_it(*arguments: Any) -> None:
+            raise error
+
+        monkeypatch.setattr(place._fs, "info", raise_it)
+        with pytest.raises(InvalidInput) as caught:
+            place.find("https://host/a.ply?signature=secret")
+        return str(caught.value)
+
+    missing = FileNotFoundError("https://host/a.ply?signature=secret")
+    assert fails(missing) == "https://host/a.ply: No such file or directory"
+    strange = RuntimeError("no 'https://host/a.ply?signature=secret'\nat all")
+    assert fails(strange) == "https://host/a.ply: no 'https://host/a.ply' at all"
+    assert fails(TimeoutError()) == "https://host/a.ply: TimeoutError"
 
 
 def test_download_needs_room(folder):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import posixpath
 import shutil
 from collections.abc import Iterable, Iterator
@@ -61,20 +63,26 @@ class RemotePlace:
             raise InvalidInput(f"{self._name}: {_cause(error)}") from error
 
     @contextmanager
-    def _named(self, shown: str) -> Iterator[None]:
-        """Errors of the place name it and are one line; backends raise whatever they like."""
+    def _named(self, spot: Spot | None = None) -> Iterator[None]:
+        """Errors name the place or file and are one line; backends raise whatever they like."""
+        path = self._base if spot is None else spot.path
+        shown = self._name if spot is None else self.shown(spot)
         try:
             yield
         except GsCodecError:
             raise
         except Exception as error:
-            raise InvalidInput(f"{shown}: {_cause(error)}") from error
+            text = _cause(error).replace(self._base, self._name)
+            text = text.replace(path, without_secrets(path))
+            if isinstance(error, FileNotFoundError) and text in (shown, path):
+                text = os.strerror(errno.ENOENT)
+            raise InvalidInput(f"{shown}: {text}") from error
 
     def find(self, pattern: str) -> list[tuple[str, Spot]]:
         """See `Place.find`; a folder of the web is told by its slash."""
         wild = "*[" if self._protocol in _READ_ONLY else "*[?"
         root = self._root
-        with self._named(self._name):
+        with self._named():
             if any(sign in root for sign in wild):
                 found = self._fs.glob(root, detail=True)
                 root = fixed_part(root, wild)
@@ -106,12 +114,12 @@ class RemotePlace:
         if self._protocol in _READ_ONLY:
             raise InvalidInput(f"{self._name}: {self._protocol} can be read only")
         if self._protocol not in _OBJECTS:
-            with self._named(self._name):
+            with self._named():
                 self._fs.makedirs(self._root, exist_ok=True)
 
     def stamp(self, spot: Spot) -> Stamp | None:
         """See `Place.stamp`."""
-        with self._named(self.shown(spot)):
+        with self._named(spot):
             try:
                 info = self._fs.info(spot.path)
             except FileNotFoundError:
@@ -132,12 +140,12 @@ class RemotePlace:
         """See `Place.fetch`; there must be room for the copy."""
         shown, stamp = self.shown(spot), self.stamp(spot)
         if stamp is None:
-            raise InvalidInput(f"{shown}: No such file or directory")
+            raise InvalidInput(f"{shown}: {os.strerror(errno.ENOENT)}")
         if stamp.size > (free := shutil.disk_usage(folder).free):
             raise InvalidInput(f"{shown}: {stamp.size} bytes, {folder} has room for {free}")
         name = posixpath.basename(without_secrets(spot.path)) or "scene"
         target = folder / name
-        with self._named(shown):
+        with self._named(spot):
             self._fs.get_file(spot.path, str(target))
             size = target.stat().st_size
         if stamp.size not in (-1, size):
@@ -146,7 +154,7 @@ class RemotePlace:
 
     def store(self, file: Path, spot: Spot) -> None:
         """See `Place.store`."""
-        with self._named(self.shown(spot)):
+        with self._named(spot):
             if self._protocol in _OBJECTS:
                 self._fs.put_file(str(file), spot.path)
                 return
@@ -166,7 +174,7 @@ class RemotePlace:
         if self._protocol in _OBJECTS:
             return
         for folder, names in by_folder(spots).items():
-            with self._named(self._name):
+            with self._named():
                 try:
                     entries = [posixpath.basename(p) for p in self._fs.ls(folder, detail=False)]
                 except FileNotFoundError:

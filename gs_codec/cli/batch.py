@@ -115,7 +115,7 @@ def command(
 
 
 def _summed_up(summary: Any) -> str:
-    text = f"{summary.done:,} scenes encoded"
+    text = f"{summary.done:,} scene{'s' * (summary.done != 1)} encoded"
     if summary.skipped:
         text += f", {summary.skipped:,} complete before"
     if summary.failed:

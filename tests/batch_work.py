@@ -52,13 +52,13 @@ def waiting(options: Options, scratch: str, task: Task, progress: Any) -> Record
     return encode_in(options, scratch, task, progress)
 
 
-def held(task: Task, options: Options, scratch: str | None = None) -> Record:
+def held(task: Task, options: Options, scratch: str, progress: Any) -> Record:
     """Take a task of a Dask worker, and say so in $HELD once $REPORT has $HOLD lines; no more."""
     while lines(os.environ["REPORT"]) < int(os.environ["HOLD"]):
         time.sleep(0.05)
     Path(os.environ["HELD"]).touch()
     time.sleep(FOREVER)
-    return encode_one(task, options, scratch)
+    return encode_one(task, options, scratch, progress)
 
 
 def main() -> None:

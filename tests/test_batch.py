@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from scenes import random_scene
+from test_cameras import inria_entry, write_json
 from test_cli import Folder, assert_one_error_line
 
 from gs_codec.batch import local, memory, run
@@ -460,16 +461,26 @@ def test_tasks_start_as_they_fit():
     assert pool._next() is None
 
 
-def test_need_grows_with_the_scene():
-    small, large = (
-        memory.needed_bytes(0, "a.ply", False),
-        memory.needed_bytes(10**9, "a.ply", False),
-    )
+def test_need_grows_with_the_scene_and_its_views():
+    small, large = (memory.needed_bytes(size, "a.ply") for size in (0, 10**9))
     assert 0 < small < 10**9
     assert large - small >= 2.7e9
-    assert memory.needed_bytes(10**9, "a.ply", True) > large
-    assert memory.needed_bytes(10**9, "a.spz", False) > large
-    assert memory.needed_bytes(-1, "a.ply", False) == small
+    assert memory.needed_bytes(10**9, "a.ply", 1) > large
+    assert memory.needed_bytes(10**9, "a.spz") > large
+    assert memory.needed_bytes(10**9, "a.compressed.ply") > large
+    assert memory.needed_bytes(-1, "a.ply") == small
+
+
+def test_views_are_counted(tmp_path):
+    file = str(write_json(tmp_path / "cameras.json", inria_entry(width=90, height=60)))
+    assert Options(Config()).pixels() == 0
+    assert Options(Config(), goal=Target(ratio=9)).pixels() == 0
+    assert Options(Config(), goal=Target(psnr_drop=1)).pixels() == 64 * 600 * 400
+    assert Options(Config(), Plan(Steps(), views=3)).pixels() == 3 * 600 * 400
+    assert Options(Config(), Plan(Steps(), views=3, width=300)).pixels() == 3 * 300 * 200
+    assert Options(Config(), Plan(Steps(), file, views=2)).pixels() == 2 * 90 * 60
+    with pytest.raises(InvalidInput, match="missing"):
+        Options(Config(), Plan(Steps(), "missing.json")).pixels()
 
 
 def test_room_is_what_control_groups_leave(tmp_path):

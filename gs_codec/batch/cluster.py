@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import secrets
 import threading
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -14,7 +15,7 @@ from gs_codec import __version__
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.memory import available_bytes
 from gs_codec.batch.scenes import Options, Task
-from gs_codec.batch.watch import Watcher
+from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.batch.work import encode_one
 from gs_codec.errors import InvalidInput, MissingTool, one_line
 from gs_codec.workers import available_threads
@@ -45,6 +46,7 @@ class Cluster:
         self._options, self._watcher = options, watcher
         self._futures: dict[Any, Task] = {}
         self._client: Any = None
+        self._topic = f"gs-codec-{secrets.token_hex(8)}"
         # What it has to say of workers that come and go is not for those who encode.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
@@ -53,8 +55,12 @@ class Cluster:
         with ExitStack() as stack:
             self._client = stack.enter_context(self._connected())
             self._check_versions()
+            names = {task.name: task for task in tasks}
+            self._client.subscribe_topic(self._topic, lambda event: self._hear(names, event[1]))
             for task in tasks:
-                future = self._client.submit(_encode_there, task, self._options, pure=False)
+                future = self._client.submit(
+                    _encode_there, task, self._options, self._topic, pure=False
+                )
                 self._futures[future] = task
             # Those that were not asked for are not left to the cluster.
             stack.callback(self.stop)
@@ -70,6 +76,11 @@ class Cluster:
         """Start no more."""
         if self._futures and self._client.status == "running":
             self._client.cancel(list(self._futures))
+
+    def _hear(self, names: dict[str, Task], said: dict[str, Any]) -> None:
+        """Progress of a worker, which comes on Dask's own thread and before the record."""
+        task = names[said["name"]]
+        self._watcher.stage(task, said["stage"], said["done"], said["total"])
 
     @contextmanager
     def _connected(self) -> Iterator[Any]:
@@ -151,8 +162,8 @@ def _free_at_first() -> int | None:
     return available_bytes()
 
 
-def _encode_there(task: Task, options: Options) -> Record:
-    """Encode a scene on a worker, with its share of the processors."""
+def _encode_there(task: Task, options: Options, topic: str) -> Record:
+    """Encode a scene on a worker, with its share of the processors; its stages are events."""
     import distributed
 
     worker = distributed.get_worker()
@@ -166,5 +177,10 @@ def _encode_there(task: Task, options: Options) -> Record:
     room = _free_at_first() if limit is None else int(limit * _SHARE)
     threads = options.config.threads or max(available_threads() // worker.state.nthreads, 1)
     options = replace(options, config=replace(options.config, threads=threads))
+
+    def tell(stage: str, done: int, total: int) -> None:
+        said = {"name": task.name, "stage": stage, "done": done, "total": total}
+        worker.log_event(topic, said)
+
     with _GATE.passed(task.need, room):
-        return encode_one(task, options, worker.local_directory)
+        return encode_one(task, options, worker.local_directory, throttled(tell))

@@ -7,7 +7,6 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -15,7 +14,7 @@ from multiprocessing.connection import Connection, wait
 
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.scenes import Task
-from gs_codec.batch.watch import Watcher
+from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.report import Progress
 
 #: What a worker does with a task; importable by name, or a partial of such.
@@ -162,7 +161,7 @@ def _serve(connection: Connection, work: Work) -> None:
     while True:
         try:
             task = connection.recv()
-            connection.send(work(task, _Reporter(connection)))
+            connection.send(work(task, throttled(lambda *said: connection.send(said))))
         except (EOFError, BrokenPipeError, ConnectionResetError):
             return
 
@@ -172,18 +171,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-class _Reporter:
-    """Sends progress, not more often than anyone can read."""
-
-    _EVERY = 0.1
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection, self._stage, self._last = connection, "", 0.0
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        if stage != self._stage or now - self._last > self._EVERY:
-            self._stage, self._last = stage, now
-            self._connection.send((stage, done, total))

@@ -38,12 +38,31 @@ class Options:
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
-    def draws(self) -> bool:
-        """Whether views are drawn."""
-        wished = self.goal is not None and (
-            self.goal.psnr_drop is not None or self.goal.allow_prune
-        )
-        return self.plan is not None or wished
+    def pixels(self) -> int:
+        """Pixels of all views that are drawn of a scene, at most.
+
+        Raises
+        ------
+        InvalidInput
+            If there are no cameras where they should be.
+        """
+        plan, goal = self.plan, self.goal
+        if plan is None and (goal is None or not (goal.psnr_drop or goal.allow_prune)):
+            return 0
+        from gs_codec.preparation.pipeline import Plan
+        from gs_codec.preparation.steps import Steps
+        from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH
+        from gs_codec.rendering.camera_files import read_cameras
+
+        plan = plan or Plan(Steps())
+        sizes = [(WIDTH, HEIGHT)]
+        if plan.cameras != "auto":
+            given = plan.cameras
+            cameras = read_cameras(given) if isinstance(given, str | Path) else given
+            sizes = [(camera.width, camera.height) for camera in cameras]
+        width = plan.width
+        areas = [w * h if width is None else width * width * h // w for w, h in sizes]
+        return plan.views * max(areas, default=0)
 
     def absolute(self) -> Options:
         """The same where processes may have another working folder."""
@@ -108,7 +127,7 @@ def find_tasks(
     found = sources.find(source)
     if not found:
         raise InvalidInput(f"{source}: no scenes there")
-    tasks, taken = [], dict[str, str]()
+    tasks, taken, pixels = [], dict[str, str](), options.pixels()
     for name, spot in found:
         written = targets.spot(target, os.path.splitext(name)[0] + ".egs")
         shown = sources.shown(spot), targets.shown(written)
@@ -120,6 +139,6 @@ def find_tasks(
         taken[shown[1]] = shown[0]
         # What went meanwhile fails when it is read.
         stamp = sources.stamp(spot) or Stamp(-1, "")
-        need = needed_bytes(stamp.size, name, options.draws())
+        need = needed_bytes(stamp.size, name, pixels)
         tasks.append(Task(name, spot, written, shown, stamp, need))
     return tasks

@@ -82,11 +82,12 @@ class _Bars(_Lines):
 
     def started(self, task: Any) -> None:
         """See `Watcher.started`."""
-        if task.name not in self._running:  # it may be tried again
+        if task.name not in self._running:
             self._running[task.name] = self._bars.add_task(task.name, total=None)
 
     def stage(self, task: Any, stage: str, done: int, total: int) -> None:
         """See `Watcher.stage`."""
+        self.started(task)  # somewhere else, which nobody told
         text = f"{task.name}: {stage}"
         self._bars.update(self._running[task.name], description=text, completed=done, total=total)
 

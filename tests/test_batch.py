@@ -22,9 +22,9 @@ from gs_codec.batch.scenes import Options, Task
 from gs_codec.batch.watch import Watcher
 from gs_codec.config import Config, Target
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.files import encode_file
+from gs_codec.files import encode_file, write_scene
 from gs_codec.io.atomic import atomic_writer, leftovers
-from gs_codec.io.ply import write_ply
+from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.preparation.steps import Steps
 
@@ -112,6 +112,19 @@ def test_options_are_those_of_encode(folder):
     assert Path("out/a.egs").read_bytes() == encoded("in/a.ply", config)
 
 
+def test_folder_has_scenes_of_every_format(folder):
+    for suffix in ("splat", "spz", "sog", "egs", "json"):
+        Path(f"in/sub/{suffix}.{suffix}").write_bytes(b"{")
+    write_scene("in/sub/splat.splat", read_ply("in/a.ply"), Config())
+    assert folder.run("batch", "in/sub", "out").status == 1
+    names = {Path(record["source"]).name: record["error"] for record in records()}
+    assert names.keys() == {"b.ply", "c.ply", "splat.splat", "spz.spz", "sog.sog"}
+    assert names["splat.splat"] is None
+    assert Path("out/splat.egs").read_bytes() == encoded("in/sub/splat.splat")
+    assert folder.run("batch", "in/sub/*.json", "out").status == 1
+    assert records()[0]["error"]["text"].endswith("SOG of several files, expected a bundle (.sog)")
+
+
 def test_summary_as_json(folder):
     Path("in/broken.ply").write_text("no scene")
     status, out, _ = folder.run("batch", "in", "out", "--json", "--report", "lines")
@@ -182,6 +195,15 @@ def test_two_sources_of_one_output_are_refused(folder):
     err = folder.refuse("batch", "in", "out")
     assert f"{Path('out/a.egs').absolute()}: wanted for " in err
     assert "in/a.PLY and " in err
+
+
+def test_keys_of_a_store_do_not_lead_out_of_the_folder(folder):
+    pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
+    store = place_of("memory://")._fs
+    folder.monkeypatch.setattr(store, "find", lambda *_, **__: {"/way/../../out.ply": {}})
+    store.pipe_file("/way/a.ply", b"x")
+    err = folder.refuse("batch", "memory://way", ".")
+    assert "memory://way/../../out.ply: '..' in its name" in err
 
 
 def test_scene_is_not_written_over_itself(folder):

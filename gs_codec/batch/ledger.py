@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import math
@@ -90,8 +91,9 @@ class Ledger:
             If it cannot be written.
         """
         try:
-            self._file.write(json.dumps(asdict(record)).encode() + b"\n")
-            self._file.flush()
+            line = json.dumps(asdict(record)).encode() + b"\n"
+            if self._file.write(line) < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             os.fsync(self._file.fileno())
         except OSError as error:
             raise InvalidInput(f"{self.path}: {one_line(error)}") from error

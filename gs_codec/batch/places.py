@@ -9,7 +9,7 @@ from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 #: What files of a folder are scenes.
-SUFFIXES = (".ply",)
+SUFFIXES = (".ply", ".splat", ".spz", ".sog")
 
 
 @dataclass(frozen=True)

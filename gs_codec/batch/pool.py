@@ -129,15 +129,15 @@ class _Worker:
             self.connection.send(task)
 
     def end(self) -> str:
-        """End the process, whatever it does, and tell how it had ended before, if it had."""
-        self.process.join(0.0 if self.process.is_alive() else None)
+        """End the process, whatever it does, and tell how it ended."""
         self.process.kill()
         self.process.join()
         self.connection.close()
         status = self.process.exitcode or 0
         if status >= 0:
             return f"ended with status {status}"
-        return f"was ended by {signal.Signals(-status).name}"
+        names = {each.value: each.name for each in signal.Signals}
+        return f"was ended by {names.get(-status, f'signal {-status}')}"
 
 
 @contextmanager

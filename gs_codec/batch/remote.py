@@ -93,7 +93,7 @@ class RemotePlace:
                 found = {root: self._fs.info(root)}
                 root = posixpath.dirname(root)
         paths = sorted(path for path, info in found.items() if info.get("type") != "directory")
-        names = [posixpath.relpath(without_secrets(path), root or "/") for path in paths]
+        names = [without_secrets(path).removeprefix(root).lstrip("/") for path in paths]
         return [(name, Spot(path, self._base)) for name, path in zip(names, paths, strict=True)]
 
     def _is_folder(self, pattern: str) -> bool:

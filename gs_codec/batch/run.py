@@ -139,7 +139,8 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         known = {t: r for t in tasks if (r := _complete(t, ledger, digest, sources, targets))}
         waiting = [task for task in tasks if task not in known]
         watcher.begun(len(waiting), len(known), path)
-        runner = _runner(batch, options, scratch, sources.shared and targets.shared, watcher)
+        shared = sources.shared and targets.shared
+        runner = _runner(batch, options, len(waiting), scratch, shared, watcher)
         try:
             records = _work(runner, waiting, digest, batch, ledger, watcher)
         finally:
@@ -172,26 +173,26 @@ def _work(
 
 
 def _completed(record: Record, task: Task, digest: str) -> Record:
-    """With what is known of a scene that failed, however early."""
+    """With what is known of every scene, however early it failed."""
+    record = replace(record, options=digest, versions=record.versions or versions())
     if record.error is None:
         return record
-    size, modified = task.stamp.size, task.stamp.modified
-    return replace(
-        record, options=digest, versions=versions(), input_bytes=size, input_modified=modified
-    )
+    return replace(record, input_bytes=task.stamp.size, input_modified=task.stamp.modified)
 
 
 def _default_report(target: str, targets: Place) -> str:
     return os.path.join(os.path.abspath(local_path(target)), _REPORT) if targets.local else _REPORT
 
 
-def _runner(batch: Batch, options: Options, scratch: str, shared: bool, watcher: Watcher) -> Runner:
+def _runner(
+    batch: Batch, options: Options, count: int, scratch: str, shared: bool, watcher: Watcher
+) -> Runner:
     if batch.dask is not None:
         from gs_codec.batch.cluster import Cluster
 
         return Cluster(batch.dask, batch.jobs, options, watcher)
     processors = available_threads()
-    jobs = batch.jobs or processors
+    jobs = min(batch.jobs or processors, max(count, 1))
     threads = options.config.threads or max(processors // jobs, 1)
     options = replace(options, config=replace(options.config, threads=threads))
     work = partial(_encode_in, options, scratch)

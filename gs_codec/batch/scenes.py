@@ -131,6 +131,8 @@ def find_tasks(
     for name, spot in found:
         written = targets.spot(target, os.path.splitext(name)[0] + ".egs")
         shown = sources.shown(spot), targets.shown(written)
+        if ".." in name.split("/"):  # which keys of a store may have
+            raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")
         if shown[1] in taken:
             both = f"{taken[shown[1]]} and {shown[0]}"
             raise InvalidInput(f"{shown[1]}: wanted for {both}, expected one source for a file")

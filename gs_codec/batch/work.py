@@ -33,7 +33,7 @@ def encode_one(
 
     Copies of what lies elsewhere are in folders of their own in `scratch`, and go.
     """
-    blank = Record(*task.shown, options.digest(), versions())
+    blank = Record(*task.shown, versions=versions())
     warnings: list[str] = []
     try:
         with tempfile.TemporaryDirectory(dir=scratch) as folder, _collected(warnings):
@@ -54,6 +54,9 @@ def _encode(
     from gs_codec.files import encode_file
 
     sources, targets = place_of(task.source.base), place_of(task.target.base)
+    if task.name.lower().endswith(".json"):
+        # The files beside it would neither be copied nor missed when they change.
+        raise InvalidInput(f"{task.shown[0]}: SOG of several files, expected a bundle (.sog)")
     start = time.perf_counter()
     before = sources.stamp(task.source)
     file = sources.fetch(task.source, folder)

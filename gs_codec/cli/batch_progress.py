@@ -22,7 +22,7 @@ from gs_codec.cli.output import size_text
 @contextmanager
 def watching() -> Iterator[Any]:
     """A watcher that shows what it hears."""
-    console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+    console = Console(stderr=True, emoji=False, highlight=False, markup=False, soft_wrap=True)
     if not console.is_terminal:
         yield _Lines(console)
         return
@@ -65,7 +65,7 @@ class _Lines:
 
     def said(self, text: str) -> None:
         """See `Watcher.said`."""
-        self._console.print(text)
+        self._console.print(" ".join(text.split()))
 
 
 class _Bars(_Lines):

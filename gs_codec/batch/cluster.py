@@ -48,7 +48,9 @@ class Cluster:
         self._client: Any = None
         self._topic = f"gs-codec-{secrets.token_hex(8)}"
         # What it has to say of workers that come and go is not for those who encode.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in ("distributed", *logging.getLogger("distributed").manager.loggerDict):
+            if name.startswith("distributed"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def run(self, tasks: Sequence[Task]) -> Generator[tuple[Task, Record], None, None]:
         """See `Runner.run`."""
@@ -170,8 +172,8 @@ def _encode_there(task: Task, options: Options, topic: str) -> Record:
     limit = worker.memory_manager.memory_limit
     if limit is not None and task.need > limit:
         text = (
-            f"{task.shown[0]}: needs about {task.need} bytes of memory, "
-            f"the limit of {worker.address} is {limit}"
+            f"{task.shown[0]}: needs about {task.need / 1e9:.1f} GB of memory, "
+            f"the limit of {worker.address} is {limit / 1e9:.1f} GB"
         )
         return Record(*task.shown, error={"kind": "InvalidInput", "text": text})
     room = _free_at_first() if limit is None else int(limit * _SHARE)

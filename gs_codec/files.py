@@ -19,7 +19,7 @@ from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
 from gs_codec.io.formats import read_foreign, stored_bytes
 from gs_codec.io.mapped import located, opened
-from gs_codec.io.ply import write_ply
+from gs_codec.io.ply import write_ply, write_vertices
 from gs_codec.io.splat import pack_splat
 from gs_codec.matching import (
     order_of,
@@ -31,6 +31,7 @@ from gs_codec.matching import (
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
+from gs_codec.slabs import opened_slabs
 
 log = logging.getLogger(__name__)
 
@@ -294,13 +295,13 @@ def decode_file(
     """
     check_target(source, target)
     start = time.perf_counter()
-    whole = part or Part()
-    scene, bytes_read = _decode_ordered(Path(source), whole, threads, max_bytes, progress, tmc3)
-    decoded = time.perf_counter()
-    write_ply(target, scene)
-    seconds = {"decode": decoded - start, "write": time.perf_counter() - decoded}
-    size = os.path.getsize(source)
-    return DecodeReport(scene.count, scene.sh_degree, bytes_read, size, seconds)
+    with opened_slabs(source, part or Part(), threads, max_bytes, progress, tmc3) as slabs:
+        count, scenes = slabs.counted()
+        with atomic_writer(target) as file:
+            write_vertices(file, count, scenes)
+        seconds = {"decode": slabs.seconds, "write": time.perf_counter() - start - slabs.seconds}
+        size = os.path.getsize(source)
+        return DecodeReport(count, slabs.sh_degree, slabs.bytes_read, size, seconds)
 
 
 def read_scene(
@@ -310,7 +311,7 @@ def read_scene(
 ) -> Scene:
     """The scene of a file, its format told by content; see `read_ply` for `extra`."""
     if is_egs(path):
-        return _decode_ordered(Path(path), Part(), progress=progress)[0]
+        return _decode_ordered(path, progress)
     return read_foreign(path, extra)
 
 
@@ -348,18 +349,9 @@ def check_target(source: str | Path, target: str | Path) -> None:
         raise InvalidInput(f"{target}: the source itself")
 
 
-def _decode_ordered(
-    path: Path,
-    part: Part,
-    threads: int | None = None,
-    max_bytes: int | None = None,
-    progress: Progress | None = None,
-    tmc3: str | Path | None = None,
-) -> tuple[Scene, int]:
-    """A scene, or a part of it, and the bytes read; what is whole tells its order."""
+def _decode_ordered(path: str | Path, progress: Progress | None) -> Scene:
+    """A scene that tells its order."""
     with opened(path) as view, located(path):
-        scene, file = decode_part(view, part, threads, max_bytes, progress, tmc3)
+        scene, file = decode_part(view, Part(), progress=progress)
         order = order_of_file(describe(file))
-        if part.box is None and order is not None:
-            scene = with_order(scene, order)
-    return scene, file.bytes_read
+        return scene if order is None else with_order(scene, order)

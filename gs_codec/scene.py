@@ -162,6 +162,12 @@ class Scene:
         changes["extra"] = {name: column[index] for name, column in self.extra.items()}
         return replace(self, **changes)
 
+    def between(self, start: int, stop: int) -> Scene:
+        """Gaussians `start` to `stop`, the last not included; nothing is copied."""
+        changes: dict[str, Any] = {group: getattr(self, group)[:, start:stop] for group in GROUPS}
+        changes["extra"] = {name: column[start:stop] for name, column in self.extra.items()}
+        return replace(self, **changes)
+
 
 def gather(planes: NDArray, index: NDArray) -> NDArray:
     """Columns of ``planes (C, N)`` that `index` (positions or mask) selects, in that order."""

@@ -30,7 +30,7 @@ from gs_codec.cli.bench_tables import (
 )
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_status, print_table, print_text
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import Threads
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import Threads
 from gs_codec.errors import InvalidInput
 
 

@@ -19,7 +19,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import Threads
 from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport

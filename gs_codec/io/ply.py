@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import BinaryIO, Literal
 
 import numpy as np
 import plyfile
@@ -22,6 +23,9 @@ log = logging.getLogger(__name__)
 
 _NORMALS = ("nx", "ny", "nz")
 _COLOURS = ("red", "green", "blue")
+
+#: Rows written at once.
+_ROWS = 1 << 17
 
 
 def _group_names(coefficients: int) -> dict[str, list[str]]:
@@ -156,10 +160,24 @@ def write_ply(path: str | Path, scene: Scene) -> None:
     InvalidInput
         If the file cannot be written.
     """
-    element = plyfile.PlyElement.describe(vertex_rows(scene), "vertex")
-    ply = plyfile.PlyData([element], byte_order="<", comments=list(scene.comments))
     with atomic_writer(path) as file:
-        ply.write(file)
+        write_vertices(file, scene.count, [scene])
+
+
+def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
+    """Write a PLY of `count` Gaussians to a file: slabs of the same layout, one after another."""
+    for number, slab in enumerate(slabs):
+        if not number:
+            file.write(_header(slab, count).encode("ascii"))
+        for start in range(0, slab.count, _ROWS):
+            file.write(vertex_rows(slab.between(start, start + _ROWS)).data)
+
+
+def _header(scene: Scene, count: int) -> str:
+    """The header of a file of `count` Gaussians that are like the scene's."""
+    row = np.zeros((), vertex_rows(scene.between(0, 0)).dtype)
+    element = plyfile.PlyElement.describe(np.broadcast_to(row, (count,)), "vertex")
+    return plyfile.PlyData([element], byte_order="<", comments=list(scene.comments)).header + "\n"
 
 
 def vertex_rows(scene: Scene) -> NDArray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from gs_codec.codec import decode_part, encode_scene
+from gs_codec.codec import decode_part, encode_parts, encode_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.container.file import MAGIC
@@ -32,6 +32,7 @@ from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 from gs_codec.slabs import opened_slabs
+from gs_codec.storage import bounded
 
 log = logging.getLogger(__name__)
 
@@ -61,42 +62,79 @@ def encode_file(
     plan: Plan | None = None,
     report_folder: str | Path | None = None,
     goal: Target | None = None,
+    max_memory: int | None = None,
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
     With a `plan`, the scene is prepared first, if that has steps, and profiles that go by what is
     seen go by its views; `report_folder` receives what preparation did, and what each stage of
-    coding adds to it. With a `goal`, steps are chosen as `encode_goal` has it.
+    coding adds to it. With a `goal`, steps are chosen as `encode_goal` has it. With `max_memory`,
+    neither is there, and a scene that takes more bytes is worked on in temporary files; what
+    comes out is the same.
 
     Raises
     ------
     InvalidInput
-        If the source cannot be used, the goal is out of reach, or the target cannot be written.
+        If the source cannot be used, the goal is out of reach, the target cannot be written, or
+        `max_memory` is too little.
     """
     config = config or Config()
     check_target(source, target)
+    if max_memory is not None and (plan is not None or goal is not None):
+        raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+    with bounded(max_memory):
+        return _encode_file(source, target, config, progress, plan, report_folder, goal)
+
+
+def _encode_file(
+    source: str | Path,
+    target: str | Path,
+    config: Config,
+    progress: Progress | None,
+    plan: Plan | None,
+    report_folder: str | Path | None,
+    goal: Target | None,
+) -> EncodeReport:
     start = time.perf_counter()
     scene = read_scene(source, config.extra)
     read = time.perf_counter() - start
     with located(source):
-        prepared, views, original = None, None, scene
-        if plan is not None and plan.steps.wanted:
-            scene, prepared = _prepare(scene, plan, report_folder, progress)
-            views = prepared.views
-        if goal is not None:
-            size = source_bytes(source)
-            data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
+        if plan is None and goal is None:
+            parts, report = encode_parts(scene, config, progress)
         else:
-            targets = None if views is None else views.renders
-            guide = None if plan is None else guide_of(scene, plan, config, progress, targets)
-            data, report = encode_scene(scene, config, progress, guide)
-        if prepared is not None and report_folder is not None:
-            _finish_report(prepared, scene, config, data, report, report_folder)
+            size = source_bytes(source)
+            data, report = _encode_by_plan(scene, size, config, plan, goal, report_folder, progress)
+            parts = [data]
     start = time.perf_counter()
     with atomic_writer(target) as file:
-        file.write(data)
+        file.writelines(parts)
     seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
     return replace(report, seconds=seconds)
+
+
+def _encode_by_plan(
+    scene: Scene,
+    size: int,
+    config: Config,
+    plan: Plan | None,
+    goal: Target | None,
+    report_folder: str | Path | None,
+    progress: Progress | None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene, of a file of `size` bytes, by a plan, to a goal, or both."""
+    prepared, views, original = None, None, scene
+    if plan is not None and plan.steps.wanted:
+        scene, prepared = _prepare(scene, plan, report_folder, progress)
+        views = prepared.views
+    if goal is not None:
+        data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
+    else:
+        targets = None if views is None else views.renders
+        guide = None if plan is None else guide_of(scene, plan, config, progress, targets)
+        data, report = encode_scene(scene, config, progress, guide)
+    if prepared is not None and report_folder is not None:
+        _finish_report(prepared, scene, config, data, report, report_folder)
+    return data, report
 
 
 def prepare_file(
@@ -277,6 +315,7 @@ def decode_file(
     progress: Progress | None = None,
     part: Part | None = None,
     tmc3: str | Path | None = None,
+    max_memory: int | None = None,
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
@@ -286,7 +325,8 @@ def decode_file(
     Raises
     ------
     InvalidInput
-        If the source cannot be read, or the target cannot be written.
+        If the source cannot be read, the target cannot be written, or `max_memory`, bytes that
+        are enough for a part of the scene at a time, are not enough for one block.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is not a sound `.egs` file.
     MissingTool, ToolFailed
@@ -295,7 +335,8 @@ def decode_file(
     """
     check_target(source, target)
     start = time.perf_counter()
-    with opened_slabs(source, part or Part(), threads, max_bytes, progress, tmc3) as slabs:
+    part = part or Part()
+    with opened_slabs(source, part, threads, max_bytes, progress, tmc3, max_memory) as slabs:
         count, scenes = slabs.counted()
         with atomic_writer(target) as file:
             write_vertices(file, count, scenes)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.storage import empty
 from gs_codec.workers import run_all
 
 #: SH-AC coefficients of one colour for each SH degree.
@@ -173,7 +174,7 @@ def gather(planes: NDArray, index: NDArray) -> NDArray:
     """Columns of ``planes (C, N)`` that `index` (positions or mask) selects, in that order."""
     index = np.asarray(index)
     places = np.flatnonzero(index) if index.dtype == bool else index
-    gathered = np.empty((len(planes), len(places)), planes.dtype)
+    gathered = empty((len(planes), len(places)), planes.dtype)
 
     def work(row: int) -> None:
         gathered[row] = np.take(planes[row], places)

@@ -16,6 +16,7 @@ from gs_codec.io.mapped import located, opened
 from gs_codec.matching import Order, order_of_file, with_order
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
+from gs_codec.storage import bounded
 from gs_codec.workers import available_threads
 
 #: Gaussians decoded at once, or as many as give each thread two blocks.
@@ -91,6 +92,7 @@ def opened_slabs(
     max_bytes: int | None = None,
     progress: Progress | None = None,
     tmc3: str | Path | None = None,
+    max_memory: int | None = None,
 ) -> Iterator[Slabs]:
     """The slabs of a file, or of a part of it, while it is open.
 
@@ -103,7 +105,7 @@ def opened_slabs(
     MissingTool
         If it uses G-PCC, and the program (`tmc3`, or what the environment says) is not there.
     """
-    with opened(path) as view:
+    with bounded(max_memory), opened(path) as view:
         start = time.perf_counter()
         with located(path):
             chosen = choose_part(view, part, threads, max_bytes, tmc3)
@@ -139,6 +141,7 @@ def verify_file(
     max_bytes: int | None = None,
     progress: Progress | None = None,
     tmc3: str | Path | None = None,
+    max_memory: int | None = None,
 ) -> VerifyReport:
     """Check every checksum of an `.egs` file and decode all of it, writing nothing.
 
@@ -153,7 +156,7 @@ def verify_file(
         does not decode it.
     """
     start = time.perf_counter()
-    with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3) as slabs:
+    with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3, max_memory) as slabs:
         with located(path):
             # Those that a decoder passes over too.
             file = slabs.chosen.file.read()

@@ -9,12 +9,13 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import Threads
+from gs_codec.cli.resources import MaxMemory, Threads, parse_memory
 
 
 def command(
     source: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file.")],
     threads: Threads = None,
+    max_memory: MaxMemory = None,
     max_bytes: Annotated[
         int | None,
         typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
@@ -25,7 +26,9 @@ def command(
     from gs_codec.slabs import verify_file
 
     with progress_bar(not json) as progress:
-        report = verify_file(source, threads, max_bytes, progress)
+        report = verify_file(
+            source, threads, max_bytes, progress, max_memory=parse_memory(max_memory)
+        )
     if json:
         print_json({"input": str(source), **asdict(report)})
     else:

@@ -17,6 +17,7 @@ from gs_codec.io.mapped import located
 from gs_codec.io.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
 from gs_codec.io.ply_body import Ply, open_ply
 from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene
+from gs_codec.storage import empty
 from gs_codec.transform.planar import to_planes, to_rows
 
 log = logging.getLogger(__name__)
@@ -121,7 +122,7 @@ def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[
     if packed and all(data.dtype[name] == np.dtype("<f4") for name in names):
         rows = np.ascontiguousarray(data).view("<f4").reshape(len(data), len(names))
         return to_planes(rows, [names.index(name) for name in wanted])
-    planes = np.empty((len(wanted), len(data)), np.float32)
+    planes = empty((len(wanted), len(data)), np.float32)
     for plane, name in zip(planes, wanted, strict=True):
         with np.errstate(over="ignore", invalid="ignore"):
             plane[:] = data[name]

@@ -160,7 +160,9 @@ class Scene:
     def take(self, index: NDArray) -> Scene:
         """The Gaussians that `index` (positions or mask) selects, in that order."""
         changes: dict[str, Any] = {group: gather(getattr(self, group), index) for group in GROUPS}
-        changes["extra"] = {name: column[index] for name, column in self.extra.items()}
+        changes["extra"] = {
+            name: gather(column[None], index)[0] for name, column in self.extra.items()
+        }
         return replace(self, **changes)
 
     def between(self, start: int, stop: int) -> Scene:

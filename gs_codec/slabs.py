@@ -11,6 +11,7 @@ from pathlib import Path
 
 from gs_codec.codec.decode import ChosenPart, choose_part
 from gs_codec.codec.part import Part
+from gs_codec.codec.room import slab_within
 from gs_codec.inspection import describe
 from gs_codec.io.mapped import located, opened
 from gs_codec.matching import Order, order_of_file, with_order
@@ -76,8 +77,9 @@ class Slabs:
         self.seconds += time.perf_counter() - start
 
     def _size(self) -> int:
-        threads = self.chosen.threads or available_threads()
-        return max(_SLAB, 2 * threads * self.chosen.file.header.block_size)
+        header, threads = self.chosen.file.header, self.chosen.threads
+        wanted = max(_SLAB, 2 * (threads or available_threads()) * header.block_size)
+        return slab_within(header, self.sh_degree, threads, wanted)
 
 
 def _marked(scene: Scene, order: Order | None) -> Scene:

@@ -12,6 +12,7 @@ from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_encode import encode_lattice
 from gs_codec.codec.lossless import encode_lossless
 from gs_codec.codec.order import Ordered, order_scene
+from gs_codec.codec.room import check_encoding
 from gs_codec.codec.symbols import Coded, quantise_and_model
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, Config
 from gs_codec.container.carried import carried_sections
@@ -74,6 +75,7 @@ def encode_parts(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to what follows one another in the file; see `encode_scene`."""
     config = config or Config()
+    check_encoding(scene.count, config)
     if config.profile == LOSSLESS:
         return encode_lossless(scene, config, progress)
     times = StageTimes()

@@ -149,7 +149,9 @@ def _read_rest(
         raise InvalidInput(f"{path}: {what} ({why}); choose --extra keep or --extra drop")
     if extra == "drop":
         return has_normals, {}
-    kept = {name: np.array(data[name], data.dtype[name].newbyteorder("=")) for name in rest}
+    kept = {name: empty((len(data),), data.dtype[name].newbyteorder("=")) for name in rest}
+    for name, column in kept.items():
+        column[:] = data[name]
     return has_normals and not set(normals) & set(rest), kept
 
 

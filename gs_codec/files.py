@@ -17,7 +17,7 @@ from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
-from gs_codec.io.formats import read_foreign, stored_bytes
+from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
 from gs_codec.io.splat import pack_splat
@@ -80,8 +80,13 @@ def encode_file(
     """
     config = config or Config()
     check_target(source, target)
-    if max_memory is not None and (plan is not None or goal is not None):
-        raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+    if max_memory is not None:
+        if plan is not None or goal is not None:
+            raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+        if is_egs(source) or not is_read_in_parts(source):
+            raise InvalidInput(
+                f"{source}: max-memory: only a binary PLY of floats is read in parts"
+            )
     with bounded(max_memory):
         return _encode_file(source, target, config, progress, plan, report_folder, goal)
 

@@ -240,6 +240,20 @@ def test_views_and_targets_need_the_whole_scene(files):
         encode_file(*files, goal=Target(ratio=5), max_memory=10**10)
 
 
+def test_what_is_read_as_a_whole_is_refused_within_a_limit(files):
+    text = files[0].with_name("text.ply")
+    header, _, body = files[0].read_bytes().partition(b"end_header\n")
+    rows = np.frombuffer(body, "<f4").reshape(500, -1)
+    lines = "\n".join(" ".join(map(repr, row)) for row in rows.tolist())
+    text.write_text(header.decode().replace("binary_little_endian", "ascii"))
+    with text.open("a") as file:
+        file.write(f"end_header\n{lines}\n")
+    encode_file(text, files[1].with_name("text.egs"))
+    for source in (text, files[1]):
+        with pytest.raises(InvalidInput, match=f"{source}: max-memory: only a binary PLY"):
+            encode_file(source, files[1].with_name("again.egs"), max_memory=10**10)
+
+
 def test_extra_properties_inflate_to_what_they_are(everything_on_disk, tmp_path):
     scene = rich_scene(700, 0)
     with using(Disk()):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gs_codec.cli import bench_scaling
 from gs_codec.cli.bench_tables import (
     COLUMNS,
     GAIN_COLUMNS,
@@ -30,7 +31,7 @@ from gs_codec.cli.bench_tables import (
 )
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_status, print_table, print_text
-from gs_codec.cli.resources import Threads
+from gs_codec.cli.resources import MaxMemory, Threads
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
@@ -89,9 +90,14 @@ def command(
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
+    scaling: Annotated[
+        bool,
+        typer.Option("--scaling", help="Measure how time and memory grow with scenes instead."),
+    ] = False,
+    max_memory: MaxMemory = None,
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="PNG", help="With --prepare or --targets: plot size and quality."),
+        typer.Option(metavar="PNG", help="With --prepare, --targets or --scaling: plot it."),
     ] = None,
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
@@ -102,8 +108,11 @@ def command(
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
         for name in profile or PROFILE_CHOICES
     ]
-    if plot and not (prepare or targets):
-        raise InvalidInput("--plot needs --prepare or --targets")
+    _check_plot(plot, prepare or targets or scaling)
+    _check_scaling(scaling, max_memory, cameras or depth or tile or extra != "error")
+    if scaling:
+        bench_scaling.measure(scenes, profile or ["m"], threads, max_memory, plot)
+        return
     if prepare:
         _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
         return
@@ -136,6 +145,18 @@ def command(
         print_text(json_module.dumps(line))
         add_to_rows(rows, line)
     print_table(COLUMNS, list(rows.values()), sys.stderr)
+
+
+def _check_plot(plot: Path | None, plotted: bool) -> None:
+    if plot and not plotted:
+        raise InvalidInput("--plot needs --prepare, --targets or --scaling")
+
+
+def _check_scaling(scaling: bool, max_memory: str | None, others: object) -> None:
+    if max_memory and not scaling:
+        raise InvalidInput("--max-memory needs --scaling")
+    if scaling and others:
+        raise InvalidInput("--scaling takes no --cameras, --depth, --tile and no --extra")
 
 
 def _measure(

@@ -259,6 +259,7 @@ def test_growth_of_what_is_linear():
         (["--max-memory", "1GB"], "--max-memory needs --scaling"),
         (["--scaling", "--tile", "9"], "--scaling takes no"),
         (["--scaling", "--cameras", "auto"], "--scaling takes no"),
+        (["--scaling", "--peers"], "--peers and --scaling: one at a time"),
     ],
 )
 def test_scaling_is_refused_with_what_it_has_no_use_for(options, message):

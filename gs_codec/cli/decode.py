@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import MaxMemory, Threads, parse_memory
+from gs_codec.cli.resources import Decoder, MaxMemory, Threads, parse_memory
 from gs_codec.errors import InvalidInput
 
 
@@ -32,14 +32,7 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
-    tmc3: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH",
-            help="G-PCC program, for files coded with it.",
-            show_default="GS_CODEC_TMC3, or tmc3 in PATH",
-        ),
-    ] = None,
+    tmc3: Decoder = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""

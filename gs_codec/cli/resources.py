@@ -1,8 +1,9 @@
-"""``--threads`` and ``--max-memory``, and sizes in bytes as they are typed."""
+"""Options of what commands may use: threads, memory, programs; and sizes as they are typed."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,6 +21,15 @@ MaxMemory = Annotated[
     str | None,
     typer.Option(
         metavar="SIZE", help="Most memory to take: 4GB, 512MiB.", show_default="what is needed"
+    ),
+]
+
+Decoder = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PATH",
+        help="G-PCC program, for files coded with it.",
+        show_default="GS_CODEC_TMC3, or tmc3 in PATH",
     ),
 ]
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import MaxMemory, Threads, parse_memory
+from gs_codec.cli.resources import Decoder, MaxMemory, Threads, parse_memory
 
 
 def command(
@@ -20,15 +20,14 @@ def command(
         int | None,
         typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
     ] = None,
+    tmc3: Decoder = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Check every checksum of an .egs file and decode all of it, writing nothing."""
     from gs_codec.slabs import verify_file
 
     with progress_bar(not json) as progress:
-        report = verify_file(
-            source, threads, max_bytes, progress, max_memory=parse_memory(max_memory)
-        )
+        report = verify_file(source, threads, max_bytes, progress, tmc3, parse_memory(max_memory))
     if json:
         print_json({"input": str(source), **asdict(report)})
     else:

@@ -155,10 +155,10 @@ class ChosenPart:
             advance = progress if len(runs) == 1 else _part_of(progress, done, run.count, total)
             groups = decode(self.file, run.spans, self.degree, self.threads, advance)
             scene = _assemble(self.file, groups, run.of(extra))
+            if self.part.box is not None:
+                scene = scene.take(self.part.contains(scene.positions))
+            yield scene
             done += run.count
-            yield (
-                scene if self.part.box is None else scene.take(self.part.contains(scene.positions))
-            )
 
     def _runs(self, size: int) -> Iterator[_Run]:
         header = self.file.header

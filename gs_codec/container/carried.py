@@ -89,18 +89,19 @@ def read_extra(data: memoryview, count: int) -> dict[str, NDArray]:
 def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
     rows, rest = empty((count, dtype.itemsize), np.uint8), bytes(packed)
     inflater = zlib.decompressobj()
-    sound = True
+    filled = 0
     try:
         for plane in rows.T if count else ():
             found = inflater.decompress(rest, count)
             rest = inflater.unconsumed_tail
-            sound = sound and len(found) == count
-            if sound:
-                plane[:] = np.frombuffer(found, np.uint8)
+            if len(found) < count:
+                break
+            plane[:] = np.frombuffer(found, np.uint8)
+            filled += count
         # What follows the last value may be the stream's checksum alone.
-        sound = sound and not inflater.decompress(rest, 1)
+        surplus = inflater.decompress(rest, 1) or inflater.unused_data or inflater.unconsumed_tail
     except zlib.error as error:
         raise CorruptStream(f"section 'extra': {error}") from None
-    if not sound or inflater.unused_data or inflater.unconsumed_tail or not inflater.eof:
+    if filled < rows.size or surplus or not inflater.eof:
         raise CorruptStream(f"section 'extra': a property is not {rows.size} bytes")
     return rows.reshape(-1).view(dtype)

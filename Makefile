@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint check fuzz clean
+.PHONY: demo test lint check scaling fuzz clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -23,6 +23,13 @@ lint: $(VENV)/installed-test
 	$(BIN)/mypy
 
 check: lint test
+
+# 6.5 GB of scenes, and twice as much again while the largest is coded. MEMORY=4GB: within that.
+SIZES := 200000 1000000 5000000 20000000
+scaling: $(VENV)/installed-test
+	@mkdir -p build/scaling
+	for n in $(SIZES); do $(BIN)/python samples/generate.py build/scaling/$$n.ply --gaussians $$n || exit; done
+	$(BIN)/gs-codec bench $(SIZES:%=build/scaling/%.ply) --scaling --plot build/scaling/plot.png $(MEMORY:%=--max-memory %)
 
 # Every reader, one after another, MINUTES each; findings are kept in the folder `fuzz`.
 MINUTES ?= 30

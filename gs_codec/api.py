@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec import files
+from gs_codec import files, planned
 from gs_codec.cloud import from_cloud, to_cloud
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config, Target, as_target
@@ -137,10 +137,10 @@ def encode(
 
         plan = Plan(Steps(), cameras)
     if target is None:
-        guide = None if plan is None else files.guide_of(scene, plan, config)
+        guide = None if plan is None else planned.guide_of(scene, plan, config)
         return encode_scene(scene, config, guide=guide)[0]
     ply_bytes = vertex_rows(scene).nbytes
-    data, report = files.encode_goal(scene, scene, ply_bytes, config, as_target(target), plan)
+    data, report = planned.encode_goal(scene, scene, ply_bytes, config, as_target(target), plan)
     assert report.rate is not None
     return data, report.rate
 

@@ -5,21 +5,20 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from gs_codec.codec import decode_part, encode_scene
+from gs_codec.codec import decode_part, encode_parts, encode_scene
 from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES, Config, Target
+from gs_codec.config import Config, Target
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable
-from gs_codec.io.formats import read_foreign, stored_bytes
+from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes
 from gs_codec.io.mapped import located, opened
-from gs_codec.io.ply import write_ply
+from gs_codec.io.ply import write_ply, write_vertices
 from gs_codec.io.splat import pack_splat
 from gs_codec.matching import (
     order_of,
@@ -29,16 +28,17 @@ from gs_codec.matching import (
     without_order,
 )
 from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.planned import encode_goal, guide_of
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
+from gs_codec.slabs import opened_slabs
+from gs_codec.storage import bounded
 
 log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
-    from gs_codec.codec.guidance import Guidance
     from gs_codec.preparation.pipeline import Plan
     from gs_codec.preparation.report import PrepareReport
-    from gs_codec.preparation.targets import Targets, Views
 
 
 @dataclass(frozen=True)
@@ -60,42 +60,84 @@ def encode_file(
     plan: Plan | None = None,
     report_folder: str | Path | None = None,
     goal: Target | None = None,
+    max_memory: int | None = None,
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
     With a `plan`, the scene is prepared first, if that has steps, and profiles that go by what is
     seen go by its views; `report_folder` receives what preparation did, and what each stage of
-    coding adds to it. With a `goal`, steps are chosen as `encode_goal` has it.
+    coding adds to it. With a `goal`, steps are chosen as `encode_goal` has it. With `max_memory`,
+    neither is there, and a scene that takes more bytes is worked on in temporary files; what
+    comes out is the same.
 
     Raises
     ------
     InvalidInput
-        If the source cannot be used, the goal is out of reach, or the target cannot be written.
+        If the source cannot be used, the goal is out of reach, the target cannot be written, or
+        `max_memory` is too little.
     """
     config = config or Config()
     check_target(source, target)
+    if max_memory is not None:
+        if plan is not None or goal is not None:
+            raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+        if is_egs(source) or not is_read_in_parts(source):
+            raise InvalidInput(
+                f"{source}: max-memory: only a binary PLY of floats is read in parts"
+            )
+    with bounded(max_memory):
+        return _encode_file(source, target, config, progress, plan, report_folder, goal)
+
+
+def _encode_file(
+    source: str | Path,
+    target: str | Path,
+    config: Config,
+    progress: Progress | None,
+    plan: Plan | None,
+    report_folder: str | Path | None,
+    goal: Target | None,
+) -> EncodeReport:
     start = time.perf_counter()
     scene = read_scene(source, config.extra)
     read = time.perf_counter() - start
     with located(source):
-        prepared, views, original = None, None, scene
-        if plan is not None and plan.steps.wanted:
-            scene, prepared = _prepare(scene, plan, report_folder, progress)
-            views = prepared.views
-        if goal is not None:
-            size = source_bytes(source)
-            data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
+        if plan is None and goal is None:
+            parts, report = encode_parts(scene, config, progress)
         else:
-            targets = None if views is None else views.renders
-            guide = None if plan is None else guide_of(scene, plan, config, progress, targets)
-            data, report = encode_scene(scene, config, progress, guide)
-        if prepared is not None and report_folder is not None:
-            _finish_report(prepared, scene, config, data, report, report_folder)
+            size = source_bytes(source)
+            data, report = _encode_by_plan(scene, size, config, plan, goal, report_folder, progress)
+            parts = [data]
     start = time.perf_counter()
     with atomic_writer(target) as file:
-        file.write(data)
+        file.writelines(parts)
     seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
     return replace(report, seconds=seconds)
+
+
+def _encode_by_plan(
+    scene: Scene,
+    size: int,
+    config: Config,
+    plan: Plan | None,
+    goal: Target | None,
+    report_folder: str | Path | None,
+    progress: Progress | None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene, of a file of `size` bytes, by a plan, to a goal, or both."""
+    prepared, views, original = None, None, scene
+    if plan is not None and plan.steps.wanted:
+        scene, prepared = _prepare(scene, plan, report_folder, progress)
+        views = prepared.views
+    if goal is not None:
+        data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
+    else:
+        targets = None if views is None else views.renders
+        guide = None if plan is None else guide_of(scene, plan, config, progress, targets)
+        data, report = encode_scene(scene, config, progress, guide)
+    if prepared is not None and report_folder is not None:
+        _finish_report(prepared, scene, config, data, report, report_folder)
+    return data, report
 
 
 def prepare_file(
@@ -181,74 +223,6 @@ def _prepare(
     return prepare_scene(scene, plan, progress)
 
 
-def encode_goal(
-    scene: Scene,
-    original: Scene,
-    ply_bytes: int,
-    config: Config,
-    goal: Target,
-    plan: Plan | None = None,
-    progress: Progress | None = None,
-    views: Views | None = None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene at a wanted size or quality, which counts from the original.
-
-    Profiles go by a plan's views where there is one. A quality is measured in those that are held
-    out, against photographs if it has any. Without a plan, a quality or pruning goes by views that
-    are chosen from the scene.
-    `views` are the plan's where they are known.
-
-    Raises
-    ------
-    InvalidInput
-        If the goal is out of reach, or the profile has no steps to choose.
-    """
-    from gs_codec.rate.allocate import Seen, check_searchable, encode_to_target
-
-    check_searchable(scene, config)
-    limit = goal.limit(original.count, ply_bytes)
-    if plan is None and (limit is None or goal.allow_prune):
-        from gs_codec.preparation.pipeline import Plan
-        from gs_codec.preparation.steps import Steps
-
-        plan = Plan(Steps())
-    if plan is None:
-        return encode_to_target(scene, config, goal, limit)
-    seen = None
-    if limit is None or goal.allow_prune:
-        from gs_codec.preparation.pipeline import choose_views
-
-        views = views or choose_views(original, plan)
-        seen = Seen(views, views.held_out.errors(original))
-    targets = views.renders if views is not None else None
-    guide = guide_of(scene, plan, config, progress, targets)
-    return encode_to_target(scene, config, goal, limit, guide, seen, progress)
-
-
-def guide_of(
-    scene: Scene,
-    plan: Plan,
-    config: Config,
-    progress: Progress | None = None,
-    targets: Targets | None = None,
-) -> Callable[[Scene], Guidance] | None:
-    """What tells `encode_scene` what a plan's views see; None for profiles that do not ask.
-
-    `targets` are what these look like, where that is known. Where the scene was optimised, it is
-    itself what its views should look like, else the scene it was made from.
-    """
-    if config.profile not in LATTICE_PROFILES or not scene.count:
-        return None
-    from gs_codec.preparation.guide import guide
-    from gs_codec.preparation.pipeline import draw_views
-    from gs_codec.preparation.targets import draw_targets
-
-    targets = targets or draw_views(scene, plan)
-    if plan.steps.optimise:
-        targets = draw_targets(scene, targets.cameras, targets.background)
-    return lambda clean: guide(clean, targets, config.threads, progress)
-
-
 def _finish_report(
     prepared: PrepareReport,
     scene: Scene,
@@ -276,6 +250,7 @@ def decode_file(
     progress: Progress | None = None,
     part: Part | None = None,
     tmc3: str | Path | None = None,
+    max_memory: int | None = None,
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
@@ -285,7 +260,8 @@ def decode_file(
     Raises
     ------
     InvalidInput
-        If the source cannot be read, or the target cannot be written.
+        If the source cannot be read, the target cannot be written, or `max_memory`, bytes that
+        are enough for a part of the scene at a time, are not enough for one block.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is not a sound `.egs` file.
     MissingTool, ToolFailed
@@ -294,13 +270,14 @@ def decode_file(
     """
     check_target(source, target)
     start = time.perf_counter()
-    whole = part or Part()
-    scene, bytes_read = _decode_ordered(Path(source), whole, threads, max_bytes, progress, tmc3)
-    decoded = time.perf_counter()
-    write_ply(target, scene)
-    seconds = {"decode": decoded - start, "write": time.perf_counter() - decoded}
-    size = os.path.getsize(source)
-    return DecodeReport(scene.count, scene.sh_degree, bytes_read, size, seconds)
+    part = part or Part()
+    with opened_slabs(source, part, threads, max_bytes, progress, tmc3, max_memory) as slabs:
+        count, scenes = slabs.counted()
+        with atomic_writer(target) as file:
+            write_vertices(file, count, scenes)
+        seconds = {"decode": slabs.seconds, "write": time.perf_counter() - start - slabs.seconds}
+        size = os.path.getsize(source)
+        return DecodeReport(count, slabs.sh_degree, slabs.bytes_read, size, seconds)
 
 
 def read_scene(
@@ -310,7 +287,7 @@ def read_scene(
 ) -> Scene:
     """The scene of a file, its format told by content; see `read_ply` for `extra`."""
     if is_egs(path):
-        return _decode_ordered(Path(path), Part(), progress=progress)[0]
+        return _decode_ordered(path, progress)
     return read_foreign(path, extra)
 
 
@@ -348,18 +325,9 @@ def check_target(source: str | Path, target: str | Path) -> None:
         raise InvalidInput(f"{target}: the source itself")
 
 
-def _decode_ordered(
-    path: Path,
-    part: Part,
-    threads: int | None = None,
-    max_bytes: int | None = None,
-    progress: Progress | None = None,
-    tmc3: str | Path | None = None,
-) -> tuple[Scene, int]:
-    """A scene, or a part of it, and the bytes read; what is whole tells its order."""
+def _decode_ordered(path: str | Path, progress: Progress | None) -> Scene:
+    """A scene that tells its order."""
     with opened(path) as view, located(path):
-        scene, file = decode_part(view, part, threads, max_bytes, progress, tmc3)
+        scene, file = decode_part(view, Part(), progress=progress)
         order = order_of_file(describe(file))
-        if part.box is None and order is not None:
-            scene = with_order(scene, order)
-    return scene, file.bytes_read
+        return scene if order is None else with_order(scene, order)

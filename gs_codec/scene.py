@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.storage import empty
 from gs_codec.workers import run_all
 
 #: SH-AC coefficients of one colour for each SH degree.
@@ -159,7 +160,15 @@ class Scene:
     def take(self, index: NDArray) -> Scene:
         """The Gaussians that `index` (positions or mask) selects, in that order."""
         changes: dict[str, Any] = {group: gather(getattr(self, group), index) for group in GROUPS}
-        changes["extra"] = {name: column[index] for name, column in self.extra.items()}
+        changes["extra"] = {
+            name: gather(column[None], index)[0] for name, column in self.extra.items()
+        }
+        return replace(self, **changes)
+
+    def between(self, start: int, stop: int) -> Scene:
+        """Gaussians `start` to `stop`, the last not included; nothing is copied."""
+        changes: dict[str, Any] = {group: getattr(self, group)[:, start:stop] for group in GROUPS}
+        changes["extra"] = {name: column[start:stop] for name, column in self.extra.items()}
         return replace(self, **changes)
 
 
@@ -167,7 +176,7 @@ def gather(planes: NDArray, index: NDArray) -> NDArray:
     """Columns of ``planes (C, N)`` that `index` (positions or mask) selects, in that order."""
     index = np.asarray(index)
     places = np.flatnonzero(index) if index.dtype == bool else index
-    gathered = np.empty((len(planes), len(places)), planes.dtype)
+    gathered = empty((len(planes), len(places)), planes.dtype)
 
     def work(row: int) -> None:
         gathered[row] = np.take(planes[row], places)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -24,10 +25,13 @@ def run_all(
     threads: int | None = None,
     advance: Callable[[], None] | None = None,
 ) -> list[Result]:
-    """Map `function` over `items` in threads, in order; `advance` is called after each."""
+    """Map `function` over `items` in threads, in order; `advance` is called after each.
+
+    Threads see the caller's context variables.
+    """
     results = []
     with ThreadPoolExecutor(threads or available_threads()) as pool:
-        futures = [pool.submit(function, item) for item in items]
+        futures = [pool.submit(copy_context().run, function, item) for item in items]
         try:
             for future in futures:
                 results.append(future.result())

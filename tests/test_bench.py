@@ -10,14 +10,15 @@ import pytest
 from scenes import random_scene
 from typer.testing import CliRunner
 
-from gs_codec.bench import prepared
+from gs_codec.bench import prepared, scaling
+from gs_codec.bench.apart import run_apart
 from gs_codec.bench.tile import tile_scene
 from gs_codec.cli.main import app
 from gs_codec.codec import encode_scene
 from gs_codec.config import Config
 from gs_codec.entropy import torchac_coder
-from gs_codec.errors import InvalidInput
-from gs_codec.io.ply import write_ply
+from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.rendering.camera_files import read_cameras
 from gs_codec.rendering.images import read_image, write_png
 from gs_codec.rendering.renderer import render
@@ -180,8 +181,8 @@ def test_preparation_needs_cameras():
     plot = ["--plot", "a.png"]
     for options, message in (
         (["--prepare"], "--prepare needs --cameras"),
-        (plot, "--plot needs --prepare or --targets"),
-        ([*plot, "--cameras", "auto"], "--plot needs --prepare or --targets"),
+        (plot, "--plot needs --prepare, --targets or --scaling"),
+        ([*plot, "--cameras", "auto"], "--plot needs --prepare, --targets or --scaling"),
     ):
         result = CliRunner().invoke(app, ["bench", "scene.ply", *options])
         assert isinstance(result.exception, InvalidInput)
@@ -219,3 +220,54 @@ def test_parts_need_cameras_and_a_profile_that_has_them(options, tmp_path):
     result = CliRunner().invoke(app, ["bench", str(tmp_path / "x.ply"), "--parts", *options])
     assert isinstance(result.exception, InvalidInput)
     assert "--parts needs" in str(result.exception)
+
+
+def test_scaling_is_measured_in_processes_of_their_own(tmp_path):
+    path = tmp_path / "scene.ply"
+    write_ply(path, random_scene(2000, 1, seed=72))
+    options = ["--scaling", "--threads", "1", "--max-memory", "1GB"]
+    plot = ["--plot", str(tmp_path / "plot.png")]
+    result = CliRunner().invoke(app, ["bench", str(path), *options, *plot])
+    assert result.exit_code == 0, result.output
+    machine, line, growth = [json.loads(line) for line in result.stdout.splitlines()]
+    assert machine["kind"] == "machine"
+    assert (line["kind"], line["profile"], line["gaussians"]) == ("scaling", "m", 2000)
+    assert line["options"] == ["--threads", "1", "--max-memory", "1GB"]
+    assert line["file_bytes"] == len(encode_scene(read_ply(path), Config("m"))[0])
+    for way in ("encode", "decode"):
+        assert line[way]["cpu_seconds"] > 0
+        assert line[way]["peak_bytes"] > 10_000_000
+    assert growth == {"kind": "growth", "profile": "m"}
+    assert read_image(tmp_path / "plot.png").shape[2] == 3
+
+
+def test_growth_of_what_is_linear():
+    lines = [
+        {"gaussians": n, **{way: {"cpu_seconds": 1 + 2e-6 * n} for way in ("encode", "decode")}}
+        for n in (200_000, 1_000_000, 20_000_000)
+    ]
+    for growth in scaling._growth(lines).values():
+        assert growth["start_seconds"] == pytest.approx(1)
+        assert growth["seconds_per_million"] == pytest.approx(2)
+        assert growth["most_off_percent"] == pytest.approx(0, abs=1e-6)
+    assert scaling._growth(lines[:1]) == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--max-memory", "1GB"], "--max-memory needs --scaling"),
+        (["--scaling", "--tile", "9"], "--scaling takes no"),
+        (["--scaling", "--cameras", "auto"], "--scaling takes no"),
+        (["--scaling", "--peers"], "--peers and --scaling: one at a time"),
+    ],
+)
+def test_scaling_is_refused_with_what_it_has_no_use_for(options, message):
+    result = CliRunner().invoke(app, ["bench", "scene.ply", *options])
+    assert isinstance(result.exception, InvalidInput)
+    assert message in str(result.exception)
+
+
+def test_a_command_that_fails_apart_says_so(tmp_path):
+    with pytest.raises(GsCodecError, match="no directory"):
+        run_apart(["encode", "scene.ply", str(tmp_path / "none" / "scene.egs")])

@@ -29,7 +29,7 @@ from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.scene import GROUPS
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = ("encode", "decode", "inspect", "compare", "bench")
+COMMANDS = ("encode", "decode", "verify", "inspect", "compare", "bench")
 
 
 class Result(NamedTuple):

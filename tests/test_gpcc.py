@@ -19,6 +19,7 @@ from tmc3_stand_in import VERSION
 from typer.testing import CliRunner
 
 from gs_codec.bench import points
+from gs_codec.bench.apart import Usage
 from gs_codec.cli.main import app
 from gs_codec.codec import decode_part, decode_scene, encode_scene
 from gs_codec.codec.part import Part
@@ -530,9 +531,9 @@ def test_the_bench_puts_both_beside_each_other(stand_in, tmp_path, monkeypatch):
     def run_here(arguments):
         result = CliRunner().invoke(app, arguments)
         assert result.exit_code == 0, result.output
-        return 1
+        return Usage(1.0, 1.0, 1)
 
-    monkeypatch.setattr(points, "peak_memory", run_here)
+    monkeypatch.setattr(points, "run_apart", run_here)
     path = tmp_path / "scene.ply"
     write_ply(path, random_scene(300, 1, seed=102))
     options = ["bench", str(path), "--points", "--repeats", "1"]

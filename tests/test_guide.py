@@ -15,9 +15,10 @@ from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.guidance import Guidance
 from gs_codec.config import LATTICE_PROFILES, Config, LatticeProfile
 from gs_codec.errors import InvalidInput
-from gs_codec.files import encode_file, guide_of, read_scene
+from gs_codec.files import encode_file, read_scene
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import write_ply
+from gs_codec.planned import guide_of
 from gs_codec.preparation.guide import guide
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.preparation.steps import Steps

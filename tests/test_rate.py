@@ -20,10 +20,10 @@ from gs_codec.cloud import to_cloud
 from gs_codec.codec import decode_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.errors import InvalidInput
-from gs_codec.files import encode_goal
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
+from gs_codec.planned import encode_goal
 from gs_codec.preparation.pipeline import Plan, choose_views
 from gs_codec.preparation.steps import Steps
 from gs_codec.preparation.targets import draw_targets

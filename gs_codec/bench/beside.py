@@ -15,8 +15,8 @@ from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
 from gs_codec.bench.rendered import rendered_quality
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, Config
-from gs_codec.files import guide_of
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
+from gs_codec.planned import guide_of
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene

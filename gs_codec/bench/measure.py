@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import platform
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -15,6 +13,7 @@ from typing import Any
 
 from gs_codec import __version__
 from gs_codec.bench import paper
+from gs_codec.bench.apart import run_apart
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.files import compare_files, decode_file, encode_file
@@ -132,8 +131,8 @@ def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
     """Peak resident memory of whole processes; 0 where the system does not tell."""
     stream, back = ply.with_suffix(".egs"), ply.with_name("back.ply")
     depths = [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
-    encode = peak_memory(["encode", str(ply), str(stream), "-p", config.profile, *depths])
-    decode = peak_memory(["decode", str(stream), str(back)])
+    encode = run_apart(["encode", str(ply), str(stream), "-p", config.profile, *depths]).peak_bytes
+    decode = run_apart(["decode", str(stream), str(back)]).peak_bytes
     return {
         "encode_peak_bytes": encode,
         "decode_peak_bytes": decode,
@@ -141,9 +140,3 @@ def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
         "encode_ratio": encode / max(float_bytes, 1),
         "decode_ratio": decode / max(float_bytes, 1),
     }
-
-
-def peak_memory(arguments: list[str]) -> int:
-    """Peak resident memory of one command of the command line; 0 where the system does not tell."""
-    command = [sys.executable, "-m", "gs_codec.bench.peak", *arguments]
-    return int(subprocess.run(command, check=True, capture_output=True).stdout)

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.codec.guidance import Guidance
 from gs_codec.config import Config
-from gs_codec.files import guide_of
 from gs_codec.lattice.fit import features
 from gs_codec.lattice.fixed import to_float
 from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS, ENERGIES
 from gs_codec.metrics.views import compare_views
 from gs_codec.model.contexts import ContextTables
+from gs_codec.planned import guide_of
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gs_codec.bench import child_peak
-from gs_codec.bench.measure import peak_memory, spread
+from gs_codec.bench.apart import run_apart
+from gs_codec.bench.measure import spread
 from gs_codec.codec import decode_part, encode_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import Config
@@ -125,8 +126,8 @@ def _memory(scene: Scene, config: Config) -> dict[str, int]:
             wrapped.chmod(0o755)
             encode += ["--geometry", "gpcc", "--no-verify", "--tmc3", str(wrapped)]
             decode += ["--tmc3", str(wrapped)]
-        found = {"encode_peak_bytes": peak_memory(encode)}
-        found["decode_peak_bytes"] = peak_memory(decode)
+        found = {"encode_peak_bytes": run_apart(encode).peak_bytes}
+        found["decode_peak_bytes"] = run_apart(decode).peak_bytes
         if config.tmc3 is not None:
             found["tool_peak_bytes"] = max(map(int, peaks.read_text().split()))
     return found

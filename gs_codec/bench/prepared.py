@@ -8,8 +8,8 @@ from typing import Any
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, Config
-from gs_codec.files import guide_of
 from gs_codec.io.ply import vertex_rows
+from gs_codec.planned import guide_of
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.report import PrepareReport
 from gs_codec.preparation.steps import Steps

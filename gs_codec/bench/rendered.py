@@ -11,9 +11,9 @@ from typing import Any
 from gs_codec.bench.measure import spread
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
-from gs_codec.files import guide_of
 from gs_codec.io.ply import vertex_rows
 from gs_codec.metrics.views import compare_views
+from gs_codec.planned import guide_of
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render

@@ -13,8 +13,8 @@ from gs_codec.bench.rendered import measure_quality, rendered_quality
 from gs_codec.codec import decode_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.errors import InvalidInput
-from gs_codec.files import encode_goal
 from gs_codec.io.ply import vertex_rows
+from gs_codec.planned import encode_goal
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene

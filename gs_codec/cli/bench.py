@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gs_codec.cli import bench_scaling
 from gs_codec.cli.bench_tables import (
     COLUMNS,
     GAIN_COLUMNS,
@@ -30,7 +31,7 @@ from gs_codec.cli.bench_tables import (
 )
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_status, print_table, print_text
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import MaxMemory, Threads
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
     from gs_codec.preparation.pipeline import Plan
     from gs_codec.rendering.camera import Camera
     from gs_codec.scene import Scene
+
+#: Modes that --plot has something of.
+_PLOTTED = ("prepare", "targets", "scaling")
 
 
 def command(
@@ -89,49 +93,85 @@ def command(
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
+    scaling: Annotated[
+        bool,
+        typer.Option("--scaling", help="Measure how time and memory grow with scenes instead."),
+    ] = False,
+    max_memory: MaxMemory = None,
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="PNG", help="With --prepare or --targets: plot size and quality."),
+        typer.Option(metavar="PNG", help="With --prepare, --targets or --scaling: plot it."),
     ] = None,
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
     """Measure time, size, error, memory and rendered quality; JSON lines on stdout."""
     if (against_gt or width) and not cameras:
         raise InvalidInput("--against-gt and --width need --cameras")
+    mode = _mode_of(
+        prepare=prepare, gains=gains, targets=targets, parts=parts, points=points, peers=peers,
+        scaling=scaling,
+    )  # fmt: skip
+    _check_options(mode, bool(cameras), profile, bool(depth), plot is not None)
+    bench_scaling.check_options(mode == "scaling", max_memory, tile or extra != "error")
     configs = [
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
         for name in profile or PROFILE_CHOICES
     ]
-    if plot and not (prepare or targets):
-        raise InvalidInput("--plot needs --prepare or --targets")
-    if prepare:
-        _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
-        return
-    if gains and (not cameras or profile or depth):
-        raise InvalidInput("--gains needs --cameras, and takes no --profile and no --depth")
-    if gains:
-        _measure_gains(scenes, configs[0], tile, (cameras, against_gt, width))
-        return
-    if targets and (not cameras or profile or depth):
-        raise InvalidInput("--targets needs --cameras, and takes no --profile and no --depth")
-    if targets:
-        _measure_targets(scenes, configs[0], tile, (cameras, against_gt, width), plot)
-        return
-    if parts and (not cameras or not set(profile or ["m"]) <= set(LATTICE_PROFILES)):
-        raise InvalidInput("--parts needs --cameras, and profiles l, m or s; m when none is given")
-    if parts:
-        chosen = configs if profile else [replace(configs[0], profile="m")]
-        _measure_parts(scenes, chosen, tile, (cameras, against_gt, width))
-        return
-    if points:
-        chosen = configs if profile else [replace(configs[0], profile="paper-m")]
-        _measure_points(scenes, chosen, tile, repeats)
-        return
-    if peers:
-        _measure_peers(scenes, configs, tile, repeats, (cameras, against_gt, width))
-        return
-    rows: dict[str, list[str]] = {}
     views = (cameras, against_gt, width)
+
+    def chosen(name: str) -> list[Config]:
+        """The profiles that were given, or this one."""
+        return configs if profile else [replace(configs[0], profile=name)]
+
+    runs: dict[str, Callable[[], None]] = {
+        "": lambda: _measure_all(scenes, configs, tile, repeats, coders, threads, views),
+        "prepare": lambda: _measure_preparation(scenes, configs, tile, views, plot),
+        "gains": lambda: _measure_gains(scenes, configs[0], tile, views),
+        "targets": lambda: _measure_targets(scenes, configs[0], tile, views, plot),
+        "parts": lambda: _measure_parts(scenes, chosen("m"), tile, views),
+        "points": lambda: _measure_points(scenes, chosen("paper-m"), tile, repeats),
+        "peers": lambda: _measure_peers(scenes, configs, tile, repeats, views),
+        "scaling": lambda: bench_scaling.measure(
+            scenes, profile or ["m"], threads, max_memory, plot
+        ),
+    }
+    runs[mode]()
+
+
+def _mode_of(**asked: bool) -> str:
+    """What is measured instead of profiles one by one; empty if it is these."""
+    modes = [name for name, wanted in asked.items() if wanted]
+    if len(modes) > 1:
+        raise InvalidInput(f"--{modes[0]} and --{modes[1]}: one at a time")
+    return modes[0] if modes else ""
+
+
+def _check_options(
+    mode: str, cameras: bool, profiles: list[str] | None, depths: bool, plot: bool
+) -> None:
+    """Refuse what a mode has no use for, or cannot do without."""
+    if plot and mode not in _PLOTTED:
+        raise InvalidInput(f"--plot needs --{', --'.join(_PLOTTED[:-1])} or --{_PLOTTED[-1]}")
+    if mode == "prepare" and not cameras:
+        raise InvalidInput("--prepare needs --cameras")
+    if mode in ("gains", "targets") and (not cameras or profiles or depths):
+        raise InvalidInput(f"--{mode} needs --cameras, and takes no --profile and no --depth")
+    if mode == "parts" and not (cameras and set(profiles or ["m"]) <= set(LATTICE_PROFILES)):
+        raise InvalidInput("--parts needs --cameras, and profiles l, m or s; m when none is given")
+    if mode == "scaling" and (cameras or depths):
+        raise InvalidInput("--scaling takes no --cameras and no --depth")
+
+
+def _measure_all(
+    scenes: list[Path],
+    configs: list[Config],
+    tile: int | None,
+    repeats: int,
+    coders: bool,
+    threads: int | None,
+    views: tuple[str | None, Path | None, int | None],
+) -> None:
+    rows: dict[str, list[str]] = {}
     for line in _measure(scenes, configs, tile, repeats, coders, threads, views):
         print_text(json_module.dumps(line))
         add_to_rows(rows, line)

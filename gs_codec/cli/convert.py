@@ -17,7 +17,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import Threads
 from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, Config
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import Decoder, MaxMemory, Threads, parse_memory
 from gs_codec.errors import InvalidInput
 
 
@@ -17,6 +17,7 @@ def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply.")],
     threads: Threads = None,
+    max_memory: MaxMemory = None,
     max_bytes: Annotated[
         int | None,
         typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
@@ -31,14 +32,7 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
-    tmc3: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH",
-            help="G-PCC program, for files coded with it.",
-            show_default="GS_CODEC_TMC3, or tmc3 in PATH",
-        ),
-    ] = None,
+    tmc3: Decoder = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
@@ -48,7 +42,9 @@ def command(
 
     part = Part(box, sh_degree)
     with progress_bar(not json) as progress:
-        report = decode_file(source, target, threads, max_bytes, progress, part, tmc3)
+        report = decode_file(
+            source, target, threads, max_bytes, progress, part, tmc3, parse_memory(max_memory)
+        )
     size = target.stat().st_size
     if json:
         print_json(

@@ -19,7 +19,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import MaxMemory, Threads, parse_memory
 from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport
@@ -69,6 +69,7 @@ def command(
     max_psnr_drop: goal.MaxPsnrDrop = None,
     allow_prune: goal.AllowPrune = False,
     threads: Threads = None,
+    max_memory: MaxMemory = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
     prune_importance: steps.PruneImportance = 0.0,
@@ -103,7 +104,9 @@ def command(
     from gs_codec.files import encode_file, source_bytes
 
     with progress_bar(not json) as progress:
-        done = encode_file(source, target, config, progress, plan, report, wanted)
+        done = encode_file(
+            source, target, config, progress, plan, report, wanted, parse_memory(max_memory)
+        )
     _say_what_changed(done)
     size = source_bytes(source)
     if json:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated
 
 import typer
 
 from gs_codec.cli.output import print_text, size_text
+from gs_codec.cli.resources import parse_size
 from gs_codec.config import Target
 from gs_codec.errors import InvalidInput
 from gs_codec.report import RateReport
 
 _PANEL = {"rich_help_panel": "Size or quality (one of them; profiles l, m, s)"}
-_SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
 
 TargetSize = Annotated[
     str | None,
@@ -55,16 +53,8 @@ def goal_of(
                 "--allow-prune needs a size or a quality, for example --target-ratio 30"
             )
         return None
-    bytes_ = None if size is None else _parse_size(size)
+    bytes_ = None if size is None else parse_size("--target-size", size)
     return Target(bytes_, ratio, bits, psnr_drop, allow_prune)
-
-
-def _parse_size(text: str) -> int:
-    """Bytes of a size with or without a unit."""
-    found = _SIZE.fullmatch(text.strip().lower())
-    if not found:
-        raise InvalidInput(f"--target-size {text}: expected a size, for example 5MB or 800kB")
-    return int(float(found[1]) * _UNITS[found[2]])
 
 
 def print_rate(rate: RateReport) -> None:

@@ -8,7 +8,18 @@ import sys
 import typer
 
 from gs_codec import __version__
-from gs_codec.cli import batch, bench, compare, convert, decode, encode, inspect, prepare, render
+from gs_codec.cli import (
+    batch,
+    bench,
+    compare,
+    convert,
+    decode,
+    encode,
+    inspect,
+    prepare,
+    render,
+    verify,
+)
 from gs_codec.errors import GsCodecError, one_line
 
 app = typer.Typer(
@@ -18,7 +29,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for module in (encode, decode, convert, prepare, batch, inspect, compare, render, bench):
+for module in (encode, decode, verify, convert, prepare, batch, inspect, compare, render, bench):
     app.command(module.__name__.rpartition(".")[2])(module.command)
 
 

@@ -1,6 +1,6 @@
 """The order of the stages, in both directions. Nothing else knows it."""
 
 from gs_codec.codec.decode import decode_part, decode_scene
-from gs_codec.codec.encode import encode_scene
+from gs_codec.codec.encode import encode_parts, encode_scene
 
-__all__ = ["decode_part", "decode_scene", "encode_scene"]
+__all__ = ["decode_part", "decode_scene", "encode_parts", "encode_scene"]

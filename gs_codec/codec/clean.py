@@ -11,6 +11,7 @@ from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.quantise import count_nonfinite
 from gs_codec.scene import GROUPS, Scene
+from gs_codec.storage import empty
 from gs_codec.workers import run_all
 
 
@@ -43,7 +44,8 @@ def identity_for_zero(scene: Scene) -> tuple[Scene, int]:
     zero = ~scene.rot.any(axis=0)
     count = int(np.count_nonzero(zero))
     if count:
-        rot = scene.rot.copy()
+        rot = empty(scene.rot.shape, np.float32)
+        rot[:] = scene.rot
         rot[0, zero] = 1.0
         scene = replace(scene, rot=rot)
     return scene, count

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -92,6 +93,19 @@ def decode_part(
     MissingTool, ToolFailed
         If the stream uses G-PCC, and its program is not there or does not decode it.
     """
+    chosen = choose_part(data, part, threads, max_bytes, tmc3)
+    (scene,) = chosen.slabs(chosen.file.header.count, progress)
+    return scene, chosen.file
+
+
+def choose_part(
+    data: bytes | memoryview,
+    part: Part,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    tmc3: str | Path | None = None,
+) -> ChosenPart:
+    """Read and check what of a stream is to be decoded; see `decode_part`."""
     check_threads(threads)
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
@@ -100,12 +114,9 @@ def decode_part(
     coded = _check_sections(file)
     tool = tool_for(file, tmc3)
     degree = part.degree_of(header.sh_degree)
-    # Blocks of which nothing is coded are one: a small file may have any number of them.
     blocks: Sequence[int] = range(header.block_count)
-    spans = {0: slice(0, header.count)}
     if coded:
         file, blocks = _choose_blocks(file, part, threads, tool)
-        spans = _spans(header, blocks)
     chosen = blocks if isinstance(blocks, range) else frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
     file = file.read(
@@ -113,11 +124,84 @@ def decode_part(
             section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
         ),
     )
-    groups = _decoder(header.profile, tool)(file, spans, degree, threads, progress)
-    scene = _assemble(file, groups, blocks)
-    if part.box is not None:
-        scene = scene.take(part.contains(scene.positions))
-    return scene, file
+    return ChosenPart(file, part, degree, blocks, bool(coded), threads, tool)
+
+
+@dataclass(frozen=True)
+class ChosenPart:
+    """A file, what of it is read and checked, and the blocks that are to be decoded.
+
+    Where nothing is ``coded`` of them, a small file may have any number of blocks.
+    """
+
+    file: EgsFile
+    part: Part
+    degree: int
+    blocks: Sequence[int]
+    coded: bool
+    threads: int | None
+    tool: Tmc3 | None
+
+    def slabs(self, size: int, progress: Progress | None = None) -> Iterator[Scene]:
+        """Scenes that follow one another in the stream: whole blocks, `size` Gaussians or less.
+
+        There is at least one block in each, and at least one slab, if an empty one.
+        """
+        header = self.file.header
+        decode, extra = _decoder(header.profile, self.tool), _read_extra(self.file)
+        runs = list(self._runs(size))
+        total, done = sum(run.count for run in runs), 0
+        for run in runs:
+            advance = progress if len(runs) == 1 else _part_of(progress, done, run.count, total)
+            groups = decode(self.file, run.spans, self.degree, self.threads, advance)
+            scene = _assemble(self.file, groups, run.of(extra))
+            if self.part.box is not None:
+                scene = scene.take(self.part.contains(scene.positions))
+            yield scene
+            done += run.count
+
+    def _runs(self, size: int) -> Iterator[_Run]:
+        header = self.file.header
+        if not self.coded:
+            for start in range(0, max(header.count, 1), max(size, 1)):
+                stop = min(start + size, header.count)
+                yield _Run({0: slice(0, stop - start)}, [slice(start, stop)])
+            return
+        run = _Run({}, [])
+        for block in self.blocks:
+            start, stop = header.block_range(block)
+            if run.spans and run.count + stop - start > size:
+                yield run
+                run = _Run({}, [])
+            run.spans[block] = slice(run.count, run.count + stop - start)
+            run.ranges.append(slice(start, stop))
+        yield run
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Blocks that are decoded together: where they go, and where they are in the stream."""
+
+    spans: dict[int, slice]
+    ranges: list[slice]
+
+    @property
+    def count(self) -> int:
+        return max((span.stop for span in self.spans.values()), default=0)
+
+    def of(self, columns: dict[str, NDArray]) -> dict[str, NDArray]:
+        """Its Gaussians of columns of the whole scene."""
+        return {
+            name: np.concatenate([column[:0], *(column[where] for where in self.ranges)])
+            for name, column in columns.items()
+        }
+
+
+def _part_of(progress: Progress | None, first: int, count: int, total: int) -> Progress | None:
+    """Progress of a slab of `count` Gaussians after `first`, as that of all."""
+    if progress is None:
+        return None
+    return lambda stage, done, steps: progress(stage, first + count * done // steps, total)
 
 
 def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray[np.float32]]]:
@@ -143,16 +227,6 @@ def _choose_blocks(
         positions = partial(channel_positions, file, channels_of(file), tool)
     found = run_all(lambda block: part.contains(positions(block)).any(), every, threads)
     return file, np.flatnonzero(found).tolist()
-
-
-def _spans(header: Header, blocks: Sequence[int]) -> dict[int, slice]:
-    """Where the Gaussians of chosen blocks go."""
-    spans, end = {}, 0
-    for block in blocks:
-        start, stop = header.block_range(block)
-        spans[block] = slice(end, end + stop - start)
-        end += stop - start
-    return spans
 
 
 def _check_size(header: Header, limit: int) -> None:
@@ -186,25 +260,20 @@ def _check_sections(file: EgsFile) -> set[SectionId]:
     return expected
 
 
+def _read_extra(file: EgsFile) -> dict[str, NDArray]:
+    """Extra properties of all Gaussians of the stream."""
+    extra = file.sections.get((SectionId.EXTRA, 0))
+    return {} if extra is None else read_extra(extra, file.header.count)
+
+
 def _assemble(
-    file: EgsFile, groups: dict[str, NDArray[np.float32]], blocks: Sequence[int]
+    file: EgsFile, groups: dict[str, NDArray[np.float32]], extra: dict[str, NDArray]
 ) -> Scene:
     """The scene of the decoded groups, and what the file carries beside them."""
     comments = file.sections.get((SectionId.COMMENTS, 0))
-    extra = file.sections.get((SectionId.EXTRA, 0))
     return Scene(
         **groups,
         has_normals=file.header.has_normals,
         comments=() if comments is None else read_comments(comments),
-        extra={} if extra is None else _of_blocks(extra, file.header, blocks),
+        extra=extra,
     )
-
-
-def _of_blocks(extra: memoryview, header: Header, blocks: Sequence[int]) -> dict[str, NDArray]:
-    """Extra properties of the Gaussians of chosen blocks."""
-    columns = read_extra(extra, header.count)
-    if len(blocks) == header.block_count:
-        return columns
-    ranges = [np.arange(*header.block_range(block)) for block in blocks]
-    index = np.concatenate([np.zeros(0, np.int64), *ranges])
-    return {name: column[index] for name, column in columns.items()}

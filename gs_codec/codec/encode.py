@@ -12,6 +12,7 @@ from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_encode import encode_lattice
 from gs_codec.codec.lossless import encode_lossless
 from gs_codec.codec.order import Ordered, order_scene
+from gs_codec.codec.room import check_encoding
 from gs_codec.codec.symbols import Coded, quantise_and_model
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, Config
 from gs_codec.container.carried import carried_sections
@@ -21,8 +22,8 @@ from gs_codec.container.file import (
     Section,
     SectionId,
     even_block_size,
+    file_parts,
     section_sizes,
-    write_file,
 )
 from gs_codec.entropy.rans import TableSet, encode_symbols
 from gs_codec.geometry.colour import encode_colour
@@ -62,7 +63,19 @@ def encode_scene(
     MissingTool, ToolFailed
         If `config` asks for G-PCC, and its program is not there or fails.
     """
+    parts, report = encode_parts(scene, config, progress, guide)
+    return b"".join(parts), report
+
+
+def encode_parts(
+    scene: Scene,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    guide: Callable[[Scene], Guidance] | None = None,
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene to what follows one another in the file; see `encode_scene`."""
     config = config or Config()
+    check_encoding(scene.count, config)
     if config.profile == LOSSLESS:
         return encode_lossless(scene, config, progress)
     times = StageTimes()
@@ -70,9 +83,9 @@ def encode_scene(
         scene, dropped = drop_nonfinite(scene, config)
         scene, zero_quaternions = identity_for_zero(scene)
     if config.profile in LATTICE_PROFILES:
-        data, report = encode_lattice(scene, config, guide, progress)
+        parts, report = encode_lattice(scene, config, guide, progress)
         seconds = {**times.seconds, **report.seconds}
-        return data, replace(
+        return parts, replace(
             report, zero_quaternions=zero_quaternions, dropped=dropped, seconds=seconds
         )
     depths, tool = config.resolved_depths(), tool_of(config)
@@ -87,11 +100,11 @@ def encode_scene(
         sections = [_channels_section(scene, ordered, coded), *tool_section(tool, ordered)]
         sections += block_sections
         sections += carried_sections(scene, ordered.order)
-        data = write_file(header, sections)
-    return data, EncodeReport(
+        parts = file_parts(header, sections)
+    return parts, EncodeReport(
         count=scene.count,
         raw_bytes=scene.float_bytes,
-        section_bytes=section_sizes(data, sections),
+        section_bytes=section_sizes(sections),
         costs=coded.costs,
         rectified=coded.rectified,
         zero_quaternions=zero_quaternions,
@@ -142,7 +155,7 @@ def _encode_geometry(ordered: Ordered, block: int, start: int, stop: int) -> lis
     if not total_bits:
         return []
     data = encode_geometry(ordered.codes[start:stop], total_bits)
-    return [Section(SectionId.GEOMETRY, block, data)]
+    return [Section.kept(SectionId.GEOMETRY, block, data)]
 
 
 def _encode_colour(ordered: Ordered, block: int, start: int, stop: int) -> list[Section]:
@@ -150,7 +163,7 @@ def _encode_colour(ordered: Ordered, block: int, start: int, stop: int) -> list[
     if not sum(depths):
         return []
     data = encode_colour(ordered.cells[:, start:stop], ordered.colours[:, start:stop], depths)
-    return [Section(SectionId.SH_DC, block, data)]
+    return [Section.kept(SectionId.SH_DC, block, data)]
 
 
 def _encode_symbols(
@@ -164,5 +177,5 @@ def _encode_symbols(
         pairs = zip(words, coded.channels, strict=True)
         members = [data for data, channel in pairs if channel.stream == stream]
         if members:
-            sections.append(Section(SectionId.of_stream(stream), block, b"".join(members)))
+            sections.append(Section.kept(SectionId.of_stream(stream), block, b"".join(members)))
     return sections

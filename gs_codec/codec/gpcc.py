@@ -71,7 +71,7 @@ def encode_gpcc(
             _decode(tool, memoryview(data), stop - start, *ordered.depths)
     except ToolFailed as error:
         raise ToolFailed(f"{where} {error}") from error
-    return [Section(SectionId.GPCC, block, data)]
+    return [Section.kept(SectionId.GPCC, block, data)]
 
 
 def is_gpcc(file: EgsFile) -> bool:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codec.depths import as_deep, mean_octaves
 from gs_codec.codec.guidance import Guidance
+from gs_codec.codec.layout import in_stream_order
 from gs_codec.config import Config, LatticeProfile
 from gs_codec.lattice.blind import SH_RATIO, blind_coefficients
 from gs_codec.lattice.fit import Steps, features, finest_step, fit_steps, make_rule
@@ -18,6 +19,7 @@ from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.place import to_grid
 from gs_codec.lattice.rules import StepRule
 from gs_codec.scene import Scene
+from gs_codec.storage import current
 from gs_codec.transform.axes import sort_axes
 from gs_codec.transform.morton import canonical_order, encode_morton
 from gs_codec.workers import run_all
@@ -77,8 +79,12 @@ def arrange_scene(scene: Scene, config: Config, guidance: Guidance | None) -> Ar
     lattice = _lattice(scene, some, known, steps)
     codes = _codes(scene, lattice.grid, config.threads)
     order = canonical_order(codes)
-    classes = np.stack([steps.shape_class[order], steps.colour_class[order]])
-    return Arranged(scene, order.astype(np.uint32), lattice, codes[order], classes)
+    keep = current().keep
+    classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
+    codes, narrow = keep(codes[order]), order.astype(np.uint32)
+    if guidance is None:
+        scene, narrow = in_stream_order(scene, narrow)
+    return Arranged(scene, narrow, lattice, codes, classes)
 
 
 def _guided_steps(scene: Scene, profile: LatticeProfile, guidance: Guidance) -> Steps:

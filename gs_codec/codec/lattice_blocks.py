@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from gs_codec.lattice.place import centres
 from gs_codec.lattice.plan import energy_class, sh_places, shift_context
 from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.lattice.tokens import ALPHABET, tokenise
+from gs_codec.storage import current
 from gs_codec.transform.axes import sort_axes
 from gs_codec.transform.ycocg import take_colours, to_ycocg
 
@@ -41,6 +42,11 @@ class PassData:
         tokens, raw_levels, raw_widths = tokenise(levels)
         # The same array for all passes of SH-AC, where it is of this type already.
         return cls(tokens, contexts.astype(np.uint16, copy=False), raw_levels, raw_widths)
+
+    @property
+    def arrays(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Everything of it."""
+        return self.tokens, self.contexts, self.raw_levels, self.raw_widths
 
     def histograms(self, contexts: int) -> NDArray[np.int64]:
         """Counts of tokens ``(contexts, ALPHABET)``."""
@@ -97,6 +103,18 @@ class Block:
     box: tuple[int, ...]
     passes: list[PassData]
     clamped: int
+
+    def kept(self) -> Block:
+        """The block where the storage in use keeps it."""
+        storage, done = current(), dict[int, NDArray]()
+
+        def keep(array: NDArray) -> NDArray:
+            # Passes share their contexts.
+            if id(array) not in done:
+                done[id(array)] = storage.keep(array)
+            return done[id(array)]
+
+        return replace(self, passes=[PassData(*map(keep, data.arrays)) for data in self.passes])
 
 
 def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:

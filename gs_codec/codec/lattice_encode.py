@@ -19,8 +19,8 @@ from gs_codec.container.file import (
     Section,
     SectionId,
     even_block_size,
+    file_parts,
     section_sizes,
-    write_file,
 )
 from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
 from gs_codec.entropy.bits import BitWriter
@@ -65,8 +65,8 @@ def encode_lattice(
     config: Config,
     guide: Callable[[Scene], Guidance] | None = None,
     progress: Progress | None = None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene without values that are not finite; see `encode_scene`."""
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene without values that are not finite; see `encode_parts`."""
     times = StageTimes()
     modelled = model_lattice(scene, config, guide, times, progress)
     blocks, arranged = modelled.blocks, modelled.arranged
@@ -81,11 +81,11 @@ def encode_lattice(
             sections.append(Section(SectionId.BOUNDS, 0, bounds))
         sections += [section for block in coded for section in block]
         sections += carried_sections(arranged.source, arranged.order)
-        data = write_file(modelled.header, sections)
-    return data, EncodeReport(
+        parts = file_parts(modelled.header, sections)
+    return parts, EncodeReport(
         count=scene.count,
         raw_bytes=scene.float_bytes,
-        section_bytes=section_sizes(data, sections),
+        section_bytes=section_sizes(sections),
         costs=modelled.costs,
         rectified=sum(block.clamped for block in blocks),
         zero_quaternions=0,
@@ -132,7 +132,7 @@ def _quantise(
     if guidance is None:
 
         def both(span: tuple[int, int]) -> Block:
-            return colour_block(arranged, shape_block(arranged, *span), diffusing=True)
+            return colour_block(arranged, shape_block(arranged, *span), diffusing=True).kept()
 
         with times.stage("quantise"):
             return arranged, run_all(both, ranges, threads, advance)
@@ -227,5 +227,5 @@ def _sections(modelled: Modelled, number: int, tables: PassTables) -> list[Secti
     ]
     for stream, low_bits in bits.items():
         packed = struct.pack("<I", len(words[stream])) + words[stream] + low_bits.finish()
-        sections.append(Section(SectionId.of_stream(stream), number, packed))
+        sections.append(Section.kept(SectionId.of_stream(stream), number, packed))
     return sections

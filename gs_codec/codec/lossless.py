@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codec.clean import drop_nonfinite
+from gs_codec.codec.layout import in_stream_order
 from gs_codec.codec.stacks import (
     Bits,
     read_guided,
@@ -29,8 +30,8 @@ from gs_codec.container.file import (
     Section,
     SectionId,
     even_block_size,
+    file_parts,
     section_sizes,
-    write_file,
 )
 from gs_codec.errors import CorruptStream
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
@@ -61,15 +62,18 @@ def block_sections(sh_degree: int) -> list[SectionId]:
 
 def encode_lossless(
     scene: Scene, config: Config, progress: Progress | None = None
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene as `.egs`, bit-exactly; see `encode_scene`."""
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene as `.egs`, bit-exactly; see `encode_parts`."""
     times = StageTimes()
     dropped = 0
     if config.nonfinite == "drop":
         with times.stage("check"):
             scene, dropped = drop_nonfinite(scene, config)
     with times.stage("order"):
-        order = np.arange(scene.count) if config.keep_order else lossless_order(scene)
+        if config.keep_order:
+            order = np.arange(scene.count)
+        else:
+            scene, order = in_stream_order(scene, lossless_order(scene))
     size = even_block_size(scene.count, config.block_size)
     header = Header(
         scene.count, scene.sh_degree, config.profile, size, scene.has_normals, config.keep_order
@@ -79,11 +83,11 @@ def encode_lossless(
     with times.stage("container"):
         box = Section(SectionId.BOX, 0, write_box(scene.positions))
         sections = [box, *sections, *carried_sections(scene, order)]
-        data = write_file(header, sections)
-    return data, EncodeReport(
+        parts = file_parts(header, sections)
+    return parts, EncodeReport(
         count=scene.count,
         raw_bytes=scene.float_bytes,
-        section_bytes=section_sizes(data, sections),
+        section_bytes=section_sizes(sections),
         costs=[],
         rectified=0,
         zero_quaternions=0,
@@ -148,7 +152,7 @@ def _encode_blocks(
         plane = getattr(scene, _GROUP_OF.get(section_id, "f_rest"))
         members = order[slice(*header.block_range(block))]
         data = _encode_section(section_id, plane.view(np.uint32)[:, members])
-        return Section(section_id, block, data)
+        return Section.kept(section_id, block, data)
 
     jobs = [
         partial(encode, section_id, block)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.container.channels import Channel
 from gs_codec.quantise import Quantiser, fit_range, quantise, quantise_positions
 from gs_codec.scene import Scene
+from gs_codec.storage import current
 from gs_codec.transform.morton import canonical_order, encode_morton
 
 
@@ -54,7 +55,9 @@ def order_scene(scene: Scene, geometry_depth: int, colour_depth: int) -> Ordered
         *(Channel("positions", i, "geometry", q) for i, q in enumerate(positions)),
         *(Channel("f_dc", i, "sh-dc", q) for i, q in enumerate(colours)),
     ]
-    return Ordered(order, codes[order], cells[:, order], symbols[:, order], channels)
+    keep = current().keep
+    codes, cells, symbols = keep(codes[order]), keep(cells[:, order]), keep(symbols[:, order])
+    return Ordered(keep(order), codes, cells, symbols, channels)
 
 
 def order_like(scene: Scene, quantisers: Sequence[Quantiser]) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from gs_codec.model.table import FrequencyTable
 from gs_codec.quantise import Quantiser, fit_centred, fit_range, quantise
 from gs_codec.report import ChannelCost, Progress, step_counter
 from gs_codec.scene import Scene
+from gs_codec.storage import empty
 from gs_codec.workers import run_all
 
 
@@ -58,7 +59,7 @@ def quantise_and_model(
     """Quantise all channels but geometry and SH-DC, in `order`, and choose their models."""
     depths = config.resolved_depths()
     places = [p for p in channel_places(len(scene.f_rest) // 3) if p[2] in RANS_STREAMS]
-    symbols = np.empty((len(places), scene.count), np.uint16)
+    symbols = empty((len(places), scene.count), np.uint16)
 
     def work(row: int) -> tuple[Channel, NDArray[np.int64], Choice | None, int]:
         group, index, stream = places[row]
@@ -96,7 +97,10 @@ def _collect(
             histograms.append(histogram)
             choices.append(choice)
     if len(rows) < len(results):
-        symbols = symbols[rows]
+        varying = empty((len(rows), symbols.shape[1]), symbols.dtype)
+        for kept, row in zip(varying, rows, strict=True):
+            kept[:] = symbols[row]
+        symbols = varying
     return Coded(
         channels=channels,
         symbols=symbols,

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from gs_codec.container.bytes import ByteReader
 from gs_codec.container.file import Section, SectionId
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.scene import Scene, is_extra_name
+from gs_codec.scene import Scene, gather, is_extra_name
+from gs_codec.storage import empty
 
 _DTYPES = tuple(np.dtype(t) for t in ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8"))
 _LEVEL = 6
@@ -57,8 +58,10 @@ def write_extra(extra: Mapping[str, NDArray], order: NDArray[np.integer]) -> byt
     out = bytearray(struct.pack("<H", len(extra)))
     for name, column in extra.items():
         label = name.encode()
-        planes = column[order].view(np.uint8).reshape(-1, column.dtype.itemsize).T
-        packed = zlib.compress(planes.tobytes(), _LEVEL)
+        ordered = gather(column[None], order)[0]
+        planes = empty((column.dtype.itemsize, len(ordered)), np.uint8)
+        planes[:] = ordered.view(np.uint8).reshape(-1, column.dtype.itemsize).T
+        packed = zlib.compress(planes.data, _LEVEL)
         kind = _DTYPES.index(column.dtype)
         out += struct.pack("<B", len(label)) + label + struct.pack("<BQ", kind, len(packed))
         out += packed
@@ -84,14 +87,21 @@ def read_extra(data: memoryview, count: int) -> dict[str, NDArray]:
 
 
 def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
-    expected = count * dtype.itemsize
+    rows, rest = empty((count, dtype.itemsize), np.uint8), bytes(packed)
     inflater = zlib.decompressobj()
+    filled = 0
     try:
-        planes = inflater.decompress(packed, expected + 1)
+        for plane in rows.T if count else ():
+            found = inflater.decompress(rest, count)
+            rest = inflater.unconsumed_tail
+            if len(found) < count:
+                break
+            plane[:] = np.frombuffer(found, np.uint8)
+            filled += count
+        # What follows the last value may be the stream's checksum alone.
+        surplus = inflater.decompress(rest, 1) or inflater.unused_data or inflater.unconsumed_tail
     except zlib.error as error:
         raise CorruptStream(f"section 'extra': {error}") from None
-    surplus = inflater.unused_data or inflater.unconsumed_tail
-    if len(planes) != expected or surplus or not inflater.eof:
-        raise CorruptStream(f"section 'extra': a property is not {expected} bytes")
-    rows = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, count).T
-    return np.array(rows, order="C").view(dtype).reshape(count)
+    if filled < rows.size or surplus or not inflater.eof:
+        raise CorruptStream(f"section 'extra': a property is not {rows.size} bytes")
+    return rows.reshape(-1).view(dtype)

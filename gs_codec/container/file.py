@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from gs_codec.config import LOSSLESS
 from gs_codec.container.bytes import ByteReader
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.storage import current
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
 VERSION = 1
@@ -124,6 +125,11 @@ class Section:
     data: bytes | memoryview
     optional: bool = False
 
+    @classmethod
+    def kept(cls, section_id: SectionId, block: int, data: bytes) -> Section:
+        """A section whose bytes are where the storage in use keeps them."""
+        return cls(section_id, block, current().keep_bytes(data))
+
 
 class Entry(NamedTuple):
     """Where a section is, and what its bytes must sum up to."""
@@ -187,20 +193,28 @@ def even_block_size(count: int, limit: int) -> int:
     return max(-(-count // blocks), 1)
 
 
-def section_sizes(data: bytes, sections: Iterable[Section]) -> dict[str, int]:
+def section_sizes(sections: Sequence[Section]) -> dict[str, int]:
     """Bytes of a file by section, header and section table together first."""
-    sizes = Counter({"header": len(data)})
+    sizes = Counter({"header": _header_size(len(sections))})
     for section in sections:
         sizes[section.id.label] += len(section.data)
-        sizes["header"] -= len(section.data)
     return dict(sizes)
+
+
+def _header_size(sections: int) -> int:
+    return struct.calcsize(_FIXED) + sections * struct.calcsize(_ENTRY) + 4
 
 
 def write_file(header: Header, sections: Iterable[Section]) -> bytes:
     """Assemble a file; sections are stored in the order given."""
-    sections = list(sections)
-    header_size = struct.calcsize(_FIXED) + len(sections) * struct.calcsize(_ENTRY) + 4
-    head = struct.pack(
+    return b"".join(file_parts(header, list(sections)))
+
+
+def file_parts(header: Header, sections: Sequence[Section]) -> list[bytes | memoryview]:
+    """What a file is put together from: its header, then its sections in the order given."""
+    header_size = _header_size(len(sections))
+    head = bytearray()
+    head += struct.pack(
         _FIXED,
         MAGIC,
         VERSION,
@@ -218,7 +232,7 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
         size, checksum = len(section.data), crc32c(section.data)
         head += struct.pack(_ENTRY, section.id, flags, section.block, size, checksum)
     head += struct.pack("<I", crc32c(head))
-    return b"".join([head, *(section.data for section in sections)])
+    return [bytes(head), *(section.data for section in sections)]
 
 
 def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile:

@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from gs_codec.errors import InvalidInput
-from gs_codec.io.mapped import opened
+from gs_codec.io.mapped import located, opened
+from gs_codec.io.packed_ply import is_packed
 from gs_codec.io.ply import read_ply
+from gs_codec.io.ply_header import read_header
 from gs_codec.io.sog import read_sog, sog_bytes
 from gs_codec.io.sog_files import ZIP
 from gs_codec.io.splat import read_splat
@@ -60,6 +64,15 @@ def tell_format(path: str | Path) -> Format:
 def stored_bytes(path: str | Path) -> int:
     """Size of a scene: of its file, or of all its files."""
     return sog_bytes(path) if tell_format(path) == "sog" else Path(path).stat().st_size
+
+
+def is_read_in_parts(path: str | Path) -> bool:
+    """Whether a file that is no `.egs` can be read without all of it being in memory."""
+    if tell_format(path) != "ply":
+        return False
+    with opened(path) as data, located(path):
+        header = read_header(np.frombuffer(data, np.uint8))
+    return bool(header.byte_order) and not is_packed(header)
 
 
 def read_foreign(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.storage import current
 
 
 @contextmanager
@@ -26,6 +27,7 @@ def opened(path: str | Path) -> Iterator[memoryview]:
         raise InvalidInput(f"{path}: empty file") from None
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror}") from error
+    current().watch(mapped)
     view = memoryview(mapped)
     try:
         yield view

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import BinaryIO, Literal
 
 import numpy as np
 import plyfile
@@ -16,12 +17,16 @@ from gs_codec.io.mapped import located
 from gs_codec.io.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
 from gs_codec.io.ply_body import Ply, open_ply
 from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene
+from gs_codec.storage import empty
 from gs_codec.transform.planar import to_planes, to_rows
 
 log = logging.getLogger(__name__)
 
 _NORMALS = ("nx", "ny", "nz")
 _COLOURS = ("red", "green", "blue")
+
+#: Rows written at once.
+_ROWS = 1 << 17
 
 
 def _group_names(coefficients: int) -> dict[str, list[str]]:
@@ -117,7 +122,7 @@ def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[
     if packed and all(data.dtype[name] == np.dtype("<f4") for name in names):
         rows = np.ascontiguousarray(data).view("<f4").reshape(len(data), len(names))
         return to_planes(rows, [names.index(name) for name in wanted])
-    planes = np.empty((len(wanted), len(data)), np.float32)
+    planes = empty((len(wanted), len(data)), np.float32)
     for plane, name in zip(planes, wanted, strict=True):
         with np.errstate(over="ignore", invalid="ignore"):
             plane[:] = data[name]
@@ -144,7 +149,9 @@ def _read_rest(
         raise InvalidInput(f"{path}: {what} ({why}); choose --extra keep or --extra drop")
     if extra == "drop":
         return has_normals, {}
-    kept = {name: np.array(data[name], data.dtype[name].newbyteorder("=")) for name in rest}
+    kept = {name: empty((len(data),), data.dtype[name].newbyteorder("=")) for name in rest}
+    for name, column in kept.items():
+        column[:] = data[name]
     return has_normals and not set(normals) & set(rest), kept
 
 
@@ -156,10 +163,24 @@ def write_ply(path: str | Path, scene: Scene) -> None:
     InvalidInput
         If the file cannot be written.
     """
-    element = plyfile.PlyElement.describe(vertex_rows(scene), "vertex")
-    ply = plyfile.PlyData([element], byte_order="<", comments=list(scene.comments))
     with atomic_writer(path) as file:
-        ply.write(file)
+        write_vertices(file, scene.count, [scene])
+
+
+def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
+    """Write a PLY of `count` Gaussians to a file: slabs of the same layout, one after another."""
+    for number, slab in enumerate(slabs):
+        if not number:
+            file.write(_header(slab, count).encode("ascii"))
+        for start in range(0, slab.count, _ROWS):
+            file.write(vertex_rows(slab.between(start, start + _ROWS)).data)
+
+
+def _header(scene: Scene, count: int) -> str:
+    """The header of a file of `count` Gaussians that are like the scene's."""
+    row = np.zeros((), vertex_rows(scene.between(0, 0)).dtype)
+    element = plyfile.PlyElement.describe(np.broadcast_to(row, (count,)), "vertex")
+    return plyfile.PlyData([element], byte_order="<", comments=list(scene.comments)).header + "\n"
 
 
 def vertex_rows(scene: Scene) -> NDArray:

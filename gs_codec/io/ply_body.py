@@ -17,6 +17,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.io.limits import refusing
 from gs_codec.io.mapped import located
 from gs_codec.io.ply_header import Element, PlyHeader, read_header
+from gs_codec.storage import current
 
 log = logging.getLogger(__name__)
 
@@ -124,6 +125,7 @@ def open_ply(path: str | Path) -> Ply:
         raise InvalidInput(f"{path}: empty file, expected 'ply'") from None
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror or error}") from error
+    current().watch(data._mmap)  # type: ignore[attr-defined]
     with located(path):
         header = read_header(data)
     if header.obj_info:

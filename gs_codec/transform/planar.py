@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.storage import empty
 from gs_codec.workers import run_all
 
 #: Rows moved at once: a tile of 62 columns (1 MB) stays in the second-level cache.
@@ -14,7 +15,7 @@ _CHUNK = 1 << 16
 
 def to_planes(rows: NDArray[np.float32], columns: list[int]) -> NDArray[np.float32]:
     """Planes ``(C, N)`` of C columns of ``rows (N, P)``."""
-    planes = np.empty((len(columns), len(rows)), np.float32)
+    planes = empty((len(columns), len(rows)), np.float32)
 
     def gather(start: int, stop: int) -> None:
         for channel, column in enumerate(columns):

@@ -1,0 +1,38 @@
+"""``gs-codec verify``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
+from gs_codec.cli.resources import Decoder, MaxMemory, Threads, parse_memory
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file.")],
+    threads: Threads = None,
+    max_memory: MaxMemory = None,
+    max_bytes: Annotated[
+        int | None,
+        typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
+    ] = None,
+    tmc3: Decoder = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Check every checksum of an .egs file and decode all of it, writing nothing."""
+    from gs_codec.slabs import verify_file
+
+    with progress_bar(not json) as progress:
+        report = verify_file(source, threads, max_bytes, progress, tmc3, parse_memory(max_memory))
+    if json:
+        print_json({"input": str(source), **asdict(report)})
+    else:
+        print_text(
+            f"{source}: sound, {size_text(report.file_bytes)}, {report.sections:,} sections, "
+            f"{report.count:,} Gaussians in {report.blocks:,} blocks, SH degree "
+            f"{report.sh_degree}, profile {report.profile}, {report.seconds:.2f} s"
+        )

@@ -1,0 +1,24 @@
+"""Where an encoder's scene is, if it is larger than memory."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.scene import Scene
+from gs_codec.storage import Disk, current
+
+Index = TypeVar("Index", bound=np.integer)
+
+
+def in_stream_order(scene: Scene, order: NDArray[Index]) -> tuple[Scene, NDArray[Index]]:
+    """The scene, and which Gaussian of it each of the stream is.
+
+    On disk it is sorted: what a block gathers from all over the scene would read all of it.
+    """
+    storage = current()
+    if not isinstance(storage, Disk):
+        return scene, order
+    return scene.take(order), storage.keep(np.arange(len(order), dtype=order.dtype))

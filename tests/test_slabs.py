@@ -1,0 +1,160 @@
+"""Files decoded slab by slab give what they give as a whole; `verify` finds what is damaged."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, random_scene
+
+from gs_codec import slabs
+from gs_codec.cli import main as cli
+from gs_codec.codec import decode_part, encode_scene
+from gs_codec.codec.decode import choose_part
+from gs_codec.codec.part import Part
+from gs_codec.config import PROFILE_CHOICES, Config
+from gs_codec.container.file import Section, SectionId, read_file, write_file
+from gs_codec.errors import CorruptStream
+from gs_codec.files import decode_file, read_scene
+from gs_codec.io.ply import write_ply
+from gs_codec.scene import Scene
+
+BLOCK = 1024
+
+
+def rich_scene(count: int, degree: int) -> Scene:
+    """With comments, normals and extra properties."""
+    rng = np.random.default_rng(7)
+    extra = {"label": rng.integers(0, 200, count, np.uint8), "weight": rng.normal(size=count)}
+    scene = random_scene(count, degree, seed=60)
+    return replace(scene, comments=("a b", "c"), has_normals=True, extra=extra)
+
+
+@pytest.fixture(autouse=True)
+def small_slabs(monkeypatch):
+    monkeypatch.setattr(slabs, "_SLAB", 1)
+
+
+@pytest.mark.parametrize(("count", "degree"), [(0, 3), (1, 1), (5000, 3), (5000, 0)])
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_slabs_are_the_whole(profile, count, degree, tmp_path):
+    config = Config(profile, extra="keep", block_size=BLOCK)
+    data, _ = encode_scene(rich_scene(count, degree), config)
+    (tmp_path / "scene.egs").write_bytes(data)
+    with slabs.opened_slabs(tmp_path / "scene.egs", Part(), threads=1) as opened:
+        found = [scene.count for scene in opened.scenes()]
+    assert sum(found) == count
+    assert len(found) == max(1, -(-count // (2 * BLOCK)))
+    report = decode_file(tmp_path / "scene.egs", tmp_path / "slabs.ply", threads=1)
+    write_ply(tmp_path / "whole.ply", read_scene(tmp_path / "scene.egs"))
+    assert (tmp_path / "slabs.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert (report.count, report.sh_degree, report.bytes_read) == (count, degree, len(data))
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_slabs_of_a_part_are_the_part(profile, tmp_path):
+    part = Part((-1.0, -1.0, -1.0, 0.5, 0.5, 0.5), 1)
+    data, _ = encode_scene(rich_scene(5000, 3), Config(profile, extra="keep", block_size=BLOCK))
+    (tmp_path / "scene.egs").write_bytes(data)
+    report = decode_file(tmp_path / "scene.egs", tmp_path / "slabs.ply", threads=1, part=part)
+    whole, file = decode_part(data, part)
+    write_ply(tmp_path / "whole.ply", whole)
+    assert (tmp_path / "slabs.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert (report.count, report.bytes_read) == (whole.count, file.bytes_read)
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+@pytest.mark.parametrize("name", ["identical", "one place", "five of degree 0"])
+def test_scenes_of_which_little_is_coded(profile, name):
+    scene = edge_scenes()[name]
+    data, _ = encode_scene(scene, Config(profile))
+    whole, _ = decode_part(data, Part())
+    found = list(choose_part(data, Part()).slabs(300))
+    assert sum(slab.count for slab in found) == scene.count
+    for group in ("positions", "f_rest", "rot"):
+        joined = np.concatenate([getattr(slab, group) for slab in found], axis=1)
+        assert joined.tobytes() == getattr(whole, group).tobytes()
+
+
+def test_progress_goes_on_from_slab_to_slab():
+    data, _ = encode_scene(random_scene(5000, 1, seed=61), Config("m", block_size=BLOCK))
+    seen: list[tuple[str, int, int]] = []
+    list(choose_part(data, Part()).slabs(2 * BLOCK, lambda *state: seen.append(state)))
+    assert [stage for stage, _, _ in seen] == ["decode"] * 5
+    assert [done for _, done, _ in seen] == sorted(done for _, done, _ in seen)
+    assert {total for _, _, total in seen} == {5000}
+    assert seen[-1][1] == 5000
+
+
+@pytest.fixture(params=["m", "paper-m", "lossless"])
+def encoded(request, tmp_path):
+    config = Config(request.param, extra="keep", block_size=BLOCK)
+    path = tmp_path / "scene.egs"
+    path.write_bytes(encode_scene(rich_scene(3000, 2), config)[0])
+    return path
+
+
+def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["gs-codec", *arguments])
+    status = 0
+    try:
+        cli.main()
+    except SystemExit as stop:
+        status = int(stop.code or 0)
+    return status, *capsys.readouterr()
+
+
+def test_verify_says_what_a_sound_file_holds(encoded, monkeypatch, capsys):
+    before = encoded.read_bytes()
+    status, out, err = run(monkeypatch, capsys, "verify", str(encoded))
+    assert (status, err) == (0, "")
+    assert out.startswith(f"{encoded}: sound, ")
+    assert "3,000 Gaussians in 3 blocks, SH degree 2" in out
+    status, out, err = run(monkeypatch, capsys, "verify", str(encoded), "--json")
+    report = json.loads(out)
+    assert (status, report["count"], report["blocks"]) == (0, 3000, 3)
+    assert report["sections"] == len(read_file(before).table)
+    assert report["file_bytes"] == len(before)
+    assert [p.name for p in encoded.parent.iterdir()] == ["scene.egs"]
+
+
+def test_verify_finds_damage_in_every_section(encoded, monkeypatch, capsys):
+    data = encoded.read_bytes()
+    for position, size, _ in read_file(data).table.values():
+        if size:
+            changed = bytearray(data)
+            changed[position + size // 2] ^= 0x10
+            encoded.write_bytes(changed)
+            status, out, err = run(monkeypatch, capsys, "verify", str(encoded))
+            assert (status, out) == (2, "")
+            assert f"{encoded}: section " in err
+            assert "checksum does not match" in err
+
+
+def test_verify_decodes(encoded):
+    """What checksums do not tell: a block whose bytes are right, but not those of a block."""
+    file = read_file(encoded.read_bytes())
+    sections = []
+    for (i, block), content in file.sections.items():
+        surplus = b"\0" if (i, block) == (SectionId.OPACITY, 2) else b""
+        sections.append(Section(SectionId(i), block, bytes(content) + surplus))
+    encoded.write_bytes(write_file(file.header, sections))
+    with pytest.raises(CorruptStream, match="block 2"):
+        slabs.verify_file(encoded)
+
+
+def test_verify_checks_sections_that_are_passed_over(tmp_path):
+    data, _ = encode_scene(random_scene(10), Config())
+    file = read_file(data)
+    sections = [Section(SectionId(i), b, content) for (i, b), content in file.sections.items()]
+    unknown = Section(999, 5, b"unknown", optional=True)  # type: ignore[arg-type]
+    whole = bytearray(write_file(file.header, [*sections, unknown]))
+    (tmp_path / "scene.egs").write_bytes(whole)
+    assert slabs.verify_file(tmp_path / "scene.egs").sections == len(sections) + 1
+    whole[-1] ^= 1
+    (tmp_path / "scene.egs").write_bytes(whole)
+    with pytest.raises(CorruptStream, match="section 999 of block 5"):
+        slabs.verify_file(tmp_path / "scene.egs")

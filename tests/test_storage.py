@@ -1,0 +1,271 @@
+"""Scenes larger than memory: the same bytes, in files that nobody sees, within a limit."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import tracemalloc
+import weakref
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, random_scene
+from test_slabs import rich_scene, run
+
+from gs_codec import slabs, storage
+from gs_codec.codec import encode_parts, encode_scene
+from gs_codec.codec import room as rooms
+from gs_codec.codec.part import Part
+from gs_codec.codec.room import least_memory
+from gs_codec.config import PROFILE_CHOICES, Config, Target
+from gs_codec.errors import InvalidInput
+from gs_codec.files import decode_file, encode_file
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.storage import Disk, Memory, bounded, current, empty, using
+from gs_codec.workers import run_all
+
+BLOCK = 1024
+
+
+@pytest.fixture
+def everything_on_disk(monkeypatch):
+    monkeypatch.setattr(storage, "_LARGE", 0)
+    monkeypatch.setattr(storage, "_SEGMENT", 5000)
+
+
+@pytest.mark.usefixtures("everything_on_disk")
+@pytest.mark.parametrize(
+    ("count", "degree"), [(0, 3), (1, 2), (5, 0), (3000, 0), (3000, 1), (3000, 2), (3000, 3)]
+)
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_bytes_are_the_same_on_disk(profile, count, degree):
+    config = Config(profile, extra="keep", block_size=BLOCK)
+    scene = rich_scene(count, degree)
+    whole, expected = encode_scene(scene, config)
+    with using(Disk()):
+        parts, report = encode_parts(scene, config)
+    assert b"".join(parts) == whole
+    assert replace(report, seconds={}) == replace(expected, seconds={})
+
+
+@pytest.mark.usefixtures("everything_on_disk")
+@pytest.mark.parametrize("name", edge_scenes())
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_bytes_of_edge_scenes_are_the_same_on_disk(profile, name):
+    scene = edge_scenes()[name]
+    with using(Disk()):
+        data, _ = encode_scene(scene, Config(profile))
+    assert data == encode_scene(scene, Config(profile))[0]
+
+
+@pytest.mark.usefixtures("everything_on_disk")
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_what_is_dropped_or_replaced_is_the_same_on_disk(profile):
+    scene = random_scene(2000, 1, seed=62)
+    scene.opacity[0, 5:50] = np.nan
+    scene.rot[:, 100:110] = 0
+    config = Config(profile, nonfinite="drop")
+    with using(Disk()):
+        data, report = encode_scene(scene, config)
+    assert data == encode_scene(scene, config)[0]
+    assert (report.dropped, report.count) == (45, 1955)
+    assert report.zero_quaternions == (0 if profile == "lossless" else 10)
+
+
+@pytest.mark.usefixtures("everything_on_disk")
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_files_are_the_same_while_pages_are_given_back_all_the_time(profile, tmp_path, monkeypatch):
+    monkeypatch.setattr(rooms, "_check", lambda least, what: None)
+    monkeypatch.setattr(rooms, "_FIXED", -(10**9))
+    ply, whole, within = tmp_path / "scene.ply", tmp_path / "whole.egs", tmp_path / "within.egs"
+    write_ply(ply, rich_scene(4000, 2))
+    config = Config(profile, extra="keep", block_size=BLOCK)
+    encode_file(ply, whole, config)
+    encode_file(ply, within, config, max_memory=1)
+    assert within.read_bytes() == whole.read_bytes()
+    decode_file(whole, tmp_path / "whole.ply")
+    decode_file(whole, tmp_path / "within.ply", max_memory=1)
+    assert (tmp_path / "within.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert slabs.verify_file(within, max_memory=1).count == 4000
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_path, monkeypatch):
+    """What Python and numpy hold: mapped files are not of it."""
+    monkeypatch.setattr(storage, "_LARGE", 1 << 14)
+    count = 40_000
+    write_ply(tmp_path / "scene.ply", random_scene(count, 3, seed=63))
+    config = Config(profile, block_size=2 * BLOCK, threads=1)
+    encode_parts(random_scene(100, 3), config)
+
+    def encode() -> int:
+        tracemalloc.start()
+        try:
+            encode_parts(read_ply(tmp_path / "scene.ply"), config)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    whole = encode()
+    with using(Disk()):
+        within = encode()
+    assert whole > count * 4 * 59
+    assert within < 0.6 * whole
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_decoding_holds_some_slabs(profile, tmp_path, monkeypatch):
+    monkeypatch.setattr(slabs, "_SLAB", 1)
+    count = 40_000
+    data, _ = encode_scene(random_scene(count, 3, seed=64), Config(profile, block_size=BLOCK))
+    (tmp_path / "scene.egs").write_bytes(data)
+    slabs.verify_file(tmp_path / "scene.egs", threads=1)
+    tracemalloc.start()
+    try:
+        decode_file(tmp_path / "scene.egs", tmp_path / "scene.ply", threads=1)
+        assert tracemalloc.get_traced_memory()[1] < 0.6 * count * 4 * 59
+    finally:
+        tracemalloc.stop()
+
+
+def test_files_have_no_name_and_go_with_their_arrays(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    disk = Disk()
+    array = disk.empty((3, 1 << 19), np.float32)
+    kept = disk.keep(np.arange(10))
+    assert list(tmp_path.iterdir()) == []
+    maps = [known() for known in disk._maps]
+    watched = [weakref.ref(mapped) for mapped in maps if mapped is not None]
+    assert len(watched) == 2
+    del maps
+    array[:] = 7
+    del array
+    gc.collect()
+    assert [ref() is None for ref in watched] == [True, False]
+    del disk
+    assert kept.tolist() == list(range(10))
+    del kept
+    gc.collect()
+    assert watched[1]() is None
+
+
+def test_what_is_given_back_is_still_there(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    disk = Disk()
+    array = disk.empty((2, 1 << 18), np.float64)
+    array[:] = np.arange(1 << 19).reshape(2, -1)
+    kept = [disk.keep(np.full((7, n), n, np.uint16)) for n in range(50)]
+    note = disk.keep_bytes(b"note")
+    disk.release()
+    assert np.array_equal(array.ravel(), np.arange(1 << 19))
+    assert all((column == n).all() and column.shape == (7, n) for n, column in enumerate(kept))
+    assert bytes(note) == b"note"
+    assert disk.keep_bytes(b"") == b""
+    assert all(column.ctypes.data % 64 == 0 for column in kept if column.size)
+
+
+def test_full_disk_is_one_line(tmp_path, monkeypatch, capsys):
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    write_ply(tmp_path / "scene.ply", random_scene(3000, 3))
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    monkeypatch.setattr(storage, "_LARGE", 0)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    target = tmp_path / "scene.egs"
+    arguments = ["encode", str(tmp_path / "scene.ply"), str(target), "--max-memory", "2GB"]
+    status, out, err = run(monkeypatch, capsys, *arguments)
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert f"{tmp_path}: No space left on device" in err
+    assert "TMPDIR" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
+
+
+def test_threads_use_the_callers_storage():
+    disk = Disk()
+    with using(disk):
+        assert all(found is disk for found in run_all(lambda _: current(), range(4), 2))
+    assert type(current()) is Memory
+
+
+def test_bounded_ends_with_its_block():
+    with bounded(None):
+        assert type(current()) is Memory
+    with bounded(10**12):
+        assert current().limit == 10**12
+        assert empty((4,), np.uint8).shape == (4,)
+    assert type(current()) is Memory
+    with pytest.raises(KeyError), bounded(10**12):
+        raise KeyError
+    assert type(current()) is Memory
+
+
+@pytest.fixture
+def files(tmp_path) -> tuple[Path, Path]:
+    source, target = tmp_path / "scene.ply", tmp_path / "scene.egs"
+    write_ply(source, random_scene(500, 3))
+    encode_file(source, target)
+    return source, target
+
+
+@pytest.mark.parametrize("command", ["encode", "decode", "verify"])
+def test_too_little_memory_is_refused_with_what_is_enough(command, files, monkeypatch, capsys):
+    other = files[0].parent / "out"
+    paths = {"encode": (files[0], other), "decode": (files[1], other), "verify": (files[1],)}
+    arguments = [command, *map(str, paths[command]), "--threads", "2"]
+    status, out, err = run(monkeypatch, capsys, *arguments, "--max-memory", "100MB")
+    assert (status, out) == (2, "")
+    assert "max-memory: 100,000,000 bytes, " in err
+    least = err.partition(" takes ")[2].partition(" ")[0].replace(",", "")
+    status, _, err = run(monkeypatch, capsys, *arguments, "--max-memory", least)
+    assert (status, err) == (0, "")
+    status, _, err = run(monkeypatch, capsys, *arguments, "--max-memory", f"{int(least) - 1}B")
+    assert status == 2
+    assert not err.startswith("Traceback")
+
+
+def test_a_size_that_is_none_is_refused(files, monkeypatch, capsys):
+    for size in ("4 apples", "", "-1GB", "GB"):
+        status, out, err = run(monkeypatch, capsys, "verify", str(files[1]), f"--max-memory={size}")
+        assert (status, out) == (2, "")
+        assert f"--max-memory {size}: expected a size" in err
+
+
+def test_views_and_targets_need_the_whole_scene(files):
+    with pytest.raises(InvalidInput, match="max-memory: not with"):
+        encode_file(*files, goal=Target(ratio=5), max_memory=10**10)
+
+
+def test_what_is_read_as_a_whole_is_refused_within_a_limit(files):
+    text = files[0].with_name("text.ply")
+    header, _, body = files[0].read_bytes().partition(b"end_header\n")
+    rows = np.frombuffer(body, "<f4").reshape(500, -1)
+    lines = "\n".join(" ".join(map(repr, row)) for row in rows.tolist())
+    text.write_text(header.decode().replace("binary_little_endian", "ascii"))
+    with text.open("a") as file:
+        file.write(f"end_header\n{lines}\n")
+    encode_file(text, files[1].with_name("text.egs"))
+    for source in (text, files[1]):
+        with pytest.raises(InvalidInput, match=f"{source}: max-memory: only a binary PLY"):
+            encode_file(source, files[1].with_name("again.egs"), max_memory=10**10)
+
+
+def test_extra_properties_inflate_to_what_they_are(everything_on_disk, tmp_path):
+    scene = rich_scene(700, 0)
+    with using(Disk()):
+        data, _ = encode_scene(scene, Config("lossless", extra="keep", keep_order=True))
+    (tmp_path / "scene.egs").write_bytes(data)
+    with slabs.opened_slabs(tmp_path / "scene.egs", Part()) as opened:
+        (found,) = opened.scenes()
+    for name, column in scene.extra.items():
+        assert found.extra[name].tobytes() == column.tobytes()
+
+
+def test_least_memory_grows_with_the_scene():
+    for profile in PROFILE_CHOICES:
+        few, many = (least_memory(n, Config(profile, threads=2)) for n in (0, 20_000_000))
+        assert 300_000_000 < few < many < 4_000_000_000

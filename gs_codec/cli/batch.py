@@ -11,7 +11,7 @@ from gs_codec.cli import goal, steps
 from gs_codec.cli.batch_progress import watching
 from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_json, print_text, size_text
-from gs_codec.cli.threads import Threads
+from gs_codec.cli.resources import Threads
 from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, Config
 
 

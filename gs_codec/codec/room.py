@@ -13,7 +13,7 @@ from gs_codec.workers import available_threads
 _FIXED, _THREAD = 280_000_000, 45_000_000
 
 #: Bytes for each Gaussian, to put a scene in order, of lattices, `paper` profiles, `lossless`.
-_LATTICES, _CHANNELS, _EXACT = 40, 55, 50
+_LATTICES, _CHANNELS, _EXACT = 40, 55, 55
 
 
 def least_memory(count: int, config: Config) -> int:

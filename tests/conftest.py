@@ -25,6 +25,23 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("same")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--rounds", type=int, default=1, metavar="N", help="N times as many random examples"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "rounds(n): `seed` goes from 0 to n times --rounds")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Give tests marked `rounds` their seeds."""
+    for mark in metafunc.definition.iter_markers("rounds"):
+        seeds = mark.args[0] * metafunc.config.getoption("rounds")
+        metafunc.parametrize("seed", range(seeds))
+
+
 class Trio(NamedTuple):
     """A scene as PLY, encoded, and decoded again."""
 

@@ -17,6 +17,9 @@ PLACES = 20
 #: Values beyond this are clamped to it.
 LARGEST = 400.0
 
+#: Values of this and more do not come from an encoder.
+TOO_LARGE = 4 * LARGEST
+
 
 @kernel
 def _to_lattice(values, centre, unit, shifts, limit, levels):

@@ -56,9 +56,24 @@ def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
         remainders[shares == 0] = -1
         largest = np.argsort(-remainders, kind="stable")[:missing]
         frequencies[largest] += 1
-    for _ in range(-missing):
-        frequencies[np.argmax(frequencies)] -= 1
+    elif missing < 0:
+        _lower(frequencies, -missing)
     return FrequencyTable(frequencies.astype(np.uint32), precision)
+
+
+def _lower(frequencies: NDArray[np.int64], surplus: int) -> None:
+    """Take `surplus` one by one from the largest (ties: the lower symbol), in place."""
+    # All above a level go down to it; the next one lower would be too much.
+    low, high = 0, int(frequencies.max())
+    while low < high:
+        level = (low + high) // 2
+        if int(np.maximum(frequencies - level, 0).sum()) <= surplus:
+            high = level
+        else:
+            low = level + 1
+    surplus -= int(np.maximum(frequencies - high, 0).sum())
+    np.minimum(frequencies, high, out=frequencies)
+    frequencies[np.flatnonzero(frequencies == high)[:surplus]] -= 1
 
 
 def shannon_bits(histogram: NDArray[np.int64]) -> float:

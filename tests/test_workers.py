@@ -42,10 +42,8 @@ def test_an_error_ends_the_work(threads):
             raise ValueError("five")
 
     def items() -> Iterator[int]:
-        yield from range(6)
         # The error comes out as soon as what was begun is done, however much is left.
-        for item in range(6, 1 << 60):
-            yield item
+        yield from range(1 << 60)
 
     with pytest.raises(ValueError, match="five"):
         run_all(work, items(), threads)

@@ -19,6 +19,7 @@ from gs_codec.cli.bench_tables import (
     PEER_COLUMNS,
     POINT_COLUMNS,
     PREPARATION_COLUMNS,
+    STRESS_COLUMNS,
     TARGET_COLUMNS,
     add_to_rows,
     gain_row,
@@ -26,6 +27,7 @@ from gs_codec.cli.bench_tables import (
     peer_row,
     point_row,
     preparation_row,
+    stress_row,
     target_row,
 )
 from gs_codec.cli.encode import parse_depths
@@ -42,7 +44,10 @@ if TYPE_CHECKING:
 
 
 def command(
-    scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],
+    scenes: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="SCENE...", help="3DGS .ply files.", show_default=False),
+    ] = None,
     profile: Annotated[
         list[str] | None, typer.Option("--profile", "-p", help="Profiles; all when not given.")
     ] = None,
@@ -89,6 +94,9 @@ def command(
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
+    stress: Annotated[
+        bool, typer.Option("--stress", help="Measure scenes that try the numbers instead.")
+    ] = False,
     plot: Annotated[
         Path | None,
         typer.Option(metavar="PNG", help="With --prepare or --targets: plot size and quality."),
@@ -96,6 +104,11 @@ def command(
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
     """Measure time, size, error, memory and rendered quality; JSON lines on stdout."""
+    scenes = scenes or []
+    _check_scenes(stress, bool(scenes), bool(cameras or depth))
+    if stress:
+        _measure_stress(profile or list(PROFILE_CHOICES), threads)
+        return
     if (against_gt or width) and not cameras:
         raise InvalidInput("--against-gt and --width need --cameras")
     configs = [
@@ -107,13 +120,12 @@ def command(
     if prepare:
         _measure_preparation(scenes, configs, tile, (cameras, against_gt, width), plot)
         return
-    if gains and (not cameras or profile or depth):
-        raise InvalidInput("--gains needs --cameras, and takes no --profile and no --depth")
+    if (gains or targets) and (not cameras or profile or depth):
+        mode = "--gains" if gains else "--targets"
+        raise InvalidInput(f"{mode} needs --cameras, and takes no --profile and no --depth")
     if gains:
         _measure_gains(scenes, configs[0], tile, (cameras, against_gt, width))
         return
-    if targets and (not cameras or profile or depth):
-        raise InvalidInput("--targets needs --cameras, and takes no --profile and no --depth")
     if targets:
         _measure_targets(scenes, configs[0], tile, (cameras, against_gt, width), plot)
         return
@@ -136,6 +148,23 @@ def command(
         print_text(json_module.dumps(line))
         add_to_rows(rows, line)
     print_table(COLUMNS, list(rows.values()), sys.stderr)
+
+
+def _check_scenes(stress: bool, given: bool, shaped: bool) -> None:
+    """Refuse scenes beside those that --stress has, or none at all."""
+    if stress and (given or shaped):
+        raise InvalidInput("--stress takes no scenes, no --cameras and no --depth")
+    if not stress and not given:
+        raise InvalidInput("no scenes given, expected SCENE... or --stress")
+
+
+def _measure_stress(profiles: list[str], threads: int | None) -> None:
+    from gs_codec.bench.measure import machine
+    from gs_codec.bench.stress import measure_stress
+
+    print_text(json_module.dumps(machine()))
+    lines = _printed(measure_stress(profiles, threads=threads))
+    print_table(STRESS_COLUMNS, [stress_row(line) for line in lines], sys.stderr)
 
 
 def _measure(

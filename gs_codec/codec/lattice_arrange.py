@@ -28,7 +28,12 @@ _COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18
 
+#: Units are such that steps, in their integers, have no more bits.
+_STEP_BITS = 31
+
 _AXIS_BITS = 21
+
+_LARGEST = float(np.finfo(np.float32).max)
 
 #: Units and centres are chosen by at most twice so many Gaussians.
 _SAMPLE = 100_000
@@ -128,7 +133,8 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: Steps
             rules[name] = make_rule(steps.coefficients[name], unit, coarsest)
     units["sh-dc"] = units.pop("colour")
     for band, ratio in enumerate(steps.sh_ratios, 1):
-        units[f"sh{band}"] = max(round(units["sh-dc"] * ratio), 1)
+        largest = (1 << (_STEP_BITS - rules["colour"].limit)) - 1
+        units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, 1), largest))
     grid, rules["position"] = _grid(scene, steps, wanted("position"))
     centres = (_median(scene.opacity[0, some]), _median(known[2]))
     classes = (
@@ -155,6 +161,6 @@ def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[Posi
     bits = [max(math.frexp(size / step)[1], 0) for size in extent]
     # The middle of the one cell of a flat axis is where it is.
     flat = extent == 0
-    origin = (low - 0.5 * step * flat).astype(np.float32).astype(float)
+    origin = np.maximum(low - 0.5 * step * flat, -_LARGEST).astype(np.float32).astype(float)
     grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))
     return grid, make_rule(steps.coefficients["position"], unit, unit + 31, thirds=True)

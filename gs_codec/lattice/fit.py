@@ -171,4 +171,4 @@ def make_rule(
 
 
 def _fixed(number: float) -> int:
-    return int(np.clip(round(number * (1 << RULE_PLACES)), -(1 << 31), (1 << 31) - 1))
+    return min(max(round(number * (1 << RULE_PLACES)), -(1 << 31)), (1 << 31) - 1)

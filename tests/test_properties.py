@@ -1,4 +1,4 @@
-"""What holds for every scene, in every profile: examples found by hypothesis, the same each time."""
+"""What holds for every scene in every profile, by examples of hypothesis, the same each time."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from reference_decoder import decode as reference_decode
 from scenes import random_scene
@@ -19,22 +18,8 @@ from gs_codec.config import LOSSLESS, PROFILE_CHOICES, Config
 from gs_codec.inspection import inspect_bytes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
-#: Examples of a property; `--rounds N` of the whole run is N times as many.
-EXAMPLES = 25
-
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)
 PATTERNS = st.integers(0, (1 << 32) - 1)
-
-
-@pytest.fixture(autouse=True)
-def _rounds(request):
-    """`--rounds` for tests that hypothesis makes the examples of."""
-    function = request.function
-    number = EXAMPLES * request.config.getoption("rounds")
-    health = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-    function._hypothesis_internal_use_settings = settings(
-        settings.default, max_examples=number, suppress_health_check=health
-    )
 
 
 @st.composite
@@ -56,9 +41,9 @@ def scenes(draw: st.DrawFn, values: st.SearchStrategy = FLOATS, most: int = 40) 
     return scene
 
 
-def config_of(profile: str, blocks: bool = True) -> Config:
+def config_of(profile: str, blocks: bool = True, threads: int = 1, **more: bool) -> Config:
     """A configuration whose blocks are smaller than may be asked for."""
-    config = Config(profile, extra="keep", threads=1)
+    config = Config(profile, extra="keep", threads=threads, **more)
     object.__setattr__(config, "block_size", 7 if blocks else 1 << 16)
     return config
 
@@ -102,8 +87,7 @@ def test_what_is_carried_comes_back(scene, profile, normals, comments, kinds):
 
 @given(scene=scenes(PATTERNS), keep_order=st.booleans(), blocks=st.booleans())
 def test_lossless_keeps_every_bit(scene, keep_order, blocks):
-    config = replace(Config(LOSSLESS, threads=1), keep_order=keep_order)
-    object.__setattr__(config, "block_size", 7 if blocks else 1 << 16)
+    config = config_of(LOSSLESS, blocks, keep_order=keep_order)
     data, _ = encode_scene(scene, config)
     decoded = decode_scene(data, 1)
     if keep_order:
@@ -123,11 +107,9 @@ def test_order_of_the_input_does_not_matter_to_lossless(scene, seed):
 @given(scene=scenes(), profile=st.sampled_from(PROFILE_CHOICES))
 def test_bytes_and_floats_are_the_same_again_and_with_threads(scene, profile):
     config = config_of(profile)
-    threads = replace(config, threads=3)
-    object.__setattr__(threads, "block_size", config.block_size)
     data, _ = encode_scene(scene, config)
     assert encode_scene(scene, config)[0] == data
-    assert encode_scene(scene, threads)[0] == data
+    assert encode_scene(scene, config_of(profile, threads=3))[0] == data
     assert_equal(decode_scene(data, 1), decode_scene(data, 3))
 
 

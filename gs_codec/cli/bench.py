@@ -123,27 +123,35 @@ def command(
     if (gains or targets) and (not cameras or profile or depth):
         mode = "--gains" if gains else "--targets"
         raise InvalidInput(f"{mode} needs --cameras, and takes no --profile and no --depth")
-    if gains:
-        _measure_gains(scenes, configs[0], tile, (cameras, against_gt, width))
-        return
-    if targets:
-        _measure_targets(scenes, configs[0], tile, (cameras, against_gt, width), plot)
-        return
     if parts and (not cameras or not set(profile or ["m"]) <= set(LATTICE_PROFILES)):
         raise InvalidInput("--parts needs --cameras, and profiles l, m or s; m when none is given")
-    if parts:
+    views = (cameras, against_gt, width)
+    if gains:
+        _measure_gains(scenes, configs[0], tile, views)
+    elif targets:
+        _measure_targets(scenes, configs[0], tile, views, plot)
+    elif parts:
         chosen = configs if profile else [replace(configs[0], profile="m")]
-        _measure_parts(scenes, chosen, tile, (cameras, against_gt, width))
-        return
-    if points:
+        _measure_parts(scenes, chosen, tile, views)
+    elif points:
         chosen = configs if profile else [replace(configs[0], profile="paper-m")]
         _measure_points(scenes, chosen, tile, repeats)
-        return
-    if peers:
-        _measure_peers(scenes, configs, tile, repeats, (cameras, against_gt, width))
-        return
+    elif peers:
+        _measure_peers(scenes, configs, tile, repeats, views)
+    else:
+        _measure_profiles(scenes, configs, tile, repeats, coders, threads, views)
+
+
+def _measure_profiles(
+    scenes: list[Path],
+    configs: list[Config],
+    tile: int | None,
+    repeats: int,
+    coders: bool,
+    threads: int | None,
+    views: tuple[str | None, Path | None, int | None],
+) -> None:
     rows: dict[str, list[str]] = {}
-    views = (cameras, against_gt, width)
     for line in _measure(scenes, configs, tile, repeats, coders, threads, views):
         print_text(json_module.dumps(line))
         add_to_rows(rows, line)

@@ -13,6 +13,7 @@ from gs_codec.codec.symbols import fit_channel
 from gs_codec.container.channels import channel_places
 from gs_codec.lattice.fit import Steps
 from gs_codec.scene import Scene
+from gs_codec.transform.linear import combine
 
 #: No step is so many octaves from another.
 _OCTAVES = 64.0
@@ -57,7 +58,7 @@ def as_deep(
 
     def mean(*rules: str) -> float:
         classes = steps.colour_class if rules == ("colour",) else steps.shape_class
-        by_rule = [coefficients[rule] @ known for rule in rules]
+        by_rule = [combine(coefficients[rule], known) for rule in rules]
         return float(np.mean(classes[some], dtype=np.float64) + np.mean(by_rule))
 
     rules = {

@@ -19,6 +19,7 @@ from gs_codec.lattice.place import to_grid
 from gs_codec.lattice.rules import StepRule
 from gs_codec.scene import Scene
 from gs_codec.transform.axes import sort_axes
+from gs_codec.transform.linear import combine
 from gs_codec.transform.morton import canonical_order, encode_morton
 from gs_codec.workers import run_all
 
@@ -115,7 +116,7 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: Steps
 
     def wanted(name: str) -> NDArray[np.float64]:
         octaves = steps.colour_class if name == "colour" else steps.shape_class
-        return octaves[some] + steps.coefficients[name] @ known
+        return octaves[some] + combine(steps.coefficients[name], known)
 
     names = {
         "opacity": ["opacity"],

@@ -51,7 +51,10 @@ def in_child(*arguments: str, cwd: Path, **environment: str) -> subprocess.Compl
 
 @pytest.mark.skipif(not hasattr(os, "O_TMPFILE"), reason="files without a name are Linux's")
 @pytest.mark.parametrize("existing", [False, True], ids=["new", "existing"])
-@pytest.mark.parametrize("command", ["encode scene.ply out.egs", "decode scene.egs out.ply"])
+@pytest.mark.parametrize(
+    "command",
+    ["encode scene.ply out.egs", "decode scene.egs out.ply", "convert scene.egs out.splat"],
+)
 def test_killed_at_any_moment_leaves_the_old_file_or_the_new_one(
     folder, command, existing, pytestconfig
 ):
@@ -61,11 +64,11 @@ def test_killed_at_any_moment_leaves_the_old_file_or_the_new_one(
         (folder / target).write_bytes(b"precious")
     rounds = pytestconfig.getoption("rounds")
     script = str(ROOT / "tests" / "crash_trials.py")
-    options = [str(folder), str(rounds), str(12 * rounds), str(5 * rounds)]
+    options = [str(folder), str(rounds), str(8 * rounds), str(4 * rounds)]
     done = in_child(script, *options, *command.split(), cwd=folder)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert len(found["left"]) >= 41 * rounds
+    assert len(found["left"]) >= 28 * rounds
     new, hidden = found["whole"].pop(target), 0
     states = set()
     for left in found["left"]:
@@ -149,6 +152,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
 WRITING = {
     "encode": "encode scene.ply {}/out.egs -p lossless",
     "decode": "decode scene.egs {}/out.ply",
+    "convert": "convert scene.egs {}/out.splat",
     "prepare": "prepare scene.ply {}/out.ply --prune-geometry 0.01 --width 30 --views 2",
     "prepare --report": "prepare scene.ply out.ply --prune-importance 1 --width 30"
     " --views 2 --report {}",

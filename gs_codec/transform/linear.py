@@ -61,7 +61,7 @@ def fitting(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     The coefficients of ``rows (K, n)`` are ``[dot(row, values) for row in fitting(rows)]``, the
     least of them where rows depend on one another.
     """
-    turned, turns = np.array(rows, np.float64), np.eye(len(rows))
+    turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
     _turn_apart(turned, turns)
     squares = np.sum(turned * turned, axis=1)
     cut = np.finfo(np.float64).eps * max(rows.shape)
@@ -75,6 +75,6 @@ def main_axis(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
     That is from zero, by the sum of their squares; of two opposite ones it is either.
     """
-    turned, turns = np.array(rows, np.float64), np.eye(len(rows))
+    turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
     _turn_apart(turned, turns)
     return turns[np.argmax(np.sum(turned * turned, axis=1))]

@@ -34,25 +34,31 @@ def run(command: list[str]) -> None:
         cli.main()
 
 
-def start(command: list[str], kill_at: int, output: int) -> int:
-    """Run a command in a child, which is killed if it comes to that call; its process number."""
+def start(command: list[str], kill_at: int, writing_only: bool, output: int) -> int:
+    """Run a command in a child, which is killed if it comes to that call; its process number.
+
+    Calls count from the beginning, which threads may shift by some, or from where the file is made.
+    """
     pid = os.fork()
     if pid:
         return pid
-    calls, writing = 0, []
+    calls, made, named = 0, 0, 0
 
     def count(frame: types.FrameType, event: str, argument: object) -> None:
-        nonlocal calls
+        nonlocal calls, made, named
         calls += event in ("call", "c_call")
-        if calls == kill_at:
+        if frame.f_code.co_name == "_create":
+            made = made or calls
+        elif frame.f_code.co_name == "_keep_name":
+            named = calls
+        done = calls - made if made else -1
+        if kill_at and kill_at == (done + 1 if writing_only else calls):
             os.kill(os.getpid(), signal.SIGKILL)
-        if frame.f_code.co_name in ("_create", "_keep_name"):
-            writing.append(calls)
 
     sys.setprofile(count)
     run(command)
     sys.setprofile(None)
-    os.write(output, f"{calls} {writing[0]} {writing[-1]}\n".encode())
+    os.write(output, f"{calls} {named - made}\n".encode())
     os._exit(0)
 
 
@@ -77,19 +83,19 @@ def main() -> None:
     run(command)
     reset()
     begin = time.monotonic()
-    os.waitpid(start(command, 0, output), 0)
+    os.waitpid(start(command, 0, False, output), 0)
     took = time.monotonic() - begin
-    total, first, last = map(int, os.read(reading, 100).split())
+    total, writing = map(int, os.read(reading, 100).split())
     whole = contents(folder)
     rng = random.Random(seed)
-    moments = [(rng.randrange(1, total), 0.0) for _ in range(calls)]
-    step = max((last - first) // (2 * calls), 1)
-    moments += [(k, 0.0) for k in range(first, last + 1, step)]
-    moments += [(0, rng.uniform(0, took)) for _ in range(delays)]
+    step = max(writing // (2 * calls), 1)
+    moments = [(rng.randrange(1, total), False, 0.0) for _ in range(calls)]
+    moments += [(k, True, 0.0) for k in range(1, writing + 2, step)]
+    moments += [(0, False, rng.uniform(0, took)) for _ in range(delays)]
     left = []
-    for kill_at, delay in moments:
+    for kill_at, writing_only, delay in moments:
         reset()
-        pid = start(command, kill_at, output)
+        pid = start(command, kill_at, writing_only, output)
         if not kill_at:
             time.sleep(delay)
             os.kill(pid, signal.SIGKILL)

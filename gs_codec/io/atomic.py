@@ -55,7 +55,7 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
             os.fsync(descriptor)
             if not named:
                 _name(descriptor, target, hidden)
-        if os.path.lexists(hidden):
+        if named:
             os.replace(hidden, target)
         _keep_name(target.parent)
     except BaseException as error:
@@ -77,8 +77,8 @@ def _create(folder: Path, hidden: Path) -> tuple[int, bool]:
 
 
 def _name(descriptor: int, target: Path, hidden: Path) -> None:
-    """Name a file without a name `target`, or `hidden` if that is there already."""
-    source = f"/proc/self/fd/{descriptor}"
+    """Name a file without a name `target`; if that is there already, by way of `hidden`."""
+    source, moved = f"/proc/self/fd/{descriptor}", (os.fspath(hidden), os.fspath(target))
     folder = os.open(target.parent, getattr(os, "O_PATH", os.O_RDONLY))
     try:
         # Python follows the link to the file only where a folder is given.
@@ -86,6 +86,7 @@ def _name(descriptor: int, target: Path, hidden: Path) -> None:
             os.link(source, target.name, dst_dir_fd=folder, follow_symlinks=True)
         except FileExistsError:
             os.link(source, hidden.name, dst_dir_fd=folder, follow_symlinks=True)
+            os.replace(*moved)
     finally:
         os.close(folder)
 

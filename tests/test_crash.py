@@ -146,7 +146,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     if subprocess.run(["mount", *options], capture_output=True, check=False).returncode:
         pytest.skip("this machine mounts no disk")
     yield disk
-    subprocess.run(["umount", str(disk)], check=True)
+    subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
 #: Commands that write, and what they write to: `{}` is a folder.

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint check scaling fuzz clean
+.PHONY: demo test lint check boundscheck scaling fuzz clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -37,6 +37,11 @@ TARGET ?= all
 fuzz: $(VENV)/installed-test
 	$(PIP) install -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz.py $(TARGET) --minutes $(MINUTES) --corpus fuzz
+
+# Every index of every kernel checked; kernels so compiled are kept apart from the others.
+boundscheck: $(VENV)/installed-test
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/boundscheck \
+	    $(BIN)/python -m pytest --ignore tests/test_viewer_window.py $(TESTS)
 
 $(VENV)/installed: pyproject.toml .ci/system-packages
 	.ci/system-packages

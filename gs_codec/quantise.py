@@ -192,7 +192,8 @@ def quantise_positions(
     cells = np.zeros(positions.shape, np.uint32)
     for plane, quantiser, row in zip(positions, quantisers, cells, strict=True):
         if quantiser.depth:
-            levels = np.floor((plane - np.float64(quantiser.origin)) / quantiser.step + 0.5)
+            offsets = np.subtract(plane, quantiser.origin, dtype=np.float64)
+            levels = np.floor(offsets / quantiser.step + 0.5)
             row[:] = np.clip(levels, 0, (1 << quantiser.depth) - 1)
     return cells
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
+from threading import Semaphore
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -27,16 +29,40 @@ def run_all(
 ) -> list[Result]:
     """Map `function` over `items` in threads, in order; `advance` is called after each.
 
-    Threads see the caller's context variables.
+    An item is taken when a thread is free for it, so that what items are made of need not all
+    be there at once. Threads see the caller's context variables.
     """
-    results = []
-    with ThreadPoolExecutor(threads or available_threads()) as pool:
-        futures = [pool.submit(copy_context().run, function, item) for item in items]
+    number = threads or available_threads()
+    results: list[Result] = []
+    if number == 1:  # the caller's own: nothing to wait for
+        for item in items:
+            results.append(function(item))
+            if advance is not None:
+                advance()
+        return results
+    waiting: deque[Future[Result]] = deque()
+    free = Semaphore(number)
+
+    def work(item: Item) -> Result:
         try:
-            for future in futures:
-                results.append(future.result())
-                if advance is not None:
-                    advance()
+            return function(item)
+        finally:
+            free.release()
+
+    def collect(future: Future[Result]) -> None:
+        results.append(future.result())
+        if advance is not None:
+            advance()
+
+    with ThreadPoolExecutor(number) as pool:
+        try:
+            for item in items:
+                free.acquire()
+                while waiting and waiting[0].done():
+                    collect(waiting.popleft())
+                waiting.append(pool.submit(copy_context().run, work, item))
+            while waiting:
+                collect(waiting.popleft())
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

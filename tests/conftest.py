@@ -18,11 +18,37 @@ from gs_codec.io.ply import write_ply
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# The same examples on every run, on however slow a machine.
-hypothesis.settings.register_profile(
-    "same", derandomize=True, deadline=None, database=None, print_blob=True
-)
-hypothesis.settings.load_profile("same")
+#: Examples of a property.
+EXAMPLES = 25
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--rounds", type=int, default=1, metavar="N", help="N times as many random examples"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    rounds = config.getoption("rounds")
+    config.addinivalue_line("markers", "rounds(n): `seed` goes from 0 to n times --rounds")
+    # The same examples on every run, on however slow a machine.
+    hypothesis.settings.register_profile(
+        "same",
+        derandomize=True,
+        deadline=None,
+        database=None,
+        print_blob=True,
+        max_examples=EXAMPLES * rounds,
+        suppress_health_check=[hypothesis.HealthCheck.too_slow],
+    )
+    hypothesis.settings.load_profile("same")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Give tests marked `rounds` their seeds."""
+    for mark in metafunc.definition.iter_markers("rounds"):
+        seeds = mark.args[0] * metafunc.config.getoption("rounds")
+        metafunc.parametrize("seed", range(seeds))
 
 
 class Trio(NamedTuple):

@@ -3,48 +3,146 @@
 from __future__ import annotations
 
 import struct
-import tracemalloc
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import pytest
 from crc32c import crc32c
+from damage import (
+    ENTRY,
+    HEADER,
+    REFUSALS,
+    changed,
+    flipped,
+    most_memory,
+    peak_of,
+    sample,
+    survive,
+    with_checksums,
+)
 from scenes import random_scene
 
 from gs_codec.codec import decode_part, decode_scene, encode_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
-from gs_codec.container.file import read_file
+from gs_codec.container.carried import write_extra
+from gs_codec.container.file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 from gs_codec.inspection import inspect_bytes
 from gs_codec.scene import GROUPS
 
-HEADER = 36
-ENTRY = 20
+#: Flips under right checksums that each file gets in a round; ten rounds are all.
+FLIPS = 1500
 
 
-@pytest.fixture(scope="module", params=["paper-l", "paper-m", "paper-s"])
+@pytest.fixture(scope="module", params=PROFILES)
 def stream(request) -> bytes:
     scene = random_scene(20, 1, seed=60)
     return encode_scene(scene, Config(request.param))[0]
 
 
-def test_every_truncation_is_refused(stream):
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_every_truncation_is_refused(profile):
+    stream = sample(profile)
     for size in range(len(stream)):
         with pytest.raises((TruncatedStream, CorruptStream)):
-            decode_scene(stream[:size])
+            decode_scene(stream[:size], threads=1)
         with pytest.raises((TruncatedStream, CorruptStream)):
             inspect_bytes(stream[:size])
 
 
-def test_every_flipped_bit_is_refused(stream):
-    damaged = bytearray(stream)
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_every_flipped_bit_is_refused(profile):
+    stream = sample(profile)
     for bit in range(8 * len(stream)):
-        damaged[bit >> 3] ^= 1 << (bit & 7)
-        with pytest.raises((CorruptStream, TruncatedStream, UnsupportedVersion)):
-            decode_scene(bytes(damaged))
-        damaged[bit >> 3] ^= 1 << (bit & 7)
+        with pytest.raises(REFUSALS):
+            decode_scene(bytes(flipped(stream, bit)), threads=1)
+
+
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_flipped_bits_under_right_checksums_are_survived(profile, pytestconfig):
+    stream = sample(profile)
+    number = min(FLIPS * pytestconfig.getoption("rounds"), 8 * len(stream))
+    bits = np.linspace(0, 8 * len(stream) - 1, number).astype(int)
+    taken = sum(survive(with_checksums(flipped(stream, int(bit)))) for bit in bits)
+    # Many bits are of values, and every value is one of some scene.
+    assert 0 < taken < number
+
+
+@pytest.mark.rounds(15)
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_random_changes_are_refused(profile, seed):
+    stream = sample(profile, 1500, 3, 1024)
+    damaged = bytes(changed(stream, np.random.default_rng([seed, 0])))
+    if damaged != stream:
+        with pytest.raises(REFUSALS):
+            decode_scene(damaged)
+
+
+@pytest.mark.rounds(40)
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_random_changes_under_right_checksums_are_survived(profile, seed):
+    rng = np.random.default_rng([seed, 1])
+    stream = sample(profile, int(rng.choice([1, 40, 1500])), int(rng.integers(0, 4)), 1024)
+    survive(with_checksums(changed(stream, rng)))
+
+
+@pytest.mark.rounds(4)
+@pytest.mark.parametrize("max_bytes", [1 << 16, 1 << 20, None], ids=["64 KiB", "1 MiB", "default"])
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_memory_is_bounded(profile, max_bytes, seed):
+    rng = np.random.default_rng([seed, 2])
+    data = bytearray(sample(profile, 1500, int(rng.integers(0, 4)), 1024))
+    if seed % 2:
+        # Numbers that sizes follow from: of Gaussians, of those in a block.
+        struct.pack_into("<Q", data, 16, int(2.0 ** rng.uniform(8, 24)))
+        struct.pack_into("<I", data, 28, int(2.0 ** rng.uniform(8, 16)))
+    data = with_checksums(changed(data, rng))
+    threads = 1 + seed % 2
+    peak = peak_of(lambda: survive(data, max_bytes, threads))
+    assert peak <= most_memory(len(data), max_bytes, threads)
+
+
+def with_extra(stream: bytes, extra: bytes) -> bytes:
+    """The stream with another section `extra`."""
+    file = read_file(stream)
+    sections = [
+        Section(SectionId(number), block, extra if number == SectionId.EXTRA else data)
+        for (number, block), data in file.sections.items()
+    ]
+    return write_file(file.header, sections)
+
+
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_extra_properties_count_towards_the_limit(profile):
+    """Each of many properties is small where it is deflated, and all zeros."""
+    count = 1500
+    names = {f"zero{i}": np.zeros(count, "<f8") for i in range(100)}
+    extra = write_extra(names, np.arange(count))
+    data = with_extra(sample(profile, count, 0, 1024), extra)
+    floats = 4 * 14 * count
+    most = floats + 100 * 8 * count
+    assert len(decode_scene(data, max_bytes=most).extra) == 100
+
+    def refused() -> None:
+        for limit in (floats, most - 1):
+            with pytest.raises(CorruptStream, match="section 'extra': 1200000 bytes"):
+                decode_scene(data, max_bytes=limit)
+
+    assert peak_of(refused) < 1 << 20
+
+
+def test_a_table_of_many_sections_is_bounded():
+    """Sections that are not known, empty, and optional."""
+    data = sample("m")
+    sections, number = struct.unpack_from("<I", data, 32)[0], 50_000
+    end = HEADER + ENTRY * sections
+    entries = b"".join(struct.pack("<HHIQI", 999, 1, i, 0, 0) for i in range(number))
+    data = bytearray(data[:end] + entries + data[end:])
+    struct.pack_into("<I", data, 12, end + len(entries) + 4)
+    struct.pack_into("<I", data, 32, sections + number)
+    data = with_checksums(data)
+    assert peak_of(lambda: decode_scene(data, 1, 1 << 16)) <= most_memory(len(data), 1 << 16)
 
 
 def test_bytes_after_the_end_are_refused(stream):
@@ -65,57 +163,6 @@ def test_other_files_are_refused(data):
         decode_scene(data)
 
 
-def with_checksums(data: bytearray) -> bytes:
-    """The stream with every checksum made right again, as a hostile writer would."""
-    sections = struct.unpack_from("<I", data, 32)[0]
-    size = HEADER + ENTRY * sections
-    position = size + 4
-    if position > len(data):
-        return bytes(data)
-    for entry in range(HEADER, size, ENTRY):
-        length = struct.unpack_from("<Q", data, entry + 8)[0]
-        if length > len(data):
-            return bytes(data)
-        struct.pack_into("<I", data, entry + 16, crc32c(bytes(data[position : position + length])))
-        position += length
-    struct.pack_into("<I", data, size, crc32c(bytes(data[:size])))
-    return bytes(data)
-
-
-def decode_hostile(data: bytes) -> None:
-    """Decode with a bound on memory; only our own errors may come out."""
-    try:
-        scene = decode_scene(data, max_bytes=1 << 20)
-    except GsCodecError as error:
-        assert "\n" not in str(error)  # noqa: PT017
-        return
-    for name in ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot"):
-        assert np.isfinite(getattr(scene, name)).all()
-
-
-def test_every_flipped_bit_under_right_checksums_is_survived():
-    stream = encode_scene(random_scene(20, 1, seed=61))[0]
-    for bit in range(8 * len(stream)):
-        damaged = bytearray(stream)
-        damaged[bit >> 3] ^= 1 << (bit & 7)
-        decode_hostile(with_checksums(damaged))
-
-
-@pytest.mark.parametrize("seed", range(200))
-def test_random_changes_under_right_checksums_are_survived(seed):
-    rng = np.random.default_rng(seed)
-    scene = random_scene(int(rng.integers(1, 3000)), int(rng.integers(0, 4)), seed)
-    extra = {"label": np.arange(scene.count, dtype="<i4")}
-    object.__setattr__(scene, "extra", extra)
-    object.__setattr__(scene, "comments", ("a comment",))
-    data = bytearray(encode_scene(scene, Config("paper-m", extra="keep", block_size=1024))[0])
-    for _ in range(rng.integers(1, 6)):
-        # Half of the changes hit the header and the channels, where the structure is.
-        end = min(len(data), 2000) if rng.random() < 0.5 else len(data)
-        data[rng.integers(HEADER, end)] = rng.integers(256)
-    decode_hostile(with_checksums(data))
-
-
 @pytest.mark.parametrize("count", [1 << 20, 1 << 40, (1 << 64) - 1])
 def test_a_false_count_does_not_allocate(stream, count):
     data = bytearray(stream)
@@ -130,16 +177,6 @@ def blocks_of_one(data: bytes, count: int) -> bytes:
     struct.pack_into("<Q", hostile, 16, count)
     struct.pack_into("<I", hostile, 28, 1)
     return with_checksums(hostile)
-
-
-def peak_of(work: Callable[[], object]) -> int:
-    """Most bytes allocated at once while it runs."""
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("part", [Part(), Part((-9.0,) * 3 + (9.0,) * 3)], ids=["all", "box"])

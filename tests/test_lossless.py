@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from damage import ENTRY, HEADER, with_checksums
 from reference_decoder import decode as reference_decode
 from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
-from test_damage import ENTRY, HEADER, with_checksums
 from typer.testing import CliRunner
 
 from gs_codec.cli.main import app

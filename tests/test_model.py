@@ -36,6 +36,20 @@ def test_normalise_by_hand():
     assert tight.frequencies.tolist() == [1, 1, 1, 253]
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_normalise_takes_what_is_too_much_one_by_one(seed):
+    """The rule of FORMAT.md, as it is written there."""
+    rng = np.random.default_rng(seed)
+    weights = rng.integers(0, rng.choice([2, 4, 1 << 20], 256), 256)
+    weights[rng.integers(0, 256, 3)] = rng.integers(1, 1 << 32, 3)
+    expected = np.where(weights > 0, np.maximum((weights << 9) // weights.sum(), 1), 0)
+    if expected.sum() < 512:
+        pytest.fail("nothing is too much: choose another seed")
+    while expected.sum() > 512:
+        expected[np.argmax(expected)] -= 1
+    assert normalise(weights, 9).frequencies.tolist() == expected.tolist()
+
+
 def test_normalise_fills_every_slot():
     weights = np.ones(256, np.int64)
     weights[7] = 1 << 40

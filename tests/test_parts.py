@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from damage import HEADER, with_checksums
 from scenes import random_scene
-from test_damage import HEADER, with_checksums
 from test_lattice_codec import BLOCK, assert_same
 from test_lossless import any_bits
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from gs_codec.bench.figure import new_figure
+from gs_codec.bench.figure import new_figure, save_figure
 
 
 def plot_targets(lines: list[dict[str, Any]], path: Path) -> None:
@@ -38,4 +38,4 @@ def plot_targets(lines: list[dict[str, Any]], path: Path) -> None:
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)
     figure.tight_layout()
-    figure.savefig(path)
+    save_figure(figure, path)

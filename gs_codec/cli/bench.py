@@ -20,6 +20,7 @@ from gs_codec.cli.bench_tables import (
     PEER_COLUMNS,
     POINT_COLUMNS,
     PREPARATION_COLUMNS,
+    STRESS_COLUMNS,
     TARGET_COLUMNS,
     add_to_rows,
     gain_row,
@@ -27,6 +28,7 @@ from gs_codec.cli.bench_tables import (
     peer_row,
     point_row,
     preparation_row,
+    stress_row,
     target_row,
 )
 from gs_codec.cli.encode import parse_depths
@@ -46,7 +48,10 @@ _PLOTTED = ("prepare", "targets", "scaling")
 
 
 def command(
-    scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],
+    scenes: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="SCENE...", help="3DGS .ply files.", show_default=False),
+    ] = None,
     profile: Annotated[
         list[str] | None, typer.Option("--profile", "-p", help="Profiles; all when not given.")
     ] = None,
@@ -98,6 +103,9 @@ def command(
         typer.Option("--scaling", help="Measure how time and memory grow with scenes instead."),
     ] = False,
     max_memory: MaxMemory = None,
+    stress: Annotated[
+        bool, typer.Option("--stress", help="Measure scenes that try the numbers instead.")
+    ] = False,
     plot: Annotated[
         Path | None,
         typer.Option(metavar="PNG", help="With --prepare, --targets or --scaling: plot it."),
@@ -105,13 +113,15 @@ def command(
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
     """Measure time, size, error, memory and rendered quality; JSON lines on stdout."""
+    scenes = scenes or []
     if (against_gt or width) and not cameras:
         raise InvalidInput("--against-gt and --width need --cameras")
     mode = _mode_of(
         prepare=prepare, gains=gains, targets=targets, parts=parts, points=points, peers=peers,
-        scaling=scaling,
+        scaling=scaling, stress=stress,
     )  # fmt: skip
     _check_options(mode, bool(cameras), profile, bool(depth), plot is not None)
+    _check_scenes(stress, bool(scenes), bool(cameras or depth))
     bench_scaling.check_options(mode == "scaling", max_memory, tile or extra != "error")
     configs = [
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
@@ -134,6 +144,7 @@ def command(
         "scaling": lambda: bench_scaling.measure(
             scenes, profile or ["m"], threads, max_memory, plot
         ),
+        "stress": lambda: _measure_stress(profile or list(PROFILE_CHOICES), threads),
     }
     runs[mode]()
 
@@ -176,6 +187,23 @@ def _measure_all(
         print_text(json_module.dumps(line))
         add_to_rows(rows, line)
     print_table(COLUMNS, list(rows.values()), sys.stderr)
+
+
+def _check_scenes(stress: bool, given: bool, shaped: bool) -> None:
+    """Refuse scenes beside those that --stress has, or none at all."""
+    if stress and (given or shaped):
+        raise InvalidInput("--stress takes no scenes, no --cameras and no --depth")
+    if not stress and not given:
+        raise InvalidInput("no scenes given, expected SCENE... or --stress")
+
+
+def _measure_stress(profiles: list[str], threads: int | None) -> None:
+    from gs_codec.bench.measure import machine
+    from gs_codec.bench.stress import measure_stress
+
+    print_text(json_module.dumps(machine()))
+    lines = _printed(measure_stress(profiles, threads=threads))
+    print_table(STRESS_COLUMNS, [stress_row(line) for line in lines], sys.stderr)
 
 
 def _measure(

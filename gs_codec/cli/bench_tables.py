@@ -24,6 +24,7 @@ POINT_COLUMNS = [
     "peak MB", "tmc3 MB",
 ]  # fmt: skip
 PART_COLUMNS = ["scene, profile", "without", "bits/G", "PSNR dB", "saves bits/G at equal PSNR"]
+STRESS_COLUMNS = ["case, profile", "error/bound", "of", "moved", "bits/G", "s"]
 GAIN_COLUMNS = ["scene, steps", "at", "PSNR dB", "paper bits/G", "bits/G", "saved"]
 
 
@@ -119,6 +120,15 @@ def point_row(line: dict[str, Any]) -> list[str]:
         f"{peak / 1e6:.0f}",
         f"{line['tool_peak_bytes'] / 1e6:.0f}" if "tool_peak_bytes" in line else "",
     ]
+
+
+def stress_row(line: dict[str, Any]) -> list[str]:
+    """A row of a profile and a scene that tries the numbers."""
+    label = f"{line['case']}, {line['profile']}"
+    if line["refused"] is not None:
+        return [label, "refused", "", "", "", ""]
+    numbers = [f"{line['moved']:,}", f"{line['bits_per_gaussian']:.1f}", f"{line['seconds']:.3f}"]
+    return [label, f"{line['error_over_bound']:.3f}", line["where"], *numbers]
 
 
 def part_row(line: dict[str, Any]) -> list[str]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
+from contextlib import suppress
 
 import typer
 
@@ -50,8 +52,11 @@ def main() -> None:
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         status = app(standalone_mode=False)
-    except (GsCodecError, OSError) as error:
+        _flush_output()
+    except (GsCodecError, OSError, MemoryError) as error:
         print(f"gs-codec: error: {describe_error(error)}", file=sys.stderr)
+        with suppress(OSError):
+            _flush_output()
         sys.exit(2)
     except typer.Abort:
         status = 130
@@ -67,7 +72,18 @@ def main() -> None:
     sys.exit(status)
 
 
+def _flush_output() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        # Or Python would fail to write it once more when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise OSError(error.errno, error.strerror, "standard output") from error
+
+
 def describe_error(error: BaseException) -> str:
     """The error on one line."""
+    if isinstance(error, MemoryError):
+        return one_line(error) or "not enough memory"
     named = isinstance(error, OSError) and error.strerror and error.filename
     return f"{error.filename}: {one_line(error)}" if named else one_line(error)  # type: ignore[attr-defined]

@@ -21,7 +21,7 @@ from gs_codec.codec.lattice_decode import block_boxes, decode_lattice, lattice_s
 from gs_codec.codec.lossless import block_sections, decode_lossless, lossless_positions
 from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, check_threads
-from gs_codec.container.carried import read_comments, read_extra
+from gs_codec.container.carried import extra_bytes, read_comments, read_extra
 from gs_codec.container.file import (
     DESCRIPTIONS,
     SCENE_SECTIONS,
@@ -71,7 +71,7 @@ def decode_part(
     threads : int, optional
         Worker threads, 1-256; by default one for each available processor.
     max_bytes : int, optional
-        Refuse a stream whose floats would be larger; by default `DECODED_BYTES` or
+        Refuse a stream that would be larger decoded; by default `DECODED_BYTES` or
         `EXPANSION` times the stream's size, whichever is more.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
@@ -124,6 +124,7 @@ def choose_part(
             section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
         ),
     )
+    _check_extra(file, limit)
     return ChosenPart(file, part, degree, blocks, bool(coded), threads, tool)
 
 
@@ -233,6 +234,16 @@ def _check_size(header: Header, limit: int) -> None:
     if header.float_bytes > limit:
         raise CorruptStream(
             f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
+        )
+
+
+def _check_extra(file: EgsFile, limit: int) -> None:
+    """Refuse extra properties that would take more than the floats leave."""
+    extra = file.sections.get((SectionId.EXTRA, 0))
+    size = 0 if extra is None else extra_bytes(extra, file.header.count)
+    if size > limit - file.header.float_bytes:
+        raise CorruptStream(
+            f"section 'extra': {size} bytes beside {file.header.float_bytes}, the limit is {limit}"
         )
 
 

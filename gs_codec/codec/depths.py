@@ -13,6 +13,10 @@ from gs_codec.codec.symbols import fit_channel
 from gs_codec.container.channels import channel_places
 from gs_codec.lattice.fit import Steps
 from gs_codec.scene import Scene
+from gs_codec.transform.linear import combine
+
+#: No step is so many octaves from another.
+_OCTAVES = 64.0
 
 
 def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
@@ -22,7 +26,9 @@ def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
     """
     planes = {}
     if "rotation" in depths:
-        planes["rot"] = scene.rot / np.linalg.norm(scene.rot, axis=0)
+        # In float64, where no norm is too small or too large for its square.
+        norms = np.sqrt(np.sum(np.square(scene.rot, dtype=np.float64), axis=0))
+        planes["rot"] = (scene.rot / norms).astype(np.float32)
     octaves: dict[str, list[float]] = {}
     for group, index, stream in channel_places(len(scene.f_rest) // 3):
         if stream in depths:
@@ -52,7 +58,7 @@ def as_deep(
 
     def mean(*rules: str) -> float:
         classes = steps.colour_class if rules == ("colour",) else steps.shape_class
-        by_rule = [coefficients[rule] @ known for rule in rules]
+        by_rule = [combine(coefficients[rule], known) for rule in rules]
         return float(np.mean(classes[some], dtype=np.float64) + np.mean(by_rule))
 
     rules = {
@@ -69,8 +75,9 @@ def as_deep(
     before = mean("colour")
     colour = octaves.get("sh-dc", before)
     coefficients["colour"][0] += colour - before
-    ratios = [
-        2.0 ** (octaves.get(f"sh{band}", math.log2(ratio) + before) - colour)
+    above = [
+        octaves.get(f"sh{band}", math.log2(ratio) + before) - colour
         for band, ratio in enumerate(steps.sh_ratios, 1)
     ]
+    ratios = [2.0 ** min(max(octave, -_OCTAVES), _OCTAVES) for octave in above]
     return replace(steps, coefficients=coefficients, sh_ratios=(ratios[0], ratios[1], ratios[2]))

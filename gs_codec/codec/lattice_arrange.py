@@ -21,6 +21,7 @@ from gs_codec.lattice.rules import StepRule
 from gs_codec.scene import Scene
 from gs_codec.storage import current
 from gs_codec.transform.axes import sort_axes
+from gs_codec.transform.linear import combine
 from gs_codec.transform.morton import canonical_order, encode_morton
 from gs_codec.workers import run_all
 
@@ -30,7 +31,12 @@ _COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18
 
+#: Units are such that steps, in their integers, have no more bits.
+_STEP_BITS = 31
+
 _AXIS_BITS = 21
+
+_LARGEST = float(np.finfo(np.float32).max)
 
 #: Units and centres are chosen by at most twice so many Gaussians.
 _SAMPLE = 100_000
@@ -116,7 +122,7 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: Steps
 
     def wanted(name: str) -> NDArray[np.float64]:
         octaves = steps.colour_class if name == "colour" else steps.shape_class
-        return octaves[some] + steps.coefficients[name] @ known
+        return octaves[some] + combine(steps.coefficients[name], known)
 
     names = {
         "opacity": ["opacity"],
@@ -134,7 +140,8 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: Steps
             rules[name] = make_rule(steps.coefficients[name], unit, coarsest)
     units["sh-dc"] = units.pop("colour")
     for band, ratio in enumerate(steps.sh_ratios, 1):
-        units[f"sh{band}"] = max(round(units["sh-dc"] * ratio), 1)
+        largest = (1 << (_STEP_BITS - rules["colour"].limit)) - 1
+        units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, 1), largest))
     grid, rules["position"] = _grid(scene, steps, wanted("position"))
     centres = (_median(scene.opacity[0, some]), _median(known[2]))
     classes = (
@@ -161,6 +168,6 @@ def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[Posi
     bits = [max(math.frexp(size / step)[1], 0) for size in extent]
     # The middle of the one cell of a flat axis is where it is.
     flat = extent == 0
-    origin = (low - 0.5 * step * flat).astype(np.float32).astype(float)
+    origin = np.maximum(low - 0.5 * step * flat, -_LARGEST).astype(np.float32).astype(float)
     grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))
     return grid, make_rule(steps.coefficients["position"], unit, unit + 31, thirds=True)

@@ -16,7 +16,7 @@ from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.errors import CorruptStream, TruncatedStream
 from gs_codec.geometry.colour_lattice import decode_colours
 from gs_codec.geometry.count_tree import decode_tree
-from gs_codec.lattice.fixed import LARGEST, PLACES, to_float
+from gs_codec.lattice.fixed import PLACES, TOO_LARGE, to_float
 from gs_codec.lattice.lattice import Lattice
 from gs_codec.lattice.place import centres, from_grid
 from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places, shift_context
@@ -27,9 +27,6 @@ from gs_codec.scene import SH_COEFFICIENTS
 from gs_codec.transform.axes import quaternions
 from gs_codec.transform.ycocg import fill_colours, from_ycocg
 from gs_codec.workers import run_all
-
-#: Values beyond this do not come from an encoder.
-_TOO_LARGE = 4 * LARGEST
 
 
 def lattice_sections(sh_degree: int) -> set[SectionId]:
@@ -179,7 +176,7 @@ class LatticeDecoder:
             units[k] = self.lattice.units[f"sh{band}"]
             streams.read_into(context, some, levels[colour, k])
         rows = self.groups["f_rest"].reshape(3, self.kept, -1)[:, :, span]
-        if not fill_colours(levels, units, shifts, _TOO_LARGE, rows):
+        if not fill_colours(levels, units, shifts, TOO_LARGE, rows):
             raise CorruptStream(f"{where}: a value out of range")
 
 
@@ -260,7 +257,7 @@ class _Streams:
 
 
 def _check_range(values, where: str) -> None:
-    limit = int(_TOO_LARGE) << PLACES
+    limit = int(TOO_LARGE) << PLACES
     for row in values:
         if row.size and not -limit < row.min() <= row.max() < limit:
             raise CorruptStream(f"{where}: a value out of range")

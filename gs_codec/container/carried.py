@@ -18,6 +18,7 @@ from gs_codec.storage import empty
 _DTYPES = tuple(np.dtype(t) for t in ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8"))
 _LEVEL = 6
 _COMMENT_BYTES = 1 << 20
+_EXTRA = "section 'extra'"
 
 
 def carried_sections(scene: Scene, order: NDArray[np.integer]) -> list[Section]:
@@ -69,21 +70,37 @@ def write_extra(extra: Mapping[str, NDArray], order: NDArray[np.integer]) -> byt
 
 
 def read_extra(data: memoryview, count: int) -> dict[str, NDArray]:
-    """The inverse of `write_extra` for `count` Gaussians, in stream order."""
-    reader = ByteReader(data, "section 'extra'")
-    extra: dict[str, NDArray] = {}
+    """The inverse of `write_extra` for `count` Gaussians, in stream order.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    """
+    packed = _unpack(data)
+    return {name: _inflate(planes, count, dtype) for name, (dtype, planes) in packed.items()}
+
+
+def extra_bytes(data: memoryview, count: int) -> int:
+    """What `read_extra` would take, told without inflating anything."""
+    return count * sum(dtype.itemsize for dtype, _ in _unpack(data).values())
+
+
+def _unpack(data: memoryview) -> dict[str, tuple[np.dtype, memoryview]]:
+    """Type and deflated planes of each property."""
+    reader = ByteReader(data, _EXTRA)
+    packed: dict[str, tuple[np.dtype, memoryview]] = {}
     for _ in range(reader.unpack("H")[0]):
         label = bytes(reader.take(reader.unpack("B")[0]))
         kind, size = reader.unpack("BQ")
         name = label.decode("ascii", "replace")
-        if not is_extra_name(name) or name in extra:
-            raise CorruptStream(f"section 'extra': {name!a} is no name, or there already")
+        if not is_extra_name(name) or name in packed:
+            raise CorruptStream(f"{_EXTRA}: {name!a} is no name, or there already")
         if kind >= len(_DTYPES):
-            raise CorruptStream(f"section 'extra': type {kind}, expected 0-{len(_DTYPES) - 1}")
-        extra[name] = _inflate(reader.take(size), count, _DTYPES[kind])
+            raise CorruptStream(f"{_EXTRA}: type {kind}, expected 0-{len(_DTYPES) - 1}")
+        packed[name] = _DTYPES[kind], reader.take(size)
     if len(reader.rest()):
-        raise CorruptStream("section 'extra': bytes after the last property")
-    return extra
+        raise CorruptStream(f"{_EXTRA}: bytes after the last property")
+    return packed
 
 
 def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
@@ -101,7 +118,7 @@ def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
         # What follows the last value may be the stream's checksum alone.
         surplus = inflater.decompress(rest, 1) or inflater.unused_data or inflater.unconsumed_tail
     except zlib.error as error:
-        raise CorruptStream(f"section 'extra': {error}") from None
+        raise CorruptStream(f"{_EXTRA}: {error}") from None
     if filled < rows.size or surplus or not inflater.eof:
-        raise CorruptStream(f"section 'extra': a property is not {rows.size} bytes")
+        raise CorruptStream(f"{_EXTRA}: a property is not {rows.size} bytes")
     return rows.reshape(-1).view(dtype)

@@ -16,8 +16,12 @@ from gs_codec.entropy.rans import LANES, pull
 from gs_codec.geometry.colour import predict, weigh
 from gs_codec.geometry.nearest import NEIGHBOURS, WINDOW, Nearest, find_nearest
 from gs_codec.kernels import kernel
+from gs_codec.lattice.fixed import PLACES, TOO_LARGE
 from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS
 from gs_codec.lattice.tokens import raw_width, value_of
+
+#: No value of a sound block is as large.
+_TOO_LARGE = int(TOO_LARGE) << PLACES
 
 
 @kernel
@@ -65,7 +69,9 @@ def _decode(
             if width:
                 rest = code_raw(bits, used, width, 0, False)
                 used += width
-            values[channel, i] = mean + value_of(token, rest) * step
+            # Kept where sums cannot overflow; what is refused stays to be seen.
+            value = mean + value_of(token, rest) * step
+            values[channel, i] = min(max(value, -_TOO_LARGE), _TOO_LARGE)
     return position, used
 
 

@@ -46,7 +46,11 @@ def leftovers(entries: Iterable[str], names: Iterable[str]) -> list[str]:
 
 @contextmanager
 def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a temporary file beside `path` that replaces it, fsynced, if the block succeeds.
+    """Open a new file that becomes `path`, safely on disk, if the block succeeds.
+
+    Where the system can, it has no name before it is whole, so that a process killed at any
+    moment leaves nothing behind; where `path` is there already, a second, whole, hidden copy
+    could be left between the two system calls that name and move it.
 
     Raises
     ------
@@ -55,16 +59,56 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
     """
     check_writable(path)
     target = Path(path)
-    temporary = target.with_name(temporary_name(target.name))
+    hidden = target.with_name(temporary_name(target.name))
     try:
-        with open(temporary, "xb") as file:
+        descriptor, named = _create(target.parent, hidden)
+        with open(descriptor, "wb") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
+            os.fsync(descriptor)
+            if not named:
+                _name(descriptor, target, hidden)
+        if named:
+            os.replace(hidden, target)
+        _keep_name(target.parent)
     except BaseException as error:
         with suppress(OSError):
-            os.unlink(temporary)
+            os.unlink(hidden)
         if isinstance(error, OSError):
             raise InvalidInput(f"{target}: {error.strerror or error}") from error
         raise
+
+
+def _create(folder: Path, hidden: Path) -> tuple[int, bool]:
+    """A new file in a folder, and whether it is named `hidden`; without a name if possible."""
+    nameless = getattr(os, "O_TMPFILE", None)
+    if nameless is not None and os.path.isdir("/proc/self/fd"):
+        with suppress(OSError):
+            return os.open(folder, nameless | os.O_WRONLY | os.O_CLOEXEC, 0o666), False
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    return os.open(hidden, flags, 0o666), True
+
+
+def _name(descriptor: int, target: Path, hidden: Path) -> None:
+    """Name a file without a name `target`; if that is there already, by way of `hidden`."""
+    source, moved = f"/proc/self/fd/{descriptor}", (os.fspath(hidden), os.fspath(target))
+    folder = os.open(target.parent, getattr(os, "O_PATH", os.O_RDONLY))
+    try:
+        # Python follows the link to the file only where a folder is given.
+        try:
+            os.link(source, target.name, dst_dir_fd=folder, follow_symlinks=True)
+        except FileExistsError:
+            os.link(source, hidden.name, dst_dir_fd=folder, follow_symlinks=True)
+            os.replace(*moved)
+    finally:
+        os.close(folder)
+
+
+def _keep_name(folder: Path) -> None:
+    """Write a folder to disk, where folders can be: the file is there in any case."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gs_codec.lattice.rules import RULE_PLACES, StepRule
 from gs_codec.lattice.sensitivity import Sensitivity
+from gs_codec.transform.linear import combine, fitting
 
 #: Colour for a unit of SH-DC; root of the mean square for one of SH-AC, over all directions.
 _SH_C0 = 0.28209479177387814
@@ -122,7 +123,7 @@ def _fit_offsets(
         for name, s in shape.items():
             offsets[name] = np.zeros(5)
             use = _FEATURES[name]
-            offsets[name][use] = 0.5 / math.log(2) * _fit_mean(known[use].T, s * 4.0**-level)
+            offsets[name][use] = 0.5 / math.log(2) * _fit_mean(known[use], s * 4.0**-level)
         level = _level(shape, offsets, known)
     return offsets
 
@@ -134,19 +135,20 @@ def _level(
 ) -> NDArray[np.float64]:
     """What all groups' sensitivities have in common: log2 of the root of their mean."""
     return 0.5 * np.log2(
-        np.mean([s * 4.0 ** -(offsets[name] @ known) for name, s in shape.items()], axis=0)
+        np.mean([s * 4.0 ** -combine(offsets[name], known) for name, s in shape.items()], axis=0)
     )
 
 
 def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coefficients c with ``exp(known @ c)`` the mean of `values` (gamma regression)."""
-    fitted = np.linalg.lstsq(known, np.log(values), rcond=None)[0]
+    """Coefficients c with ``exp(c @ known)`` the mean of `values` (gamma regression)."""
+    fits = fitting(known)
+    fitted = np.sum(fits * np.log(values), axis=1)
     for _ in range(_TURNS):
-        expected = np.exp(np.clip(known @ fitted, -60, 60))
+        expected = np.exp(np.clip(combine(fitted, known), -60, 60))
         # Damped and cut off: a few values are thousands of times the mean.
         excess = np.clip(values / expected - 1, -1, 8)
-        fitted = fitted + 0.7 * np.linalg.lstsq(known, excess, rcond=None)[0]
-    return np.asarray(fitted, np.float64)
+        fitted = fitted + 0.7 * np.sum(fits * excess, axis=1)
+    return fitted
 
 
 def finest_step(wanted: NDArray[np.float64], lowest: float, highest: float) -> float:
@@ -171,4 +173,4 @@ def make_rule(
 
 
 def _fixed(number: float) -> int:
-    return int(np.clip(round(number * (1 << RULE_PLACES)), -(1 << 31), (1 << 31) - 1))
+    return min(max(round(number * (1 << RULE_PLACES)), -(1 << 31)), (1 << 31) - 1)

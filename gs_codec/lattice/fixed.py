@@ -17,6 +17,9 @@ PLACES = 20
 #: Values beyond this are clamped to it.
 LARGEST = 400.0
 
+#: Values of this and more do not come from an encoder.
+TOO_LARGE = 4 * LARGEST
+
 
 @kernel
 def _to_lattice(values, centre, unit, shifts, limit, levels):
@@ -33,11 +36,11 @@ def _to_lattice(values, centre, unit, shifts, limit, levels):
 
 
 def to_lattice(
-    values: NDArray, centre: int, unit: int, shifts: NDArray[np.int64]
+    values: NDArray, centre: int, unit: int, shifts: NDArray[np.int64], limit: float = LARGEST
 ) -> tuple[NDArray[np.int64], int]:
-    """Nearest levels ``(n,)`` of values ``(n,)``, and how many values were clamped."""
+    """Nearest levels ``(n,)`` of values ``(n,)``, and how many were clamped to `limit`."""
     levels = np.empty(len(values), np.int64)
-    clamped = _to_lattice(values, centre, unit, shifts, LARGEST, levels)
+    clamped = _to_lattice(values, centre, unit, shifts, limit, levels)
     return levels, clamped
 
 

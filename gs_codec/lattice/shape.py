@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.lattice.fixed import from_lattice, to_float, to_lattice
+from gs_codec.lattice.fixed import LARGEST, TOO_LARGE, from_lattice, to_float, to_lattice
 from gs_codec.lattice.lattice import Lattice
 
 #: ``code(name, shifts) -> levels``: a decoder reads them, an encoder rounds to them.
@@ -75,7 +75,7 @@ class ShapeQuantiser:
     def __call__(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels of an attribute."""
         group = {"o": "opacity", "s": "scaling", "r": "rotation"}[name[0]]
-        unit, centre = self.lattice.units[group], 0
+        unit, centre, limit = self.lattice.units[group], 0, LARGEST
         if group == "opacity":
             values, centre = self.opacity, self.lattice.centres[0]
         elif group == "rotation":
@@ -85,8 +85,11 @@ class ShapeQuantiser:
         elif name == "scale_0":
             values, centre = self.scales[0], self.lattice.centres[1]
         else:
-            values = self._last - self.scales[int(name[-1])]
-        levels, clamped = to_lattice(values, centre, unit, shifts)
+            # Each is within the largest, but not what is between them.
+            scales = self.scales[int(name[-1])]
+            self.clamped += int(np.count_nonzero(np.abs(scales) > LARGEST))
+            values, limit = self._last - np.clip(scales, -LARGEST, LARGEST), TOO_LARGE
+        levels, clamped = to_lattice(values, centre, unit, shifts, limit)
         self.clamped += clamped
         self.levels[name] = levels
         self.shifts[name] = shifts

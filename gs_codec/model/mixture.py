@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gs_codec.kernels import kernel
 from gs_codec.model.table import FrequencyTable, normalise
+from gs_codec.transform.linear import dot
 
 MAX_COMPONENTS = 4
 _ITERATIONS = 200
@@ -131,8 +132,8 @@ def fit_mixture(histogram: NDArray[np.int64], count: int, precision: int) -> Mix
     """Mixture of `count` Gaussians by expectation maximisation on the histogram."""
     symbols = np.arange(histogram.size)
     total = histogram.sum()
-    mean = float(histogram @ symbols) / total
-    spread = math.sqrt(max(float(histogram @ (symbols - mean) ** 2) / total, _SMALLEST_SIGMA**2))
+    mean = dot(histogram, symbols) / total
+    spread = math.sqrt(max(dot(histogram, (symbols - mean) ** 2) / total, _SMALLEST_SIGMA**2))
     cumulative = np.cumsum(histogram)
     quantiles = [(2 * k + 1) * total / (2 * count) for k in range(count)]
     means = np.searchsorted(cumulative, quantiles).astype(np.float64)

@@ -17,6 +17,7 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.project import NEAR
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene
+from gs_codec.transform.linear import combine, main_axis
 from gs_codec.workers import run_all
 
 #: Size of the images, pixels; the field of view is 51 degrees wide.
@@ -139,9 +140,9 @@ def _vertical(scene: Scene, centre: NDArray[np.float64]) -> NDArray[np.float64]:
     turn = Rotation.from_quat(scene.rot.T, scalar_first=True).as_matrix()
     normals = turn[np.arange(scene.count), :, flattest]
     flatness = np.exp(2 * (_log_sizes(scene) - scene.log_scale.min(axis=0)).clip(max=4))
-    axis = np.linalg.eigh((normals * flatness[:, None]).T @ normals)[1][:, 2]
-    level = normals @ axis
-    height = (scene.positions.T - centre) @ axis
+    axis = main_axis(np.sqrt(flatness) * normals.T)
+    level = combine(axis, normals.T)
+    height = combine(axis, scene.positions - centre[:, None])
     return -axis if np.average(height, weights=flatness * level**2) > 0 else axis
 
 
@@ -194,7 +195,7 @@ def _judge(scene: Scene, view: Camera) -> tuple[float, NDArray[np.float32]]:
     seen = weight > 0
     if not seen.any():
         return -np.inf, weight.astype(np.float32)
-    depth = view.rotation[2] @ (scene.positions[:, seen] - view.position[:, None])
+    depth = combine(view.rotation[2], scene.positions[:, seen] - view.position[:, None])
     footprint = np.average(_log_sizes(scene)[seen] - np.log(depth), weights=weight[seen])
     score = np.log(seen.mean()) - footprint + 3 * np.log(rendering.alpha.mean())
     return float(score), weight.astype(np.float32)

@@ -16,8 +16,8 @@ from types import SimpleNamespace
 
 import foreign
 import numpy as np
+from damage import ENTRY, HEADER, with_checksums
 from scenes import made_up_guide, random_scene
-from test_damage import ENTRY, HEADER, with_checksums
 
 from gs_codec.codec import decode_part, encode_scene
 from gs_codec.codec.part import Part

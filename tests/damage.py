@@ -1,0 +1,126 @@
+"""Files to be damaged, ways to damage them, and what must come of it."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from crc32c import crc32c
+from scenes import random_scene
+
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import LOSSLESS, Config
+from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
+from gs_codec.inspection import inspect_bytes
+from gs_codec.scene import GROUPS
+
+HEADER = 36
+ENTRY = 20
+
+#: What a damaged file may be refused with.
+REFUSALS = (CorruptStream, TruncatedStream, UnsupportedVersion)
+
+#: FORMAT.md, "Limits": decoding takes at most so much memory.
+TIMES_LIMIT, TIMES_FILE, A_THREAD = 3, 64, 32 << 20
+
+
+@cache
+def sample(profile: str, count: int = 5, degree: int = 1, block_size: int = 3) -> bytes:
+    """A file of several blocks, with a comment and two extra properties."""
+    carried = {"label": np.arange(count, dtype="<i4"), "mark": np.zeros(count, "<u2")}
+    scene = random_scene(count, degree, seed=60)
+    scene = replace(scene, extra=carried, comments=("a comment",), has_normals=True)
+    config = Config(profile, extra="keep")
+    # Smaller blocks than an encoder may be asked for: more of them in less to damage.
+    object.__setattr__(config, "block_size", block_size)
+    return encode_scene(scene, config)[0]
+
+
+def flipped(data: bytes, bit: int) -> bytearray:
+    """The bytes with one bit changed."""
+    damaged = bytearray(data)
+    damaged[bit >> 3] ^= 1 << (bit & 7)
+    return damaged
+
+
+def changed(data: bytes, rng: np.random.Generator) -> bytearray:
+    """The bytes with some of them changed, one by one or a run of them."""
+    damaged = bytearray(data)
+    for _ in range(rng.integers(1, 6)):
+        # Half of the changes hit the front, where the structure is.
+        end = min(len(data), 2000) if rng.random() < 0.5 else len(data)
+        start = int(rng.integers(8, end))
+        size = int(rng.choice([1, 1, 2, 4, 8, 64]))
+        kind = rng.integers(4)
+        run = damaged[start : start + size]
+        if kind == 0:
+            run = bytearray(rng.integers(0, 256, len(run), np.uint8).tobytes())
+        elif kind == 1:
+            run = bytearray([int(rng.choice([0, 255]))] * len(run))
+        elif kind == 2:
+            run = bytearray((byte + int(rng.choice([-1, 1]))) & 255 for byte in run)
+        else:
+            other = int(rng.integers(8, len(data)))
+            run = (damaged[other : other + len(run)] + run)[: len(run)]
+        damaged[start : start + len(run)] = run
+    return damaged
+
+
+def with_checksums(data: bytes | bytearray) -> bytes:
+    """The stream with every checksum made right again, as a hostile writer would."""
+    data = bytearray(data)
+    sections = struct.unpack_from("<I", data, 32)[0]
+    size = HEADER + ENTRY * sections
+    position = size + 4
+    if position > len(data):
+        return bytes(data)
+    for entry in range(HEADER, size, ENTRY):
+        length = struct.unpack_from("<Q", data, entry + 8)[0]
+        if length > len(data):
+            return bytes(data)
+        struct.pack_into("<I", data, entry + 16, crc32c(bytes(data[position : position + length])))
+        position += length
+    struct.pack_into("<I", data, size, crc32c(bytes(data[:size])))
+    return bytes(data)
+
+
+def survive(data: bytes, max_bytes: int | None = 1 << 20, threads: int = 1) -> bool:
+    """Decode and inspect what anyone may have written; whether it was taken for a scene.
+
+    Only refusals of one line may come out, or a scene that is sound.
+    """
+    try:
+        inspect_bytes(data).as_dict()
+    except REFUSALS as error:
+        assert "\n" not in str(error)  # noqa: PT017
+    try:
+        scene = decode_scene(data, threads, max_bytes)
+    except GsCodecError as error:
+        assert isinstance(error, REFUSALS)  # noqa: PT017
+        assert "\n" not in str(error)  # noqa: PT017
+        return False
+    info = inspect_bytes(data)
+    assert (scene.count, scene.sh_degree) == (info.count, info.sh_degree)
+    for group in GROUPS:
+        assert info.profile == LOSSLESS or np.isfinite(getattr(scene, group)).all()
+    return True
+
+
+def peak_of(work: Callable[[], object]) -> int:
+    """Most bytes allocated at once while it runs."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def most_memory(size: int, max_bytes: int | None = None, threads: int = 1) -> int:
+    """What decoding a file of `size` bytes may take, as FORMAT.md has it."""
+    limit = max(1 << 30, 1000 * size) if max_bytes is None else max_bytes
+    return TIMES_LIMIT * limit + TIMES_FILE * size + A_THREAD * threads

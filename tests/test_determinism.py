@@ -1,0 +1,98 @@
+"""The same bytes and floats whenever, wherever and by however many threads."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from golden.make import GUIDES, golden_scenes
+from scenes import made_up_guide, random_scene
+
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
+from gs_codec.scene import GROUPS, Scene
+
+ROOT = Path(__file__).parents[1]
+
+#: Modules whose floats decide the bytes of a file.
+DECIDING = ("codec", "lattice", "model", "entropy", "geometry", "transform", "container")
+
+
+def digests(threads: int | None) -> dict[str, str]:
+    """Digest of the bytes, and of the floats, of each profile."""
+    scene, found = random_scene(3000, 2, seed=90), {}
+    for profile in PROFILE_CHOICES:
+        config = Config(profile, threads=threads, block_size=1024)
+        guides = [None, made_up_guide(seed=90)] if profile in LATTICE_PROFILES else [None]
+        for guide in guides:
+            data, _ = encode_scene(scene, config, guide=guide)
+            name = f"{profile}, {'guided' if guide else 'blind'}"
+            found[name] = hashlib.sha256(data + floats(decode_scene(data, threads))).hexdigest()
+    return found
+
+
+def floats(scene: Scene) -> bytes:
+    return b"".join(getattr(scene, group).tobytes() for group in GROUPS)
+
+
+def test_threads_and_runs_do_not_matter():
+    expected = digests(1)
+    for threads in (1, 2, 3, None):
+        assert digests(threads) == expected
+
+
+@pytest.mark.parametrize("blas_threads", ["1", "2"])
+def test_processes_do_not_matter(blas_threads):
+    """With another seed of hashes each, and as many threads of other libraries."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(names, blas_threads)
+    environment |= {"PYTHONHASHSEED": blas_threads, "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
+    script = "import json, test_determinism as t; print(json.dumps(t.digests(2)))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == digests(1)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("name", golden_scenes())
+def test_golden_files_are_written_and_read_by_any_threads(name, threads):
+    scene, config = golden_scenes()[name]
+    options = {**vars(config), "threads": threads}
+    golden = (ROOT / "tests" / "golden" / f"v1-{name}").with_suffix(".egs")
+    data = golden.read_bytes()
+    assert encode_scene(scene, Config(**options), guide=GUIDES.get(name))[0] == data
+    decoded = decode_scene(data, threads)
+    with np.load(golden.with_suffix(".npz")) as expected:
+        for group in GROUPS:
+            assert getattr(decoded, group).tobytes() == expected[group].tobytes()
+
+
+def sources() -> list[Path]:
+    files = [path for name in DECIDING for path in (ROOT / "gs_codec" / name).glob("*.py")]
+    return [*files, ROOT / "gs_codec" / "quantise.py"]
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_no_sum_is_left_to_blas(path):
+    """BLAS and LAPACK round as the processor and the number of threads have it."""
+    forbidden = {"dot", "vdot", "inner", "matmul", "tensordot", "einsum", "linalg"}
+    for node in ast.walk(ast.parse(path.read_text())):
+        assert not isinstance(node, ast.MatMult), f"{path}: @"
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            assert not (node.value.id == "np" and node.attr in forbidden), f"{path}: {node.attr}"
+
+
+def test_kernels_round_as_they_are_written():
+    """Fast mathematics and parallel sums would round by the machine."""
+    for path in (ROOT / "gs_codec").rglob("*.py"):
+        text = path.read_text()
+        assert not any(word in text for word in ("fastmath=", "parallel=", "prange"))

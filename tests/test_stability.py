@@ -1,0 +1,153 @@
+"""Ugly numbers: what a profile's steps promise holds, or a refusal says why."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import made_up_guide, random_scene
+
+from gs_codec.bench.bounds import error_over_bound
+from gs_codec.bench.stress import measure_stress, stress_scenes
+from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
+from gs_codec.container.channels import sent_table_bytes
+from gs_codec.errors import InvalidInput
+from gs_codec.inspection import inspect_bytes
+from gs_codec.model.laplace import LaplaceModel
+from gs_codec.model.mixture import MAX_COMPONENTS, fit_mixture
+from gs_codec.model.select import choose_model
+from gs_codec.model.sent import SentModel
+from gs_codec.model.table import MAX_PRECISION
+from gs_codec.scene import GROUPS
+
+COUNT, COPIES = 300, 3000
+CASES = dict(stress_scenes(COUNT, COPIES))
+
+
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_errors_are_within_bounds_or_a_refusal_says_why(profile):
+    refused = {}
+    for line in measure_stress([profile], COUNT, COPIES, threads=1):
+        if line["refused"] is not None:
+            refused[line["case"]] = line["refused"]
+        else:
+            assert line["error_over_bound"] <= 1.0, line
+    expected = {"opacity of +-infinity": f"values that are not finite: {COUNT} in opacity"}
+    if profile == LOSSLESS:
+        expected = {}
+    assert refused.keys() == expected.keys()
+    for case, reason in expected.items():
+        assert refused[case].startswith(reason)
+
+
+def test_the_measure_sees_what_is_wrong():
+    """A scene that is not what was encoded is out of bounds in each profile."""
+    scene = random_scene(200, 1, seed=80)
+    for profile in PROFILE_CHOICES:
+        config = Config(profile)
+        data, _ = encode_scene(scene, config)
+        decoded = decode_scene(data)
+        assert error_over_bound(scene, decoded, data, config)[0] <= 1.0
+        for group in GROUPS:
+            planes = getattr(decoded, group).copy()
+            planes[-1, 7] += 1.0
+            wrong = replace(decoded, **{group: planes})
+            assert error_over_bound(scene, wrong, data, config)[0] > 1.0, (profile, group)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_said_of_them_is_numbers(case):
+    """JSON has neither NaN nor infinity."""
+    if case == "opacity of +-infinity":
+        with pytest.raises(InvalidInput, match="opacity"):
+            encode_scene(CASES[case])
+        return
+    for profile in ("m", "paper-m"):
+        data, report = encode_scene(CASES[case], Config(profile))
+        json.dumps(inspect_bytes(data).as_dict(), allow_nan=False)
+        assert all(math.isfinite(cost.coded_bits) for cost in report.costs)
+        assert math.isfinite(report.entropy_overhead)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+def test_log_scales_may_be_as_far_apart_as_they_go(profile, seed):
+    """Each is at most 400; what is between two of them is up to 800."""
+    rng = np.random.default_rng(seed)
+    scene = random_scene(500, 0, seed=seed)
+    scene.log_scale[:] = rng.choice([-1e30, -400, -399.5, -1, 0, 1, 399.5, 400, 1e30], (3, 500))
+    config = Config(profile)
+    data, _ = encode_scene(scene, config)
+    decoded = decode_scene(data)
+    assert error_over_bound(scene, decoded, data, config)[0] <= 1.0
+    assert np.abs(decoded.log_scale).max() < 402
+
+
+@pytest.mark.parametrize("depths", [{"sh1": 1}, {"sh-dc": 1, "sh1": 12}, {"rotation": 8}])
+@pytest.mark.parametrize("case", ["an outlier in each channel", "quaternions of norm 1e-20"])
+def test_depths_of_ugly_channels_give_files_that_decode(case, depths):
+    config = Config("m", depths=depths)
+    data, _ = encode_scene(CASES[case], config)
+    decoded = decode_scene(data)
+    assert error_over_bound(CASES[case], decoded, data, config)[0] <= 1.0
+
+
+@pytest.mark.parametrize("case", set(CASES) - {"opacity of +-infinity"})
+def test_views_of_ugly_scenes_give_files_that_decode(case):
+    data, _ = encode_scene(CASES[case], Config("m"), guide=made_up_guide(seed=81))
+    decoded = decode_scene(data)
+    assert decoded.count == CASES[case].count
+    assert all(np.isfinite(getattr(decoded, group)).all() for group in GROUPS)
+
+
+def histograms() -> dict[str, np.ndarray]:
+    """Ways symbols may be distributed, in alphabets of all sizes."""
+    rng = np.random.default_rng(82)
+    found = {}
+    for alphabet in (2, 4, 256, 4096):
+        symbols = np.arange(alphabet)
+        one, ends, gap = np.zeros((3, alphabet), np.int64)
+        one[alphabet // 3] = 10**7
+        ends[[0, -1]] = 1, 10**9
+        gap[[0, alphabet // 2, -1]] = 10**6, 1, 10**6
+        found |= {
+            f"one of {alphabet}": one,
+            f"the ends of {alphabet}": ends,
+            f"a gap in {alphabet}": gap,
+            f"all of {alphabet} once": np.ones(alphabet, np.int64),
+            f"tails in {alphabet}": (1e9 / (1.0 + symbols) ** 3).astype(np.int64) + symbols % 2,
+            f"peaks in {alphabet}": 10 ** rng.integers(0, 9, alphabet),
+            f"sparse {alphabet}": rng.integers(0, 2, alphabet) * rng.integers(0, 2, alphabet),
+        }
+        found[f"sparse {alphabet}"][-1] = 1
+    return found
+
+
+@pytest.mark.parametrize("name", histograms())
+def test_mixtures_have_mass_and_no_nan(name):
+    histogram = histograms()[name]
+    for count in range(1, MAX_COMPONENTS + 1):
+        for component in fit_mixture(histogram, count, MAX_PRECISION).components:
+            assert 1 <= component.weight <= 65535
+            assert 0 <= component.mean <= (histogram.size - 1) << 16
+            assert 1 <= component.sigma <= histogram.size << 16
+
+
+@pytest.mark.parametrize("name", histograms())
+def test_tables_code_what_occurs(name):
+    histogram = histograms()[name]
+    for precision in (p for p in (12, 14, 15) if 1 << p >= 2 * histogram.size):
+        models = [fit_mixture(histogram, k + 1, precision) for k in range(MAX_COMPONENTS)]
+        models += [LaplaceModel.fit(scale, precision) for scale in (1e-9, 0.3, 50.0, 1e9)]
+        models += [SentModel.fit(histogram, mantissa, precision) for mantissa in (2, 6)]
+        for model in models:
+            table = model.frequencies(histogram.size)
+            assert table.frequencies.sum() == 1 << precision
+            assert np.all(table.frequencies[histogram > 0] > 0)
+            assert math.isfinite(table.code_length(histogram))
+    for scale in (None, 0.0, 2.0):
+        assert math.isfinite(choose_model(histogram, scale, sent_table_bytes).bits)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from gs_codec.batch.pool import Pool
 from gs_codec.batch.run import Batch, Summary, run_batch
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.batch.watch import Watcher
+from gs_codec.cli import batch, encode
 from gs_codec.config import Config, Target
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files import encode_file, write_scene
@@ -110,6 +112,11 @@ def test_options_are_those_of_encode(folder):
     assert folder.run("batch", "in/*.ply", "out", *options, "--json").status == 0
     config = Config("paper-s", {"rotation": 9}, extra="drop")
     assert Path("out/a.egs").read_bytes() == encoded("in/a.ply", config)
+
+
+def test_batch_has_the_options_of_encode_but_those_of_one_scene():
+    missing = signature(encode.command).parameters.keys() - signature(batch.command).parameters
+    assert missing == {"checkpoint", "max_memory"}
 
 
 def test_folder_has_scenes_of_every_format(folder):
@@ -491,6 +498,17 @@ def test_need_grows_with_the_scene_and_its_views():
     assert memory.needed_bytes(10**9, "a.spz") > large
     assert memory.needed_bytes(10**9, "a.compressed.ply") > large
     assert memory.needed_bytes(-1, "a.ply") == small
+
+
+def test_paths_of_options_hold_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = Config("paper-m", geometry="auto", tmc3="bin/tmc3")
+    found = Options(config, Plan(Steps(), "cameras.json", "images")).absolute()
+    assert found.config.tmc3 == str(tmp_path / "bin/tmc3")
+    assert found.plan.cameras == str(tmp_path / "cameras.json")
+    assert found.plan.photographs == str(tmp_path / "images")
+    config = replace(config, tmc3="tmc3")
+    assert Options(config, Plan(Steps())).absolute() == Options(config, Plan(Steps()))
 
 
 def test_views_are_counted(tmp_path):

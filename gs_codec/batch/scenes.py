@@ -66,15 +66,18 @@ class Options:
 
     def absolute(self) -> Options:
         """The same where processes may have another working folder."""
-        plan = self.plan
+        plan, config = self.plan, self.config
+        if config.tmc3 is not None and os.path.dirname(config.tmc3):  # else it is in PATH
+            config = replace(config, tmc3=os.path.abspath(config.tmc3))
         if plan is None:
-            return self
+            return replace(self, config=config)
         cameras, photographs = plan.cameras, plan.photographs
         if isinstance(cameras, str | Path) and cameras != "auto":
             cameras = os.path.abspath(cameras)
         if photographs is not None:
             photographs = os.path.abspath(photographs)
-        return replace(self, plan=replace(plan, cameras=cameras, photographs=photographs))
+        plan = replace(plan, cameras=cameras, photographs=photographs)
+        return replace(self, config=config, plan=plan)
 
     def _files(self) -> Iterator[tuple[str, str]]:
         """What the files are like that a plan names: those of cameras, the list of pictures."""

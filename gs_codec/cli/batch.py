@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -66,6 +67,18 @@ def command(
     keep_order: Annotated[
         bool, typer.Option("--keep-order", help="With lossless: keep the order of Gaussians too.")
     ] = False,
+    geometry: Annotated[
+        str, typer.Option(help="Geometry and SH-DC of paper-*: octree, gpcc or auto, see encode.")
+    ] = "octree",
+    tmc3: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="G-PCC program.", show_default="GS_CODEC_TMC3, or tmc3 in PATH"
+        ),
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify/--no-verify", help="Decode once what tmc3 has coded.")
+    ] = True,
     target_size: goal.TargetSize = None,
     target_ratio: goal.TargetRatio = None,
     target_bpg: goal.TargetBits = None,
@@ -97,6 +110,9 @@ def command(
         extra,  # type: ignore[arg-type]
         threads,
         keep_order=keep_order,
+        geometry=geometry,  # type: ignore[arg-type]
+        tmc3=None if tmc3 is None else str(tmc3),
+        verify=verify,
     )
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.batch.run import Batch, run_batch

@@ -98,14 +98,14 @@ def command(
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
+    stress: Annotated[
+        bool, typer.Option("--stress", help="Measure scenes that try the numbers instead.")
+    ] = False,
     scaling: Annotated[
         bool,
         typer.Option("--scaling", help="Measure how time and memory grow with scenes instead."),
     ] = False,
     max_memory: MaxMemory = None,
-    stress: Annotated[
-        bool, typer.Option("--stress", help="Measure scenes that try the numbers instead.")
-    ] = False,
     plot: Annotated[
         Path | None,
         typer.Option(metavar="PNG", help="With --prepare, --targets or --scaling: plot it."),
@@ -113,15 +113,15 @@ def command(
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
 ) -> None:
     """Measure time, size, error, memory and rendered quality; JSON lines on stdout."""
-    scenes = scenes or []
     if (against_gt or width) and not cameras:
         raise InvalidInput("--against-gt and --width need --cameras")
     mode = _mode_of(
         prepare=prepare, gains=gains, targets=targets, parts=parts, points=points, peers=peers,
         scaling=scaling, stress=stress,
     )  # fmt: skip
+    scenes = scenes or []
+    _check_scenes(mode, bool(scenes))
     _check_options(mode, bool(cameras), profile, bool(depth), plot is not None)
-    _check_scenes(stress, bool(scenes), bool(cameras or depth))
     bench_scaling.check_options(mode == "scaling", max_memory, tile or extra != "error")
     configs = [
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
@@ -141,10 +141,10 @@ def command(
         "parts": lambda: _measure_parts(scenes, chosen("m"), tile, views),
         "points": lambda: _measure_points(scenes, chosen("paper-m"), tile, repeats),
         "peers": lambda: _measure_peers(scenes, configs, tile, repeats, views),
+        "stress": lambda: _measure_stress(profile or list(PROFILE_CHOICES), threads),
         "scaling": lambda: bench_scaling.measure(
             scenes, profile or ["m"], threads, max_memory, plot
         ),
-        "stress": lambda: _measure_stress(profile or list(PROFILE_CHOICES), threads),
     }
     runs[mode]()
 
@@ -169,8 +169,8 @@ def _check_options(
         raise InvalidInput(f"--{mode} needs --cameras, and takes no --profile and no --depth")
     if mode == "parts" and not (cameras and set(profiles or ["m"]) <= set(LATTICE_PROFILES)):
         raise InvalidInput("--parts needs --cameras, and profiles l, m or s; m when none is given")
-    if mode == "scaling" and (cameras or depths):
-        raise InvalidInput("--scaling takes no --cameras and no --depth")
+    if mode in ("scaling", "stress") and (cameras or depths):
+        raise InvalidInput(f"--{mode} takes no --cameras and no --depth")
 
 
 def _measure_all(
@@ -189,11 +189,11 @@ def _measure_all(
     print_table(COLUMNS, list(rows.values()), sys.stderr)
 
 
-def _check_scenes(stress: bool, given: bool, shaped: bool) -> None:
+def _check_scenes(mode: str, given: bool) -> None:
     """Refuse scenes beside those that --stress has, or none at all."""
-    if stress and (given or shaped):
-        raise InvalidInput("--stress takes no scenes, no --cameras and no --depth")
-    if not stress and not given:
+    if mode == "stress" and given:
+        raise InvalidInput("--stress takes no scenes: it has its own")
+    if mode != "stress" and not given:
         raise InvalidInput("no scenes given, expected SCENE... or --stress")
 
 

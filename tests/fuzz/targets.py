@@ -9,7 +9,7 @@ import os
 import struct
 import tempfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +19,7 @@ import numpy as np
 from damage import ENTRY, HEADER, with_checksums
 from scenes import made_up_guide, random_scene
 
+from gs_codec.batch.ledger import Record, open_ledger
 from gs_codec.codec import decode_part, encode_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
@@ -255,6 +256,18 @@ def _reports() -> list[bytes]:
     return [struct.pack("<H", len(labels)) + labels + b'{"removed": {"scale": 1, "opacity": 1}}']
 
 
+def _ledger(path: Path) -> None:
+    with open_ledger(path, resume=True):
+        pass
+
+
+def _ledgers() -> list[bytes]:
+    done = Record("a.ply", "a.egs", "digest", {"numpy": "2"}, 100, 5, "0f", 10, "1e", 7, 10.0, 11.4)
+    failed = Record("b.ply", "b.egs", error={"kind": "InvalidInput", "text": "b.ply: empty"})
+    lines = [json.dumps(asdict(record)).encode() + b"\n" for record in (done, failed)]
+    return [b"".join(lines), lines[0] + lines[1][:40]]
+
+
 def _in_folder(read: Callable[[Path, bytes], object], data: bytes) -> object:
     with tempfile.TemporaryDirectory(dir=_memory_folder()) as folder:
         return read(Path(folder), data)
@@ -272,6 +285,7 @@ TARGETS = {
     "cameras": Target(partial(_from_file, read_cameras, ".json"), _cameras),
     "image": Target(partial(_from_file, read_image, ".png"), _images),
     "colmap": Target(partial(_in_folder, _colmap), _models),
+    "ledger": Target(partial(_from_file, _ledger, ".jsonl"), _ledgers),
     "pruned": Target(partial(_in_folder, _pruned), _reports),
     "checkpoint": Target(
         partial(

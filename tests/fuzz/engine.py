@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import sys
 import warnings
@@ -34,6 +35,7 @@ def main() -> None:
     name = sys.argv[1]
     sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "fuzz")]
     warnings.simplefilter("ignore")
+    logging.disable()
     with atheris.instrument_imports(include=list(PACKAGES), exclude=kernel_modules()):
         from targets import TARGETS
     target = TARGETS[name]

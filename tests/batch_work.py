@@ -32,6 +32,8 @@ def stuck_in_fsync(options: Options, scratch: str, task: Task, progress: Any) ->
 
     if lines(os.environ["REPORT"]) >= int(os.environ["HOLD"]):
         os.fsync = stick
+        # Where files can do without a name until they are whole, nothing would be left of them.
+        os.__dict__.pop("O_TMPFILE", None)
     return encode_in(options, scratch, task, progress)
 
 

@@ -334,7 +334,8 @@ def test_half_written_files_go(folder):
     assert all(path.exists() for path in others)
 
 
-def test_temporary_names_are_known_again(tmp_path):
+def test_temporary_names_are_known_again(tmp_path, monkeypatch):
+    monkeypatch.delattr(os, "O_TMPFILE", raising=False)
     name = "x" * 120 + ".egs"
     with atomic_writer(tmp_path / name) as file:
         file.write(b"x")

@@ -32,8 +32,6 @@ GROUPS = {
     "positions",
     "SH-DC",
     "SH-AC, degree 1",
-    "SH-AC, degree 2",
-    "SH-AC, degree 3",
     "opacity",
     "scaling",
     "rotation",
@@ -161,7 +159,7 @@ def test_maps_show_what_was_put_into_a_scene():
 def test_colours_stuck_at_black_are_told_apart():
     scene = random_scene(4000, 1, seed=7)
     rest = scene.f_rest.copy()
-    rest[:3, :1000] = 0  # red of a quarter
+    rest[:3, :1000] = 1e-6  # red of a quarter; some formats have no exact zero
     maps = maps_of(replace(scene, f_rest=rest), 8, 0)
     assert (maps["sh-ac"].gaussians, maps["sh-ac-coloured"].gaussians) == (4000, 3000)
     alike, other = (
@@ -213,7 +211,9 @@ def test_a_known_laplace_distribution_is_recovered():
     assert fit.model == "laplace"
     assert fit.parameters["median"] == pytest.approx(0.2, abs=0.002)
     assert fit.parameters["scale"] == pytest.approx(0.05, rel=0.02)
-    assert fit.ks == fit.ks_nonzero < 0.01
+    assert fit.ks < 0.01
+    assert fit.zeros < 0.01
+    assert fit.ks_nonzero == pytest.approx(fit.ks, abs=0.005)
     assert 0 <= fit.kl_bits < 0.02
     np.testing.assert_allclose(fit.pdf(np.array([0.1])), laplace.pdf(0.1, 0.2, 0.05), rtol=0.1)
 
@@ -223,7 +223,7 @@ def test_zeros_are_what_a_laplace_distribution_cannot_explain():
     values = rng.laplace(0.0, 0.05, (9, 20000)).astype(np.float32)
     values[:, :6000] = 0
     fit = channel_fit(replace(random_scene(20000, 1), f_rest=values), "f_rest_0")
-    assert fit.zeros == pytest.approx(0.3)
+    assert fit.zeros == pytest.approx(0.3 + 0.7 * 0.01, abs=0.003)
     assert fit.ks > 0.13
     assert fit.ks_nonzero < 0.02
 
@@ -271,11 +271,10 @@ def test_the_entropy_table_is_that_of_the_symbols():
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_bits_of_attributes_make_up_the_file(profile):
     data, report = encode_scene(random_scene(800, 1, seed=14), Config(profile))
-    bits = bits_by_attribute(report)
+    bits = bits_by_attribute(report, 1)
     assert set(bits) == GROUPS
     assert sum(bits.values()) * 800 == pytest.approx(8 * len(data))
     assert bits["positions"] > 8
-    assert bits["SH-AC, degree 2"] == 0
     assert all(value >= 0 for value in bits.values())
 
 

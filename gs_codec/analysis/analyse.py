@@ -208,7 +208,7 @@ def _encode(
     for profile in PROFILE_CHOICES:
         config = Config(profile)
         report = encode_scene(scene, config)[1]
-        bits[profile] = bits_by_attribute(report)
+        bits[profile] = bits_by_attribute(report, scene.sh_degree)
         if profile in PROFILES:
             depths = depths_by_group(config, scene.sh_degree)
             entropy[profile] = {"depths": depths, "groups": entropy_by_group(report)}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.analysis.zeros import is_zero
 from gs_codec.codec.symbols import fit_channel
 from gs_codec.config import Config
 from gs_codec.container.channels import Channel, channel_places
@@ -51,7 +52,7 @@ class Fit:
         Kullback-Leibler divergence of the model from the histogram of the symbols: what coding
         by the model costs over the entropy, for each symbol.
     zeros : float
-        Share of the values that are exactly zero.
+        Share of the values that are zero, or as good as that; see `is_zero`.
     ks_nonzero : float or None
         As `ks`, of the others alone, under a Laplace distribution of their own.
     """
@@ -108,7 +109,8 @@ def fits_of(scene: Scene, config: Config, advance: Callable[[], None] | None = N
 
 
 def _fit(values: NDArray[np.float32], channel: Channel, scale: float | None) -> Fit:
-    zeros = float(np.mean(values == 0))
+    zero = is_zero(values)
+    zeros = float(np.mean(zero))
     quantiser = channel.quantiser
     if isinstance(quantiser, ConstantQuantiser):
         parameters = {"value": quantiser.value}
@@ -130,7 +132,7 @@ def _fit(values: NDArray[np.float32], channel: Channel, scale: float | None) -> 
         )  # fmt: skip
     model = LaplaceModel.fit(scale, MAX_PRECISION)
     known, distance = _laplace(values)
-    nonzero = _laplace(values[values != 0])[1] if zeros else distance
+    nonzero = _laplace(values[~zero])[1] if zeros else distance
     costs = _costs(model, counts)
     return Fit(channel, model.kind, known, *shape, costs[0], distance, costs[1], zeros, nonzero)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.analysis.information import Information, into_bins, mutual_information
+from gs_codec.analysis.zeros import is_zero
 from gs_codec.scene import Scene
 from gs_codec.transform.ycocg import to_ycocg
 
@@ -48,8 +49,8 @@ def maps_of(
 
     ``sh-ac`` and ``sh-dc`` set the three colours against themselves and each other, as stored and
     (``-ycocg``) after the transform; ``sh-ac-others`` sets SH-AC against the other attributes.
-    ``coloured`` leaves out the Gaussians that have a colour whose SH-AC are all zero: these make
-    channels alike that otherwise are not.
+    ``coloured`` leaves out the Gaussians that have a colour whose SH-AC are all (as good as) zero:
+    these make channels alike that otherwise are not.
     """
     rng = np.random.default_rng(seed)
     maps: dict[str, Map] = {}
@@ -115,7 +116,7 @@ def mean_by_attribute(of_others: Map) -> dict[str, float | None]:
 
 def _coloured(colours: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Gaussians of which no colour has SH-AC ``(3, K, N)`` that are all zero."""
-    return np.all(colours.any(axis=1), axis=0)
+    return ~np.any(np.all(is_zero(colours), axis=1), axis=0)
 
 
 def _mean(values: NDArray) -> float | None:

@@ -45,8 +45,9 @@ def _information(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
     every, coloured = analysis.maps["sh-ac"], analysis.maps["sh-ac-coloured"]
     yield paragraph(
         f"Coloured Gaussians ({coloured.gaussians:,} of {every.gaussians:,}) are those none of "
-        "whose colours has SH-AC that are all zero. Training leaves a colour's SH-AC at zero where "
-        "it is stuck at black; that makes channels alike which otherwise are not."
+        "whose colours has SH-AC that are all zero (at most a hundredth of the channel's mean "
+        "magnitude). Training leaves a colour's SH-AC at zero where it is stuck at black; that "
+        "makes channels alike which otherwise are not."
     )
     yield _relation_table(analysis)
     yield _attribute_table(analysis)
@@ -113,7 +114,7 @@ def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[s
         return
     zeros = float(np.mean([fit.zeros for fit in flat]))
     yield paragraph(
-        f"{zeros:.1%} of all SH-AC values are exactly zero. No Laplace distribution has such a "
+        f"{zeros:.1%} of all SH-AC values are zero (as above). No Laplace distribution has such a "
         "step: half of that share can appear in KS of all values, which is why KS of the others is "
         "given too. Quantised, the zeros fall into the bin that is fullest anyway, so KL is small."
     )

@@ -8,6 +8,9 @@ from gs_codec import paper
 from gs_codec.config import Config
 from gs_codec.report import ChannelCost, EncodeReport
 
+#: Streams of SH-AC.
+_BANDS = ("sh1", "sh2", "sh3")
+
 #: Sections of each attribute; what is left describes the others.
 _SECTIONS = {
     "positions": ("geometry", "low-bits"),
@@ -52,13 +55,13 @@ def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
 def depths_by_group(config: Config, sh_degree: int) -> dict[str, str]:
     """Bits of a symbol of each group of a paper profile; SH bands that differ as ``4/3/3``."""
     depths = config.resolved_depths()
-    bands = [str(depths.pop(band)) for band in ("sh1", "sh2", "sh3")][:sh_degree]
+    bands = [str(depths.pop(band)) for band in _BANDS][:sh_degree]
     named = {group: str(bits) for group, bits in depths.items()}
     return named | {"sh-ac": bands[0] if len(set(bands)) == 1 else "/".join(bands)}
 
 
-def bits_by_attribute(report: EncodeReport) -> dict[str, float]:
-    """Bits that each attribute takes of a file, for each Gaussian.
+def bits_by_attribute(report: EncodeReport, sh_degree: int) -> dict[str, float]:
+    """Bits that each attribute of a scene takes of a file, for each Gaussian.
 
     ``the rest`` is what describes the others: header, checksums, tables, coder states, classes,
     bounds, comments.
@@ -67,6 +70,7 @@ def bits_by_attribute(report: EncodeReport) -> dict[str, float]:
     bits = {
         attribute: 8 * sum(report.section_bytes.get(name, 0) for name in sections) / count
         for attribute, sections in _SECTIONS.items()
+        if not set(sections) & set(_BANDS[sh_degree:])
     }
     return bits | {"the rest": 8 * report.file_bytes / count - sum(bits.values())}
 

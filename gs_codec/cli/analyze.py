@@ -7,13 +7,20 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.output import print_json, print_status, print_table, print_text, progress_bar
+from gs_codec.cli.output import (
+    SCENES,
+    print_json,
+    print_status,
+    print_table,
+    print_text,
+    progress_bar,
+)
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.errors import InvalidInput
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="SCENE", help="A scene, .ply or .egs.")],
+    source: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for report.html, report.json, pictures.")
     ],

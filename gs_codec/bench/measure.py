@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec import __version__
-from gs_codec.bench import paper
+from gs_codec.analysis.tables import entropy_by_group
 from gs_codec.bench.apart import run_apart
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.files import compare_files, decode_file, encode_file
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
-from gs_codec.report import ChannelCost, EncodeReport
 from gs_codec.scene import Scene
 from gs_codec.workers import available_threads
 
@@ -89,35 +88,6 @@ def _codec(ply: Path, config: Config, repeats: int) -> dict[str, Any]:
 def spread(values: list[float]) -> dict[str, float]:
     """Median, least and largest value."""
     return {"median": statistics.median(values), "min": min(values), "max": max(values)}
-
-
-def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
-    """Bits of each rANS-coded group beside Shannon entropy and the paper's figures.
-
-    ``total`` counts everything it takes to decode: words, states, models and quantisers.
-    """
-    groups: dict[str, list[ChannelCost]] = {}
-    for cost in report.costs:
-        groups.setdefault("sh-ac" if cost.stream.startswith("sh") else cost.stream, []).append(cost)
-    result: dict[str, dict[str, Any]] = {}
-    for group, members in groups.items():
-        entropy = sum(cost.shannon_bits for cost in members)
-        size = 8 * sum(report.section_bytes[stream] for stream in {cost.stream for cost in members})
-        parametric = sum(cost.parametric_bits for cost in members)
-        result[group] = {
-            "bits_per_symbol": entropy / (report.count * len(members)),
-            "coded_overhead_percent": _over(size, entropy),
-            "parametric_overhead_percent": _over(parametric, entropy),
-            "paper_overhead_percent": paper.OVERHEAD_PERCENT.get(group),
-            "paper_bits_per_symbol": paper.ENTROPY_BITS.get(group),
-        }
-    if report.costs:
-        result["total"] = {"coded_overhead_percent": 100 * report.entropy_overhead}
-    return result
-
-
-def _over(bits: float, entropy: float) -> float:
-    return 100 * (bits / entropy - 1) if entropy else 0.0
 
 
 def _error(ply: Path, config: Config) -> dict[str, Any]:

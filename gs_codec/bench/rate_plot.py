@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from gs_codec.bench.figure import new_figure, save_figure
+from gs_codec.analysis.figure import new_figure, save_figure
 
 
 def plot_targets(lines: list[dict[str, Any]], path: Path) -> None:

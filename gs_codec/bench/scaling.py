@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from gs_codec.analysis.figure import new_figure
 from gs_codec.bench.apart import run_apart
-from gs_codec.bench.figure import new_figure
 from gs_codec.files import inspect_file
 
 

@@ -215,7 +215,7 @@ def _measure(
     threads: int | None,
     views: tuple[str | None, Path | None, int | None],
 ) -> Iterator[dict[str, Any]]:
-    from gs_codec.bench import paper
+    from gs_codec import paper
     from gs_codec.bench.coders import measure_coders
     from gs_codec.bench.measure import machine, measure_scene
     from gs_codec.bench.rendered import measure_quality, measure_speed

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.bench import paper
+from gs_codec import paper
 from gs_codec.cli import goal, steps
 from gs_codec.cli.output import (
     SCENES,

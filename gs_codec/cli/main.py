@@ -11,6 +11,7 @@ import typer
 
 from gs_codec import __version__
 from gs_codec.cli import (
+    analyze,
     batch,
     bench,
     compare,
@@ -31,7 +32,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for module in (encode, decode, verify, convert, prepare, batch, inspect, compare, render, bench):
+for module in (
+    encode,
+    decode,
+    verify,
+    convert,
+    prepare,
+    batch,
+    inspect,
+    compare,
+    render,
+    analyze,
+    bench,
+):
     app.command(module.__name__.rpartition(".")[2])(module.command)
 
 

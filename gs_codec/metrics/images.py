@@ -93,10 +93,11 @@ def compare_images(first: NDArray, second: NDArray) -> Quality:
         sigma=1.5,
         use_sample_covariance=False,
     )
-    return Quality(_psnr(a, b), float(ssim), _lpips(a, b))
+    return Quality(psnr(a, b), float(ssim), _lpips(a, b))
 
 
-def _psnr(a: NDArray, b: NDArray) -> float:
+def psnr(a: NDArray, b: NDArray) -> float:
+    """Peak signal-to-noise ratio of images in 0-1, dB; infinite for equal ones."""
     error = float(np.mean((a - b) ** 2))
     return -10 * float(np.log10(error)) if error else float("inf")
 

@@ -1,4 +1,4 @@
-"""Figures of the benchmark's plots."""
+"""Figures of the analysis and the benchmark."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def new_figure(width: float, height: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise MissingTool("--plot: needs matplotlib (pip install matplotlib)") from None
+        raise MissingTool("plots: need matplotlib (pip install matplotlib)") from None
     return Figure(figsize=(width, height), dpi=110)
 
 

@@ -1,0 +1,246 @@
+"""Everything that the report of a scene says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gs_codec import __version__
+from gs_codec.analysis.fits import Fit, fits_of
+from gs_codec.analysis.information import bin_count
+from gs_codec.analysis.maps import Map, map_count, maps_of, mean_by_attribute, mean_by_relation
+from gs_codec.analysis.sensitivity import Sensitivity, measure_sensitivity
+from gs_codec.analysis.tables import bits_by_attribute, depths_by_group, entropy_by_group
+from gs_codec.codec import encode_scene
+from gs_codec.codec.clean import drop_nonfinite
+from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
+from gs_codec.errors import InvalidInput
+from gs_codec.preparation.targets import evenly
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.report import Progress, step_counter
+from gs_codec.scene import Scene
+
+#: The profile whose depths histograms, models and marks on curves are of.
+REFERENCE = "paper-m"
+
+#: Views that sensitivities are measured in.
+VIEWS = 8
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to look at.
+
+    Parameters
+    ----------
+    cameras : path, "auto", or sequence of Camera, optional
+        As for `find_cameras`; without any, sensitivities are left out.
+    width : int, optional
+        Width of the views, pixels.
+    sample : int
+        Most Gaussians that statistics go by, 2 or more. Default 200,000.
+    seed : int
+        Of sample, shuffling and noise, 0 or more. Default 0.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is outside its range.
+    """
+
+    cameras: str | Path | Sequence[Camera] | None = None
+    width: int | None = None
+    sample: int = 200_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.sample < 2:
+            raise InvalidInput(f"sample {self.sample}: expected at least 2 Gaussians")
+        if self.seed < 0:
+            raise InvalidInput(f"seed {self.seed}: expected 0 or more")
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What a scene is like to a coder.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene.
+    count, sh_degree, sampled, seed, bins : int
+        Gaussians, and how many of them maps and fits go by; bins of a channel in maps.
+    maps : dict of str to Map
+        See `maps_of`.
+    fits : list of Fit
+        Of each channel.
+    entropy : dict of str to dict
+        For each paper profile, its depths and `entropy_by_group`.
+    bits : dict of str to dict of str to float
+        For each profile, `bits_by_attribute`.
+    sensitivity : Sensitivity or None
+        Where there are cameras.
+    notes : tuple of str
+        What was left out, and why.
+    """
+
+    name: str
+    count: int
+    sh_degree: int
+    sampled: int
+    seed: int
+    bins: int
+    maps: dict[str, Map]
+    fits: list[Fit]
+    entropy: dict[str, dict[str, Any]]
+    bits: dict[str, dict[str, float]]
+    sensitivity: Sensitivity | None
+    notes: tuple[str, ...]
+
+    def means(self) -> dict[str, dict[str, float | None]]:
+        """Mean information of the pairs of each map of SH-AC, by what they have in common."""
+        return {
+            name: mean_by_attribute(found) if "others" in name else mean_by_relation(found)
+            for name, found in self.maps.items()
+            if name.startswith("sh-ac")
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same as plain types, for JSON."""
+        return {
+            "gs_codec": __version__,
+            "scene": self.name,
+            "gaussians": self.count,
+            "sh_degree": self.sh_degree,
+            "sample": self.sampled,
+            "seed": self.seed,
+            "notes": self.notes,
+            "mutual_information": {
+                "formula": "2 I(X; Y) / (H(X) + H(Y)), less that of shuffled data: "
+                "(nmi - shuffled) / (1 - shuffled)",
+                "bins": self.bins,
+                "binning": "equal mass",
+                "means": self.means(),
+                "maps": {name: found.as_dict() for name, found in self.maps.items()},
+            },
+            "channels": {"profile": REFERENCE, "fits": [fit.as_dict() for fit in self.fits]},
+            "entropy": self.entropy,
+            "bits_per_gaussian": {
+                profile: bits | {"total": sum(bits.values())} for profile, bits in self.bits.items()
+            },
+            "sensitivity": self.sensitivity and self.sensitivity.as_dict(),
+        }
+
+
+def analyse_scene(
+    scene: Scene, name: str, options: Options | None = None, progress: Progress | None = None
+) -> Analysis:
+    """Analyse a scene; Gaussians with NaN or infinity are left out, and that is noted.
+
+    Maps and fits go by a sample; entropies, bits and views by the whole scene.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no Gaussian, or no camera.
+    """
+    options = options or Options()
+    scene, dropped = drop_nonfinite(scene, Config(nonfinite="drop"))
+    if not scene.count:
+        left = f"all {dropped:,} hold NaN or infinity" if dropped else "0"
+        raise InvalidInput(f"{name}: Gaussians: {left}, expected at least 1 to analyse")
+    cameras = _cameras(scene, options)
+    sample = _sample(scene, options)
+    bins = bin_count(sample.count)
+    counter = step_counter(progress, "mutual information", map_count(scene.sh_degree))
+    maps = maps_of(sample, bins, options.seed, counter)
+    channels = 14 + len(scene.f_rest)
+    fits = fits_of(sample, Config(REFERENCE), step_counter(progress, "histograms", channels))
+    entropy, bits = _encode(scene, progress)
+    sensitivity = None
+    if cameras:
+        config = Config(REFERENCE)
+        sensitivity = measure_sensitivity(scene, cameras, config, options.seed, progress)
+    notes = _notes(scene, dropped, sample, fits, options)
+    return Analysis(
+        name,
+        scene.count,
+        scene.sh_degree,
+        sample.count,
+        options.seed,
+        bins,
+        maps,
+        fits,
+        entropy,
+        bits,
+        sensitivity,
+        notes,
+    )
+
+
+def _cameras(scene: Scene, options: Options) -> list[Camera]:
+    if options.cameras is None:
+        return []
+    found = find_cameras(options.cameras, scene, "held-out", options.width, VIEWS)
+    return evenly(found, VIEWS)
+
+
+def _sample(scene: Scene, options: Options) -> Scene:
+    if scene.count <= options.sample:
+        return scene
+    rng = np.random.default_rng(options.seed)
+    return scene.take(np.sort(rng.choice(scene.count, options.sample, replace=False)))
+
+
+def _encode(
+    scene: Scene, progress: Progress | None
+) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, float]]]:
+    """Entropies of the paper's profiles, and where the bits of all go."""
+    advance = step_counter(progress, "profiles", len(PROFILE_CHOICES))
+    # Properties and comments beside the attributes would count as bits.
+    scene = replace(scene, extra={}, comments=())
+    entropy, bits = {}, {}
+    for profile in PROFILE_CHOICES:
+        config = Config(profile)
+        report = encode_scene(scene, config)[1]
+        bits[profile] = bits_by_attribute(report, scene.sh_degree)
+        if profile in PROFILES:
+            depths = depths_by_group(config, scene.sh_degree)
+            entropy[profile] = {"depths": depths, "groups": entropy_by_group(report)}
+        if advance is not None:
+            advance()
+    return entropy, bits
+
+
+def _notes(
+    scene: Scene, dropped: int, sample: Scene, fits: list[Fit], options: Options
+) -> tuple[str, ...]:
+    """What a reader of the numbers should know."""
+    notes = []
+    if dropped:
+        notes.append(f"{dropped:,} Gaussians with NaN or infinity were left out.")
+    if sample.count < scene.count:
+        notes.append(
+            f"Mutual information and histograms go by {sample.count:,} of the {scene.count:,} "
+            f"Gaussians, chosen at random (seed {options.seed}); all else by every one."
+        )
+    if sample.count < 1000:
+        notes.append(f"{sample.count:,} Gaussians are few: statistics of them say little.")
+    if not scene.sh_degree:
+        notes.append("SH degree 0: there are no SH-AC, and nothing is said of them.")
+    elif scene.sh_degree < 3:
+        notes.append(f"SH degree {scene.sh_degree}: higher bands are absent.")
+    constant = [fit.channel.name for fit in fits if not fit.channel.quantiser.depth]
+    if constant:
+        notes.append(
+            f"Constant channels, which tell nothing of others (mutual information is not defined, "
+            f"and given as 0) and have no histogram: {', '.join(constant)}."
+        )
+    if options.cameras is None:
+        notes.append("No cameras were given (--cameras), so sensitivities were not measured.")
+    return tuple(notes)

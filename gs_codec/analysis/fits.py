@@ -1,0 +1,198 @@
+"""Histograms of channels, and how well the codec's models describe them (paper, Section 3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.analysis.zeros import is_zero
+from gs_codec.codec.symbols import fit_channel
+from gs_codec.config import Config
+from gs_codec.container.channels import Channel, channel_places
+from gs_codec.model.laplace import LaplaceModel
+from gs_codec.model.mixture import MAX_COMPONENTS, MixtureModel, fit_mixture
+from gs_codec.model.table import MAX_PRECISION, shannon_bits
+from gs_codec.quantise import ConstantQuantiser, Quantiser, quantise, quantise_positions
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+#: Bars of a histogram, between these quantiles of the values.
+_BARS = 96
+_SHOWN = (0.001, 0.999)
+
+#: A further component must save this share of the code, as in the codec's own choice.
+_WORTHWHILE = 2e-4
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A channel, its histogram, and the model that the paper has for it.
+
+    Attributes
+    ----------
+    channel : Channel
+        With the quantiser that a paper profile would have for these values.
+    model : {"laplace", "mixture", "none"}
+        ``none`` for positions, which are coded as a tree, and constant channels.
+    parameters : dict
+        In units of the attribute: ``median`` and ``scale`` (mean absolute deviation), or
+        ``weights``, ``means``, ``sigmas``.
+    edges, density : ndarray
+        Of the histogram, ``(B + 1,)`` and ``(B,)``; none for a constant channel.
+    entropy_bits : float
+        Shannon entropy of a symbol.
+    ks : float or None
+        Kolmogorov-Smirnov distance of the values from the model: the largest difference of
+        their cumulative distributions.
+    kl_bits : float or None
+        Kullback-Leibler divergence of the model from the histogram of the symbols: what coding
+        by the model costs over the entropy, for each symbol.
+    zeros : float
+        Share of the values that are zero, or as good as that; see `is_zero`.
+    ks_nonzero : float or None
+        As `ks`, of the others alone, under a Laplace distribution of their own.
+    """
+
+    channel: Channel
+    model: str
+    parameters: dict[str, Any]
+    edges: NDArray[np.float64]
+    density: NDArray[np.float64]
+    entropy_bits: float
+    ks: float | None
+    kl_bits: float | None
+    zeros: float
+    ks_nonzero: float | None = None
+
+    def pdf(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Density of the model at `values`."""
+        from scipy.stats import laplace, norm
+
+        known = self.parameters
+        if self.model == "laplace":
+            return laplace.pdf(values, known["median"], known["scale"])
+        parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
+        return sum((w * norm.pdf(values, m, s) for w, m, s in parts), np.zeros(len(values)))
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "channel": self.channel.name,
+            "group": self.channel.stream,
+            "depth": self.channel.quantiser.depth,
+            "model": self.model,
+            "parameters": self.parameters,
+            "entropy_bits": self.entropy_bits,
+            "ks_distance": self.ks,
+            "kl_bits": self.kl_bits,
+            "zeros": self.zeros,
+            "ks_distance_nonzero": self.ks_nonzero,
+        }
+
+
+def fits_of(scene: Scene, config: Config, advance: Callable[[], None] | None = None) -> list[Fit]:
+    """A fit for each channel, at the depths of a paper profile, in stream order."""
+    depths = config.resolved_depths()
+    places = channel_places(len(scene.f_rest) // 3)
+
+    def work(place: tuple[str, int, str]) -> Fit:
+        group, index, stream = place
+        values = getattr(scene, group)[index]
+        quantiser, scale = fit_channel(values, group, depths[stream])
+        return _fit(values, Channel(group, index, stream, quantiser), scale)
+
+    return run_all(work, places, advance=advance)
+
+
+def _fit(values: NDArray[np.float32], channel: Channel, scale: float | None) -> Fit:
+    zero = is_zero(values)
+    zeros = float(np.mean(zero))
+    quantiser = channel.quantiser
+    if isinstance(quantiser, ConstantQuantiser):
+        parameters = {"value": quantiser.value}
+        return Fit(channel, "none", parameters, np.zeros(0), np.zeros(0), 0.0, None, None, zeros)
+    shape = _histogram(values)
+    if channel.stream == "geometry":
+        counts = np.bincount(quantise_positions(values[None], [quantiser])[0])
+        return Fit(
+            channel, "none", {}, *shape, shannon_bits(counts) / len(values), None, None, zeros
+        )
+    counts = quantise(values, quantiser, np.arange(len(values)))[1]
+    if scale is None:
+        mixture = _mixture(counts)
+        in_units = _in_units(mixture, quantiser)
+        costs = _costs(mixture, counts)
+        return Fit(
+            channel, mixture.kind, in_units, *shape, costs[0], _ks_mixture(values, in_units),
+            costs[1], zeros,
+        )  # fmt: skip
+    model = LaplaceModel.fit(scale, MAX_PRECISION)
+    known, distance = _laplace(values)
+    nonzero = _laplace(values[~zero])[1] if zeros else distance
+    costs = _costs(model, counts)
+    return Fit(channel, model.kind, known, *shape, costs[0], distance, costs[1], zeros, nonzero)
+
+
+def _costs(model: LaplaceModel | MixtureModel, counts: NDArray[np.int64]) -> tuple[float, float]:
+    """Entropy of a symbol, and what coding it by the model costs over that, bits."""
+    total = int(counts.sum())
+    entropy = shannon_bits(counts)
+    cost = model.frequencies(len(counts)).code_length(counts)
+    return entropy / total, (cost - entropy) / total
+
+
+def _histogram(values: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Edges and density of the bulk of the values, as a share of all."""
+    wide = values.astype(np.float64)
+    low, high = np.quantile(wide, _SHOWN)
+    if low == high:
+        low, high = wide.min(), wide.max()
+    counts, edges = np.histogram(wide, _BARS, (low, high))
+    return edges, counts / (len(values) * np.diff(edges))
+
+
+def _mixture(counts: NDArray[np.int64]) -> MixtureModel:
+    """The fewest components by which coding costs hardly more than by more."""
+    fitted = [fit_mixture(counts, k + 1, MAX_PRECISION) for k in range(MAX_COMPONENTS)]
+    costs = [model.frequencies(len(counts)).code_length(counts) for model in fitted]
+    enough = min(costs) * (1 + _WORTHWHILE)
+    return next(model for model, cost in zip(fitted, costs, strict=True) if cost <= enough)
+
+
+def _in_units(model: MixtureModel, quantiser: Quantiser) -> dict[str, list[float]]:
+    """A mixture's parameters in units of the attribute."""
+    known = model.describe()
+    return {
+        "weights": known["weights"],
+        "means": [quantiser.origin + quantiser.step * mean for mean in known["means"]],
+        "sigmas": [quantiser.step * sigma for sigma in known["sigmas"]],
+    }
+
+
+def _ks_mixture(values: NDArray[np.float32], known: dict[str, list[float]]) -> float:
+    from scipy.stats import ks_1samp, norm
+
+    def cdf(x: NDArray) -> NDArray:
+        parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
+        return sum((w * norm.cdf(x, m, s) for w, m, s in parts), np.zeros(len(x)))
+
+    return float(ks_1samp(values.astype(np.float64), cdf, method="asymp").statistic)
+
+
+def _laplace(values: NDArray[np.float32]) -> tuple[dict[str, float], float | None]:
+    """Median and mean absolute deviation, and the distance from that distribution."""
+    from scipy.stats import ks_1samp, laplace
+
+    if values.size == 0:
+        return {}, None
+    wide = values.astype(np.float64)
+    median = float(np.median(wide))
+    scale = float(np.abs(wide - median).mean())
+    if scale == 0.0:
+        return {"median": median, "scale": scale}, None
+    distance = ks_1samp(wide, laplace(median, scale).cdf, method="asymp").statistic
+    return {"median": median, "scale": scale}, float(distance)

@@ -1,0 +1,110 @@
+"""How much channels tell of each other: normalised mutual information (paper, Section 3.1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.kernels import kernel
+from gs_codec.workers import run_all
+
+#: Most bins of a channel, and how many values each pair of bins should have, were they independent.
+MAX_BINS = 32
+_VALUES_A_CELL = 50
+
+# Values counted at a time: what several channels have of them stays in the cache.
+_CHUNK = 1 << 14
+
+
+@dataclass(frozen=True)
+class Information:
+    """Normalised mutual information of channels with others.
+
+    Attributes
+    ----------
+    corrected : ndarray, shape (A, B)
+        What is left of `raw` without `bias`, so that independent channels have 0 (and a little
+        more or less) and equal ones 1: ``(raw - bias) / (1 - bias)``.
+    raw : ndarray, shape (A, B)
+        ``2 I(X; Y) / (H(X) + H(Y))`` of the binned values; 0 where a channel is constant.
+    bias : ndarray, shape (A, B)
+        The same with the second channel shuffled: what a sample of this size shows of channels
+        that have nothing in common.
+    """
+
+    corrected: NDArray[np.float64]
+    raw: NDArray[np.float64]
+    bias: NDArray[np.float64]
+
+
+def bin_count(samples: int) -> int:
+    """Bins for a sample of this size, 2 to `MAX_BINS`."""
+    return int(np.clip(math.isqrt(samples // _VALUES_A_CELL), 2, MAX_BINS))
+
+
+def into_bins(planes: NDArray[np.floating], bins: int) -> NDArray[np.int8]:
+    """Bins ``(C, N)`` of channels ``(C, N)``: each holds about as many values, equal ones one bin.
+
+    A value that takes the place of several bins leaves those empty; a constant channel has one.
+    """
+    codes = np.zeros(planes.shape, np.int8)
+    shares = np.arange(1, bins) / bins
+
+    def work(row: int) -> None:
+        values = planes[row]
+        edges = np.unique(np.quantile(values, shares, method="lower"))
+        codes[row] = np.searchsorted(edges, values, side="left")
+
+    if planes.shape[1]:
+        run_all(work, range(len(planes)))
+    return codes
+
+
+def mutual_information(
+    first: NDArray[np.int8], second: NDArray[np.int8], bins: int, rng: np.random.Generator
+) -> Information:
+    """Normalised mutual information of binned channels ``(A, N)`` with others ``(B, N)``.
+
+    Normalised by the mean entropy of the two, the usual way.
+    """
+    raw = _normalised(first, second, bins)
+    shuffled = np.ascontiguousarray(second[:, rng.permutation(second.shape[1])])
+    bias = _normalised(first, shuffled, bins)
+    # A sample so small that shuffling changes nothing tells nothing.
+    room = np.where(bias < 1.0, 1.0 - bias, np.inf)
+    return Information((raw - bias) / room, raw, bias)
+
+
+def _normalised(
+    first: NDArray[np.int8], second: NDArray[np.int8], bins: int
+) -> NDArray[np.float64]:
+    from scipy.stats import entropy
+
+    result = np.zeros((len(first), len(second)))
+    if not first.shape[1]:
+        return result
+
+    def work(row: int) -> None:
+        tables = np.zeros((len(second), bins, bins), np.int64)
+        _count_pairs(first[row], second, tables)
+        of_first = entropy(tables.sum(axis=2), axis=1)
+        of_second = entropy(tables.sum(axis=1), axis=1)
+        together = entropy(tables.reshape(len(second), -1), axis=1)
+        known = (of_first > 0) & (of_second > 0)
+        both = np.where(known, of_first + of_second, 1.0)
+        result[row] = np.where(known, np.clip(2.0 * (both - together) / both, 0.0, 1.0), 0.0)
+
+    run_all(work, range(len(first)))
+    return result
+
+
+@kernel
+def _count_pairs(first, second, tables):
+    for start in range(0, first.size, _CHUNK):
+        stop = min(start + _CHUNK, first.size)
+        for k in range(len(second)):
+            for i in range(start, stop):
+                tables[k, first[i], second[k, i]] += 1

@@ -1,0 +1,134 @@
+"""Which channels of a scene are set against which (paper, Section 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.analysis.information import Information, into_bins, mutual_information
+from gs_codec.analysis.zeros import is_zero
+from gs_codec.scene import Scene
+from gs_codec.transform.ycocg import to_ycocg
+
+_RGB, _YCOCG = ("R", "G", "B"), ("Y", "Co", "Cg")
+
+#: Attributes that SH-AC are set against.
+_OTHERS = {"rot": "rotation", "log_scale": "scaling", "opacity": "opacity", "f_dc": "SH-DC"}
+_COMPONENTS = {"rot": "wxyz", "log_scale": "012", "opacity": " ", "f_dc": "RGB"}
+
+
+@dataclass(frozen=True)
+class Map:
+    """Normalised mutual information of the channels `rows` with the channels `columns`."""
+
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    gaussians: int
+    information: Information
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "rows": self.rows,
+            "columns": self.columns,
+            "gaussians": self.gaussians,
+            "nmi": np.round(self.information.corrected, 6).tolist(),
+            "nmi_uncorrected": np.round(self.information.raw, 6).tolist(),
+            "nmi_shuffled_mean": float(self.information.bias.mean()),
+            "nmi_shuffled_max": float(self.information.bias.max()),
+        }
+
+
+def maps_of(
+    scene: Scene, bins: int, seed: int, advance: Callable[[], None] | None = None
+) -> dict[str, Map]:
+    """The maps of a scene, by name; those of SH-AC only where it has such.
+
+    ``sh-ac`` and ``sh-dc`` set the three colours against themselves and each other, as stored and
+    (``-ycocg``) after the transform; ``sh-ac-others`` sets SH-AC against the other attributes.
+    ``coloured`` leaves out the Gaussians that have a colour whose SH-AC are all (as good as) zero:
+    these make channels alike that otherwise are not.
+    """
+    rng = np.random.default_rng(seed)
+    maps: dict[str, Map] = {}
+
+    def add(name: str, planes: NDArray, letters: tuple[str, ...]) -> NDArray[np.int8]:
+        codes = into_bins(planes, bins)
+        labels = _labels(letters, len(planes) // 3)
+        information = mutual_information(codes, codes, bins, rng)
+        maps[name] = Map(labels, labels, planes.shape[1], information)
+        if advance is not None:
+            advance()
+        return codes
+
+    add("sh-dc", scene.f_dc, _RGB)
+    add("sh-dc-ycocg", to_ycocg(scene.f_dc), _YCOCG)
+    if not scene.sh_degree:
+        return maps
+    colours = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
+    for name, part in (("sh-ac", scene), ("sh-ac-coloured", scene.take(_coloured(colours)))):
+        codes = add(name, part.f_rest, _RGB)
+        add(f"{name}-ycocg", _chroma(part.f_rest), _YCOCG)
+        others = into_bins(np.concatenate([getattr(part, group) for group in _OTHERS]), bins)
+        information = mutual_information(others, codes, bins, rng)
+        names = [f"{_OTHERS[g]} {c}".strip() for g in _OTHERS for c in _COMPONENTS[g]]
+        maps[f"{name}-others"] = Map(tuple(names), maps[name].rows, part.count, information)
+        if advance is not None:
+            advance()
+    return maps
+
+
+def map_count(sh_degree: int) -> int:
+    """How many maps `maps_of` makes."""
+    return 8 if sh_degree else 2
+
+
+def mean_by_relation(of_colours: Map) -> dict[str, float | None]:
+    """Mean information of pairs of SH-AC channels, by what they have in common.
+
+    Of the same colour, one for each colour, and of two colours: the same coefficient, one for each
+    pair of colours, and different ones. None where there are no such pairs.
+    """
+    size = len(of_colours.rows) // 3
+    blocks = of_colours.information.corrected.reshape(3, size, 3, size).transpose(0, 2, 1, 3)
+    letters = [of_colours.rows[size * i].split()[0] for i in range(3)]
+    same = np.eye(size, dtype=bool)
+    pairs = ((0, 1), (0, 2), (1, 2))
+    means = {f"{letters[i]}, different coefficients": _mean(blocks[i, i][~same]) for i in range(3)}
+    means |= {
+        f"{letters[i]} and {letters[j]}, same coefficient": _mean(blocks[i, j][same])
+        for i, j in pairs
+    }
+    across = [blocks[i, j][~same] for i, j in pairs]
+    which = f"two of {', '.join(letters)}, different coefficients"
+    return means | {which: _mean(np.concatenate(across))}
+
+
+def mean_by_attribute(of_others: Map) -> dict[str, float | None]:
+    """Mean information of SH-AC channels with those of each other attribute."""
+    owners = np.array([name.split()[0] for name in of_others.rows])
+    values = of_others.information.corrected
+    return {name: _mean(values[owners == name]) for name in dict.fromkeys(owners.tolist())}
+
+
+def _coloured(colours: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Gaussians of which no colour has SH-AC ``(3, K, N)`` that are all zero."""
+    return ~np.any(np.all(is_zero(colours), axis=1), axis=0)
+
+
+def _mean(values: NDArray) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def _chroma(planes: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Y, Co, Cg of R, G, B planes ``(3 K, N)``."""
+    return to_ycocg(planes.reshape(3, len(planes) // 3, planes.shape[1])).reshape(planes.shape)
+
+
+def _labels(letters: tuple[str, ...], coefficients: int) -> tuple[str, ...]:
+    if coefficients == 1:
+        return letters
+    return tuple(f"{letter} {k + 1}" for letter in letters for k in range(coefficients))

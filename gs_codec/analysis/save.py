@@ -1,0 +1,107 @@
+"""From a scene's file to a folder with its report."""
+
+from __future__ import annotations
+
+import json
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gs_codec.analysis.analyse import Analysis, Options, analyse_scene
+from gs_codec.analysis.figure import new_figure
+from gs_codec.analysis.plot_curves import plot_bits, plot_sensitivity
+from gs_codec.analysis.plot_fits import plot_attributes, plot_sh
+from gs_codec.analysis.plot_maps import plot_across_colours, plot_others, plot_within_colours
+from gs_codec.analysis.report import write_page
+from gs_codec.files import read_scene
+from gs_codec.io.atomic import atomic_writer, check_writable
+from gs_codec.rendering.images import make_folder
+from gs_codec.report import Progress, step_counter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.figure import Figure
+
+
+def analyse_file(
+    source: str | Path,
+    folder: str | Path,
+    options: Options | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Analyse the scene of a file, and write ``report.html``, its pictures and ``report.json``.
+
+    Returns
+    -------
+    dict
+        What ``report.json`` holds.
+
+    Raises
+    ------
+    InvalidInput
+        If the scene cannot be used, or the folder not be written to.
+    MissingTool
+        If matplotlib is not installed.
+    """
+    # What would keep the report from being written is refused before the work is done.
+    new_figure(1, 1)
+    target = Path(folder)
+    there = next(path for path in (target, *target.absolute().parents) if path.exists())
+    check_writable(there / "report.html")
+    scene = read_scene(source, "drop")
+    analysis = analyse_scene(scene, str(source), options, progress)
+    pictures = draw_pictures(analysis, progress)
+    content = analysis.as_dict() | {"pictures": list(pictures)}
+    files = pictures | {
+        "report.json": (json.dumps(content, allow_nan=False) + "\n").encode(),
+        "report.html": write_page(analysis, pictures).encode(),
+    }
+    make_folder(target)
+    for name, data in files.items():
+        with atomic_writer(target / name) as file:
+            file.write(data)
+    return content
+
+
+def draw_pictures(analysis: Analysis, progress: Progress | None = None) -> dict[str, bytes]:
+    """PNG files of an analysis by name."""
+    plots = _plots(analysis)
+    advance = step_counter(progress, "pictures", len(plots))
+    pictures = {}
+    for name, plot in plots.items():
+        buffer = BytesIO()
+        plot().savefig(buffer, format="png")
+        pictures[name] = buffer.getvalue()
+        if advance is not None:
+            advance()
+    return pictures
+
+
+def _plots(analysis: Analysis) -> dict[str, Callable[[], Figure]]:
+    maps, fits = analysis.maps, analysis.fits
+    plots: dict[str, Callable[[], Figure]] = {}
+    if "sh-ac" in maps:
+        panels = [
+            (f"{'Y, Co, Cg' if suffix else 'R, G, B'}, {which}", maps[f"{name}{suffix}"])
+            for name, which in (("sh-ac", "all Gaussians"), ("sh-ac-coloured", "coloured ones"))
+            for suffix in ("", "-ycocg")
+        ]
+        others = [
+            ("all Gaussians", maps["sh-ac-others"]),
+            ("coloured ones", maps["sh-ac-coloured-others"]),
+        ]
+        plots["sh_ac_within_colours.png"] = lambda: plot_within_colours(
+            maps["sh-ac"], maps["sh-ac-coloured"]
+        )
+        plots["sh_ac_across_colours.png"] = lambda: plot_across_colours(panels)
+        plots["sh_ac_others.png"] = lambda: plot_others(others)
+    plots["histograms.png"] = lambda: plot_attributes(fits)
+    if "sh-ac" in maps:
+        for colour, letter in enumerate("rgb"):
+            name = f"histograms_sh_ac_{letter}.png"
+            plots[name] = lambda colour=colour: plot_sh(fits, colour)  # type: ignore[misc]
+    if (measured := analysis.sensitivity) is not None:
+        plots["sensitivity.png"] = lambda: plot_sensitivity(measured)
+    plots["bits.png"] = lambda: plot_bits(analysis.bits)
+    return plots

@@ -1,0 +1,198 @@
+"""What views lose when one attribute is off (paper, Section 3.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codec.symbols import fit_channel
+from gs_codec.config import Config
+from gs_codec.container.channels import channel_places
+from gs_codec.metrics.images import psnr
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+#: Root mean square of the error, in standard deviations of the channel.
+LEVELS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
+
+#: The quality at which attributes are ranked, dB.
+THRESHOLD = 40.0
+
+#: Attributes by the name of their group in a scene.
+ATTRIBUTES = {
+    "positions": "positions",
+    "f_dc": "SH-DC",
+    "f_rest": "SH-AC",
+    "opacity": "opacity",
+    "log_scale": "scaling",
+    "rot": "rotation",
+}
+
+# Nothing is nearer to the original than this: PSNR of equal images is infinite.
+_HIGHEST = 120.0
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Quality of views against the error of one attribute.
+
+    Attributes
+    ----------
+    attribute : str
+    psnr : tuple of float
+        At each of `LEVELS`: dB against the views of the scene as it is, mean over the views; at
+        most 120.
+    tolerance : float or None
+        The level at which views have `THRESHOLD`; None where the curve does not come to it.
+    range_tolerance : float or None
+        The same error in shares of the channel's range, lowest to highest value.
+    profile_level : float
+        The level of the error that the paper's profile makes by quantisation.
+    """
+
+    attribute: str
+    psnr: tuple[float, ...]
+    tolerance: float | None
+    range_tolerance: float | None
+    profile_level: float
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Curves of the attributes of a scene, and the views they were measured in."""
+
+    cameras: tuple[Camera, ...]
+    profile: str
+    seed: int
+    curves: tuple[Curve, ...]
+
+    def ranked(self) -> list[Curve]:
+        """The curves, the one that tolerates least first; those never below `THRESHOLD` last."""
+        return sorted(self.curves, key=lambda c: math.inf if c.tolerance is None else c.tolerance)
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "views": [camera.name for camera in self.cameras],
+            "width": self.cameras[0].width,
+            "height": self.cameras[0].height,
+            "error": "uniform noise, root mean square in standard deviations of the channel",
+            "levels": LEVELS,
+            "threshold_psnr": THRESHOLD,
+            "profile": self.profile,
+            "seed": self.seed,
+            "curves": {c.attribute: _curve_dict(c) for c in self.curves},
+            "most_sensitive_first": [c.attribute for c in self.ranked()],
+        }
+
+
+def measure_sensitivity(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    config: Config,
+    seed: int,
+    progress: Progress | None = None,
+) -> Sensitivity:
+    """Add noise to one attribute after the other, draw, and compare with the scene as it is.
+
+    Noise is uniform, as the error of a quantiser is, independent in each value, and of the same
+    size relative to the channel's standard deviation in all channels of an attribute.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of finite values.
+    cameras : sequence of Camera
+    config : Config
+        A paper profile, whose errors are placed on the curves.
+    seed : int
+    progress : callable, optional
+    """
+    groups = [group for group in ATTRIBUTES if len(getattr(scene, group))]
+    advance = step_counter(progress, "sensitivity", len(groups) * len(LEVELS))
+    original = _views(scene, cameras)
+    curves = []
+    for group in groups:
+        planes = getattr(scene, group)
+        deviations = planes.std(axis=1, dtype=np.float64)
+        noise = _noise(deviations, planes.shape[1], seed)
+        qualities = []
+        for level in LEVELS:
+            # What leaves the range of floats is not drawn.
+            with np.errstate(over="ignore"):
+                noisy = replace(scene, **{group: planes + np.float32(level) * noise})
+            qualities.append(_quality(_views(noisy, cameras), original))
+            if advance is not None:
+                advance()
+        curves.append(_curve(scene, group, tuple(qualities), deviations, config))
+    return Sensitivity(tuple(cameras), config.profile, seed, tuple(curves))
+
+
+def _noise(deviations: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float32]:
+    """Uniform noise ``(C, N)`` of such standard deviations ``(C,)``."""
+    noise = np.random.default_rng(seed).random((len(deviations), count), np.float32)
+    noise -= np.float32(0.5)
+    with np.errstate(over="ignore"):
+        noise *= (math.sqrt(12) * deviations).astype(np.float32)[:, None]
+    return noise
+
+
+def _views(scene: Scene, cameras: Sequence[Camera]) -> list[NDArray[np.float32]]:
+    def draw(camera: Camera) -> NDArray[np.float32]:
+        return np.clip(render(scene, camera, threads=1, device="cpu").colour, 0.0, 1.0)
+
+    return run_all(draw, cameras)
+
+
+def _quality(views: list[NDArray], original: list[NDArray]) -> float:
+    pairs = zip(views, original, strict=True)
+    return float(np.mean([min(psnr(a, b), _HIGHEST) for a, b in pairs]))
+
+
+def _curve(
+    scene: Scene,
+    group: str,
+    qualities: tuple[float, ...],
+    deviations: NDArray[np.float64],
+    config: Config,
+) -> Curve:
+    planes = getattr(scene, group)
+    depths = {g: config.resolved_depths()[s] for g, _, s in channel_places(len(scene.f_rest) // 3)}
+    varying = deviations > 0
+    steps = [fit_channel(row, group, depths[group])[0].step for row in planes[varying]]
+    errors = np.array(steps) / math.sqrt(12) / deviations[varying]
+    ranges = np.ptp(planes[varying].astype(np.float64), axis=1)
+    share = float(np.mean(deviations[varying] / ranges)) if varying.any() else 0.0
+    tolerance = _level_at(THRESHOLD, qualities)
+    return Curve(
+        ATTRIBUTES[group],
+        qualities,
+        tolerance,
+        None if tolerance is None else tolerance * share,
+        float(math.sqrt(np.mean(errors**2))) if varying.any() else 0.0,
+    )
+
+
+def _level_at(quality: float, qualities: tuple[float, ...]) -> float | None:
+    """Where a curve first falls to a quality, straight between levels on a logarithmic axis."""
+    for i, (above, below) in enumerate(zip(qualities, qualities[1:], strict=False)):
+        if above >= quality > below:
+            part = (above - quality) / (above - below)
+            return float(LEVELS[i] ** (1 - part) * LEVELS[i + 1] ** part)
+    return None
+
+
+def _curve_dict(curve: Curve) -> dict:
+    return {
+        "psnr": curve.psnr,
+        "tolerance": curve.tolerance,
+        "tolerance_of_range": curve.range_tolerance,
+        "profile_level": curve.profile_level,
+    }

@@ -1,0 +1,62 @@
+"""``gs-codec analyze``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gs_codec.cli.output import (
+    SCENES,
+    print_json,
+    print_status,
+    print_table,
+    print_text,
+    progress_bar,
+)
+from gs_codec.cli.views import CAMERAS, Width
+from gs_codec.errors import InvalidInput
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for report.html, report.json, pictures.")
+    ],
+    cameras: Annotated[
+        str | None,
+        typer.Option(metavar="C", help=f"Measure what views lose by errors too: {CAMERAS}"),
+    ] = None,
+    width: Width = None,
+    sample: Annotated[int, typer.Option(help="Most Gaussians that statistics go by.")] = 200_000,
+    seed: Annotated[int, typer.Option(help="Of the sample, of shuffling, and of noise.")] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print report.json too.")] = False,
+) -> None:
+    """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
+    if width and cameras is None:
+        raise InvalidInput("--width needs --cameras")
+    from gs_codec.analysis.analyse import Options
+    from gs_codec.analysis.save import analyse_file
+
+    options = Options(cameras, width, sample, seed)
+    with progress_bar(not json) as progress:
+        content = analyse_file(source, out, options, progress)
+    for note in content["notes"]:
+        print_status(note)
+    if json:
+        print_json(content)
+        return
+    print_text(f"{source}: {content['gaussians']:,} Gaussians, SH degree {content['sh_degree']}")
+    if content["sensitivity"]:
+        ranked = ", ".join(content["sensitivity"]["most_sensitive_first"])
+        print_text(f"most sensitive first: {ranked}")
+    bits = content["bits_per_gaussian"]
+    print_table(
+        ["bits a Gaussian", *bits],
+        [
+            [part, *(f"{of_profile[part]:.2f}" for of_profile in bits.values())]
+            for part in next(iter(bits.values()))
+        ],
+    )
+    print_text(f"report: {out / 'report.html'}")

@@ -1,0 +1,464 @@
+"""The analysis of a scene: statistics on known distributions, and the report that tells them."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, random_scene
+from scipy.stats import entropy, laplace
+from test_cli import Folder, strict_json
+
+from gs_codec.analysis.analyse import Options, analyse_scene
+from gs_codec.analysis.figure import new_figure
+from gs_codec.analysis.fits import fits_of
+from gs_codec.analysis.information import bin_count, into_bins, mutual_information
+from gs_codec.analysis.maps import map_count, maps_of, mean_by_attribute, mean_by_relation
+from gs_codec.analysis.page import page, picture, table
+from gs_codec.analysis.save import draw_pictures
+from gs_codec.analysis.sensitivity import LEVELS, THRESHOLD, measure_sensitivity
+from gs_codec.analysis.tables import bits_by_attribute, depths_by_group, entropy_by_group
+from gs_codec.codec import encode_scene
+from gs_codec.codec.symbols import quantise_scene
+from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
+from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.rendering.auto_cameras import auto_cameras
+
+GROUPS = {
+    "positions",
+    "SH-DC",
+    "SH-AC, degree 1",
+    "opacity",
+    "scaling",
+    "rotation",
+    "the rest",
+}
+
+
+def information_of(first, second, seed=0):
+    bins = bin_count(first.shape[1])
+    codes = into_bins(first, bins), into_bins(second, bins)
+    return mutual_information(*codes, bins, np.random.default_rng(seed))
+
+
+#: Edge scenes that ask something of statistics.
+ODD = (
+    "one",
+    "two",
+    "identical",
+    "one place",
+    "SH-AC outlier",
+    "denormal positions",
+    "huge range",
+    "two opacities",
+    "sparse SH-AC",
+    "zero SH-AC",
+    "all colours constant",
+    "negative zero",
+)
+
+
+# Mutual information
+
+
+@pytest.mark.parametrize("count", [3000, 30000])
+def test_independent_channels_tell_nothing_of_each_other(count):
+    rng = np.random.default_rng(1)
+    first, second = rng.laplace(size=(6, count)), rng.laplace(size=(8, count))
+    found = information_of(first, second)
+    assert found.corrected.shape == (6, 8)
+    # Uncorrected, they seem to; the correction leaves what chance moves either way.
+    assert found.raw.min() > 0
+    assert abs(found.corrected.mean()) < 0.2 * found.raw.mean()
+    assert np.abs(found.corrected).max() < found.raw.max()
+
+
+def test_equal_channels_tell_everything():
+    values = np.random.default_rng(2).normal(size=(3, 5000))
+    found = information_of(values, np.exp(-values))
+    np.testing.assert_allclose(np.diag(found.corrected), 1.0)
+    np.testing.assert_allclose(np.diag(found.raw), 1.0)
+    assert np.abs(found.corrected[~np.eye(3, dtype=bool)]).max() < 0.01
+
+
+def test_information_is_that_of_the_table_of_both():
+    rng = np.random.default_rng(3)
+    first = rng.normal(size=4000)
+    second = first + rng.normal(size=4000)
+    bins = 8
+    codes = into_bins(np.stack([first, second]), bins)
+    both = np.zeros((bins, bins))
+    np.add.at(both, (codes[0], codes[1]), 1)
+    p = both / both.sum()
+    product = p.sum(axis=1, keepdims=True) * p.sum(axis=0, keepdims=True)
+    information = np.sum(p[p > 0] * np.log(p[p > 0] / product[p > 0]))
+    expected = 2 * information / (entropy(p.sum(axis=0)) + entropy(p.sum(axis=1)))
+    found = mutual_information(codes[:1], codes[1:], bins, np.random.default_rng(0))
+    assert found.raw[0, 0] == pytest.approx(expected, rel=1e-12)
+    assert found.corrected[0, 0] == pytest.approx(expected, abs=0.02)
+
+
+def test_bins_hold_equally_many_and_equal_values_share_one():
+    rng = np.random.default_rng(4)
+    values = rng.laplace(size=(1, 6400)).astype(np.float32)
+    assert np.bincount(into_bins(values, 32)[0]).tolist() == [200] * 32
+    values[0, :3000] = 0
+    codes = into_bins(values, 32)[0]
+    assert len(np.unique(codes[values[0] == 0])) == 1
+    order = np.argsort(values[0], kind="stable")
+    assert np.all(np.diff(codes[order]) >= 0)
+
+
+@pytest.mark.parametrize(
+    ("count", "bins"), [(1, 2), (199, 2), (5000, 10), (51200, 32), (10**7, 32)]
+)
+def test_small_samples_have_few_bins(count, bins):
+    assert bin_count(count) == bins
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 100])
+def test_constant_channels_tell_nothing(count):
+    constant = np.full((2, count), 3.0, np.float32)
+    varying = np.arange(count, dtype=np.float32)[None]
+    for found in (information_of(constant, varying), information_of(constant, constant)):
+        assert not found.raw.any()
+        assert not found.corrected.any()
+
+
+def test_the_seed_decides_what_is_shuffled():
+    values = np.random.default_rng(5).normal(size=(4, 500))
+    once, again, other = (information_of(values, values, seed).bias for seed in (1, 1, 2))
+    assert np.array_equal(once, again)
+    assert not np.array_equal(once, other)
+
+
+def test_maps_show_what_was_put_into_a_scene():
+    scene = random_scene(5000, 1, seed=6)
+    rest = scene.f_rest.copy()
+    rest[3:6] = rest[:3] * 2  # green follows red, coefficient by coefficient
+    scene = replace(scene, f_rest=rest, opacity=rest[7:8] + np.float32(1))
+    counted = []
+    maps = maps_of(scene, bin_count(5000), 0, lambda: counted.append(1))
+    assert len(counted) == map_count(1)
+    means = mean_by_relation(maps["sh-ac"])
+    assert means["R and G, same coefficient"] == pytest.approx(1)
+    assert means["R and B, same coefficient"] == pytest.approx(0, abs=0.01)
+    assert means["R, different coefficients"] == pytest.approx(0, abs=0.01)
+    others = mean_by_attribute(maps["sh-ac-others"])
+    assert others["opacity"] == pytest.approx(1 / 9, abs=0.01)
+    assert others["rotation"] == pytest.approx(0, abs=0.01)
+    row = maps["sh-ac-others"].rows.index("opacity")
+    assert maps["sh-ac-others"].information.corrected[row].argmax() == 7
+    assert maps["sh-ac-others"].columns[7] == "B 2"
+
+
+def test_colours_stuck_at_black_are_told_apart():
+    scene = random_scene(4000, 1, seed=7)
+    rest = scene.f_rest.copy()
+    rest[:3, :1000] = 1e-6  # red of a quarter; some formats have no exact zero
+    maps = maps_of(replace(scene, f_rest=rest), 8, 0)
+    assert (maps["sh-ac"].gaussians, maps["sh-ac-coloured"].gaussians) == (4000, 3000)
+    alike, other = (
+        mean_by_relation(maps[name])["R, different coefficients"]
+        for name in ("sh-ac", "sh-ac-coloured")
+    )
+    assert alike > 0.05
+    assert abs(other) < 0.01
+
+
+def test_luma_and_chroma_part_what_colours_share():
+    scene = random_scene(5000, 0, seed=8)  # grey with a little of each colour
+    maps = maps_of(scene, bin_count(5000), 0)
+    off = ~np.eye(3, dtype=bool)
+    before, after = (maps[n].information.corrected[off] for n in ("sh-dc", "sh-dc-ycocg"))
+    assert before.min() > 0.3
+    assert after.max() < 0.02
+
+
+# Distributions
+
+
+def channel_fit(scene, name, profile="paper-m"):
+    return next(f for f in fits_of(scene, Config(profile)) if f.channel.name == name)
+
+
+def test_a_known_mixture_is_recovered():
+    rng = np.random.default_rng(9)
+    weights, means, sigmas = [0.3, 0.7], [-4.0, 3.0], [0.5, 1.0]
+    which = rng.random(40000) < weights[0]
+    values = np.where(which, rng.normal(means[0], sigmas[0], 40000), rng.normal(means[1], 1, 40000))
+    scene = replace(random_scene(40000, 0), opacity=values[None].astype(np.float32))
+    fit = channel_fit(scene, "opacity")
+    assert fit.model == "mixture"
+    np.testing.assert_allclose(fit.parameters["weights"], weights, atol=0.01)
+    np.testing.assert_allclose(fit.parameters["means"], means, atol=0.03)
+    np.testing.assert_allclose(fit.parameters["sigmas"], sigmas, atol=0.03)
+    assert fit.ks < 0.01
+    assert 0 <= fit.kl_bits < 0.01
+    x = np.linspace(-12, 12, 20001)
+    assert np.trapezoid(fit.pdf(x), x) == pytest.approx(1, abs=1e-4)
+
+
+def test_a_known_laplace_distribution_is_recovered():
+    rng = np.random.default_rng(10)
+    scene = random_scene(30000, 1)
+    scene = replace(scene, f_rest=rng.laplace(0.2, 0.05, (9, 30000)).astype(np.float32))
+    fit = channel_fit(scene, "f_rest_4")
+    assert fit.model == "laplace"
+    assert fit.parameters["median"] == pytest.approx(0.2, abs=0.002)
+    assert fit.parameters["scale"] == pytest.approx(0.05, rel=0.02)
+    assert fit.ks < 0.01
+    assert fit.zeros < 0.01
+    assert fit.ks_nonzero == pytest.approx(fit.ks, abs=0.005)
+    assert 0 <= fit.kl_bits < 0.02
+    np.testing.assert_allclose(fit.pdf(np.array([0.1])), laplace.pdf(0.1, 0.2, 0.05), rtol=0.1)
+
+
+def test_zeros_are_what_a_laplace_distribution_cannot_explain():
+    rng = np.random.default_rng(11)
+    values = rng.laplace(0.0, 0.05, (9, 20000)).astype(np.float32)
+    values[:, :6000] = 0
+    fit = channel_fit(replace(random_scene(20000, 1), f_rest=values), "f_rest_0")
+    assert fit.zeros == pytest.approx(0.3 + 0.7 * 0.01, abs=0.003)
+    assert fit.ks > 0.13
+    assert fit.ks_nonzero < 0.02
+
+
+def test_bars_and_entropies_are_those_of_the_values():
+    scene = random_scene(3000, 1, seed=12)
+    coded = quantise_scene(scene, Config("paper-m"))
+    histograms = dict(zip([c.name for c in coded.channels], coded.histograms, strict=True))
+    for fit in fits_of(scene, Config("paper-m")):
+        assert np.sum(fit.density * np.diff(fit.edges)) == pytest.approx(0.998, abs=0.002)
+        if fit.channel.name in histograms:
+            expected = entropy(histograms[fit.channel.name], base=2)
+            assert fit.entropy_bits == pytest.approx(expected)
+            assert fit.kl_bits >= -1e-3
+    assert fit.as_dict()["depth"] == 4
+
+
+# Tables
+
+
+def test_the_entropy_table_is_that_of_the_symbols():
+    scene = random_scene(3000, 2, seed=13)
+    config = Config("paper-s")
+    _, report = encode_scene(scene, config)
+    table = entropy_by_group(report)
+    coded = quantise_scene(scene, config)
+    members: dict[str, list[float]] = {}
+    for channel, histogram in zip(coded.channels, coded.histograms, strict=True):
+        name = "sh-ac" if channel.stream.startswith("sh") else channel.stream
+        members.setdefault(name, []).append(float(entropy(histogram, base=2)))
+    assert set(table) == {*members, "total"}
+    sizes = {name: report.section_bytes[name] for name in ("opacity", "scaling", "rotation")}
+    sizes["sh-ac"] = report.section_bytes["sh1"] + report.section_bytes["sh2"]
+    for name, entropies in members.items():
+        known = table[name]
+        bits = 8 * sizes[name] / (3000 * len(entropies))
+        assert known["bits_per_symbol"] == pytest.approx(np.mean(entropies))
+        assert known["coded_bits_per_symbol"] == pytest.approx(bits)
+        expected = 100 * (bits / np.mean(entropies) - 1)
+        assert known["coded_overhead_percent"] == pytest.approx(expected)
+    assert depths_by_group(config, 2)["sh-ac"] == "4/3"
+    assert depths_by_group(Config("paper-m"), 3)["sh-ac"] == "4"
+
+
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_bits_of_attributes_make_up_the_file(profile):
+    data, report = encode_scene(random_scene(800, 1, seed=14), Config(profile))
+    bits = bits_by_attribute(report, 1)
+    assert set(bits) == GROUPS
+    assert sum(bits.values()) * 800 == pytest.approx(8 * len(data))
+    assert bits["positions"] > 8
+    assert all(value >= 0 for value in bits.values())
+
+
+# Sensitivity
+
+
+@pytest.fixture(scope="module")
+def measured():
+    scene = random_scene(1500, 1, seed=15)
+    cameras = [camera.resized(60, 40) for camera in auto_cameras(scene, 2)]
+    steps = []
+    found = measure_sensitivity(scene, cameras, Config("paper-m"), 3, lambda *s: steps.append(s))
+    return scene, cameras, found, steps
+
+
+def test_more_error_is_worse_to_look_at(measured):
+    _, _, found, steps = measured
+    names = {"positions", "SH-DC", "SH-AC", "opacity", "scaling", "rotation"}
+    assert {curve.attribute for curve in found.curves} == names
+    for curve in found.curves:
+        assert curve.psnr[0] > 60
+        assert curve.psnr[0] > curve.psnr[4] > curve.psnr[8]
+        assert 0 < curve.profile_level < 1
+        if curve.tolerance is not None:
+            low = max(i for i, q in enumerate(curve.psnr) if q >= THRESHOLD)
+            assert LEVELS[0] <= curve.tolerance <= LEVELS[min(low + 1, len(LEVELS) - 1)]
+            assert 0 < curve.range_tolerance < curve.tolerance
+    assert steps[-1] == ("sensitivity", 6 * len(LEVELS), 6 * len(LEVELS))
+
+
+def test_the_order_is_that_of_tolerances(measured):
+    _, _, found, _ = measured
+    known = [curve.tolerance for curve in found.ranked() if curve.tolerance is not None]
+    assert known == sorted(known)
+    content = found.as_dict()
+    assert content["most_sensitive_first"] == [curve.attribute for curve in found.ranked()]
+    assert set(content["curves"]) == set(content["most_sensitive_first"])
+
+
+def test_the_same_seed_makes_the_same_noise(measured):
+    scene, cameras, found, _ = measured
+    again = measure_sensitivity(scene, cameras, Config("paper-m"), 3)
+    assert again.as_dict() == found.as_dict()
+
+
+# Whole scenes
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_scenes_are_analysed(name):
+    analysis = analyse_scene(edge_scenes()[name], name)
+    content = strict_json(json.dumps(analysis.as_dict()))
+    assert content["gaussians"] == analysis.count
+    assert set(content["bits_per_gaussian"]) == set(PROFILE_CHOICES)
+
+
+@pytest.mark.parametrize("name", ["one", "five of degree 0", "huge range", "zero SH-AC"])
+def test_odd_scenes_are_drawn(name):
+    scene = edge_scenes()[name]
+    analysis = analyse_scene(replace(scene, f_rest=scene.f_rest[:9]), name)
+    for data in draw_pictures(analysis).values():
+        assert data.startswith(b"\x89PNG")
+
+
+def test_no_gaussians_are_refused():
+    with pytest.raises(InvalidInput, match=r"^x: Gaussians: 0, expected at least 1"):
+        analyse_scene(random_scene(0), "x")
+    scene = random_scene(3, 0)
+    bad = replace(scene, opacity=np.full_like(scene.opacity, np.nan))
+    with pytest.raises(InvalidInput, match="all 3 hold NaN or infinity"):
+        analyse_scene(bad, "x")
+
+
+def test_what_is_left_out_is_said():
+    scene = random_scene(2000, 1, seed=16)
+    opacity = scene.opacity.copy()
+    opacity[0, 5] = np.inf
+    constant = replace(scene, opacity=opacity, f_rest=scene.f_rest * np.float32(0))
+    analysis = analyse_scene(constant, "x", Options(sample=500, seed=4))
+    assert (analysis.count, analysis.sampled) == (1999, 500)
+    notes = "\n".join(analysis.notes)
+    assert "1 Gaussians with NaN or infinity" in notes
+    assert "500 of the 1,999" in notes
+    assert "seed 4" in notes
+    assert "SH degree 1: higher bands are absent" in notes
+    assert "f_rest_8" in notes
+
+
+@pytest.mark.parametrize(("bad", "what"), [({"sample": 1}, "sample 1"), ({"seed": -1}, "seed -1")])
+def test_options_out_of_range_are_refused(bad, what):
+    with pytest.raises(InvalidInput, match=what):
+        Options(**bad)
+
+
+def test_matplotlib_is_asked_for(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
+    with pytest.raises(MissingTool, match="matplotlib"):
+        new_figure(1, 1)
+
+
+# The page
+
+
+def test_text_is_escaped():
+    text = page("<&>", [table("<&>", ["<&>"], [["<&>"]]), picture(b"x", '"<&>"')])
+    assert "<&>" not in text
+    assert text.count("&lt;&amp;&gt;") == 7
+
+
+# The command
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, capsys) -> Folder:
+    monkeypatch.chdir(tmp_path)
+    return Folder(tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
+    write_ply(folder.path / "scene.ply", random_scene(600, degree, seed=17))
+    views = ("--cameras", "auto", "--width", "40") if degree == 1 else ()
+    status, out, err = folder.run("analyze", "scene.ply", "--out", "report", "--json", *views)
+    assert status == 0, err
+    assert "600 Gaussians are few" in err
+    content = strict_json(out)
+    written = folder.path / "report"
+    assert content == strict_json((written / "report.json").read_text())
+    assert set(content) == {
+        "gs_codec",
+        "scene",
+        "gaussians",
+        "sh_degree",
+        "sample",
+        "seed",
+        "notes",
+        "mutual_information",
+        "channels",
+        "entropy",
+        "bits_per_gaussian",
+        "sensitivity",
+        "pictures",
+    }
+    assert (content["gaussians"], content["sh_degree"]) == (600, degree)
+    assert set(content["entropy"]) == set(PROFILES)
+    assert len(content["channels"]["fits"]) == 14 + 3 * (0, 3, 8, 15)[degree]
+    assert (content["sensitivity"] is not None) == bool(views)
+    assert ("sensitivity.png" in content["pictures"]) == bool(views)
+    files = {path.name for path in written.iterdir()}
+    assert files == {"report.html", "report.json", *content["pictures"]}
+    text = (written / "report.html").read_text()
+    assert not re.search(r"https?:|<script|<link|@import|url\(", text)
+    sources = re.findall(r'src="([^"]{0,22})', text)
+    assert sources == ["data:image/png;base64,"] * len(content["pictures"])
+    assert ("SH degree 0: there are no SH-AC" in text) == (degree == 0)
+
+
+def test_command_prints_a_summary(folder):
+    encoded, _ = encode_scene(random_scene(1500, 0, seed=18), Config("m"))
+    (folder.path / "scene.egs").write_bytes(encoded)
+    status, out, err = folder.run("analyze", "scene.egs", "--out", "report", "--sample", "900")
+    assert status == 0
+    assert "900 of the 1,500" in err
+    lines = out.splitlines()
+    assert lines[0].endswith("1,500 Gaussians, SH degree 0")
+    assert lines[1].split()[-7:] == list(PROFILE_CHOICES)
+    assert lines[-1] == "report: report/report.html"
+    again = folder.run("analyze", "scene.egs", "--out", "again", "--sample", "900")
+    assert again.status == 0
+    first, second = (
+        (folder.path / name / "report.json").read_bytes() for name in ("report", "again")
+    )
+    assert first == second
+
+
+def test_command_refuses_what_it_cannot_use(folder):
+    write_ply(folder.path / "empty.ply", random_scene(0))
+    write_ply(folder.path / "scene.ply", random_scene(50, 0))
+    (folder.path / "file").write_text("")
+    assert "0, expected at least 1" in folder.refuse("analyze", "empty.ply", "--out", "report")
+    assert "missing.ply" in folder.refuse("analyze", "missing.ply", "--out", "report")
+    assert "--out" in folder.refuse("analyze", "scene.ply")
+    assert "sample 1" in folder.refuse("analyze", "scene.ply", "--out", "report", "--sample", "1")
+    assert "--width" in folder.refuse("analyze", "scene.ply", "--out", "report", "--width", "9")
+    assert "file" in folder.refuse("analyze", "scene.ply", "--out", "file")
+    assert "file" in folder.refuse("analyze", "scene.ply", "--out", "file/below")
+    assert read_ply(folder.path / "scene.ply").count == 50

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import logging
-import re
 import sys
 import warnings
 from importlib.util import find_spec
@@ -27,7 +26,7 @@ def kernel_modules() -> list[str]:
     return [
         ".".join(("gs_codec", *path.relative_to(package).with_suffix("").parts))
         for path in sorted(package.rglob("*.py"))
-        if re.search(r"^@kernel|^@njit|kernel\(", path.read_text(), re.MULTILINE)
+        if "gs_codec.kernels import" in path.read_text() or "numba" in path.read_text()
     ]
 
 

@@ -149,7 +149,7 @@ def test_source_scene_is_not_changed():
 
 
 def test_published_numbers_are_marked_as_the_papers():
-    text = (Path(__file__).parents[1] / "gs_codec" / "bench" / "paper.py").read_text()
+    text = (Path(__file__).parents[1] / "gs_codec" / "paper.py").read_text()
     assert "2508.10227" in text
 
 

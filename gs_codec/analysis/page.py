@@ -15,7 +15,8 @@ table { border-collapse: collapse; margin: .8rem 0; font-size: .87rem; }
 th, td { padding: .18rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
 th { border-bottom: 1px solid #555; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; }
-caption { caption-side: top; text-align: left; font-weight: 600; padding: .2rem 0; }
+caption { caption-side: top; text-align: left; font-weight: 600; padding: .2rem 0;
+          white-space: nowrap; }
 figure { margin: 1rem 0; } img { max-width: 100%; height: auto; }
 figcaption { font-size: .87rem; color: #333; }
 @media print { body { font-size: 10pt; margin: 0; max-width: none; padding: 0; }

@@ -208,7 +208,8 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
     )
     yield picture(
         pictures["sensitivity.png"],
-        f"Quality against normalised error. Large hollow marks: the error of {found.profile}.",
+        f"Quality against normalised error; 120 dB stands for more, and for equal views. Large "
+        f"hollow marks: the error of {found.profile}.",
     )
     yield _tolerance_table(found)
 

@@ -19,7 +19,7 @@ from gs_codec.analysis.information import bin_count, into_bins, mutual_informati
 from gs_codec.analysis.maps import map_count, maps_of, mean_by_attribute, mean_by_relation
 from gs_codec.analysis.page import page, picture, table
 from gs_codec.analysis.save import draw_pictures
-from gs_codec.analysis.sensitivity import LEVELS, THRESHOLD, measure_sensitivity
+from gs_codec.analysis.sensitivity import LEVELS, THRESHOLD, level_at, measure_sensitivity
 from gs_codec.analysis.tables import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.codec import encode_scene
 from gs_codec.codec.symbols import quantise_scene
@@ -312,6 +312,15 @@ def test_the_order_is_that_of_tolerances(measured):
     content = found.as_dict()
     assert content["most_sensitive_first"] == [curve.attribute for curve in found.ranked()]
     assert set(content["curves"]) == set(content["most_sensitive_first"])
+
+
+def test_the_least_level_is_the_most_that_can_be_told():
+    steep, flat = [20.0] * len(LEVELS), [90.0] * len(LEVELS)
+    falling = [90.0] * 4 + [50.0, 30.0] + [10.0] * (len(LEVELS) - 6)
+    assert level_at(THRESHOLD, tuple(steep)) == LEVELS[0]
+    assert level_at(THRESHOLD, tuple(flat)) is None
+    middle = level_at(THRESHOLD, tuple(falling))
+    assert middle == pytest.approx(np.sqrt(LEVELS[4] * LEVELS[5]))
 
 
 def test_the_same_seed_makes_the_same_noise(measured):

@@ -50,7 +50,8 @@ class Curve:
         At each of `LEVELS`: dB against the views of the scene as it is, mean over the views; at
         most 120.
     tolerance : float or None
-        The level at which views have `THRESHOLD`; None where the curve does not come to it.
+        The level at which views have `THRESHOLD`: the least of `LEVELS` where they have less even
+        there, None where they have more at all.
     range_tolerance : float or None
         The same error in shares of the channel's range, lowest to highest value.
     profile_level : float
@@ -75,7 +76,9 @@ class Sensitivity:
 
     def ranked(self) -> list[Curve]:
         """The curves, the one that tolerates least first; those never below `THRESHOLD` last."""
-        return sorted(self.curves, key=lambda c: math.inf if c.tolerance is None else c.tolerance)
+        return sorted(
+            self.curves, key=lambda c: (math.inf if c.tolerance is None else c.tolerance, c.psnr)
+        )
 
     def as_dict(self) -> dict:
         """For JSON."""
@@ -164,24 +167,29 @@ def _curve(
     config: Config,
 ) -> Curve:
     planes = getattr(scene, group)
-    depths = {g: config.resolved_depths()[s] for g, _, s in channel_places(len(scene.f_rest) // 3)}
     varying = deviations > 0
-    steps = [fit_channel(row, group, depths[group])[0].step for row in planes[varying]]
-    errors = np.array(steps) / math.sqrt(12) / deviations[varying]
+    depths = config.resolved_depths()
+    errors = [
+        fit_channel(planes[i], group, depths[stream])[0].step / math.sqrt(12) / deviations[i]
+        for owner, i, stream in channel_places(len(scene.f_rest) // 3)
+        if owner == group and varying[i]
+    ]
     ranges = np.ptp(planes[varying].astype(np.float64), axis=1)
     share = float(np.mean(deviations[varying] / ranges)) if varying.any() else 0.0
-    tolerance = _level_at(THRESHOLD, qualities)
+    tolerance = level_at(THRESHOLD, qualities)
     return Curve(
         ATTRIBUTES[group],
         qualities,
         tolerance,
         None if tolerance is None else tolerance * share,
-        float(math.sqrt(np.mean(errors**2))) if varying.any() else 0.0,
+        float(np.sqrt(np.mean(np.square(errors)))) if errors else 0.0,
     )
 
 
-def _level_at(quality: float, qualities: tuple[float, ...]) -> float | None:
+def level_at(quality: float, qualities: tuple[float, ...]) -> float | None:
     """Where a curve first falls to a quality, straight between levels on a logarithmic axis."""
+    if qualities[0] < quality:
+        return LEVELS[0]
     for i, (above, below) in enumerate(zip(qualities, qualities[1:], strict=False)):
         if above >= quality > below:
             part = (above - quality) / (above - below)

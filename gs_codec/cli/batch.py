@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from gs_codec.cli import goal, steps
+from gs_codec.cli import coding, goal, steps
 from gs_codec.cli.batch_progress import watching
-from gs_codec.cli.encode import parse_depths
 from gs_codec.cli.output import print_json, print_text, size_text
 from gs_codec.cli.resources import Threads
-from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, Config
 
 
 def command(
@@ -26,9 +23,7 @@ def command(
     target: Annotated[
         str, typer.Argument(metavar="DST", help="Folder for the same tree of .egs files; or a URL.")
     ],
-    profile: Annotated[
-        str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILE_CHOICES)}.")
-    ] = "m",
+    profile: coding.Profile = "m",
     jobs: Annotated[
         int | None,
         typer.Option("--jobs", "-j", help="Scenes at once.", show_default="all processors"),
@@ -51,34 +46,13 @@ def command(
         str | None,
         typer.Option(metavar="ADDRESS", help="Use a Dask scheduler's workers, or local ones."),
     ] = None,
-    depth: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GROUP=BITS",
-            help=f"Bits of a group ({', '.join(DEPTH_GROUPS)}, sh-ac); may be repeated.",
-        ),
-    ] = None,
-    nonfinite: Annotated[
-        str, typer.Option(help="Gaussians with NaN or infinity: error or drop.")
-    ] = "error",
-    extra: Annotated[
-        str, typer.Option(help="Properties beyond the 3DGS layout: error, keep or drop.")
-    ] = "error",
-    keep_order: Annotated[
-        bool, typer.Option("--keep-order", help="With lossless: keep the order of Gaussians too.")
-    ] = False,
-    geometry: Annotated[
-        str, typer.Option(help="Geometry and SH-DC of paper-*: octree, gpcc or auto, see encode.")
-    ] = "octree",
-    tmc3: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH", help="G-PCC program.", show_default="GS_CODEC_TMC3, or tmc3 in PATH"
-        ),
-    ] = None,
-    verify: Annotated[
-        bool, typer.Option("--verify/--no-verify", help="Decode once what tmc3 has coded.")
-    ] = True,
+    depth: coding.Depth = None,
+    nonfinite: coding.Nonfinite = "error",
+    extra: coding.Extra = "error",
+    keep_order: coding.KeepOrder = False,
+    geometry: coding.Geometry = "octree",
+    tmc3: coding.Coder = None,
+    verify: coding.Verify = True,
     target_size: goal.TargetSize = None,
     target_ratio: goal.TargetRatio = None,
     target_bpg: goal.TargetBits = None,
@@ -101,19 +75,9 @@ def command(
     background: steps.Backdrop = "black",
 ) -> None:
     """Encode a folder of scenes, each as `encode` would; exit status 1 if any failed."""
+    config = coding.config_of(locals())
     # A plan has these of one scene; the report here is another.
     plan = steps.plan_of(locals() | {"report": None, "checkpoint": None})
-    config = Config(
-        profile,
-        parse_depths(depth or []),
-        nonfinite,  # type: ignore[arg-type]
-        extra,  # type: ignore[arg-type]
-        threads,
-        keep_order=keep_order,
-        geometry=geometry,  # type: ignore[arg-type]
-        tmc3=None if tmc3 is None else str(tmc3),
-        verify=verify,
-    )
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options

@@ -31,7 +31,7 @@ from gs_codec.cli.bench_tables import (
     stress_row,
     target_row,
 )
-from gs_codec.cli.encode import parse_depths
+from gs_codec.cli.coding import parse_depths
 from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.cli.resources import MaxMemory, Threads
 from gs_codec.cli.views import CAMERAS, Width

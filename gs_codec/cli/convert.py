@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.encode import parse_depths
+from gs_codec.cli import coding
 from gs_codec.cli.output import (
     SCENES,
     print_json,
@@ -18,12 +18,9 @@ from gs_codec.cli.output import (
     size_text,
 )
 from gs_codec.cli.resources import Threads
-from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, Config
 
 if TYPE_CHECKING:
     from gs_codec.conversion import ConvertReport
-
-_EGS = {"rich_help_panel": "For an .egs"}
 
 
 def command(
@@ -31,12 +28,8 @@ def command(
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="File to write: .ply, .egs or .splat.")
     ],
-    extra: Annotated[
-        str, typer.Option(help="Properties beyond the 3DGS layout: keep, drop or error.")
-    ] = "keep",
-    nonfinite: Annotated[
-        str, typer.Option(help="Gaussians with NaN or infinity: error or drop.")
-    ] = "error",
+    extra: coding.Extra = "keep",
+    nonfinite: coding.Nonfinite = "error",
     coordinates: Annotated[
         str | None,
         typer.Option(
@@ -44,33 +37,14 @@ def command(
             help="Turn to this system, where IN states its own: RDF is right, down, forward.",
         ),
     ] = None,
-    profile: Annotated[
-        str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILE_CHOICES)}.", **_EGS)
-    ] = "m",
-    depth: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GROUP=BITS",
-            help=f"Bits of a group ({', '.join(DEPTH_GROUPS)}, sh-ac); may be repeated.",
-            **_EGS,
-        ),
-    ] = None,
-    keep_order: Annotated[
-        bool,
-        typer.Option("--keep-order", help="With lossless: keep the order of Gaussians.", **_EGS),
-    ] = False,
+    profile: coding.Profile = "m",
+    depth: coding.Depth = None,
+    keep_order: coding.KeepOrder = False,
     threads: Threads = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
-    """Convert a scene to another format, and say what that loses."""
-    config = Config(
-        profile,
-        parse_depths(depth or []),
-        nonfinite,  # type: ignore[arg-type]
-        extra,  # type: ignore[arg-type]
-        threads,
-        keep_order=keep_order,
-    )
+    """Convert a scene to another format, and say what that loses; profiles are for an .egs."""
+    config = coding.config_of(locals())
     from gs_codec.conversion import convert_file
 
     with progress_bar(not json) as progress:

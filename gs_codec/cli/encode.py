@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec import paper
-from gs_codec.cli import goal, steps
+from gs_codec.cli import coding, goal, steps
 from gs_codec.cli.output import (
     SCENES,
     print_json,
@@ -20,49 +20,21 @@ from gs_codec.cli.output import (
     size_text,
 )
 from gs_codec.cli.resources import MaxMemory, Threads, parse_memory
-from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, PROFILE_CHOICES, Config
-from gs_codec.errors import InvalidInput
+from gs_codec.config import LATTICE_PROFILES
 from gs_codec.report import EncodeReport
 
 
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES)],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
-    profile: Annotated[
-        str, typer.Option("--profile", "-p", help=f"One of {', '.join(PROFILE_CHOICES)}.")
-    ] = "m",
-    depth: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GROUP=BITS",
-            help=f"Bits of a group ({', '.join(DEPTH_GROUPS)}, sh-ac); may be repeated.",
-        ),
-    ] = None,
-    nonfinite: Annotated[
-        str, typer.Option(help="Gaussians with NaN or infinity: error or drop.")
-    ] = "error",
-    extra: Annotated[
-        str, typer.Option(help="Properties beyond the 3DGS layout: error, keep or drop.")
-    ] = "error",
-    keep_order: Annotated[
-        bool, typer.Option("--keep-order", help="With lossless: keep the order of Gaussians too.")
-    ] = False,
-    geometry: Annotated[
-        str,
-        typer.Option(
-            help="What codes geometry and SH-DC of paper-*: octree (ours), gpcc (MPEG's tmc3), or "
-            "auto (gpcc where tmc3 is found)."
-        ),
-    ] = "octree",
-    tmc3: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH", help="G-PCC program.", show_default="GS_CODEC_TMC3, or tmc3 in PATH"
-        ),
-    ] = None,
-    verify: Annotated[
-        bool, typer.Option("--verify/--no-verify", help="Decode once what tmc3 has coded.")
-    ] = True,
+    profile: coding.Profile = "m",
+    depth: coding.Depth = None,
+    nonfinite: coding.Nonfinite = "error",
+    extra: coding.Extra = "error",
+    keep_order: coding.KeepOrder = False,
+    geometry: coding.Geometry = "octree",
+    tmc3: coding.Coder = None,
+    verify: coding.Verify = True,
     target_size: goal.TargetSize = None,
     target_ratio: goal.TargetRatio = None,
     target_bpg: goal.TargetBits = None,
@@ -88,18 +60,7 @@ def command(
     checkpoint: steps.Checkpoint = None,
 ) -> None:
     """Encode a scene to an .egs file, prepared or as it is."""
-    plan = steps.plan_of(locals())
-    config = Config(
-        profile,
-        parse_depths(depth or []),
-        nonfinite,  # type: ignore[arg-type]
-        extra,  # type: ignore[arg-type]
-        threads,
-        keep_order=keep_order,
-        geometry=geometry,  # type: ignore[arg-type]
-        tmc3=None if tmc3 is None else str(tmc3),
-        verify=verify,
-    )
+    plan, config = steps.plan_of(locals()), coding.config_of(locals())
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.files import encode_file, source_bytes
 
@@ -117,17 +78,6 @@ def command(
         )
     else:
         _print_report(size, target, done, profile in LATTICE_PROFILES)
-
-
-def parse_depths(options: list[str]) -> dict[str, int]:
-    """Depths of ``GROUP=BITS`` options."""
-    depths = {}
-    for option in options:
-        group, _, bits = option.partition("=")
-        if not (bits.isascii() and bits.isdigit() and len(bits) < 4):
-            raise InvalidInput(f"--depth {option}: expected GROUP=BITS, for example sh-ac=4")
-        depths[group] = int(bits)
-    return depths
 
 
 def _say_what_changed(report: EncodeReport) -> None:

@@ -353,9 +353,9 @@ def test_screenshots_need_no_display(files, tmp_path):
     ("arguments", "said"),
     [
         (["nothing.ply", "--screenshot", "x.png"], "nothing.ply: No such file"),
-        (["pyproject.toml", "--screenshot", "x.png"], "pyproject.toml: not a readable PLY"),
+        (["pyproject.toml", "--screenshot", "x.png"], "pyproject.toml: begins with"),
         (["--screenshot", "x.png"], "no scene to draw"),
-        (["viewer/error.png", "--screenshot", "x.png"], "error.png: not a readable PLY"),
+        (["viewer/error.png", "--screenshot", "x.png"], "error.png: begins with"),
         (["a.ply", "--colour", "red"], "colour 'red': expected colour"),
         (["a.ply", "--unknown"], "No such option"),
     ],

@@ -328,7 +328,10 @@ def test_encode_with_steps(folder):
 
 REFUSALS = {
     "no step": ("prepare scene.ply out.ply", "no step of preparation asked for"),
-    "suffix": ("prepare scene.ply out.txt --rectify", "suffix '.txt', expected '.ply', '.egs' or '.splat'"),
+    "suffix": (
+        "prepare scene.ply out.txt --rectify",
+        "suffix '.txt', expected '.ply', '.egs' or '.splat'",
+    ),
     "itself": ("prepare scene.ply scene.ply --rectify", "the source itself"),
     "fraction": ("prepare scene.ply o.ply --prune-loo 0.3", "expected percent, half of all is 50"),
     "cameras": ("prepare scene.ply o.ply --rectify --cameras none", "none: no such file"),

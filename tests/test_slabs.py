@@ -112,7 +112,7 @@ def test_verify_says_what_a_sound_file_holds(encoded, monkeypatch, capsys):
     status, out, err = run(monkeypatch, capsys, "verify", str(encoded))
     assert (status, err) == (0, "")
     assert out.startswith(f"{encoded}: sound, ")
-    assert "3,000 Gaussians in 3 blocks, SH degree 2" in out
+    assert "3,000 Gaussians, 3 blocks, SH degree 2" in out
     status, out, err = run(monkeypatch, capsys, "verify", str(encoded), "--json")
     report = json.loads(out)
     assert (status, report["count"], report["blocks"]) == (0, 3000, 3)

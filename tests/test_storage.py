@@ -220,7 +220,7 @@ def test_too_little_memory_is_refused_with_what_is_enough(command, files, monkey
     status, out, err = run(monkeypatch, capsys, *arguments, "--max-memory", "100MB")
     assert (status, out) == (2, "")
     assert "max-memory: 100,000,000 bytes, " in err
-    least = err.partition(" takes ")[2].partition(" ")[0].replace(",", "")
+    least = err.partition(" at least ")[2].partition(" ")[0].replace(",", "")
     status, _, err = run(monkeypatch, capsys, *arguments, "--max-memory", least)
     assert (status, err) == (0, "")
     status, _, err = run(monkeypatch, capsys, *arguments, "--max-memory", f"{int(least) - 1}B")

@@ -33,6 +33,6 @@ def command(
     else:
         print_text(
             f"{source}: sound, {size_text(report.file_bytes)}, {report.sections:,} sections, "
-            f"{report.count:,} Gaussians in {report.blocks:,} blocks, SH degree "
+            f"{report.count:,} Gaussians, {report.blocks:,} blocks, SH degree "
             f"{report.sh_degree}, profile {report.profile}, {report.seconds:.2f} s"
         )

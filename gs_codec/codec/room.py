@@ -59,4 +59,4 @@ def _working(threads: int | None) -> int:
 def _check(least: int, what: str) -> None:
     limit = current().limit
     if limit is not None and limit < least:
-        raise InvalidInput(f"max-memory: {limit:,} bytes, {what} takes {least:,} or more")
+        raise InvalidInput(f"max-memory: {limit:,} bytes, expected at least {least:,} for {what}")

@@ -207,6 +207,13 @@ class _Trials:
             lambda known: Guidance(known.sensitivity, known.loss, known.pixels, known.sketch),
         )
 
+    def settle(self, place: float) -> None:
+        """As `compact`, once it is asked whether views tell enough for that, which then holds."""
+        self._recolour(
+            place,
+            lambda known: Guidance(known.sensitivity, known.loss, known.pixels, known.compact),
+        )
+
     def refit(self, place: float) -> None:
         """Let views choose colours for steps as coarse."""
         self._recolour(place, lambda known: known)
@@ -316,8 +323,11 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
         plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
         search(trials.size, *plain, start, _SIZE_SLOPE)
-        start = trials.place
-        _search_recoloured(trials.compact, trials.size, before, start, _SIZE_SLOPE)
+        _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
+        trials.settle(trials.place)
+        if not before[0] <= trials.size(trials.place) <= before[1]:
+            # It does not pay there, and so is left out.
+            _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
         predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.place
     recolour = None if trials.guidance is None else trials.refit
     found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)

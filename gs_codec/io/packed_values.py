@@ -21,7 +21,7 @@ def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float
     ends = int(np.count_nonzero((alpha == 0) | (alpha == 255)))
     if ends:
         log.warning(
-            "%s: opacities of 0 or 1, which have no logit, in %d Gaussians: moved by %.2g",
+            "%s: opacity of 0 or 1 in %d Gaussians, which has no logit: moved by %.2g",
             *(path, ends, _END / 255),
         )
     share = np.clip(np.arange(256.0), _END, 255 - _END) / 255

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import Decoder, MaxMemory, Threads, parse_memory
+from gs_codec.cli.resources import Decoder, MaxBytes, MaxMemory, Threads, parse_memory
 from gs_codec.errors import InvalidInput
 
 
@@ -18,10 +18,7 @@ def command(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply.")],
     threads: Threads = None,
     max_memory: MaxMemory = None,
-    max_bytes: Annotated[
-        int | None,
-        typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
-    ] = None,
+    max_bytes: MaxBytes = None,
     bbox: Annotated[
         str | None,
         typer.Option(

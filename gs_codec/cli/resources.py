@@ -24,6 +24,11 @@ MaxMemory = Annotated[
     ),
 ]
 
+MaxBytes = Annotated[
+    int | None,
+    typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
+]
+
 Decoder = Annotated[
     Path | None,
     typer.Option(

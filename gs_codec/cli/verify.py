@@ -9,17 +9,14 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import Decoder, MaxMemory, Threads, parse_memory
+from gs_codec.cli.resources import Decoder, MaxBytes, MaxMemory, Threads, parse_memory
 
 
 def command(
     source: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file.")],
     threads: Threads = None,
     max_memory: MaxMemory = None,
-    max_bytes: Annotated[
-        int | None,
-        typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
-    ] = None,
+    max_bytes: MaxBytes = None,
     tmc3: Decoder = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:

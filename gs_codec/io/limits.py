@@ -13,7 +13,8 @@ from gs_codec.scene import SH_COEFFICIENTS
 #: A scene may be as large as this, and as this many times its file.
 _SCENE_BYTES, _EXPANSION = 1 << 30, 1000
 
-_FAILURES: tuple[type[Exception], ...] = (
+#: What libraries raise at data that they cannot read.
+FAILURES: tuple[type[Exception], ...] = (
     ArithmeticError,
     EOFError,
     LookupError,
@@ -52,7 +53,7 @@ def refusing(what: str, *more: type[Exception]) -> Iterator[None]:
     ------
     InvalidInput
     """
-    failures: tuple[type[Exception], ...] = (*_FAILURES, *more)
+    failures: tuple[type[Exception], ...] = (*FAILURES, *more)
     try:
         yield
     except failures as error:

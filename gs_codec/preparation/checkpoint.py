@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-import struct
 import tokenize
 import zipfile
-import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +16,12 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.io.atomic import atomic_writer
+from gs_codec.io.limits import FAILURES
 from gs_codec.preparation.adam import AdamState
 
 #: What reading a damaged archive of arrays may raise.
-_DAMAGE = (
-    OSError, EOFError, LookupError, ValueError, TypeError, AttributeError, SyntaxError,
-    RuntimeError, MemoryError, OverflowError, struct.error, zipfile.BadZipFile, zlib.error,
-    tokenize.TokenError,
+_DAMAGE: tuple[type[Exception], ...] = (
+    *FAILURES, AttributeError, zipfile.BadZipFile, tokenize.TokenError
 )  # fmt: skip
 
 

@@ -93,12 +93,10 @@ class _Colours:
         profile: LatticeProfile,
     ) -> Scene:
         """See `Guidance`."""
-        if not decoded.sh_degree:
-            return decoded
-        trial = self._compaction(order, steps, profile)
-        if self.compacts is None:
+        if decoded.sh_degree and self.compacts is None:
+            trial = self._compaction(order, steps, profile)
             self.compacts = trial.pays(decoded, self._operator_of(decoded))
-        return trial.whole(decoded) if self.compacts else decoded
+        return self.sketch(decoded, order, steps, profile)
 
     def sketch(
         self,

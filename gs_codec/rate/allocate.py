@@ -193,7 +193,7 @@ class _Trials:
 
     def size(self, place: float) -> int:
         """Encode, colours as they are; the bytes of the file."""
-        guide = self._guide(lambda known: Guidance(known.sensitivity, known.loss, known.pixels))
+        guide = self._guide(_measured)
         with self.times.stage("search"):
             self.last = encode_scene(self.coloured, self.config_at(place), guide=guide)
         self.place = place
@@ -202,17 +202,11 @@ class _Trials:
 
     def compact(self, place: float) -> None:
         """Let views choose which SH are left, for steps as coarse: about, a part of `refit`."""
-        self._recolour(
-            place,
-            lambda known: Guidance(known.sensitivity, known.loss, known.pixels, known.sketch),
-        )
+        self._recolour(place, lambda known: _measured(known, compact=known.sketch))
 
     def settle(self, place: float) -> None:
         """As `compact`, once it is asked whether views tell enough for that, which then holds."""
-        self._recolour(
-            place,
-            lambda known: Guidance(known.sensitivity, known.loss, known.pixels, known.compact),
-        )
+        self._recolour(place, lambda known: _measured(known, compact=known.compact))
 
     def refit(self, place: float) -> None:
         """Let views choose colours for steps as coarse."""
@@ -221,8 +215,7 @@ class _Trials:
     def leave_sh(self) -> None:
         """Let `refit` do without compaction from now on."""
         if self.guidance is not None:
-            known = self.guidance
-            self.guidance = Guidance(known.sensitivity, known.loss, known.pixels, refit=known.refit)
+            self.guidance = _measured(self.guidance, refit=self.guidance.refit)
 
     def _recolour(self, place: float, changed: Callable[[Guidance], Guidance]) -> None:
         with self.times.stage("recolour"):
@@ -235,6 +228,11 @@ class _Trials:
     def _guide(self, changed: Callable[[Guidance], Guidance]) -> Guide | None:
         guidance = self.guidance
         return None if guidance is None else lambda _: changed(guidance)
+
+
+def _measured(known: Guidance, **colours: Callable[..., Scene]) -> Guidance:
+    """What views measured, and of what they choose of colours this alone."""
+    return Guidance(known.sensitivity, known.loss, known.pixels, **colours)
 
 
 @dataclass(frozen=True)

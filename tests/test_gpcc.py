@@ -27,9 +27,10 @@ from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILES, Config
 from gs_codec.container.file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed, TruncatedStream
 from gs_codec.geometry.gpcc import decode_points, encode_points
-from gs_codec.geometry.tmc3 import Limits, Tmc3
+from gs_codec.geometry.tmc3 import Tmc3
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.programs import Limits
 from gs_codec.scene import GROUPS
 
 EDGES = edge_scenes()

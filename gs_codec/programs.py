@@ -1,0 +1,165 @@
+"""Programs of others, which are not trusted.
+
+They abort, crash or run forever on some input: each run has a process group and limits of its own,
+and whatever goes wrong is a `ToolFailed`.
+"""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO
+
+from gs_codec.errors import ToolFailed
+
+# A shell sets the limits: setting them between fork and exec is unsafe where there are threads.
+_LIMITED = 'ulimit -c 0; ulimit -S -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shift 3; exec "$@"'
+
+_LOG_BYTES = 4096
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one run may take.
+
+    Parameters
+    ----------
+    seconds : float
+        Wall time, which is long: other programs may keep the processors busy.
+    processor_seconds : int
+    memory_bytes : int or None
+        Address space; None for programs that reserve more than there is, as Node does.
+    """
+
+    seconds: float = 600.0
+    processor_seconds: int = 120
+    memory_bytes: int | None = 4 << 30
+
+
+def first_line(command: Sequence[str], limits: Limits) -> str:
+    """What a program says of itself first, as printable ASCII, for which it has a minute.
+
+    Raises
+    ------
+    ToolFailed, OSError
+        If it does not end in time, or cannot be run.
+    """
+    with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
+        brief = replace(limits, seconds=60.0, processor_seconds=10)
+        text = _run(command, folder, brief, 1 << 20)[0]
+    return plain_text(text.partition(b"\n")[0])
+
+
+def run_on_files(
+    command: Sequence[str],
+    inputs: Mapping[str, bytes | memoryview],
+    output: str,
+    limits: Limits,
+    most: int,
+) -> bytes:
+    """The bytes of file `output` once a program ran where files `inputs` are.
+
+    Raises
+    ------
+    ToolFailed
+        If it fails, takes more than its limits, or writes more than `most` bytes.
+    """
+    try:
+        with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
+            for name, content in inputs.items():
+                Path(folder, name).write_bytes(content)
+            _, log, status = _run(command, folder, limits, most)
+            if status:
+                raise ToolFailed(_describe(status, log))
+            return _read(Path(folder, output), most)
+    except OSError as error:
+        where = error.filename or "its files"
+        raise ToolFailed(f"{where}: {error.strerror or error}") from error
+
+
+def plain_text(data: bytes | memoryview) -> str:
+    """Untrusted bytes as printable ASCII."""
+    text = bytes(data).decode("ascii", "replace").strip()
+    return "".join(c if " " <= c <= "~" else "?" for c in text)
+
+
+def _run(
+    command: Sequence[str], folder: str, limits: Limits, most: int
+) -> tuple[bytes, bytes, int]:
+    """Beginning and end of what a command prints, and its exit status (-N: signal N)."""
+    import resource  # not on Windows, where the rest of gs_codec runs
+
+    # In the units of the shell: seconds, KiB, 512 bytes.
+    numbers = [
+        _least(limits.processor_seconds, resource.getrlimit(resource.RLIMIT_CPU)[1], 1),
+        _least(limits.memory_bytes, resource.getrlimit(resource.RLIMIT_AS)[1], 1 << 10),
+        _least(most + 512, resource.getrlimit(resource.RLIMIT_FSIZE)[1], 512),
+    ]
+    process = subprocess.Popen(
+        ["/bin/sh", "-c", _LIMITED, "sh", *numbers, *command],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    deadline = time.monotonic() + limits.seconds
+    try:
+        with process.stdout as pipe:
+            first, last = _read_log(pipe, deadline)
+        status = process.wait(max(deadline - time.monotonic(), 0.0))
+    except (TimeoutError, subprocess.TimeoutExpired):
+        raise ToolFailed(f"did not end in {limits.seconds:g} s") from None
+    finally:
+        if process.returncode is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    return first, last, status
+
+
+def _read_log(pipe: IO[bytes], deadline: float) -> tuple[bytes, bytes]:
+    """The first and the last of what comes until the pipe is closed."""
+    first, last = b"", b""
+    with selectors.DefaultSelector() as selector:
+        selector.register(pipe, selectors.EVENT_READ)
+        while selector.select(max(deadline - time.monotonic(), 0.0)):
+            chunk = os.read(pipe.fileno(), 1 << 16)
+            if not chunk:
+                return first, last
+            first = (first + chunk)[:_LOG_BYTES]
+            last = (last + chunk)[-_LOG_BYTES:]
+            if time.monotonic() > deadline:
+                break
+    raise TimeoutError
+
+
+def _least(limit: int | None, own: int, unit: int) -> str:
+    """A limit in a unit, no higher than this process's own, negative where there is none."""
+    limits = [value for value in (limit, own) if value is not None and value >= 0]
+    return str(min(limits) // unit) if limits else "unlimited"
+
+
+def _describe(status: int, log: bytes) -> str:
+    """How a run ended, and the last line it printed."""
+    how = f"ended with status {status}"
+    if status < 0:
+        names = {number.value: number.name for number in signal.Signals}
+        how = f"was stopped by {names.get(-status, f'signal {-status}')}"
+    lines = [line for line in map(plain_text, log.splitlines()) if line]
+    return f"{how}: {lines[-1][-200:]}" if lines else how
+
+
+def _read(path: Path, most: int) -> bytes:
+    if not path.is_file():
+        raise ToolFailed("wrote nothing")
+    if path.stat().st_size > most:
+        raise ToolFailed(f"wrote {path.stat().st_size} bytes, expected at most {most}")
+    return path.read_bytes()

@@ -16,7 +16,7 @@ from gs_codec.bench.tile import tile_scene
 from gs_codec.cli.main import app
 from gs_codec.codec import encode_scene
 from gs_codec.config import Config
-from gs_codec.entropy import torchac_coder
+from gs_codec.entropy import constriction_coder, torchac_coder
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.rendering.camera_files import read_cameras
@@ -37,7 +37,7 @@ def lines(tmp_path_factory) -> list[dict]:
 
 def test_every_kind_of_line_is_there(lines):
     kinds = [line["kind"] for line in lines]
-    measured = ["codec", "error", "memory", "coder", "coder", "rendered", "render"]
+    measured = ["codec", "error", "memory", "coder", "coder", "coder", "rendered", "render"]
     assert kinds == ["machine", *measured, "paper", "paper"]
 
 
@@ -73,18 +73,24 @@ def test_error_and_memory_are_plausible(lines):
 
 
 def test_coders_are_compared_on_the_same_symbols(lines):
-    ours, theirs = lines[4], lines[5]
-    assert (ours["coder"], theirs["coder"]) == ("rans", "torchac")
+    ours, *others = lines[4:7]
+    assert ours["coder"] == "rans"
     assert ours["overhead_percent"] > -0.5
-    if torchac_coder.is_available():
-        assert theirs["bytes"] == pytest.approx(ours["bytes"], rel=0.02)
-        assert theirs["symbols"] == ours["symbols"]
-    else:
-        assert "not installed" in theirs["absent"]
+    installed = {
+        "torchac": torchac_coder.is_available(),
+        "constriction": constriction_coder.is_available(),
+    }
+    assert [line["coder"] for line in others] == list(installed)
+    for theirs in others:
+        if installed[theirs["coder"]]:
+            assert theirs["bytes"] == pytest.approx(ours["bytes"], rel=0.02)
+            assert theirs["symbols"] == ours["symbols"]
+        else:
+            assert "not installed" in theirs["absent"]
 
 
 def test_rendered_quality_and_speed(lines):
-    quality, speed = lines[6], lines[7]
+    quality, speed = lines[7], lines[8]
     assert (quality["scene"], quality["profile"], quality["gaussians"]) == (
         "scene", "paper-m", 5000,
     )  # fmt: skip

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gs_codec.codec.lattice_blocks import Block
 from gs_codec.codec.lattice_encode import Modelled, code_blocks, model_lattice
 from gs_codec.codec.symbols import Coded, quantise_scene
 from gs_codec.config import LATTICE_PROFILES, Config
 from gs_codec.container.file import MAX_BLOCK_SIZE, Section, SectionId
-from gs_codec.entropy import torchac_coder
+from gs_codec.entropy import constriction_coder, torchac_coder
 from gs_codec.entropy.bits import BitReader
 from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.entropy.rans import TableSet, decode_symbols, encode_symbols
-from gs_codec.errors import MissingTool
+from gs_codec.errors import MissingTool, ToolFailed
 from gs_codec.lattice.tokens import read_pass
 from gs_codec.model.table import shannon_bits
 from gs_codec.report import StageTimes
@@ -31,8 +32,8 @@ def measure_coders(
 ) -> Iterator[dict[str, Any]]:
     """A result line for each coder: bytes, bytes over Shannon entropy, seconds.
 
-    Seconds are medians for rANS; torchac, which takes a hundred times longer, runs once, and
-    not for profiles `l`, `m` and `s`, whose tables change with the context.
+    Seconds are medians; torchac, which takes a hundred times longer than rANS, runs once. It and
+    constriction are left out for profiles `l`, `m` and `s`, whose tables change with the context.
     """
     identity = {
         "kind": "coder",
@@ -47,11 +48,16 @@ def measure_coders(
     entropy = sum(shannon_bits(histogram) for histogram in coded.histograms) / 8
     identity["symbols"] = coded.symbols.size
     yield identity | {"coder": "rans", **_rans(coded, entropy, config.threads, repeats)}
-    try:
-        theirs = _torchac(coded, entropy)
-    except MissingTool as error:
-        theirs = {"absent": str(error)}
-    yield identity | {"coder": "torchac", **theirs}
+    others: dict[str, Callable[[], dict[str, Any]]] = {
+        "torchac": lambda: _torchac(coded, entropy),
+        "constriction": lambda: _constriction(coded, entropy, repeats),
+    }
+    for coder, measure in others.items():
+        try:
+            theirs = measure()
+        except MissingTool as error:
+            theirs = {"absent": str(error)}
+        yield identity | {"coder": coder, **theirs}
 
 
 def _rans(coded: Coded, entropy: float, threads: int | None, repeats: int) -> dict[str, Any]:
@@ -138,12 +144,40 @@ def _torchac(coded: Coded, entropy: float) -> dict[str, Any]:
         torchac_coder.encode_symbols(symbols[:1], table)
     chunks, encode = _timed(lambda: [torchac_coder.encode_symbols(s, t) for s, t in rows])
 
-    def decode() -> None:
-        for channel, (symbols, table) in zip(chunks, rows, strict=True):
+    def decode() -> list[NDArray[np.uint16]]:
+        return [
             torchac_coder.decode_symbols(channel, symbols.size, table)
+            for channel, (symbols, table) in zip(chunks, rows, strict=True)
+        ]
 
+    decoded, seconds = _timed(decode)
+    _check("torchac", decoded, coded)
     size = sum(len(part) for channel in chunks for part in channel)
-    return _result(size, entropy, encode, _timed(decode)[1])
+    return _result(size, entropy, encode, seconds)
+
+
+def _constriction(coded: Coded, entropy: float, repeats: int) -> dict[str, Any]:
+    count = coded.symbols.shape[1]
+
+    def encode() -> NDArray[np.uint32]:
+        return constriction_coder.encode_symbols(coded.symbols, coded.tables)
+
+    def decode() -> NDArray[np.uint16]:
+        return constriction_coder.decode_symbols(words, count, coded.tables)
+
+    words = encode()
+    _check("constriction", decode(), coded)
+    return _result(
+        words.nbytes,
+        entropy,
+        statistics.median(_timed(encode)[1] for _ in range(repeats)),
+        statistics.median(_timed(decode)[1] for _ in range(repeats)),
+    )
+
+
+def _check(coder: str, decoded: Iterable[NDArray[np.uint16]], coded: Coded) -> None:
+    if not all(map(np.array_equal, decoded, coded.symbols)):
+        raise ToolFailed(f"{coder} decodes other symbols than were coded")
 
 
 def _result(size: int, entropy: float, encode: float, decode: float) -> dict[str, Any]:

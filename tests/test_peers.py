@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import select
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -12,21 +15,43 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec.bench import beside
-from gs_codec.bench.peers import AbsentPeer, columns_peer, spz_peer
+from gs_codec.bench.peers import AbsentPeer, find_peers, splat_transform
+from gs_codec.bench.peers.columns import columns_peer
+from gs_codec.bench.peers.splat_transform import VARIABLE, splat_transform_peers
+from gs_codec.bench.peers.spz import spz_peer
+from gs_codec.bench.peers.zstd import zstd_peers
 from gs_codec.cli.main import app
+from gs_codec.errors import ToolFailed
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.rendering.cameras import find_cameras
 
+STAND_IN = Path(__file__).with_name("splat_stand_in.py")
+SPLAT_NAMES = [f"splat-transform, {label}" for label in ("compressed.ply", "spz", "SOG")]
 
+EXACT = {
+    "pcodec, columns": lambda: columns_peer("error"),
+    "zstd, PLY": lambda: zstd_peers("error")[0],
+    "zstd, byte planes": lambda: zstd_peers("error", threads=1)[1],
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("count", [0, 1, 700])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_columns_come_back_bit_for_bit(tmp_path, count, degree):
+def test_what_is_lossless_comes_back_bit_for_bit(tmp_path, name, count, degree):
     write_ply(tmp_path / "scene.ply", random_scene(count, degree, seed=80))
-    peer = columns_peer("error")
+    peer = EXACT[name]()
+    assert peer.name == name
     back = peer.scene(peer.decode(peer.encode(tmp_path / "scene.ply")))
     expected = vertex_rows(read_ply(tmp_path / "scene.ply"))
     assert vertex_rows(back).tobytes() == expected.tobytes()
+
+
+def test_all_are_looked_for(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "/nowhere")
+    names = [peer.name.split(" ")[0].rstrip(",") for peer in find_peers("error")]
+    assert names == ["spz", "splat-transform", "pcodec", "zstd", "zstd"]
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -57,18 +82,141 @@ def test_spz_that_is_absent_says_how_to_get_it(monkeypatch):
     assert "module 'another_spz' is not Niantic's" in peer.absent
 
 
+@pytest.fixture
+def ply(tmp_path) -> Path:
+    write_ply(tmp_path / "scene.ply", random_scene(200, 1, seed=83))
+    return tmp_path / "scene.ply"
+
+
+def stand_in(folder: Path) -> str:
+    """The stand-in for splat-transform, as a program."""
+    path = folder / "splat-transform"
+    path.write_text(f'#!/bin/sh\nexec "{sys.executable}" -I -S "{STAND_IN}" "$@"\n')
+    path.chmod(0o755)
+    return str(path)
+
+
+@pytest.fixture
+def splat_peers(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, stand_in(tmp_path))
+    peers = splat_transform_peers(threads=2)
+    assert [peer.name for peer in peers] == SPLAT_NAMES
+    assert {peer.version for peer in peers} == {"v0.1 (stand-in)"}
+    return peers
+
+
+def test_splat_transform_is_called_from_file_to_file(splat_peers, ply):
+    for peer in splat_peers:
+        assert peer.own_process
+        data = peer.encode(ply)
+        assert data == ply.read_bytes()
+        back = peer.scene(peer.decode(data))
+        assert vertex_rows(back).tobytes() == vertex_rows(read_ply(ply)).tobytes()
+    assert [peer.once for peer in splat_peers] == [False, False, True]
+
+
+def test_splat_transform_is_found(tmp_path, monkeypatch):
+    """By the variable, on PATH, and where `make peers` puts it."""
+    for folder in ("variable", "path", "prefix/peers/node_modules/.bin", "empty"):
+        (tmp_path / folder).mkdir(parents=True)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "prefix"))
+    [absent] = splat_transform_peers()
+    assert absent.absent.startswith("splat-transform: not installed ('make peers', or npm install")
+    for folder in ("prefix/peers/node_modules/.bin", "path", "variable"):
+        expected = stand_in(tmp_path / folder)
+        if folder == "path":
+            monkeypatch.setenv("PATH", str(tmp_path / "path"))
+        if folder == "variable":
+            monkeypatch.setenv(VARIABLE, expected)
+        assert splat_transform.SplatTransform.find().path == expected
+        assert len(splat_transform_peers()) == 3
+
+
+@pytest.mark.parametrize(
+    ("failure", "message"),
+    [
+        ("other", "splat-transform: not splat-transform, it says 'another 1.0' ('make peers'"),
+        ("nowhere", "/nowhere: no such program ('make peers'"),
+        ("broken", "broken: not splat-transform, it says "),
+    ],
+)
+def test_another_program_is_absent(failure, message, tmp_path, monkeypatch):
+    path = {"nowhere": "/nowhere", "broken": str(tmp_path / "broken")}.get(failure)
+    (tmp_path / "broken").write_bytes(b"\x7fELF and nothing more")
+    (tmp_path / "broken").chmod(0o755)
+    monkeypatch.setenv(VARIABLE, path or stand_in(tmp_path))
+    monkeypatch.setenv("SPLAT_STAND_IN", failure)
+    [absent] = splat_transform_peers()
+    assert isinstance(absent, AbsentPeer)
+    assert message in absent.absent
+    assert "\n" not in absent.absent
+
+
+@pytest.mark.parametrize(
+    ("failure", "message"),
+    [
+        ("fail:", "ended with status 1: Error: no good"),
+        ("nothing", "wrote nothing"),
+        ("garbage", "wrote a PLY that cannot be read: "),
+    ],
+)
+def test_what_splat_transform_does_wrong_is_one_error(
+    splat_peers, ply, failure, message, monkeypatch
+):
+    monkeypatch.setenv("SPLAT_STAND_IN", failure)
+    peer = splat_peers[0]
+    with pytest.raises(ToolFailed, match=message):
+        peer.scene(peer.decode(peer.encode(ply)))
+
+
+def test_what_does_not_end_is_killed_with_all_that_it_started(ply, tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, stand_in(tmp_path))
+    monkeypatch.setattr(splat_transform, "SECONDS", 1.0)
+    peer = splat_transform_peers()[2]
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    reader = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    monkeypatch.setenv("SPLAT_STAND_IN", f"hang:{fifo}")
+    with pytest.raises(ToolFailed, match="did not end in 1 s"):
+        peer.encode(ply)
+    # It ends when nobody holds it.
+    assert select.select([reader], [], [], 300)[0]
+    assert os.read(reader, 1) == b""
+    os.close(reader)
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_splat_transform_itself_gives_the_scene_back(tmp_path, index):
+    peers = splat_transform_peers()
+    if len(peers) < 3:
+        pytest.skip(peers[0].absent)
+    scene = random_scene(500, 3, seed=84)
+    write_ply(tmp_path / "scene.ply", scene)
+    data = peers[index].encode(tmp_path / "scene.ply")
+    assert data.startswith([b"ply\n", b"NGSP\x04\0\0\0", b"PK\3\4"][index])
+    back = peers[index].scene(peers[index].decode(data))
+    assert (back.count, back.sh_degree) == (500, 3)
+    cameras = find_cameras("auto", scene, width=60, auto=3)
+    assert compare_views(scene, back, cameras, device="cpu").mean.between.psnr > 30
+
+
 @pytest.fixture(scope="module")
 def beside_lines(tmp_path_factory) -> tuple[list[dict], str]:
     path = tmp_path_factory.mktemp("peers") / "scene.ply"
     write_ply(path, random_scene(600, 1, seed=82))
 
     def peers(extra, threads):
-        return [AbsentPeer("other", "other: not installed (get it)"), columns_peer(extra, threads)]
+        absent = AbsentPeer("other", "other: not installed (get it)")
+        return [absent, columns_peer(extra, threads), *splat_transform_peers(threads)]
 
     options = ["-p", "m", "-p", "paper-m", "--peers", "--repeats", "2"]
     options += ["--cameras", "auto", "--width", "36"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(beside, "find_peers", peers)
+        patch.setenv(VARIABLE, stand_in(path.parent))
+        patch.setenv("SPLAT_STAND_IN", "fail:.sog")
         result = CliRunner().invoke(app, ["bench", str(path), *options])
     assert result.exit_code == 0, result.output
     return [json.loads(line) for line in result.stdout.splitlines()], result.stderr
@@ -76,10 +224,11 @@ def beside_lines(tmp_path_factory) -> tuple[list[dict], str]:
 
 def test_every_codec_has_a_line(beside_lines):
     lines, table = beside_lines
-    assert [line["kind"] for line in lines] == ["machine"] + ["beside"] * 5
+    assert [line["kind"] for line in lines] == ["machine"] + ["beside"] * 8
     names = [line["codec"] for line in lines[1:]]
-    assert names == ["m", "paper-m", "m, by views", "pcodec, columns", "other"]
-    for line in lines[1:-1]:
+    assert names == ["m", "paper-m", "m, by views", "pcodec, columns", *SPLAT_NAMES, "other"]
+    for line in lines[1:-2]:
+        assert line["own_process"] == (line["codec"] in SPLAT_NAMES)
         assert line["ratio"] == pytest.approx(line["ply_bytes"] / line["file_bytes"])
         assert line["bits_per_gaussian"] == pytest.approx(8 * line["file_bytes"] / 600)
         assert line["encode_seconds"]["min"] > 0
@@ -99,3 +248,15 @@ def test_what_is_absent_has_one_line(beside_lines):
     lines, table = beside_lines
     assert lines[-1]["absent"] == "other: not installed (get it)"
     assert table.count("other: not installed (get it)") == 1
+
+
+def test_what_fails_has_one_line(beside_lines):
+    lines, table = beside_lines
+    why = "splat-transform, SOG of scene: ended with status 1: Error: no good"
+    assert lines[-2] == {
+        "kind": "beside",
+        "scene": "scene",
+        "codec": "splat-transform, SOG",
+        "absent": why,
+    }
+    assert table.count(why) == 1

@@ -15,6 +15,7 @@ from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
 from gs_codec.bench.rendered import rendered_quality
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.errors import ToolFailed
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
 from gs_codec.planned import guide_of
 from gs_codec.preparation.pipeline import Plan
@@ -35,7 +36,8 @@ def measure_beside(
 
     All begin with the same (cached) PLY, read by the same reader, and end with its floats in
     memory. In each of the `repeats` after the first, which compiles, every codec has its turn;
-    with a `plan`, profiles that can go by its views do that too, once.
+    with a `plan`, profiles that can go by its views do that too, once. A peer that fails, or does
+    not end in its time, has a line that says so, as one has that is absent.
     """
     present = [_profile(config) for config in configs]
     if plan is not None:
@@ -46,14 +48,17 @@ def measure_beside(
         found = find_peers(configs[0].extra, configs[0].threads)
         present += [peer for peer in found if isinstance(peer, Peer)]
         for peer, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
-            line = _line(scene, name, peer, turns, ply.stat().st_size)
-            if cameras:
-                decoded = peer.scene(peer.decode(turns.data))
-                line |= rendered_quality(scene, decoded, cameras, truth)
+            try:
+                line = _line(scene, name, peer, turns, ply.stat().st_size)
+                if cameras:
+                    decoded = peer.scene(peer.decode(turns.data))
+                    line |= rendered_quality(scene, decoded, cameras, truth)
+            except ToolFailed as error:
+                line = _absent(name, peer.name, f"{peer.name} of {name}: {error}")
             yield line
     for other in found:
         if isinstance(other, AbsentPeer):
-            yield {"kind": "beside", "scene": name, "codec": other.name, "absent": other.absent}
+            yield _absent(name, other.name, other.absent)
 
 
 @dataclass
@@ -63,6 +68,7 @@ class _Turns:
     data: bytes = b""
     encode: list[float] = field(default_factory=list)
     decode: list[float] = field(default_factory=list)
+    failed: ToolFailed | None = None
 
 
 def _profile(config: Config) -> Peer:
@@ -95,12 +101,16 @@ def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[_Turns]:
     all_turns = [_Turns() for _ in peers]
     for turn in range(repeats + 1):
         for peer, turns in zip(peers, all_turns, strict=True):
-            if peer.once and turn != 1:
+            if turns.failed or (peer.once and turn != 1):
                 continue
             start = time.perf_counter()
-            turns.data = peer.encode(ply)
-            encoded = time.perf_counter()
-            peer.decode(turns.data)
+            try:
+                turns.data = peer.encode(ply)
+                encoded = time.perf_counter()
+                peer.decode(turns.data)
+            except ToolFailed as error:
+                turns.failed = error
+                continue
             end = time.perf_counter()
             if turn:
                 turns.encode.append(encoded - start)
@@ -109,12 +119,15 @@ def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[_Turns]:
 
 
 def _line(scene: Scene, name: str, peer: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
+    if turns.failed:
+        raise turns.failed
     size = len(turns.data)
     return {
         "kind": "beside",
         "scene": name,
         "codec": peer.name,
         "version": peer.version,
+        "own_process": peer.own_process,
         "gaussians": scene.count,
         "ply_bytes": ply_bytes,
         "file_bytes": size,
@@ -123,3 +136,7 @@ def _line(scene: Scene, name: str, peer: Peer, turns: _Turns, ply_bytes: int) ->
         "encode_seconds": spread(turns.encode),
         "decode_seconds": spread(turns.decode),
     }
+
+
+def _absent(scene: str, codec: str, why: str) -> dict[str, Any]:
+    return {"kind": "beside", "scene": scene, "codec": codec, "absent": why}

@@ -73,10 +73,11 @@ def command(
     ] = None,
     width: Width = None,
     coders: Annotated[
-        bool, typer.Option("--coders", help="Compare entropy coders too (torchac: a minute).")
+        bool, typer.Option("--coders", help="Compare torchac and constriction too (a minute).")
     ] = False,
     peers: Annotated[
-        bool, typer.Option("--peers", help="Measure spz and pcodec beside the profiles instead.")
+        bool,
+        typer.Option("--peers", help="Measure spz, splat-transform, pcodec, zstd beside instead."),
     ] = False,
     gains: Annotated[
         bool,

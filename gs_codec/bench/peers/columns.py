@@ -1,0 +1,43 @@
+"""Pcodec on each column."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from gs_codec.bench.peers.peer import Extra, Peer, scene_columns, scene_of_columns, version_of
+from gs_codec.io.ply import read_ply, vertex_rows
+from gs_codec.scene import Scene
+from gs_codec.workers import run_all
+
+
+def columns_peer(extra: Extra, threads: int | None = None) -> Peer:
+    """Pcodec as it comes, bit-exact, on each column in the order of the file."""
+    from pcodec import ChunkConfig, standalone
+
+    config = ChunkConfig()
+
+    def encode(ply: Path) -> bytes:
+        scene = read_ply(ply, extra)
+        columns = scene_columns(scene)
+        parts = run_all(lambda column: standalone.simple_compress(column, config), columns, threads)
+        sizes = struct.pack(f"<{2 + len(parts)}I", len(parts), scene.count, *map(len, parts))
+        return sizes + b"".join(parts)
+
+    def decode(data: bytes) -> Scene:
+        number, count = struct.unpack_from("<2I", data)
+        bounds = np.cumsum([8 + 4 * number, *struct.unpack_from(f"<{number}I", data, 8)])
+        planes = np.empty((number, count), np.float32)
+
+        def unpack(row: int) -> None:
+            part = data[bounds[row] : bounds[row + 1]]
+            standalone.simple_decompress_into(part, planes[row])
+
+        run_all(unpack, range(number if count else 0), threads)
+        scene = scene_of_columns(planes)
+        vertex_rows(scene)
+        return scene
+
+    return Peer("pcodec, columns", version_of("pcodec"), encode, decode, lambda scene: scene)

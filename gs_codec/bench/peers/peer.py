@@ -1,0 +1,87 @@
+"""What a codec is to the bench, and what several of them need."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.io.ply import read_ply
+from gs_codec.scene import GROUPS, Scene
+
+Extra = Literal["error", "keep", "drop"]
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A codec, ours or another, and how it is called.
+
+    Attributes
+    ----------
+    name : str
+    version : str
+        Of the program, and of its file format or level where that has one.
+    encode : callable
+        From the path of a PLY to the bytes of the file. One that fails, or does not finish in
+        its time, raises `ToolFailed`; so do the others.
+    decode : callable
+        From these bytes to floats, as the codec lays them out.
+    scene : callable
+        From what `decode` returned to a `Scene`, which is not timed.
+    once : bool
+        Whether it is too slow to be timed more than once.
+    own_process : bool
+        Whether it is a program that is started each time, which is timed with it.
+    """
+
+    name: str
+    version: str
+    encode: Callable[[Path], bytes]
+    decode: Callable[[bytes], Any]
+    scene: Callable[[Any], Scene]
+    once: bool = False
+    own_process: bool = False
+
+
+@dataclass(frozen=True)
+class AbsentPeer:
+    """A codec that cannot be called: its name, why, and what would help."""
+
+    name: str
+    absent: str
+
+
+def version_of(package: str) -> str:
+    """Version of an installed package."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def scene_of_ply(data: bytes, extra: Extra) -> Scene:
+    """The scene that the bytes of a PLY file hold."""
+    with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
+        path = Path(folder, "decoded.ply")
+        path.write_bytes(data)
+        return read_ply(path, extra)
+
+
+def scene_columns(scene: Scene) -> list[NDArray[np.float32]]:
+    """The columns of a scene, in the order of its groups."""
+    return [column for group in GROUPS for column in getattr(scene, group)]
+
+
+def scene_of_columns(planes: NDArray[np.float32]) -> Scene:
+    """The inverse of `scene_columns`, of planes ``(columns, N)``."""
+    rows = {"positions": 3, "f_dc": 3, "f_rest": 0, "opacity": 1, "log_scale": 3, "rot": 4}
+    rows["f_rest"] = len(planes) - sum(rows.values())
+    parts = np.split(planes, np.cumsum([rows[group] for group in GROUPS])[:-1])
+    groups: dict[str, Any] = dict(zip(GROUPS, parts, strict=True))
+    return Scene(**groups)

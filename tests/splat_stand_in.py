@@ -1,0 +1,44 @@
+"""A stand-in for ``splat-transform``: its files are PLY files, and it fails as SPLAT_STAND_IN asks.
+
+``SPLAT_STAND_IN=fail:.sog`` makes it fail at what ends so. It knows no more of the program than the
+options that it is called with.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+VERSION = "splat-transform v0.1 (stand-in)"
+
+
+def hang(fifo: str) -> None:
+    """Go on for ever, and a process of its own too, both holding a FIFO."""
+    os.set_inheritable(os.open(fifo, os.O_WRONLY), True)
+    forever = [sys.executable, "-I", "-S", "-c", "import time; time.sleep(1e5)"]
+    subprocess.Popen(forever, close_fds=False)
+    time.sleep(1e5)
+
+
+def main() -> None:
+    failure, _, what = os.environ.get("SPLAT_STAND_IN", "").partition(":")
+    if sys.argv[1:] == ["--version"]:
+        print("another 1.0" if failure == "other" else VERSION)
+        return
+    *options, source, target = sys.argv[1:]
+    assert options[:3] == ["--quiet", "--gpu", "cpu"]
+    assert options[3:] in ([], ["--max-workers", "2"])
+    if failure == "hang":
+        hang(what)
+    if failure == "fail" and target.endswith(what):
+        print("some words\n  Error: no good", file=sys.stderr)
+        sys.exit(1)
+    if failure == "nothing":
+        return
+    content = Path(source).read_bytes()
+    Path(target).write_bytes(b"\xff" * 100 if failure == "garbage" else content)
+
+
+if __name__ == "__main__":
+    main()

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint check boundscheck scaling fuzz clean
+.PHONY: demo test lint check boundscheck scaling fuzz peers clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -37,6 +37,23 @@ TARGET ?= all
 fuzz: $(VENV)/installed-test
 	$(PIP) install -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz.py $(TARGET) --minutes $(MINUTES) --corpus fuzz
+
+# What people would use instead, for `gs-codec bench --peers` and `--coders`; what cannot be had is said.
+# spz brings its own zstd: Debian's library cannot be linked into a module. SPZ=FOLDER: from a checkout.
+SPZ ?= git+https://github.com/nianticlabs/spz
+PEERS_LOG := $(VENV)/peers.log
+peers: $(VENV)/installed
+	@: >$(PEERS_LOG)
+	@$(PIP) install -e '.[peers]' >>$(PEERS_LOG) 2>&1 \
+	    || echo "constriction: not installed; $(PEERS_LOG) says why"
+	@{ $(PIP) install torch==2.13.0 && $(PIP) install -e '.[paper]'; } >>$(PEERS_LOG) 2>&1 \
+	    || echo "torchac: not installed; $(PEERS_LOG) says why"
+	@CMAKE_ARGS="-DCMAKE_DISABLE_FIND_PACKAGE_zstd=ON $$CMAKE_ARGS" $(PIP) install "$(SPZ)" >>$(PEERS_LOG) 2>&1 \
+	    || echo "spz: not installed, it needs git, a C++ compiler and GitHub; $(PEERS_LOG) says why"
+	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund @playcanvas/splat-transform@2 \
+	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform: not installed, it needs Node 18 and npm; $(PEERS_LOG) says why"
+	@command -v "$${GS_CODEC_TMC3:-tmc3}" >/dev/null \
+	    || echo "tmc3: not found, no package has it; https://github.com/MPEGGroup/mpeg-pcc-tmc13 says how it is built"
 
 # Every index of every kernel checked; kernels so compiled are kept apart from the others.
 boundscheck: $(VENV)/installed-test

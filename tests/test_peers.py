@@ -75,7 +75,7 @@ def test_spz_gives_the_same_scene_back(tmp_path, capfd, degree):
 def test_spz_that_is_absent_says_how_to_get_it(monkeypatch):
     peer = spz_peer("error", "no_module_of_this_name")
     assert isinstance(peer, AbsentPeer)
-    assert peer.absent.startswith("spz: not installed (pip install ")
+    assert peer.absent.startswith("spz: not installed ('make peers', or pip install ")
     monkeypatch.setitem(sys.modules, "another_spz", ModuleType("another_spz"))
     peer = spz_peer("error", "another_spz")
     assert isinstance(peer, AbsentPeer)
@@ -233,7 +233,7 @@ def test_every_codec_has_a_line(beside_lines):
         assert line["bits_per_gaussian"] == pytest.approx(8 * line["file_bytes"] / 600)
         assert line["encode_seconds"]["min"] > 0
         assert line["views"] == 24
-        assert f"scene, {line['codec']}" in table
+        assert f"scene, {line['codec']}{' *' if line['own_process'] else '  '}" in table
 
 
 def test_what_is_bit_exact_looks_the_same(beside_lines):

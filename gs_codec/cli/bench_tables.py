@@ -14,7 +14,7 @@ COLUMNS = [
 PREPARATION_COLUMNS = [
     "scene", "rule or profile", "pruned %", "SH strength", "ratio", "delta-PSNR",
 ]  # fmt: skip
-PEER_COLUMNS = ["scene, codec", *(COLUMNS[i] for i in (1, 2, 4, 5, 7, 8))]
+PEER_COLUMNS = ["scene, codec (* its start is timed)", *(COLUMNS[i] for i in (1, 2, 4, 5, 7, 8))]
 TARGET_COLUMNS = [
     "scene, steps", "asked", "reached", "pruned", "ratio", "bits/G", "profiles' bits/G", "PSNR dB",
     "delta-PSNR", "s",
@@ -36,7 +36,7 @@ def _decibels(quality: dict[str, float | None]) -> str:
 def peer_row(line: dict[str, Any]) -> list[str]:
     """A row of a codec that is there."""
     return [
-        f"{line['scene']}, {line['codec']}",
+        f"{line['scene']}, {line['codec']}" + (" *" if line["own_process"] else ""),
         f"{line['ratio']:.2f}",
         f"{line['bits_per_gaussian']:.1f}",
         f"{line['encode_seconds']['median']:.3f}",

@@ -20,7 +20,7 @@ from gs_codec.scene import Scene
 
 def spz_peer(extra: Extra, module: str = "spz") -> Peer | AbsentPeer:
     """Niantic's spz as it comes."""
-    how = "pip install git+https://github.com/nianticlabs/spz"
+    how = "'make peers', or pip install git+https://github.com/nianticlabs/spz"
     try:
         spz = import_module(module)
     except ImportError:

@@ -13,7 +13,7 @@ from gs_codec.io.ply import read_ply, vertex_rows
 from gs_codec.scene import Scene
 from gs_codec.workers import available_threads
 
-#: A second for 50 MB. Level 19 takes minutes, and finds less than 1 % more.
+#: A second for 50 MB; level 19 takes 15 to 30 times as long for files up to 13 % smaller.
 LEVEL = 9
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from html import escape
 
 _STYLE = """
@@ -17,10 +17,13 @@ th { border-bottom: 1px solid #555; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; }
 caption { caption-side: top; text-align: left; font-weight: 600; padding: .2rem 0;
           white-space: nowrap; }
+.wide { overflow-x: auto; } nav a { margin-right: 1.1rem; }
+tbody tr:nth-child(even) { background: #f7f8f9; } tr.strong { font-weight: 600; }
 figure { margin: 1rem 0; } img { max-width: 100%; height: auto; }
 figcaption { font-size: .87rem; color: #333; }
 @media print { body { font-size: 10pt; margin: 0; max-width: none; padding: 0; }
-  h2 { break-after: avoid; } figure, tr { break-inside: avoid; } table { font-size: 8.5pt; } }
+  h2 { break-after: avoid; } figure, tr { break-inside: avoid; } table { font-size: 8.5pt; }
+  nav { display: none; } .wide { overflow: visible; } }
 @page { margin: 14mm; }
 """
 
@@ -28,16 +31,31 @@ figcaption { font-size: .87rem; color: #333; }
 def page(title: str, parts: Sequence[str]) -> str:
     """A document of such parts, whose markup is theirs."""
     return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n<title>{escape(title)}'
-        f"</title>\n<style>{_STYLE}</style></head>\n<body>\n<h1>{escape(title)}</h1>\n"
-        + "\n".join(parts)
-        + "\n</body></html>\n"
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style></head>\n"
+        f"<body>\n<h1>{escape(title)}</h1>\n" + "\n".join(parts) + "\n</body></html>\n"
     )
 
 
 def heading(text: str) -> str:
-    """The title of a section."""
-    return f"<h2>{escape(text)}</h2>"
+    """The title of a section, which `contents` lead to."""
+    return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
+
+
+def subheading(text: str) -> str:
+    """A title below that of a section."""
+    return f"<h3>{escape(text)}</h3>"
+
+
+def contents(headings: Sequence[str]) -> str:
+    """Where sections of these titles are."""
+    links = (f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
+    return "<nav>" + "\n".join(links) + "</nav>"
+
+
+def _anchor(text: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in text.lower())
 
 
 def paragraph(text: str) -> str:
@@ -50,23 +68,32 @@ def listing(lines: Sequence[str]) -> str:
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
-def table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Cells under their columns; the first column names the row."""
+def table(
+    caption: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    strong: Container[int] = (),
+) -> str:
+    """Cells under their columns; the first column names the row; `strong` rows stand out."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in columns)
     body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in rows
+        ('<tr class="strong">' if place in strong else "<tr>")
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row)
+        + "</tr>\n"
+        for place, row in enumerate(rows)
     )
     return (
-        f"<table><caption>{escape(caption)}</caption>\n<thead><tr>{head}</tr></thead>\n"
-        f"<tbody>{body}</tbody></table>"
+        f'<div class="wide"><table><caption>{escape(caption)}</caption>\n'
+        f"<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>"
     )
 
 
-def picture(png: bytes, caption: str) -> str:
-    """A picture, its bytes in the page."""
+def picture(png: bytes, caption: str, instead: str = "") -> str:
+    """A picture, its bytes in the page; `instead` says what it shows, else the caption does."""
     data = base64.b64encode(png).decode("ascii")
+    text = escape(instead or caption, quote=True)
     return (
-        f'<figure><img alt="{escape(caption, quote=True)}" src="data:image/png;base64,{data}">\n'
+        f'<figure><img alt="{text}" src="data:image/png;base64,{data}">\n'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 

@@ -187,7 +187,7 @@ def test_pictures_lie_beside_the_page(written: Path) -> None:
         "lossless:\N{NO-BREAK SPACE}1252.5",  # beside pcodec
         "-40.3\N{NO-BREAK SPACE}%",
         "slow (by l)",  # beaten in everything
-        "0.39\N{NO-BREAK SPACE}(0.35–0.47)",
+        "0.39\N{NO-BREAK SPACE}(0.35\N{WORD JOINER}–\N{WORD JOINER}0.47)",
         "27.42",  # the paper's ablation
         "EPYC",
         "Left out with --skip: curves.",

@@ -22,7 +22,8 @@ tbody tr:nth-child(even) { background: #f7f8f9; } tr.strong { font-weight: 600; 
 figure { margin: 1rem 0; } img { max-width: 100%; height: auto; }
 figcaption { font-size: .87rem; color: #333; }
 @media print { body { font-size: 10pt; margin: 0; max-width: none; padding: 0; }
-  h2 { break-after: avoid; } figure, tr { break-inside: avoid; } table { font-size: 8.5pt; }
+  h2, h3 { break-after: avoid; }
+  figure, table, tr { break-inside: avoid; } table { font-size: 8.5pt; }
   nav { display: none; } .wide { overflow: visible; } }
 @page { margin: 14mm; }
 """

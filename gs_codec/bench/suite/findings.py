@@ -100,5 +100,7 @@ def part_finding(lines: list[Line], scene: str) -> str:
 
 
 def _listed(names: list[str]) -> str:
-    shown = [name if len(name.split(",")) == 1 else f"“{name}”" for name in names]
+    shown = [f"“{name}”" if "," in name else name for name in names[:4]]
+    if len(names) > len(shown):
+        shown.append(f"{len(names) - len(shown)} others")
     return shown[0] if len(shown) == 1 else ", ".join(shown[:-1]) + " and " + shown[-1]

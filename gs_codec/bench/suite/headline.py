@@ -94,7 +94,7 @@ def _quality(line: Line, photographs: bool) -> str:
     if is_exact(line):
         return "0" if photographs else "equal"
     if photographs and delta is not None:
-        return f"{delta:+.2f} dB"
+        return f"{round(delta, 2) or 0.0:+.2f} dB".replace("+0.00", "0.00")
     return "" if psnr is None else f"{psnr:.1f} dB" + " PSNR" * photographs
 
 
@@ -113,6 +113,8 @@ def _seconds(value: float | None) -> str:
         return ""
     if value >= 100:
         return f"{value / 60:.1f} min"
+    if value < 0.0095:
+        return f"{1000 * value:.1g} ms"
     return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
 
 

@@ -6,6 +6,7 @@ import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from itertools import cycle
 from typing import Any
 
 from gs_codec.bench.suite.results import CURVES, Results
@@ -14,7 +15,8 @@ from gs_codec.config import LATTICE_PROFILES, LOSSLESS
 #: Colours that stay apart for the colour-blind and in print, by kind of codec.
 PAPER, ATTRIBUTES, VIEWS, EXACT = "#5b5b5b", "#0a6ebd", "#d1580b", "#12858a"
 _PEER_COLOURS = ("#a3468f", "#8a6d00", "#b3203a", "#5a4fb0", "#7a4a2b", "#3d7a1f", "#c0619b")
-_PEER_MARKS = ("P", "X", "v", "D", "<", ">", "h")
+#: One mark more than colours, so that a pair comes again only after all others.
+_PEER_MARKS = ("P", "X", "v", "D", "<", ">", "h", "p")
 
 #: What every figure has in common.
 STYLE: dict[Any, Any] = {
@@ -66,11 +68,8 @@ def looks_of(results: Results) -> dict[str, Look]:
     names = dict.fromkeys([*codecs, *(line["codec"] for line in results.of("equal"))])
     looks = {name: _own(name) for name in names}
     peers = [name for name, look in looks.items() if look is None]
-    count = len(_PEER_COLOURS)
-    others = {
-        name: Look("peer", plain(name), _PEER_COLOURS[i % count], _PEER_MARKS[i % count])
-        for i, name in enumerate(peers)
-    }
+    colours, marks = cycle(_PEER_COLOURS), cycle(_PEER_MARKS)
+    others = {name: Look("peer", plain(name), next(colours), next(marks)) for name in peers}
     return {name: look or others[name] for name, look in looks.items()}
 
 

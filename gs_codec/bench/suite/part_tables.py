@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from gs_codec.analysis.page import number
+from gs_codec.bench.suite.looks import looks_of
 from gs_codec.bench.suite.results import Line, Results, finite, median_of
 from gs_codec.bench.suite.tables import Cells, seconds
 
 #: Lines that parts are measured by, and are none.
 _MEASURES = ("nothing", "steps as fine")
+
+#: Decibels beyond which what a part saves is told by a slope that was measured far from there.
+_FAR = 6.0
 
 #: What a machine line has beside packages, in order, and what it is called.
 _MACHINE = {
@@ -29,6 +33,14 @@ _MACHINE = {
 def part_lines(results: Results, scene: str) -> list[Line]:
     """Lines of parts that were taken out."""
     return [line for line in results.of("part", scene) if line["without"] not in _MEASURES]
+
+
+def is_far(line: Line, results: Results) -> bool:
+    """Whether quality without a part is so far off that its price is no more than a guess."""
+    known = results.of("part", line["scene"])
+    whole = finite(next((x["psnr"] for x in known if x["without"] == _MEASURES[0]), None))
+    without = finite(line["psnr"])
+    return whole is not None and without is not None and abs(whole - without) > _FAR
 
 
 def part_table(results: Results, scene: str) -> tuple[list[str], Cells]:
@@ -106,13 +118,17 @@ def _error(value: float) -> str:
     return "-" if known is None else f"{known:.2g}"
 
 
-def machine_table(results: Results) -> tuple[list[str], Cells]:
+def machine_facts(results: Results) -> list[str]:
     """What was measured on, with what, and by which command."""
     line = results.first("machine")
     known = {label: line[key] for key, label in _MACHINE.items() if line.get(key) is not None}
     if "memory" in known:
         known["memory"] = f"{known['memory'] / 1e9:.1f} GB"
-    packages = line.get("packages") or {k: line[k] for k in ("numpy", "numba") if k in line}
-    if packages:
+    if packages := line.get("packages"):
         known["packages"] = ", ".join(f"{name} {version}" for name, version in packages.items())
-    return ["", "of this run"], [[label, str(value)] for label, value in known.items()]
+    versions = {x["codec"]: x["version"] for x in results.of("beside") if x.get("version")}
+    looks = looks_of(results)
+    peers = [f"{name} ({versions[name]})" for name in versions if looks[name].kind == "peer"]
+    if peers:
+        known["other codecs"] = ", ".join(peers)
+    return [f"{label}: {value}" for label, value in known.items()]

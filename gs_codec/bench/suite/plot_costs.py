@@ -139,21 +139,22 @@ def plot_scaling(results: Results, title: str) -> Figure:
     return titled(figure, title)
 
 
-def plot_parts(lines: Sequence[Line], title: str) -> Figure:
-    """Bits a Gaussian that each part of the codec saves at equal quality."""
-    saved = [(finite(line["saved_bits"]) or 0.0, plain(line["without"], 60)) for line in lines]
-    saved.sort()
-    figure = new_figure(WIDTH, 1.2 + 0.36 * len(saved))
+def plot_parts(lines: Sequence[Line], far: Sequence[bool], title: str) -> Figure:
+    """Bits a Gaussian that each part of the codec saves at equal quality; `far` are guesses."""
+    parts = sorted(
+        (finite(line["saved_bits"]) or 0.0, plain(line["without"], 60), guess)
+        for line, guess in zip(lines, far, strict=True)
+    )
+    figure = new_figure(WIDTH, 1.2 + 0.36 * len(parts))
     axis = figure.add_subplot()
-    values = [value for value, _ in saved]
-    axis.barh(range(len(saved)), values, 0.66, color=ATTRIBUTES)
-    for row, value in enumerate(values):
+    for row, (value, _, guess) in enumerate(parts):
+        axis.barh(row, value, 0.66, color="#c9d4df" if guess else ATTRIBUTES)
         axis.annotate(
-            f"{value:.1f}", (max(value, 0.0), row), (4, 0), textcoords="offset points",
-            va="center", fontsize=8.5,
+            f"{round(value, 1) + 0.0:.1f}{' or so' * guess}", (max(value, 0.0), row), (4, 0),
+            textcoords="offset points", va="center", fontsize=8.5,
         )  # fmt: skip
-    axis.set_yticks(range(len(saved)), [name for _, name in saved])
-    axis.set_xlim(min(0.0, 1.1 * values[0]), 1.12 * max(values[-1], 1e-9))
+    axis.set_yticks(range(len(parts)), [name for _, name, _ in parts])
+    axis.set_xlim(min(0.0, 1.1 * parts[0][0]), 1.16 * max(parts[-1][0], 1e-9))
     axis.set_xlabel("bits a Gaussian saved at equal PSNR")
     axis.grid(axis="y", visible=False)
     return titled(figure, title)

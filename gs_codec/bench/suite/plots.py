@@ -115,7 +115,7 @@ def plot_time(results: Results, scene: str, looks: dict[str, Look], title: str) 
     scale = QualityAxis(results.by_photographs(scene))
     codecs = timed_codecs(results, scene)
     places = dict(zip([c["codec"] for c in codecs], scale.places(codecs), strict=True))
-    figure = new_figure(WIDTH, 10.0)
+    figure = new_figure(WIDTH, 9.4)
     axes = [figure.add_subplot(2, 1, i + 1) for i in range(2)]
     drawn = [
         _draw_time(axis, codecs, places, looks, scale, way, front_of(results, scene, way))

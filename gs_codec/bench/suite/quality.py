@@ -62,8 +62,9 @@ class QualityAxis:
         margin = max(0.09 * (top - low), 0.1)
         axis.set_ylim(low - margin, top + margin)
         if self.by_photographs:
-            shown = [-loss for loss in _LOSSES if self.place(-loss) > low - margin]
-            ticks, texts = [self.place(x) for x in shown], [f"{x or 0:g}" for x in shown]
+            both = [*(-loss for loss in _LOSSES), *_LOSSES[1:]]
+            shown = [x for x in both if low - margin < self.place(x) < top + margin]
+            ticks, texts = [self.place(x) for x in shown], [f"{x:+g}" if x else "0" for x in shown]
         else:
             ticks = [float(tick) for tick in axis.get_yticks() if tick < top + margin]
             ticks = [tick for tick in ticks if tick > low - margin]

@@ -12,8 +12,11 @@ from gs_codec.bench.suite import findings, paper_tables, part_tables, plot_costs
 if TYPE_CHECKING:
     from gs_codec.bench.suite.report import Drawing
 
-#: Spaces in figures that lines are not broken at.
-_FIXED = str.maketrans(" ", "\N{NO-BREAK SPACE}")
+#: Spaces and dashes in figures that lines are not broken at.
+_FIXED = str.maketrans({" ": "\N{NO-BREAK SPACE}", "–": "\N{WORD JOINER}–\N{WORD JOINER}"})
+
+#: Letters of a name that is kept on a line.
+_SHORT = 24
 
 _ELSEWHERE = "The paper's figures are means over other scenes (Mip-NeRF 360), on another machine."
 
@@ -23,7 +26,10 @@ def table(
 ) -> str:
     """Titles and cells as a table whose figures stay on their lines."""
     columns, cells = made
-    rows = [[row[0], *(cell.translate(_FIXED) for cell in row[1:])] for row in cells]
+    rows = [
+        [cell.translate(_FIXED) if place or len(cell) < _SHORT else cell for place, cell in row]
+        for row in map(enumerate, cells)
+    ]
     return plain_table(caption, columns, rows, strong or set())
 
 
@@ -163,12 +169,14 @@ def parts(report: Drawing) -> Iterator[str]:
         lines = part_tables.part_lines(report.results, scene)
         if not lines:
             continue
-        title = findings.part_finding(lines, scene)
+        far = [part_tables.is_far(line, report.results) for line in lines]
+        near = [line for line, guess in zip(lines, far, strict=True) if not guess]
+        title = findings.part_finding(near or lines, scene)
         yield report.draw(
             f"parts-{scene}",
-            plot_costs.plot_parts(lines, title),
+            plot_costs.plot_parts(lines, far, title),
             "Each part taken out alone: bits more, or quality less at the price of bits that "
-            "coarser steps tell.",
+            "coarser steps tell. Pale: more than 6 dB are lost, and that price is a guess.",
             f"{title}. A bar for each part; the table below has its figures.",
         )
         yield table("Without each part", part_tables.part_table(report.results, scene))
@@ -202,8 +210,8 @@ def circumstances(report: Drawing) -> Iterator[str]:
     if views[1]:
         yield table("Scenes and views", views)
     if results.of("machine"):
-        columns, cells = part_tables.machine_table(results)
-        yield plain_table("Machine and versions", columns, cells)
+        yield subheading("Machine and versions")
+        yield listing(part_tables.machine_facts(results))
 
 
 #: Titles of the sections, in their order, and what makes them.

@@ -145,19 +145,24 @@ def codec_table(results: Results, scene: str) -> tuple[list[str], Cells]:
     lines = results.codecs(scene)
     fronts = {way: front_of(results, scene, way) for way in ("encode", "decode")}
     photographs = results.by_photographs(scene)
-    columns = ["codec", "version", "times smaller", "bits / Gaussian", "PSNR dB", "worst view"]
+    columns = ["codec", "times smaller", "bits / Gaussian", "PSNR dB", "worst view"]
     columns += ["delta-PSNR dB"] * photographs
     cells = []
     for line in lines:
         cells.append(
-            [line["codec"], str(line.get("version", "")), number(finite(line.get("ratio")), 2)]
+            [line["codec"], number(finite(line.get("ratio")), 2)]
             + [number(finite(line["bits_per_gaussian"]), 1), decibels(line)]
             + [number(finite(line.get("worst_psnr")), 2)]
             + [signed(delta_of(line))] * photographs
             + [spread(line.get(f"{way}_seconds")) for way in ("encode", "decode")]
-            + [", ".join(way for way, front in fronts.items() if line["codec"] in front)]
+            + [_way([way for way, front in fronts.items() if line["codec"] in front])]
         )
     return [*columns, "encode s", "decode s", "on the front"], cells
+
+
+def _way(ways: list[str]) -> str:
+    """On which fronts a codec is."""
+    return "both" if len(ways) > 1 else "".join(ways)
 
 
 def timed_codecs(results: Results, scene: str) -> list[Line]:
@@ -212,10 +217,12 @@ def signed(value: float | None, digits: int = 3) -> str:
 
 
 def spread(known: object) -> str:
-    """Median, and in brackets the least and the largest."""
+    """Median, and in brackets the least and the largest, where there is more than one."""
     if not isinstance(known, dict):
         return seconds(median_of(known))
     ends = [seconds(finite(known.get(end))) for end in ("min", "max")]
+    if known.get("min") == known.get("max"):
+        return seconds(median_of(known))
     return f"{seconds(median_of(known))} ({ends[0]}–{ends[1]})"
 
 

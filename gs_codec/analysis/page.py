@@ -12,7 +12,7 @@ body { font: 15px/1.45 system-ui, "DejaVu Sans", Arial, sans-serif; color: #111;
 h1 { font-size: 1.6rem; margin-bottom: .2rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem;
      border-bottom: 1px solid #999; } h3 { font-size: 1rem; }
 table { border-collapse: collapse; margin: .8rem 0; font-size: .87rem; }
-th, td { padding: .18rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
+th, td { padding: .18rem .45rem; text-align: right; border-bottom: 1px solid #ddd; }
 th { border-bottom: 1px solid #555; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; }
 caption { caption-side: top; text-align: left; font-weight: 600; padding: .2rem 0;

@@ -47,7 +47,8 @@ POINTS = {
 def beside(scene: str, photographs: bool, codec: tuple, kind: str = "beside") -> Line:
     name, bits, psnr, delta, encode, decode = codec
     line = {
-        "kind": kind, "scene": scene, "codec": name, "version": "1", "gaussians": 1000,
+        "kind": kind, "scene": scene, "codec": name, "version": "1", "own_process": name == "slow",
+        "gaussians": 1000,
         "ply_bytes": 248000, "ratio": 1984 / bits, "bits_per_gaussian": bits,
         "mean": {"psnr": psnr, "ssim": 0.99}, "worst_psnr": psnr,
         "encode_seconds": {"median": encode, "min": 0.9 * encode, "max": 1.2 * encode},
@@ -192,6 +193,7 @@ def test_pictures_lie_beside_the_page(written: Path) -> None:
         "EPYC",
         "Left out with --skip: curves.",
         "SOG: no &lt;node&gt;",
+        "<td>slow\N{NO-BREAK SPACE}*</td>",
     ],
 )
 def test_page_says(written: Path, text: str) -> None:
@@ -275,7 +277,8 @@ def test_headline_is_the_table_of_the_readme() -> None:
         "|  | `paper-m`: EntropyGS | 12.2x | 162.7 | -0.09 dB | 0.30 s | 0.11 s | 96.8 | 62.4 |",
         "|  | spz v4 | 12.3x | 161.3 | -0.76 dB | 0.43 s | 0.05 s | ≤ 58.0 | 44.0 |",
         "|  | pcodec, columns | 1.49x | 1333.1 | 0 | 0.22 s | 0.03 s | 1252.5 (`lossless`) |  |",
-        "|  | slow | 11.7x | 170.0 | -0.80 dB | 2.00 s | 1.00 s |  |  |",
+        "|  | slow (start of the program timed) | 11.7x | 170.0 | -0.80 dB | 2.00 s | 1.00 s |  | "
+        " |",
         "| sample (1,000, 3) | `m` | 17.5x | 113.5 | 49.7 dB PSNR | 0.36 s | 0.16 s |  |  |",
         "|  | `m`, by views | 24.6x | 80.5 | 51.7 dB PSNR | 55 s | 0.12 s |  |  |",
         "| *the paper, its mean scene (1.12 M), CPU* |  |  |  | *-0.18 dB* | *16.4 s* | *13.8 s* |"

@@ -8,7 +8,7 @@ from gs_codec import paper
 from gs_codec.bench.suite.looks import in_order, looks_of
 from gs_codec.bench.suite.results import CURVES, Line, Results, delta_of, is_exact, psnr_of
 from gs_codec.bench.suite.results import median_of as median
-from gs_codec.bench.suite.tables import EqualRow, equal_rows
+from gs_codec.bench.suite.tables import EqualRow, equal_rows, is_started
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS
 
 _TITLES = (
@@ -60,7 +60,7 @@ def _cells(
 ) -> list[str]:
     times = [_seconds(median(line.get(f"{way}_seconds"))) for way in ("encode", "decode")]
     return [
-        _codec(line["codec"]),
+        _codec(line["codec"]) + " (start of the program timed)" * is_started(line),
         f"{line['ratio']:.1f}x" if line["ratio"] >= 10 else f"{line['ratio']:.2f}x",
         f"{line['bits_per_gaussian']:.1f}",
         _quality(line, photographs),

@@ -11,7 +11,13 @@ from gs_codec.bench.suite.labels import Drawn, Label, place_labels
 from gs_codec.bench.suite.looks import CURVE_LOOKS, Look, plain, point_name
 from gs_codec.bench.suite.quality import QualityAxis
 from gs_codec.bench.suite.results import CURVES, Line, Results, is_exact, psnr_of
-from gs_codec.bench.suite.tables import equal_rows, front_of, timed_codecs
+from gs_codec.bench.suite.tables import (
+    STARTED,
+    equal_rows,
+    front_of,
+    is_started,
+    timed_codecs,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,7 +155,7 @@ def _draw_time(
         axis.plot(*lines[-1], color=look.colour, lw=1.4, alpha=0.55)
         size = 8.5 if line["codec"] in front else 6.5
         axis.plot(x, y, look.mark, color=look.colour, mfc=look.face, ms=size)
-        text = f"{look.name}: {line['bits_per_gaussian']:.0f} bits"
+        text = f"{look.name}{STARTED * is_started(line)}: {line['bits_per_gaussian']:.0f} bits"
         labels.append(Label(x, y, text, look.colour, line["codec"] in front))
     lines.append(_stairs(sorted(spot[name] for name in front)))
     axis.plot(*lines[-1], color="#222222", lw=1.1, ls=(0, (4, 2)), zorder=1)

@@ -18,6 +18,8 @@ _FIXED = str.maketrans({" ": "\N{NO-BREAK SPACE}", "–": "\N{WORD JOINER}–\N{
 #: Letters of a name that is kept on a line.
 _SHORT = 24
 
+_PROGRAMS = "A program that is started each time, which its times include, has a * behind its name."
+
 _ELSEWHERE = "The paper's figures are means over other scenes (Mip-NeRF 360), on another machine."
 
 
@@ -96,6 +98,8 @@ def run_time(report: Drawing) -> Iterator[str]:
         strong = {i for i, row in enumerate(cells) if row[-1]}
         caption = "All codecs: medians, and in brackets least and largest"
         yield table(caption, (columns, cells), strong)
+        if any(tables.is_started(line) for line in lines):
+            yield paragraph(_PROGRAMS)
         if beaten := tables.beaten_codecs(report.results, scene):
             yield paragraph(
                 f"Beaten by another in size, quality and both times alike: {', '.join(beaten)}."

@@ -20,6 +20,9 @@ from gs_codec.config import LOSSLESS, PROFILES
 
 Cells = list[list[str]]
 
+#: Follows the name of a codec whose times are those of a program, its start included.
+STARTED = " *"
+
 
 @dataclass(frozen=True)
 class There:
@@ -150,7 +153,7 @@ def codec_table(results: Results, scene: str) -> tuple[list[str], Cells]:
     cells = []
     for line in lines:
         cells.append(
-            [line["codec"], number(finite(line.get("ratio")), 2)]
+            [line["codec"] + STARTED * is_started(line), number(finite(line.get("ratio")), 2)]
             + [number(finite(line["bits_per_gaussian"]), 1), decibels(line)]
             + [number(finite(line.get("worst_psnr")), 2)]
             + [signed(delta_of(line))] * photographs
@@ -204,6 +207,11 @@ def beaten_codecs(results: Results, scene: str) -> list[str]:
         if by:
             told.append(f"{codec} (by {by[0]})")
     return told
+
+
+def is_started(line: Line) -> bool:
+    """Whether a codec is a program that is started for each encoding and decoding."""
+    return bool(line.get("own_process"))
 
 
 def decibels(line: Line) -> str:

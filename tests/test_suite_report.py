@@ -263,6 +263,14 @@ def test_equal_views_have_no_psnr(psnr: float | None, tmp_path: Path) -> None:
     assert "| exact | 1.53x | 1300.0 | 0 |" in (tmp_path / "headline.md").read_text()
 
 
+def test_a_clock_too_coarse_is_no_error(tmp_path: Path) -> None:
+    lines = [beside("bonsai", True, codec) for codec in CODECS[:3]]
+    lines[0]["decode_seconds"] |= {"min": 0.0}
+    lines[1]["decode_seconds"] = {"median": 0.0, "min": 0.0, "max": 0.0}
+    write_report(lines, tmp_path)
+    assert (tmp_path / "time-bonsai.png").exists()
+
+
 def test_headline_is_the_table_of_the_readme() -> None:
     assert headline(lines_of_all()) == [
         "| scene (Gaussians, SH degree) | codec | times smaller | bits / Gaussian | delta-PSNR | "

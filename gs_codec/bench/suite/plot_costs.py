@@ -131,7 +131,7 @@ def plot_scaling(results: Results, title: str) -> Figure:
         axis.set_xscale("log")
         axis.set_yscale("log")
         ticks_of_logs(axis, counts, "x")
-        ticks_of_logs(axis, [value for value in values if value > 0], "y")
+        ticks_of_logs(axis, values, "y")
         axis.set_xlabel("Gaussians (both axes logarithmic)")
         axis.set_title(name)
     times.legend(fontsize=8.5)

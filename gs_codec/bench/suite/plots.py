@@ -11,13 +11,7 @@ from gs_codec.bench.suite.labels import Drawn, Label, place_labels
 from gs_codec.bench.suite.looks import CURVE_LOOKS, Look, plain, point_name
 from gs_codec.bench.suite.quality import QualityAxis
 from gs_codec.bench.suite.results import CURVES, Line, Results, is_exact, psnr_of
-from gs_codec.bench.suite.tables import (
-    STARTED,
-    equal_rows,
-    front_of,
-    is_started,
-    timed_codecs,
-)
+from gs_codec.bench.suite.tables import STARTED, equal_rows, front_of, is_started, timed_codecs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -183,7 +177,8 @@ def ticks_of_logs(axis: Axes, values: Sequence[float], which: Literal["x", "y"])
     """Limits and plain numbers at 1, 2, 5 of every decade of a logarithmic axis."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-    low, high = min(values, default=1.0), max(values, default=10.0)
+    drawn = [value for value in values if value > 0] or [1.0, 10.0]
+    low, high = min(drawn), max(drawn)
     ratio = max((high / low) ** 0.08, 1.12)
     side = axis.xaxis if which == "x" else axis.yaxis
     (axis.set_xlim if which == "x" else axis.set_ylim)(low / ratio, high * ratio)

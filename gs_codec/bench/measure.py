@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import statistics
 import tempfile
@@ -13,6 +14,7 @@ from typing import Any
 
 from gs_codec import __version__
 from gs_codec.analysis.tables import entropy_by_group
+from gs_codec.bench import host
 from gs_codec.bench.apart import run_apart
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
@@ -33,8 +35,13 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "numpy": numpy.__version__,
         "numba": numba.__version__,
-        "processor": platform.processor() or platform.machine(),
+        "processor": host.processor_name(),
+        "cores": os.cpu_count(),
         "threads": available_threads(),
+        "memory_bytes": host.memory_bytes(),
+        "system": platform.platform(),
+        "commit": host.commit(),
+        "packages": host.package_versions(),
     }
 
 

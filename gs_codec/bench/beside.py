@@ -14,13 +14,16 @@ from gs_codec.bench.measure import spread
 from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
 from gs_codec.bench.rendered import rendered_quality
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import ToolFailed
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
 from gs_codec.planned import guide_of
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
+
+#: What follows the profile's name where a codec goes by views.
+_BY_VIEWS = ", by views"
 
 
 def measure_beside(
@@ -31,25 +34,26 @@ def measure_beside(
     cameras: Sequence[Camera] = (),
     truth: Path | None = None,
     plan: Plan | None = None,
+    others: bool = True,
 ) -> Iterator[dict[str, Any]]:
-    """A result line for each of our configurations and each peer.
+    """A result line for each of our configurations and, with `others`, each peer.
 
     All begin with the same (cached) PLY, read by the same reader, and end with its floats in
     memory. In each of the `repeats` after the first, which compiles, every codec has its turn;
     with a `plan`, profiles that can go by its views do that too, once. A peer that fails, or does
     not end in its time, has a line that says so, as one has that is absent.
     """
-    present = [_profile(config) for config in configs]
+    present = [our_codec(config) for config in configs]
     if plan is not None:
         present += [_by_views(c, plan) for c in configs if c.profile in LATTICE_PROFILES]
     with tempfile.TemporaryDirectory() as folder:
         ply = Path(folder) / "scene.ply"
         write_ply(ply, scene)
-        found = find_peers(configs[0].extra, configs[0].threads)
+        found = find_peers(configs[0].extra, configs[0].threads) if others else []
         present += [peer for peer in found if isinstance(peer, Peer)]
         for peer, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
             try:
-                line = _line(scene, name, peer, turns, ply.stat().st_size)
+                line = result_line(scene, name, peer, turns, ply.stat().st_size)
                 if cameras:
                     decoded = peer.scene(peer.decode(turns.data))
                     line |= rendered_quality(scene, decoded, cameras, truth)
@@ -61,8 +65,13 @@ def measure_beside(
             yield _absent(name, other.name, other.absent)
 
 
+def is_ours(codec: str) -> bool:
+    """Whether a result line's codec is one of our profiles."""
+    return codec.removesuffix(_BY_VIEWS) in PROFILE_CHOICES
+
+
 @dataclass
-class _Turns:
+class Turns:
     """What a codec made of a scene, and the seconds of each of its turns."""
 
     data: bytes = b""
@@ -71,7 +80,7 @@ class _Turns:
     failed: ToolFailed | None = None
 
 
-def _profile(config: Config) -> Peer:
+def our_codec(config: Config) -> Peer:
     """One of our profiles, called as the others are."""
 
     def encode(ply: Path) -> bytes:
@@ -92,13 +101,13 @@ def _by_views(config: Config, plan: Plan) -> Peer:
         scene = read_ply(ply, config.extra)
         return encode_scene(scene, config, guide=guide_of(scene, plan, config))[0]
 
-    blind = _profile(config)
-    name = f"{config.profile}, by views"
+    blind = our_codec(config)
+    name = f"{config.profile}{_BY_VIEWS}"
     return Peer(name, __version__, encode, blind.decode, blind.scene, once=True)
 
 
-def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[_Turns]:
-    all_turns = [_Turns() for _ in peers]
+def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[Turns]:
+    all_turns = [Turns() for _ in peers]
     for turn in range(repeats + 1):
         for peer, turns in zip(peers, all_turns, strict=True):
             if turns.failed or (peer.once and turn != 1):
@@ -118,7 +127,10 @@ def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[_Turns]:
     return all_turns
 
 
-def _line(scene: Scene, name: str, peer: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
+def result_line(
+    scene: Scene, name: str, peer: Peer, turns: Turns, ply_bytes: int
+) -> dict[str, Any]:
+    """Size and seconds of a codec; bits are those of a Gaussian of the input."""
     if turns.failed:
         raise turns.failed
     size = len(turns.data)

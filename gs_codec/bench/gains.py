@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from gs_codec.bench.beside import is_ours
 from gs_codec.bench.curves import Curve, bd_rate, common_range
 from gs_codec.bench.rendered import measure_quality
 from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, MAX_DEPTH, PROFILES, Config
@@ -62,19 +63,31 @@ def measure_gains(
     cameras: Sequence[Camera],
     truth: Path | None,
     config: Config,
-    plan: Plan,
+    plan: Plan | None,
+    beside: Iterable[dict[str, Any]] = (),
 ) -> Iterator[dict[str, Any]]:
     """Points of the curves of a scene, then the bits saved where they can be compared.
 
-    `config` gives what profiles have in common. Quality is PSNR against the scene's own views.
-    Where curves do not reach each other's profiles they are continued, the paper's by a bit more
-    or less of each depth, ours by half or twice the steps.
+    `config` gives what profiles have in common; without a `plan` there is no curve by views.
+    Quality is PSNR against the scene's own views. Where curves do not reach each other's profiles
+    they are continued, the paper's by a bit more or less of each depth, ours by half or twice the
+    steps. Profiles that `beside` has, lines of `measure_beside`, are taken from there, and curves
+    are continued to the quality of all else that it has.
     """
     paper = _paper_ladder(config)
-    ours = [_own_ladder(config, "by attributes", None), _own_ladder(config, "by views", plan)]
+    ours = [_own_ladder(config, "by attributes", None)]
+    if plan is not None:
+        ours.append(_own_ladder(config, "by views", plan))
+    known = {line["codec"]: line for line in beside if "mean" in line}
+    others = [line["mean"]["psnr"] for codec, line in known.items() if not is_ours(codec)]
+    wanted = [psnr for psnr in others if psnr is not None]
 
     def measure(ladder: _Ladder, label: str, chosen: Config) -> dict[str, Any]:
-        line = measure_quality(scene, name, cameras, truth, chosen, ladder.plan)
+        codec = label if ladder.plan is None else f"{label}, by views"
+        if codec in known:
+            line = _as_rendered(known[codec], chosen, ladder.plan is not None)
+        else:
+            line = measure_quality(scene, name, cameras, truth, chosen, ladder.plan)
         ladder.lines[label] = line | {"kind": "point", "curve": ladder.curve, "point": label}
         return ladder.lines[label]
 
@@ -88,10 +101,23 @@ def measure_gains(
         for label, chosen in ladder.named:
             yield measure(ladder, label, chosen)
     for ladder in ours:
-        yield from extend(ladder, [*paper.named_psnr().values()])
-    yield from extend(paper, [psnr for ladder in ours for psnr in ladder.named_psnr().values()])
+        yield from extend(ladder, [*paper.named_psnr().values(), *wanted])
+    named = [psnr for ladder in ours for psnr in ladder.named_psnr().values()]
+    yield from extend(paper, [*named, *wanted])
     for ladder in ours:
         yield from _gains(name, paper, ladder)
+
+
+def _as_rendered(line: dict[str, Any], config: Config, by_views: bool) -> dict[str, Any]:
+    """What `measure_quality` would say of a profile that was measured beside others."""
+    same = ("scene", "gaussians", "bits_per_gaussian", "ratio")
+    quality = ("views", "mean", "worst_psnr", "truth", "delta")
+    return {
+        "profile": config.profile,
+        "by_views": by_views,
+        "encode_seconds": line["encode_seconds"]["median"],
+        **{name: line[name] for name in (*same, *quality) if name in line},
+    }
 
 
 def _paper_ladder(config: Config) -> _Ladder:

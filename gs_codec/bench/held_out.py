@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from gs_codec.preparation.pipeline import Plan
@@ -14,11 +15,13 @@ from gs_codec.scene import Scene
 _MEASURED, _ENCODED_BY = 24, 64
 
 
-def held_out_views(source: str, scene: Scene, width: int | None) -> tuple[list[Camera], Plan]:
+def held_out_views(
+    source: str | Sequence[Camera], scene: Scene, width: int | None
+) -> tuple[list[Camera], Plan]:
     """Cameras to measure in, and a plan without steps that goes by the others.
 
-    Of a file those marked ``test`` are measured in, as anywhere; ``auto`` chooses enough for both,
-    as the few it chooses alone are among the many.
+    Of a file, or of cameras given, those marked ``test`` are measured in, as anywhere; ``auto``
+    chooses enough for both, as the few it chooses alone are among the many.
     """
     both = _MEASURED + _ENCODED_BY
     cameras = find_cameras(source, scene, "all", width, both)

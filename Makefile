@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint check boundscheck scaling fuzz peers clean
+.PHONY: demo test lint check boundscheck scaling suite fuzz peers clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -30,6 +30,15 @@ scaling: $(VENV)/installed-test
 	@mkdir -p build/scaling
 	for n in $(SIZES); do $(BIN)/python samples/generate.py build/scaling/$$n.ply --gaussians $$n || exit; done
 	$(BIN)/gs-codec bench $(SIZES:%=build/scaling/%.ply) --scaling --plot build/scaling/plot.png $(MEMORY:%=--max-memory %)
+
+# Two samples and SCENES="a/point_cloud.ply ...", cameras.json and images beside each: build/suite/report.
+# Half an hour with a scene of 200,000 Gaussians. OPTIONS="--skip pruned": without these parts.
+SAMPLE := build/suite/still_life
+suite: $(VENV)/installed-test
+	@mkdir -p $(SAMPLE)_60k $(SAMPLE)_100k
+	$(BIN)/python samples/generate.py $(SAMPLE)_60k/point_cloud.ply --gaussians 60000 --sh-degree 3 --seed 1 --cameras $(SAMPLE)_60k/cameras.json
+	$(BIN)/python samples/generate.py $(SAMPLE)_100k/point_cloud.ply --gaussians 100000 --sh-degree 1 --seed 2 --cameras $(SAMPLE)_100k/cameras.json
+	$(BIN)/gs-codec bench suite $(SCENES) $(SAMPLE)_60k/point_cloud.ply $(SAMPLE)_100k/point_cloud.ply --out build/suite/report $(OPTIONS)
 
 # Every reader, one after another, MINUTES each; findings are kept in the folder `fuzz`.
 MINUTES ?= 30

@@ -25,6 +25,9 @@ POINT_COLUMNS = [
 ]  # fmt: skip
 PART_COLUMNS = ["scene, profile", "without", "bits/G", "PSNR dB", "saves bits/G at equal PSNR"]
 STRESS_COLUMNS = ["case, profile", "error/bound", "of", "moved", "bits/G", "s"]
+EQUAL_COLUMNS = [
+    "scene, codec", "PSNR dB", "bits/G", "by attributes", "by views", "paper", "lossless",
+]  # fmt: skip
 GAIN_COLUMNS = ["scene, steps", "at", "PSNR dB", "paper bits/G", "bits/G", "saved"]
 
 
@@ -159,3 +162,27 @@ def target_row(line: dict[str, Any]) -> list[str]:
     loss = f"{line['delta']['psnr']:+.3f}" if "delta" in line else ""
     quality = [_decibels(line["mean"]), loss, f"{line['encode_seconds']:.1f}"]
     return [f"{line['scene']}, {line['curve']}", asked, reached, pruned, *size, *quality]
+
+
+def equal_rows(lines: list[dict[str, Any]]) -> list[list[str]]:
+    """A row for each other codec: its bits, and those of our curves at its quality."""
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for line in lines:
+        if line["kind"] == "equal":
+            row = rows.setdefault((line["scene"], line["codec"]), {"line": line})
+            row[line["curve"]] = line["curve_bits_per_gaussian"]
+    return [
+        [
+            f"{scene}, {codec}",
+            _decibels(row["line"]),
+            f"{row['line']['bits_per_gaussian']:.1f}",
+            *(_bits(row, curve) for curve in EQUAL_COLUMNS[3:]),
+        ]
+        for (scene, codec), row in rows.items()
+    ]
+
+
+def _bits(row: dict[str, Any], curve: str) -> str:
+    if curve not in row:
+        return ""
+    return "out of range" if row[curve] is None else f"{row[curve]:.1f}"

@@ -43,9 +43,9 @@ for module in (
     compare,
     render,
     analyze,
-    bench,
 ):
     app.command(module.__name__.rpartition(".")[2])(module.command)
+app.add_typer(bench.app, name="bench")
 
 
 @app.callback(invoke_without_command=True)

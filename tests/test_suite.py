@@ -311,6 +311,8 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
         ([], "no scenes given, .*`make suite`"),
         (["missing.ply"], "missing.ply"),
         (["a/scene.ply", "b/scene.ply"], "b/scene.ply: called 'scene', as a/scene.ply is"),
+        (["a/scene.ply", "--threads", "0"], "threads 0: expected"),
+        (["a/scene.ply", "--width", "0"], "width 0: expected"),
         (["a/scene.ply", "--skip", "lunch"], "--skip lunch: expected one of peers, views, "),
         (["a/scene.ply", "--out", "file"], "file"),
         (["a/scene.ply", "--out", "taken"], "taken/suite.jsonl: a directory"),

@@ -71,14 +71,14 @@ def measure_gains(
     `config` gives what profiles have in common; without a `plan` there is no curve by views.
     Quality is PSNR against the scene's own views. Where curves do not reach each other's profiles
     they are continued, the paper's by a bit more or less of each depth, ours by half or twice the
-    steps. Profiles that `beside` has, lines of `measure_beside`, are taken from there, and curves
-    are continued to the quality of all else that it has.
+    steps. Profiles among `beside`, lines of `measure_beside`, are taken from there, and curves are
+    continued to the quality of all else there.
     """
     paper = _paper_ladder(config)
     ours = [_own_ladder(config, "by attributes", None)]
     if plan is not None:
         ours.append(_own_ladder(config, "by views", plan))
-    known = {line["codec"]: line for line in beside if "mean" in line}
+    known = {line["codec"]: line for line in beside if line["kind"] == "beside" and "mean" in line}
     others = [line["mean"]["psnr"] for codec, line in known.items() if not is_ours(codec)]
     wanted = [psnr for psnr in others if psnr is not None]
 

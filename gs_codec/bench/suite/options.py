@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from gs_codec.config import check_threads
 from gs_codec.errors import InvalidInput
 
 #: What can be left out: other codecs, all that goes by views, pruned scenes, rate-distortion
@@ -37,7 +38,7 @@ class Options:
     Raises
     ------
     InvalidInput
-        If there are no scenes, or a group is none.
+        If there are no scenes, a group is none, or a number is out of range.
     """
 
     scenes: tuple[Path, ...]
@@ -53,6 +54,7 @@ class Options:
                 "no scenes given, expected .ply files, each beside its cameras.json; "
                 "`make suite` makes two and measures them"
             )
+        check_threads(self.threads)
         for group in sorted(self.skip - set(GROUPS)):
             raise InvalidInput(f"--skip {group}: expected one of {', '.join(GROUPS)}")
 

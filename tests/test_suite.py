@@ -14,7 +14,7 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec import paper
-from gs_codec.bench import ablated, apart, beside, held_out, host, measure, points, scaling
+from gs_codec.bench import ablated, apart, held_out, host, measure, points, scaling
 from gs_codec.bench.beside import our_codec
 from gs_codec.bench.curves import Curve
 from gs_codec.bench.equal import compare_at_equal_quality
@@ -73,7 +73,7 @@ def stand_in(patch: pytest.MonkeyPatch) -> list[tuple[list[dict], Path]]:
     patch.setitem(sys.modules, REPORT, report)
     for module in (measure, points, scaling):
         patch.setattr(module, "run_apart", run_here)
-    patch.setattr(beside, "find_peers", peers)
+    patch.setattr(stages, "find_peers", peers)
     patch.setattr(held_out, "_MEASURED", 3)
     patch.setattr(held_out, "_ENCODED_BY", 6)
     patch.setattr(stages, "SIZES", (150, 300))
@@ -84,7 +84,7 @@ def stand_in(patch: pytest.MonkeyPatch) -> list[tuple[list[dict], Path]]:
 def suite(tmp_path_factory) -> tuple[list[dict], str, Path]:
     """Lines, what was said, and the folder: a scene with photographs, and one of its own views."""
     folder = tmp_path_factory.mktemp("suite")
-    scenes = [make_scene(folder / "shot", 300, 9, True), make_scene(folder / "plain", 400)]
+    scenes = [make_scene(folder / "plain", 400), make_scene(folder / "shot", 300, 9, True)]
     out = folder / "new" / "out"
     options = ["--out", str(out), "--repeats", "1", "--width", str(WIDTH), "--threads", "2"]
     with pytest.MonkeyPatch.context() as patch:
@@ -204,6 +204,31 @@ def _beside(codec: str, bits: float, psnr: float | None) -> dict:
         "kind": "beside", "scene": "x", "codec": codec, "bits_per_gaussian": bits,
         "mean": {"psnr": psnr},
     }  # fmt: skip
+
+
+def test_the_smallest_scene_is_measured_first(suite):
+    lines = suite[0]
+    assert [line["scene"] for line in of(lines, "scene")] == ["plain", "shot"]
+    measured = [line["scene"] for line in of(lines, "codec")]
+    assert measured == ["shot"] * len(PROFILE_CHOICES) + ["plain"] * len(PROFILE_CHOICES)
+
+
+def test_slow_ones_that_failed_are_not_tried_on_larger_scenes(monkeypatch):
+    quick = our_codec(Config("paper-s"))
+    found = [replace(quick, name="slow", once=True), replace(quick, name="quick")]
+    monkeypatch.setattr(stages, "find_peers", lambda *_: [*found, AbsentPeer("none", "none: no")])
+    options = Options((Path("x.ply"),))
+    assert stages._others(options, []) == [*found, AbsentPeer("none", "none: no")]
+    lines = [
+        {"kind": "beside", "scene": "a", "codec": name, "absent": f"{name} of a: did not end"}
+        for name in ("slow", "quick")
+    ]
+    lines.append(lines[0] | {"scene": "b", "absent": "slow of a: did not end; not tried"})
+    first, second, _ = stages._others(options, lines)
+    why = "slow of a: did not end; not tried on larger scenes"
+    assert first == AbsentPeer("slow", why)
+    assert second == found[1]
+    assert stages._others(Options((Path("x.ply"),), skip=frozenset({"peers"})), lines) == []
 
 
 def test_what_curves_do_not_reach_is_out_of_range():

@@ -36,9 +36,9 @@ def measure_beside(
     cameras: Sequence[Camera] = (),
     truth: Path | None = None,
     plan: Plan | None = None,
-    others: bool = True,
+    others: Sequence[Peer | AbsentPeer] | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """A result line for each of our configurations and, with `others`, each peer.
+    """A result line for each of our configurations and each peer: `others`, or all there are.
 
     All begin with the same (cached) PLY, read by the same reader, and end with its floats in
     memory. In each of the `repeats` after the first, which compiles, every codec has its turn;
@@ -56,8 +56,9 @@ def measure_beside(
     with tempfile.TemporaryDirectory() as folder:
         ply = Path(folder) / "scene.ply"
         write_ply(ply, scene)
-        found = find_peers(configs[0].extra, configs[0].threads) if others else []
-        present += [peer for peer in found if isinstance(peer, Peer)]
+        if others is None:
+            others = find_peers(configs[0].extra, configs[0].threads)
+        present += [peer for peer in others if isinstance(peer, Peer)]
         for peer, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
             try:
                 line = result_line(scene, name, peer, turns, ply.stat().st_size)
@@ -67,7 +68,7 @@ def measure_beside(
             except ToolFailed as error:
                 line = _absent(name, peer.name, f"{peer.name} of {name}: {error}")
             yield line
-    for other in found:
+    for other in others:
         if isinstance(other, AbsentPeer):
             yield _absent(name, other.name, other.absent)
 

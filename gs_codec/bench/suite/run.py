@@ -11,7 +11,7 @@ from typing import Any
 from gs_codec import paper
 from gs_codec.bench.measure import machine
 from gs_codec.bench.suite.options import GROUPS, Options
-from gs_codec.bench.suite.scenes import count_scenes, open_scene
+from gs_codec.bench.suite.scenes import describe_scenes, open_scene
 from gs_codec.bench.suite.stages import STAGES, STAGES_OF_LARGEST
 
 
@@ -33,13 +33,12 @@ def run_suite(
     InvalidInput
         If a scene, cameras or photographs cannot be used; before anything is measured.
     """
-    counts = count_scenes(options.scenes, options.width)
-    largest = max(options.scenes, key=lambda path: counts[path])
-    return (_finite(line) for line in _measure(options, command, tell, largest))
+    scenes = describe_scenes(options.scenes, options.width)
+    return (_finite(line) for line in _measure(options, command, tell, scenes))
 
 
 def _measure(
-    options: Options, command: str, tell: Callable[[str], None], largest: Path
+    options: Options, command: str, tell: Callable[[str], None], scenes: dict[Path, dict[str, Any]]
 ) -> Iterator[dict[str, Any]]:
     yield machine() | {
         "seed": options.seed,
@@ -51,16 +50,18 @@ def _measure(
     for group in GROUPS:
         if group in options.skip:
             yield {"kind": "skipped", "group": group}
-    for path in options.scenes:
+    yield from scenes.values()
+    # The smallest first: what does not end there need not be tried on the others.
+    *others, largest = sorted(scenes, key=lambda path: scenes[path]["gaussians"])
+    found: list[dict[str, Any]] = []
+    for path in (*others, largest):
         measured = open_scene(path, options.width)
-        yield measured.line
-        lines: list[dict[str, Any]] = []
         for stage in STAGES + (STAGES_OF_LARGEST if path == largest else ()):
             if not options.wants(*stage.groups) or (stage.photographs and measured.truth is None):
                 continue
             tell(f"{measured.name}: {stage.title}")
-            for line in stage.measure(measured, options, lines):
-                lines.append(line)
+            for line in stage.measure(measured, options, found):
+                found.append(line)
                 yield line
 
 

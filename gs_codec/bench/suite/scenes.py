@@ -103,8 +103,8 @@ def _marked(cameras: list[Camera]) -> Sequence[Camera]:
     ]
 
 
-def count_scenes(paths: Sequence[Path], width: int | None) -> dict[Path, int]:
-    """Gaussians of each scene; all are read, so that what cannot be used is refused at once.
+def describe_scenes(paths: Sequence[Path], width: int | None) -> dict[Path, dict[str, Any]]:
+    """The line of each scene; all are read, so that what cannot be used is refused at once.
 
     Raises
     ------
@@ -112,10 +112,10 @@ def count_scenes(paths: Sequence[Path], width: int | None) -> dict[Path, int]:
         As `open_scene` does, and if two would be called the same.
     """
     names: dict[str, Path] = {}
-    counts = {}
+    lines = {}
     for path in paths:
         other = names.setdefault(scene_name(path), path)
         if other is not path:
             raise InvalidInput(f"{path}: called '{scene_name(path)}', as {other} is")
-        counts[path] = open_scene(path, width).scene.count
-    return counts
+        lines[path] = open_scene(path, width).line
+    return lines

@@ -15,6 +15,7 @@ from gs_codec.bench.equal import compare_at_equal_quality
 from gs_codec.bench.gains import measure_gains
 from gs_codec.bench.measure import measure_scene
 from gs_codec.bench.parts import measure_parts
+from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
 from gs_codec.bench.points import measure_points
 from gs_codec.bench.pruned import measure_pruned
 from gs_codec.bench.scaling import measure_scaling
@@ -41,7 +42,7 @@ class Stage:
     groups : tuple of str
         Leaving out any of these leaves it out.
     measure : callable
-        From a scene, options, and the lines there are of this scene, to its lines.
+        From a scene, options, and the lines there are by now, to its own.
     photographs : bool
         Whether it is for scenes that have them.
     """
@@ -58,7 +59,7 @@ def _profiles(measured: MeasuredScene, options: Options, _: Sequence[dict[str, A
         yield from measure_scene(measured.scene, measured.name, config, options.repeats)
 
 
-def _beside(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
+def _beside(measured: MeasuredScene, options: Options, found: Sequence[dict[str, Any]]) -> Lines:
     return measure_beside(
         measured.scene,
         measured.name,
@@ -67,19 +68,37 @@ def _beside(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
         measured.cameras,
         measured.truth,
         measured.plan if options.wants("views") else None,
-        options.wants("peers"),
+        _others(options, found),
     )
 
 
+def _others(options: Options, found: Sequence[dict[str, Any]]) -> list[Peer | AbsentPeer]:
+    """Other codecs; those so slow that they run once not after they failed on a smaller scene."""
+    if not options.wants("peers"):
+        return []
+    failed = {
+        line["codec"]: f"{line['absent']}; not tried on larger scenes"
+        for line in reversed(found)
+        if line["kind"] == "beside" and "absent" in line
+    }
+    return [
+        AbsentPeer(peer.name, failed[peer.name])
+        if isinstance(peer, Peer) and peer.once and peer.name in failed
+        else peer
+        for peer in find_peers("error", options.threads)
+    ]
+
+
 def _curves(measured: MeasuredScene, options: Options, found: Sequence[dict[str, Any]]) -> Lines:
-    lines = list(found)
+    lines = [line for line in found if line["scene"] == measured.name]
     plan = measured.plan if options.wants("views") else None
     views = (measured.cameras, measured.truth)
     config = _config("m", options)
-    for line in measure_gains(measured.scene, measured.name, *views, config, plan, found):
-        lines.append(line)
+    points = []
+    for line in measure_gains(measured.scene, measured.name, *views, config, plan, lines):
+        points.append(line)
         yield line
-    yield from compare_at_equal_quality(lines)
+    yield from compare_at_equal_quality([*lines, *points])
 
 
 def _pruned(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:

@@ -32,8 +32,8 @@ scaling: $(VENV)/installed-test
 	$(BIN)/gs-codec bench $(SIZES:%=build/scaling/%.ply) --scaling --plot build/scaling/plot.png $(MEMORY:%=--max-memory %)
 
 # Two samples and SCENES="a/point_cloud.ply ...", cameras.json and images beside each: build/suite/report.
-# Half an hour with a scene of 200,000 Gaussians; OPTIONS="--skip pruned" leaves that out. Other codecs
-# are measured where they are there.
+# Half an hour with a scene of 200,000 Gaussians; OPTIONS="--skip pruned" leaves that out. `make peers` before
+# it: other codecs are measured where they are there.
 SAMPLE := build/suite/still_life
 suite: $(VENV)/installed-test
 	@mkdir -p $(SAMPLE)_60k $(SAMPLE)_100k

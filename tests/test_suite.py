@@ -21,6 +21,7 @@ from gs_codec.bench.equal import compare_at_equal_quality
 from gs_codec.bench.peers import AbsentPeer
 from gs_codec.bench.suite import stages
 from gs_codec.bench.suite.options import GROUPS, Options
+from gs_codec.bench.suite.report import write_report
 from gs_codec.bench.suite.run import run_suite
 from gs_codec.bench.suite.scenes import open_scene
 from gs_codec.cli import main
@@ -287,6 +288,16 @@ def test_what_is_measured_and_found_is_told(suite):
     assert re.search(r"^plain, by views +BD-rate", said, re.MULTILINE)
     assert said.count("third: get it") == 1
     assert said.splitlines()[-1] == f"report: {out / 'report.html'}"
+
+
+def test_the_report_takes_these_lines(suite, tmp_path):
+    write_report(suite[0], tmp_path)
+    page = (tmp_path / "report.html").read_text().replace("\xa0", " ")
+    for text in ("shot", "plain", "other v1", "39 % pruned", "third: get it", "bench suite"):
+        assert text in page
+    table = (tmp_path / "headline.md").read_text()
+    assert "plain (400, 1)" in table
+    assert "shot (300, 1)" in table
 
 
 def test_groups_left_out_are_lines_and_nothing_else(tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint check boundscheck scaling suite fuzz peers clean
+.PHONY: demo test lint check docs boundscheck scaling suite fuzz peers clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -23,6 +23,11 @@ lint: $(VENV)/installed-test
 	$(BIN)/mypy
 
 check: lint test
+
+# Pages on the Python API, to be opened in a browser.
+docs: $(VENV)/installed
+	$(PIP) install -e '.[docs]'
+	$(BIN)/python samples/api_pages.py build/docs
 
 # 6.5 GB of scenes, and twice as much again while the largest is coded. MEMORY=4GB: within that.
 SIZES := 200000 1000000 5000000 20000000

@@ -1,4 +1,4 @@
-"""What the README tells people to type works."""
+"""What the documents tell people to type works, and their links lead somewhere."""
 
 from __future__ import annotations
 
@@ -15,24 +15,45 @@ from gs_codec.io.ply import write_ply
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+COMMANDS = (ROOT / "gs_codec" / "cli" / "COMMANDS.md").read_text()
+FOLDERS = ("gs_codec", "samples", "tests", "viewer")
+DOCUMENTS = sorted(
+    path.relative_to(ROOT).as_posix()
+    for path in [*ROOT.glob("*.md"), *(p for f in FOLDERS for p in (ROOT / f).rglob("*.md"))]
+)
+SHOWN = re.compile(r"```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder that holds a scene.ply, as the README assumes."""
+    """A folder that holds a scene.ply, as the documents assume."""
     write_ply(tmp_path / "scene.ply", random_scene(1000, 3, seed=80))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_commands_run_in_the_order_given(folder):
-    lines = re.findall(r"^    gs-codec ([^#\n]*)", README, re.MULTILINE)
-    assert len(lines) >= 6
+def commands_of(text: str) -> list[str]:
+    return re.findall(r"^    gs-codec ([^#\n]*)", text, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("text", "least"), [(README, 4), (COMMANDS, 18)], ids=["README", "COMMANDS"]
+)
+def test_commands_run_in_the_order_given(folder, text, least):
+    lines = commands_of(text)
+    assert len(lines) >= least
     for line in lines:
         result = CliRunner().invoke(app, shlex.split(line))
         assert result.exit_code == 0, (line, result.output)
     assert (folder / "scene.egs").exists()
     assert (folder / "decoded.ply").exists()
+
+
+def test_every_command_has_an_example():
+    shown = {line.split()[0] for line in commands_of(COMMANDS)}
+    assert shown == {command.name for command in app.registered_commands} | {
+        group.name for group in app.registered_groups
+    }
 
 
 def test_python_example_runs(folder, capsys):
@@ -42,9 +63,36 @@ def test_python_example_runs(folder, capsys):
     assert (folder / "decoded.ply").exists()
 
 
-def test_links_and_make_targets_exist():
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
+def heading_anchors(path: Path) -> set[str]:
+    """The anchors GitHub gives to the headings of a document."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_links_lead_to_files_and_headings(name):
+    path = ROOT / name
+    for link in re.findall(r"\]\(([^)\s]+)\)", SHOWN.sub("", path.read_text())):
+        if link.startswith(("http://", "https://")):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (path.parent / file).resolve() if file else path
+        assert target.exists(), link
+        assert target == ROOT or ROOT in target.parents, f"{link} leaves the repository"
+        assert not anchor or anchor in heading_anchors(target), link
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_make_targets_exist(name):
     makefile = (ROOT / "Makefile").read_text()
-    for target in re.findall(r"^    make (\w+)", README, re.MULTILINE):
+    for target in re.findall(r"^    make (\w+)", (ROOT / name).read_text(), re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+def test_documents_are_linked():
+    linked = {
+        (ROOT / name).parent.joinpath(link).resolve()
+        for name in DOCUMENTS
+        for link in re.findall(r"\]\(([^)#\s]+)", (ROOT / name).read_text())
+    }
+    assert [name for name in DOCUMENTS if name != "README.md" and ROOT / name not in linked] == []

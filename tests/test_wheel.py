@@ -1,0 +1,107 @@
+"""What `pip install` brings: the packages and the documents beside them, nothing else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import gs_codec
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ("LICENSE", "README.md", "gs_codec", "pyproject.toml", "samples", "tests", "viewer")
+
+
+def run(*arguments: str | Path, cwd: Path, path: Path | None = None) -> str:
+    """What Python prints, away from the repository; a failure shows what it said."""
+    kept = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    environment = kept if path is None else {**kept, "PYTHONPATH": str(path)}
+    command = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """A wheel of a copy of the sources: builds leave files behind."""
+    folder = tmp_path_factory.mktemp("wheel")
+    copy = folder / "sources"
+    copy.mkdir()
+    for name in SOURCES:
+        source = ROOT / name
+        if source.is_file():
+            shutil.copy(source, copy)
+        else:
+            shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    pip = "-m", "pip", "--disable-pip-version-check", "wheel", "--no-index", "--no-deps"
+    run(*pip, "--no-build-isolation", "--wheel-dir", folder, copy, cwd=folder)
+    return next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def unpacked(wheel) -> Path:
+    folder = wheel.parent / "unpacked"
+    zipfile.ZipFile(wheel).extractall(folder)
+    return folder
+
+
+def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    metadata = f"gs_codec-{gs_codec.__version__}.dist-info/"
+    expected = {
+        path.relative_to(ROOT).as_posix()
+        for package in (ROOT / "gs_codec", ROOT / "viewer")
+        for suffix in ("py", "md")
+        for path in package.rglob(f"*.{suffix}")
+    }
+    expected |= {
+        path.relative_to(ROOT).as_posix()
+        for pattern in ("gs_codec/bench/*.jsonl", "gs_codec/bench/*.png", "viewer/*.png")
+        for path in ROOT.glob(pattern)
+    }
+    assert {name for name in names if not name.startswith(metadata)} == expected
+    documents = "FORMAT.md", "TRUST.md", "cli/COMMANDS.md", "bench/RESULTS.md"
+    assert names >= {f"gs_codec/{name}" for name in documents}
+    assert metadata + "licenses/LICENSE" in names
+    assert not any(name.split("/")[0] in ("tests", "samples") for name in names)
+
+
+def test_wheel_says_what_it_is(wheel):
+    archive = zipfile.ZipFile(wheel)
+    folder = f"gs_codec-{gs_codec.__version__}.dist-info"
+    scripts = archive.read(f"{folder}/entry_points.txt").decode()
+    assert "gs-codec = gs_codec.__main__:main" in scripts
+    assert "gs-viewer = viewer.main:main" in scripts
+    metadata = archive.read(f"{folder}/METADATA").decode()
+    assert "License-Expression: GPL-3.0-or-later" in metadata
+    assert "# gs_codec" in metadata
+
+
+def test_unpacked_wheel_runs_elsewhere(unpacked, tmp_path):
+    code = "import gs_codec, viewer; print(gs_codec.__file__, viewer.__file__, sep='\\n')"
+    places = run("-c", code, cwd=tmp_path, path=unpacked).splitlines()
+    assert places == [
+        str(unpacked / package / "__init__.py") for package in ("gs_codec", "viewer")
+    ]
+    version = f"gs-codec {gs_codec.__version__}\n"
+    assert run("-m", "gs_codec", "--version", cwd=tmp_path, path=unpacked) == version
+    code = "import sys, viewer.main; sys.argv[1:] = ['--version']; viewer.main.main()"
+    version = f"gs-viewer {gs_codec.__version__}\n"
+    assert run("-c", code, cwd=tmp_path, path=unpacked) == version
+
+
+def test_unpacked_wheel_loads_every_command(unpacked, tmp_path):
+    """Commands load the modules of theirs, so a package left out would show late."""
+    code = (
+        "import importlib, pkgutil, gs_codec.cli as cli\n"
+        "for module in pkgutil.iter_modules(cli.__path__):\n"
+        "    print(importlib.import_module(f'gs_codec.cli.{module.name}').__name__)\n"
+    )
+    loaded = run("-c", code, cwd=tmp_path, path=unpacked).split()
+    assert "gs_codec.cli.bench" in loaded

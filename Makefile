@@ -27,6 +27,7 @@ check: lint test
 # Pages on the Python API, to be opened in a browser.
 docs: $(VENV)/installed
 	$(PIP) install -e '.[docs]'
+	rm -rf build/docs
 	$(BIN)/python samples/api_pages.py build/docs
 
 # 6.5 GB of scenes, and twice as much again while the largest is coded. MEMORY=4GB: within that.

@@ -1,6 +1,13 @@
 """Entropy coding of 3D Gaussian Splatting scenes (EntropyGS, arXiv 2508.10227).
 
-Names are loaded when first used, so that ``import gs_codec`` stays cheap.
+Scenes are Open3D point clouds, one attribute tensor for each property of the Gaussians:
+
+    cloud = gs_codec.read("scene.ply")
+    data = gs_codec.encode(cloud, gs_codec.Config("m"))
+    decoded = gs_codec.decode(data)
+
+Names are loaded when first used, so that ``import gs_codec`` stays cheap. Errors are all
+`GsCodecError`; nothing is printed, and no function changes what it is given.
 """
 
 from __future__ import annotations
@@ -18,9 +25,9 @@ _HOMES = {
     "encode": "gs_codec.api",
     "decode": "gs_codec.api",
     "inspect": "gs_codec.api",
-    "compare": "gs_codec.api",
-    "render": "gs_codec.api",
-    "prepare": "gs_codec.api",
+    "compare": "gs_codec.viewing",
+    "render": "gs_codec.viewing",
+    "prepare": "gs_codec.viewing",
     "encode_file": "gs_codec.files",
     "decode_file": "gs_codec.files",
 }

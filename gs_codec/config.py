@@ -193,6 +193,16 @@ class Config:
     ------
     InvalidInput
         If a value is outside its range.
+
+    Examples
+    --------
+    >>> config = gs_codec.Config("paper-s", depths={"rotation": 8})
+    >>> config.resolved_depths()["rotation"]
+    8
+    >>> gs_codec.Config(coarseness=100)
+    Traceback (most recent call last):
+        ...
+    gs_codec.errors.InvalidInput: coarseness 100: expected 1/64 to 64
     """
 
     profile: str = "m"

@@ -2,7 +2,16 @@
 
 
 class GsCodecError(Exception):
-    """Base of every error gs_codec raises on purpose; its text is one line."""
+    """Base of every error gs_codec raises on purpose; its text is one line.
+
+    Examples
+    --------
+    >>> try:
+    ...     gs_codec.read("missing.ply")
+    ... except gs_codec.GsCodecError as error:
+    ...     print(error)
+    missing.ply: No such file or directory
+    """
 
 
 class InvalidInput(GsCodecError):

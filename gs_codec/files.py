@@ -43,7 +43,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DecodeReport:
-    """What decoding a file gave."""
+    """What decoding a file gave.
+
+    Attributes
+    ----------
+    count : int
+        Gaussians written.
+    sh_degree : int
+        0-3.
+    bytes_read : int
+        How much of the file a part of the scene took.
+    file_bytes : int
+        Size of the file.
+    seconds : dict of str to float
+        Wall time of each stage.
+    """
 
     count: int
     sh_degree: int
@@ -64,17 +78,57 @@ def encode_file(
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
-    With a `plan`, the scene is prepared first, if that has steps, and profiles that go by what is
-    seen go by its views; `report_folder` receives what preparation did, and what each stage of
-    coding adds to it. With a `goal`, steps are chosen as `encode_goal` has it. With `max_memory`,
-    neither is there, and a scene that takes more bytes is worked on in temporary files; what
-    comes out is the same.
+    Does not load Open3D, and gives the bytes that `encode` does.
+
+    Parameters
+    ----------
+    source : str or Path
+        PLY, `.egs`, `.splat`, `.spz` or SOG.
+    target : str or Path
+        The `.egs` file; one that is there is replaced once the new one is whole.
+    config : Config, optional
+        By default profile ``m``.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    plan : Plan, optional
+        How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` go by what
+        its views see.
+    report_folder : str or Path, optional
+        Receives what preparation did, and what each stage of coding adds to it.
+    goal : Target, optional
+        A size or quality that profiles ``l``, ``m`` and ``s`` are to come to.
+    max_memory : int, optional
+        Bytes; a scene that takes more is worked on in temporary files, with the same result. Not
+        with `plan` nor `goal`, and of a binary PLY of floats alone.
+
+    Returns
+    -------
+    EncodeReport
+        Sizes, entropies, what was moved or left out, and seconds by stage.
 
     Raises
     ------
     InvalidInput
         If the source cannot be used, the goal is out of reach, the target cannot be written, or
         `max_memory` is too little.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the source is an `.egs` file that cannot be decoded.
+    MissingTool, ToolFailed
+        If `config` asks for G-PCC, and its program is not there or fails.
+
+    Examples
+    --------
+    >>> report = gs_codec.encode_file("scene.ply", "coded.egs", gs_codec.Config("l"))
+    >>> report.count, report.raw_bytes // report.file_bytes >= 5
+    (2000, True)
+
+    Without what views hardly miss:
+
+    >>> from gs_codec.preparation.pipeline import Plan
+    >>> from gs_codec.preparation.steps import Steps
+    >>> plan = Plan(Steps(prune_loo=20), "cameras.json", width=48)
+    >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
+    1600
     """
     config = config or Config()
     check_target(source, target)
@@ -255,18 +309,49 @@ def decode_file(
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
     A comment line in the PLY says in which order the Gaussians are, unless it is the
-    original's, so that `compare` can match them.
+    original's, so that `compare` can match them. Does not load Open3D.
+
+    Parameters
+    ----------
+    source : str or Path
+        An `.egs` file.
+    target : str or Path
+        Written in the INRIA trainer's layout, whatever its suffix.
+    threads : int, optional
+        Worker threads, 1-256; by default one for each available processor.
+    max_bytes : int, optional
+        Largest size of the decoded floats; by default 1 GiB or 1000 times the file.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    part : Part, optional
+        A box, a lower SH degree, or both; no more of the file is read than that needs.
+    tmc3 : str or Path, optional
+        MPEG's program, for files that use G-PCC; by default what the environment variable
+        ``GS_CODEC_TMC3`` or PATH say.
+    max_memory : int, optional
+        Bytes that are enough for a part of the scene at a time.
+
+    Returns
+    -------
+    DecodeReport
+        What came out, how much was read for it, and seconds by stage.
 
     Raises
     ------
     InvalidInput
-        If the source cannot be read, the target cannot be written, or `max_memory`, bytes that
-        are enough for a part of the scene at a time, are not enough for one block.
+        If the source cannot be read, the target cannot be written, or `max_memory` is not enough
+        for one block.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is not a sound `.egs` file.
     MissingTool, ToolFailed
-        If it uses G-PCC, and the program (`tmc3`, or what the environment says) is not there or
-        does not decode it.
+        If it uses G-PCC, and the program is not there or does not decode it.
+
+    Examples
+    --------
+    >>> from gs_codec.codec.part import Part
+    >>> report = gs_codec.decode_file("scene.egs", "decoded.ply", part=Part(sh_degree=1))
+    >>> report.sh_degree, report.bytes_read < report.file_bytes
+    (1, True)
     """
     check_target(source, target)
     start = time.perf_counter()

@@ -23,7 +23,17 @@ from gs_codec.skipped import skipped_by_channels, skipped_by_header, skipped_by_
 
 @dataclass(frozen=True)
 class StreamInfo:
-    """Bytes of one kind of section, blocks together, and bits for each Gaussian."""
+    """Bytes of one kind of section, blocks together, and bits for each Gaussian.
+
+    Attributes
+    ----------
+    name : str
+        As FORMAT.md names the section.
+    bytes : int
+        Size of all sections of that kind.
+    bits_per_gaussian : float
+        The same for each Gaussian of the file.
+    """
 
     name: str
     bytes: int
@@ -32,7 +42,19 @@ class StreamInfo:
 
 @dataclass(frozen=True)
 class PassInfo:
-    """A kind of symbols of profiles `l`, `m` and `s`: its tables, and the steps of its values."""
+    """A kind of symbols of profiles `l`, `m` and `s`: its tables, and the steps of its values.
+
+    Attributes
+    ----------
+    name : str
+        What the symbols are of.
+    stream : str
+        What it is coded with.
+    tables : int
+        How many tables there are for it, chosen from by the steps.
+    finest_step, coarsest_step : float
+        Distance of neighbouring values, in the attribute's own domain.
+    """
 
     name: str
     stream: str
@@ -43,12 +65,24 @@ class PassInfo:
 
 @dataclass(frozen=True)
 class Info:
-    """Everything `inspect` knows.
+    """Everything `inspect` knows, from the header and the tables of a file alone.
 
     Attributes
     ----------
-    version, count, sh_degree, profile, blocks, block_size, has_normals, keeps_order
-        As in the header.
+    version : int
+        Of the format.
+    count : int
+        Number of Gaussians.
+    sh_degree : int
+        0-3.
+    profile : str
+        As `Config` has it.
+    blocks, block_size : int
+        Parts that decode apart, and most Gaussians in one.
+    has_normals : bool
+        Whether the source had normals, all zero.
+    keeps_order : bool
+        Whether the Gaussians come in the source's order.
     geometry : str
         What codes positions: ``octree``, ``gpcc`` (SH-DC too), or ``columns`` (`lossless`).
     tool : str or None
@@ -56,6 +90,7 @@ class Info:
     bounds : tuple of two tuples of float
         Lowest and highest x, y, z of the centres.
     file_bytes : int
+        Size of the file.
     raw_bytes : int
         Size of the same attributes as float32.
     streams : tuple of StreamInfo
@@ -67,7 +102,8 @@ class Info:
     grid : PositionGrid or None
         What positions are multiples of, likewise.
     coordinates : str or None
-        Where the axes point, if comments say: `Scene.coordinates`.
+        Where x, y and z point, if comments say: three letters, as in ``RDF`` (right, down,
+        forward) or ``RUB`` (right, up, back).
     antialiased : bool
         Whether comments ask for opacity compensation.
     skipped : tuple of str

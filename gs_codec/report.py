@@ -31,7 +31,24 @@ class StageTimes:
 
 @dataclass(frozen=True)
 class ChannelCost:
-    """Bits of one rANS-coded channel, all Gaussians together."""
+    """Bits of one rANS-coded channel, all Gaussians together.
+
+    Attributes
+    ----------
+    name : str
+        The channel: its property in a PLY, or the kind of symbols.
+    stream : str
+        What it is coded with, as `inspect` names it.
+    model : str
+        What its table was made from.
+    coded_bits : float
+        What the symbols take under the table that is used.
+    parametric_bits : float
+        What they would take under the cheapest fitted distribution; of profiles ``l``, ``m`` and
+        ``s``, which send tables, the same.
+    shannon_bits : float
+        Their entropy times their number: the least that any static table can take.
+    """
 
     name: str
     stream: str
@@ -48,11 +65,13 @@ class RateReport:
     Attributes
     ----------
     target : Target
+        What was asked for.
     coarseness : float
         What the profile's steps were multiplied by.
     steps : dict of str to tuple of float
         Finest and coarsest step of each kind of symbols, as `inspect` has them.
     file_bytes : int
+        Size of the file.
     predicted_bytes : int or None
         With cameras: size expected before colours were refitted.
     psnr_drop : float or None

@@ -1,8 +1,9 @@
-"""Pages of HTML on the public names of gs_codec and viewer.
+"""Pages of HTML on the public names of gs_codec and viewer, as `make docs` writes them.
 
     python samples/api_pages.py build/docs
 
-Needs pdoc (extra ``docs``).
+Needs pdoc (extra ``docs``), which looks into modules and does not ask them: names that are loaded
+when first used, and those of modules that hold more than is public, are put before it here.
 """
 
 from __future__ import annotations
@@ -11,15 +12,11 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-import pdoc
+import gs_codec
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-#: What the public functions return, take and raise, by module.
-RETURNED = {
-    "gs_codec.config": ("Target",),
+#: What the public names take and return, by the module it is imported from.
+TYPES = {
     "gs_codec.errors": (
-        "GsCodecError",
         "InvalidInput",
         "CorruptStream",
         "TruncatedStream",
@@ -27,33 +24,83 @@ RETURNED = {
         "MissingTool",
         "ToolFailed",
     ),
-    "gs_codec.report": ("EncodeReport", "RateReport", "ChannelCost"),
-    "gs_codec.files": ("DecodeReport",),
+    "gs_codec.config": ("Target",),
     "gs_codec.inspection": ("Info", "StreamInfo", "PassInfo"),
+    "gs_codec.container.channels": ("Channel",),
+    "gs_codec.lattice.lattice": ("PositionGrid",),
+    "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport"),
+    "gs_codec.files": ("DecodeReport",),
+    "gs_codec.codec.part": ("Part",),
+    "gs_codec.views": ("Views",),
+    "gs_codec.rendering.camera": ("Camera",),
+    "gs_codec.rendering.renderer": ("Rendering", "Accumulations"),
     "gs_codec.metrics.attributes": ("Comparison", "GroupError"),
     "gs_codec.metrics.images": ("Quality",),
     "gs_codec.metrics.views": ("RenderedComparison", "View"),
-    "gs_codec.api": ("Views",),
-    "gs_codec.rendering.camera": ("Camera",),
-    "gs_codec.rendering.renderer": ("Rendering", "Accumulations"),
-    "gs_codec.preparation.steps": ("Steps",),
     "gs_codec.preparation.pipeline": ("Plan",),
+    "gs_codec.preparation.steps": ("Steps",),
     "gs_codec.preparation.report": ("PrepareReport", "StepReport"),
     "viewer.plugin": ("Actions",),
 }
 
 
-def write_pages(folder: Path) -> None:
-    """Write ``index.html`` and a page for each module, of its public names alone."""
-    for module, names in RETURNED.items():
-        import_module(module).__dict__["__all__"] = list(names)
-    for package in map(import_module, ("gs_codec", "viewer")):
-        # pdoc looks into modules, and does not ask them.
-        package.__dict__.update({name: getattr(package, name) for name in package.__all__})
-    pdoc.render.configure(docformat="numpy", show_source=False)
-    pdoc.pdoc("gs_codec", "viewer", *RETURNED, output_directory=folder)
+#: The first page: every name with the first line about it.
+INDEX = """
+{% extends "default/index.html.jinja2" %}
+{% block title %}gs_codec {{ version }}{% endblock %}
+{% block content %}
+<header class="pdoc">
+<h1>gs_codec {{ version }}</h1>
+<input type="search" placeholder="Search ..." aria-label="search box">
+</header>
+<main class="pdoc">
+<section class="module-info">
+{% for page in all_modules.values() %}
+{% set url = page.modulename | replace(".", "/") ~ ".html" %}
+<h2><a href="{{ url }}">{{ page.modulename }}</a></h2>
+<dl>
+{% for each in page.members.values() %}
+<dt><a href="{{ url }}#{{ each.name }}">{{ each.name }}</a></dt>
+<dd>{{ each.docstring.split("\n\n")[0] | replace("`", "") }}</dd>
+{% endfor %}
+</dl>
+{% endfor %}
+</section>
+</main>
+{% include "search.html.jinja2" %}
+{% endblock %}
+"""
+
+STYLE = """
+.pdoc dl { display: grid; grid-template-columns: 11rem 1fr; gap: 0 1rem; }
+.pdoc dt { font-weight: normal; }
+.pdoc dd { margin: 0; }
+header.pdoc h1 { width: 100%; margin: 1rem 0 0; }
+"""
+
+
+def pages() -> dict[str, tuple[str, ...]]:
+    """Names on each page: those of `gs_codec` and `viewer`, then the types they speak of."""
+    public = {name: tuple(import_module(name).__all__) for name in ("gs_codec", "viewer")}
+    return public | TYPES
+
+
+def main(folder: Path) -> None:
+    """Render the pages into a folder."""
+    import pdoc
+    from jinja2 import ChoiceLoader, DictLoader
+
+    for name, names in pages().items():
+        module = import_module(name)
+        vars(module).update({each: getattr(module, each) for each in names}, __all__=list(names))
+    # Fields are told in the docstring of their class.
+    pdoc.render.configure(docformat="numpy", include_undocumented=False, show_source=False)
+    own = DictLoader({"index.html.jinja2": INDEX, "custom.css": STYLE})
+    pdoc.render.env.loader = ChoiceLoader([own, pdoc.render.env.loader])
+    pdoc.render.env.globals["version"] = gs_codec.__version__
+    pdoc.pdoc(*pages(), output_directory=folder)
 
 
 if __name__ == "__main__":
-    write_pages(Path(sys.argv[1]))
-    print(f"open {Path(sys.argv[1]) / 'gs_codec.html'}")
+    main(Path(sys.argv[1]))
+    print(f"open {Path(sys.argv[1]) / 'index.html'}")

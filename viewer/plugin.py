@@ -30,23 +30,30 @@ def draw(
 
     Parameters
     ----------
-    *scenes : one or two of open3d.t.geometry.PointCloud, or paths
+    *scenes : open3d.t.geometry.PointCloud, or path
+        One or two, with the attributes `gs_codec.read` gives, or in any format it reads.
     cameras : path, "auto", or sequence, optional
         Places to look from, as for `gs_codec.render`.
     pruned : path, optional
         Folder of a report of ``gs-codec prepare`` about the first scene.
     layers : sequence of str, optional
-        Of ``splats``, ``centres``, ``pruned``, ``boxes`` and ``error``.
+        Of ``splats``, ``centres``, ``pruned``, ``boxes`` and ``error``; by default ``splats``, and
+        ``pruned`` where that is given.
     colour : {"colour", "opacity", "scale", "error"}
         What centres are coloured by.
     mode : {"side", "wipe", "flip"}
+        Two scenes side by side, or in one view: the first left of a line, or either at a key.
     width, height : int
-        Pixels.
+        Of the window, 64-16384 pixels.
 
     Raises
     ------
     gs_codec.GsCodecError
         If a scene cannot be read, or no window can be opened.
+
+    Examples
+    --------
+    >>> viewer.draw("scene.ply", "scene.egs", cameras="cameras.json", mode="wipe")
     """
     if not 1 <= len(scenes) <= 2:
         raise gs_codec.GsCodecError(f"draw: {len(scenes)} scenes, expected one or two")
@@ -67,10 +74,24 @@ def attach(visualizer: Any) -> Actions:
     Open an ``.egs`` (or ``.ply``) scene, show what a report says was pruned from it, and colour
     its centres by their error against another version. Each asks for a file.
 
+    Parameters
+    ----------
+    visualizer : open3d.visualization.O3DVisualizer
+        Its menu gets the actions.
+
     Returns
     -------
     Actions
-        The same actions as methods that are given a path.
+        The same actions as methods that are given a path; these raise `gs_codec.GsCodecError`
+        where a file cannot be read.
+
+    Examples
+    --------
+    With an `open3d.visualization.O3DVisualizer`:
+
+    >>> actions = viewer.attach(visualizer)
+    >>> actions.open("scene.ply")
+    >>> actions.compare("scene.egs")
     """
     actions = Actions(visualizer)
     for title, ask in (

@@ -46,7 +46,7 @@ def command(
             raise InvalidInput("--images, --against-gt and --width need --cameras")
         _compare_attributes(first, second, json)
         return
-    from gs_codec.api import compare
+    from gs_codec.viewing import compare
 
     with progress_bar(not json) as progress:
         comparison: Any = compare(

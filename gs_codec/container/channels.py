@@ -30,7 +30,21 @@ RANS_STREAMS = ("opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
 
 @dataclass(frozen=True)
 class Channel:
-    """How one channel is quantised and, if its symbols are rANS-coded, modelled."""
+    """How one channel is quantised and, if its symbols are rANS-coded, modelled.
+
+    Attributes
+    ----------
+    group : str
+        Attribute: ``positions``, ``f_dc``, ``f_rest``, ``opacity``, ``log_scale`` or ``rot``.
+    index : int
+        Place in the attribute.
+    stream : str
+        What it is coded with, named as the groups of depths are.
+    quantiser : Quantiser
+        Kind, depth (bits), origin and step.
+    model : Model or None
+        Mixture, Laplace or the table itself; None for constants and what rANS does not code.
+    """
 
     group: str
     index: int

@@ -9,7 +9,17 @@ from gs_codec.lattice.rules import StepRule
 
 @dataclass(frozen=True)
 class PositionGrid:
-    """Cells of positions: ``origin + (cell + 0.5) * step``, `bits` of each axis."""
+    """Cells of positions: ``origin + (cell + 0.5) * step``.
+
+    Attributes
+    ----------
+    origin : tuple of three float
+        Lowest corner, scene units.
+    step : float
+        Side of a cell, scene units.
+    bits : tuple of three int
+        Of the cell's number on each axis.
+    """
 
     origin: tuple[float, float, float]
     step: float

@@ -13,7 +13,20 @@ from gs_codec.scene import Scene
 
 @dataclass(frozen=True)
 class GroupError:
-    """Largest and root-mean-square absolute error of one attribute group, in `unit`."""
+    """Errors of one attribute, all its components together.
+
+    Attributes
+    ----------
+    name : str
+        The attribute, ``scaling`` for log-scales.
+    unit : str
+        What both errors are in: ``scene units``, ``SH``, ``logit``, ``0-1``, ``log``, ``stored``
+        (components of quaternions) or ``degrees``.
+    max : float
+        Largest absolute error.
+    rms : float
+        Root mean square.
+    """
 
     name: str
     unit: str
@@ -23,7 +36,17 @@ class GroupError:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of `count` Gaussians, and how they were matched: ``stored order`` or ``index``."""
+    """Errors by attribute.
+
+    Attributes
+    ----------
+    count : int
+        Number of Gaussians.
+    matched_by : str
+        ``stored order`` or ``index``.
+    groups : tuple of GroupError
+        Opacity and rotation are in it twice, in two units.
+    """
 
     count: int
     matched_by: str

@@ -36,6 +36,7 @@ class View:
     Attributes
     ----------
     name : str
+        The camera's.
     between : Quality
         Of the second scene's image against the first's.
     first, second : Quality or None
@@ -57,7 +58,15 @@ class View:
 
 @dataclass(frozen=True)
 class RenderedComparison:
-    """Views of two scenes of `counts` Gaussians."""
+    """Two scenes in what cameras see of them.
+
+    Attributes
+    ----------
+    counts : tuple of two int
+        Gaussians of each.
+    views : tuple of View
+        In the cameras' order.
+    """
 
     counts: tuple[int, int]
     views: tuple[View, ...]

@@ -60,6 +60,7 @@ class Plan:
     Parameters
     ----------
     steps : Steps
+        What to do, nothing by default.
     cameras : path, "auto", or sequence of Camera
         Quality is measured in those marked ``test``, and at most `views` of the others, evenly
         spaced, are worked by; where none is marked, the same do for both.
@@ -69,10 +70,16 @@ class Plan:
     width : int, optional
         Width of the views, pixels; not with photographs, which have their own.
     views : int
+        1 or more.
     background : tuple of three float
-        RGB behind the scene.
+        RGB behind the scene, 0-1.
     checkpoint : path, optional
         Where `optimise` keeps what it has, and goes on from.
+
+    Raises
+    ------
+    InvalidInput
+        If there are both photographs and a width, or no views.
     """
 
     steps: Steps

@@ -22,6 +22,7 @@ class StepReport:
     Attributes
     ----------
     name : str
+        The step, ``original`` for the input.
     count : int
         Gaussians.
     size_bytes : float
@@ -49,7 +50,8 @@ class PrepareReport:
     Attributes
     ----------
     labels : ndarray, shape (N,), uint8
-        Places in `LABELS`, in the input's order.
+        In the input's order: 0 kept, 1 pruned by geometry, 2 by importance, 3 by leave-one-out
+        error.
     steps : tuple of StepReport
         The first is the input.
     views : Views

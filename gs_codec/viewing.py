@@ -1,0 +1,250 @@
+"""The public functions about what cameras see of scenes: drawn, compared, and made less of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec import files
+from gs_codec.cloud import from_cloud, to_cloud
+from gs_codec.errors import InvalidInput
+from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.metrics.images import Quality, compare_images
+from gs_codec.metrics.views import RenderedComparison, compare_views
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.renderer import Rendering
+from gs_codec.rendering.renderer import render as render_view
+from gs_codec.report import Progress
+from gs_codec.scene import Scene
+from gs_codec.views import Views
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import PointCloud
+
+    from gs_codec.preparation.report import PrepareReport
+
+
+def render(
+    source: PointCloud | str | Path,
+    cameras: str | Path | Sequence[Camera] = "auto",
+    *,
+    split: str = "all",
+    width: int | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool | None = None,
+    accumulate: bool = False,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+) -> Views:
+    """Draw a scene as the 3DGS rasteriser does, view after view as they are asked for.
+
+    Parameters
+    ----------
+    source : open3d.t.geometry.PointCloud, or path of a scene
+        What is drawn; other properties than the Gaussians' are left out.
+    cameras : path, "auto", or sequence of Camera or mapping
+        ``cameras.json`` of the INRIA trainer, the folder of a COLMAP model, cameras chosen
+        from the scene itself, or entries of such a ``cameras.json``.
+    split : {"all", "held-out", "test", "train"}
+        Which of the cameras; ``held-out`` is ``test`` where cameras are marked, else ``all``.
+    width : int, optional
+        Width of the images, pixels; the height follows.
+    background : sequence of three float
+        RGB behind everything, 0-1.
+    antialiased : bool, optional
+        Opacity compensation for the low-pass (Mip-Splatting); by default as the file's comments
+        say.
+    accumulate : bool
+        Keep sums of weights for each Gaussian.
+    device : {"auto", "cpu", "cuda"}
+        ``cuda`` draws with gsplat, ``auto`` does where that is possible.
+    progress : callable, optional
+        Called as ``progress("views", done, total)``.
+
+    Returns
+    -------
+    Views
+        Iterates over cameras and what they see.
+
+    Raises
+    ------
+    InvalidInput
+        If the scene or the cameras cannot be read, or none is of that split.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the scene is an `.egs` file that cannot be decoded.
+    MissingTool
+        When drawing, if ``cuda`` is asked for and not there.
+
+    Examples
+    --------
+    >>> for camera, rendering in gs_codec.render("scene.ply", "cameras.json", width=48):
+    ...     print(camera.name, rendering.colour.shape)
+    00000 (32, 48, 3)
+    00001 (32, 48, 3)
+    """
+    scene = scene_of(source)
+
+    def draw(camera: Camera) -> Rendering:
+        return render_view(scene, camera, background, antialiased, accumulate, device=device)
+
+    return Views(find_cameras(cameras, scene, split, width), draw, progress)
+
+
+def compare(
+    first: PointCloud | str | Path | NDArray,
+    second: PointCloud | str | Path | NDArray,
+    cameras: str | Path | Sequence[Camera] | None = None,
+    *,
+    split: str = "held-out",
+    width: int | None = None,
+    truth: str | Path | None = None,
+    images: str | Path | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+) -> Comparison | RenderedComparison | Quality:
+    """Errors of one scene against another, by attribute or in what cameras see; or of images.
+
+    Without cameras, files are matched through their stored order: of a scene and its decoded
+    version, the first is put in the order of the second. Clouds are compared index by index.
+
+    Parameters
+    ----------
+    first, second : open3d.t.geometry.PointCloud, or paths of scenes
+        Or images ``(H, W, 3)``, 0-1.
+    cameras, split, width, background, device, progress
+        As for `render`; ``auto`` cameras are chosen from the first scene.
+    truth : path, optional
+        Folder of ground-truth images, found by the cameras' names; views take their size.
+    images : path, optional
+        Folder to write both images and their amplified difference to, for each view.
+
+    Returns
+    -------
+    Comparison
+        Without cameras: largest and root-mean-square errors of each attribute.
+    RenderedComparison
+        With cameras: PSNR, SSIM and, where installed, LPIPS of each view, and their means.
+    Quality
+        Of two images.
+
+    Raises
+    ------
+    InvalidInput
+        If a source cannot be read; without cameras, if the numbers of Gaussians differ; if images
+        differ in size, or are missing.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If a source is an `.egs` file that cannot be decoded.
+    MissingTool
+        If ``cuda`` is asked for and not there.
+
+    Examples
+    --------
+    >>> errors = gs_codec.compare("scene.ply", "scene.egs")
+    >>> errors.matched_by
+    'stored order'
+    >>> [f"{group.name} ({group.unit})" for group in errors.groups][:3]
+    ['positions (scene units)', 'f_dc (SH)', 'f_rest (SH)']
+
+    What cameras see of both:
+
+    >>> views = gs_codec.compare("scene.ply", "scene.egs", "cameras.json", width=48)
+    >>> views.mean.between.psnr > 35
+    True
+    """
+    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+        return compare_images(first, second)
+    if cameras is not None:
+        if truth is not None and width is not None:
+            raise InvalidInput("width: given by the ground-truth images, expected one of the two")
+        scenes = scene_of(first), scene_of(second)
+        views = find_cameras(cameras, scenes[0], split, width)
+        return compare_views(*scenes, views, truth, images, background, device, progress)
+    if isinstance(first, str | Path) and isinstance(second, str | Path):
+        return files.compare_files(first, second)
+    if isinstance(first, str | Path) or isinstance(second, str | Path):
+        raise InvalidInput("compare: one file and one cloud, expected two of a kind")
+    return compare_scenes(scene_of(first), scene_of(second))
+
+
+def prepare(
+    source: PointCloud | str | Path,
+    cameras: str | Path | Sequence[Camera] = "auto",
+    *,
+    photographs: str | Path | None = None,
+    width: int | None = None,
+    views: int = 64,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+    **steps: Any,
+) -> tuple[PointCloud, PrepareReport]:
+    """Make a scene smaller before it is coded, and say what that cost (paper, Section 4.2).
+
+    Parameters
+    ----------
+    source : open3d.t.geometry.PointCloud, or path of a scene
+        The input, which stays as it is.
+    cameras : path, "auto", or sequence of Camera
+        As for `render`. Quality is measured in those marked ``test``.
+    photographs : path, optional
+        Folder of their images, to be matched instead of renders of the input.
+    width : int, optional
+        Width of the views, pixels; not with `photographs`, which have their own.
+    views : int
+        Most views to work by, evenly spaced, 1 or more.
+    background : tuple of three float
+        RGB behind the scene, 0-1.
+    checkpoint : path, optional
+        Where ``optimise`` keeps its state, and goes on from.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    **steps
+        ``prune_geometry``, ``prune_importance``, ``prune_loo`` (percent), ``max_drop`` (dB),
+        ``optimise`` (iterations), ``compact_sh`` (strength), ``refit_colour`` (steps),
+        ``rectify`` (bool): see `gs_codec.preparation.steps.Steps`.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        What is left, with the attributes `read` gives.
+    PrepareReport
+        A label for each input Gaussian, and size and quality after each step.
+
+    Raises
+    ------
+    InvalidInput
+        If a step is unknown or out of its range, a file cannot be read, there are no cameras, or
+        nothing would be left.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the scene is an `.egs` file that cannot be decoded.
+
+    Examples
+    --------
+    >>> pruned, report = gs_codec.prepare("scene.ply", "cameras.json", width=48, prune_loo=30)
+    >>> report.removed
+    {'geometry': 0, 'importance': 0, 'leave-one-out': 600}
+    >>> [step.name for step in report.steps]
+    ['original', 'leave-one-out pruning']
+    """
+    from gs_codec.preparation.pipeline import Plan, prepare_scene
+    from gs_codec.preparation.steps import Steps
+
+    unknown = sorted(set(steps) - set(Steps.__dataclass_fields__))
+    if unknown:
+        raise InvalidInput(f"step '{unknown[0]}': expected {', '.join(Steps.__dataclass_fields__)}")
+    plan = Plan(Steps(**steps), cameras, photographs, width, views, background, checkpoint)
+    scene, report = prepare_scene(scene_of(source), plan, progress)
+    return to_cloud(scene), report
+
+
+def scene_of(source: PointCloud | str | Path) -> Scene:
+    """The scene of a cloud or file; other attributes and properties are left out."""
+    if isinstance(source, str | Path):
+        return files.read_scene(source, "drop")
+    return from_cloud(source, "drop")

@@ -1,0 +1,139 @@
+"""The public API is documented: pages render, tell all parameters, and their examples run."""
+
+from __future__ import annotations
+
+import dataclasses
+import doctest
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
+
+import gs_codec
+import viewer
+from gs_codec.files import encode_file
+from gs_codec.io.ply import write_ply
+from samples import api_pages
+from samples.generate import generate, orbit_cameras
+
+ROOT = Path(__file__).parents[1]
+PUBLIC = [(name, each) for name in ("gs_codec", "viewer") for each in import_module(name).__all__]
+NAMES = [(module, name) for module, names in api_pages.pages().items() for name in names]
+
+
+def object_of(module: str, name: str):
+    return getattr(import_module(module), name)
+
+
+def sections(docstring: str) -> dict[str, str]:
+    """Text of each section of a numpydoc docstring, by its title."""
+    parts = re.split(r"^(\w[\w ]+)\n(-+)\n", docstring, flags=re.MULTILINE)
+    titles, underlines, bodies = parts[1::3], parts[2::3], parts[3::3]
+    for title, underline in zip(titles, underlines, strict=True):
+        assert len(title) == len(underline), title
+    return dict(zip(titles, bodies, strict=True))
+
+
+def described(body: str) -> list[str]:
+    """Names that a section lists, several on one line too."""
+    heads = re.findall(r"^(\S.*?)(?: : .+)?$", body, re.MULTILINE)
+    return [name.lstrip("*") for head in heads for name in head.split(", ")]
+
+
+@pytest.mark.parametrize(("module", "name"), NAMES)
+def test_docstring_is_complete(module, name):
+    each = object_of(module, name)
+    told = sections(inspect.getdoc(each))
+    if inspect.isfunction(each):
+        signature = inspect.signature(each)
+        assert sorted(described(told.get("Parameters", ""))) == sorted(signature.parameters)
+        assert ("Returns" in told) == (signature.return_annotation != "None")
+    elif dataclasses.is_dataclass(each):
+        fields = [field.name for field in dataclasses.fields(each)]
+        assert described(told.get("Parameters", told.get("Attributes", ""))) == fields
+        assert ("Raises" in told) == hasattr(each, "__post_init__")
+    for title in ("Parameters", "Attributes", "Returns", "Raises"):
+        bare = re.findall(r"^(\S.*)\n(?!    )", told.get(title, "").strip() + "\n", re.MULTILINE)
+        assert not bare, f"{title} says nothing about them"
+    for error in described(told.get("Raises", "")):
+        assert issubclass(object_of("gs_codec.errors", error.split(".")[-1]), Exception)
+    if inspect.isclass(each):
+        for member, value in vars(each).items():
+            if not member.startswith("_") and (callable(value) or isinstance(value, property)):
+                assert inspect.getdoc(value), f"{name}.{member} has no docstring"
+
+
+@pytest.mark.parametrize(("module", "name"), PUBLIC)
+def test_public_name_has_an_example_and_its_errors(module, name):
+    each = object_of(module, name)
+    told = sections(inspect.getdoc(each))
+    assert ">>> " in told["Examples"]
+    assert "Raises" in told or not inspect.isfunction(each) or name == "attach"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """What examples find where they run."""
+    folder = tmp_path_factory.mktemp("examples")
+    write_ply(folder / "scene.ply", generate(2000, 3, seed=1))
+    encode_file(folder / "scene.ply", folder / "scene.egs")
+    (folder / "cameras.json").write_text(json.dumps(orbit_cameras(2, 64, 43)))
+    return folder
+
+
+def examples() -> list[doctest.DocTest]:
+    finder = doctest.DocTestFinder(exclude_empty=True)
+    found = [
+        test
+        for module, name in NAMES
+        for test in finder.find(object_of(module, name), f"{module}.{name}", globs={})
+        if test.examples
+    ]
+    return sorted(found, key=lambda test: test.name)
+
+
+@pytest.mark.parametrize("example", examples(), ids=lambda test: test.name)
+def test_examples_run(example, folder, monkeypatch):
+    from open3d.visualization import O3DVisualizer
+
+    monkeypatch.chdir(folder)
+    shown = []
+    monkeypatch.setattr("viewer.plugin.find_device", lambda: None)
+    monkeypatch.setattr("viewer.window.run", lambda request, device: shown.append(request))
+    example.globs |= {
+        "gs_codec": gs_codec,
+        "viewer": viewer,
+        "visualizer": Mock(spec=O3DVisualizer),
+    }
+    said: list[str] = []
+    result = doctest.DocTestRunner().run(example, out=said.append)
+    assert result.attempted
+    assert not result.failed, "".join(said)
+    assert bool(shown) == (example.name == "viewer.draw")
+
+
+def test_pages_render_without_warnings(tmp_path):
+    command = [sys.executable, str(ROOT / "samples" / "api_pages.py"), str(tmp_path / "pages")]
+    done = subprocess.run(
+        command,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Warning:" not in done.stderr, done.stderr
+    for module, name in NAMES:
+        page = (tmp_path / "pages" / f"{module.replace('.', '/')}.html").read_text()
+        assert f'<section id="{name}">' in page
+    index = (tmp_path / "pages" / "index.html").read_text()
+    for module, name in NAMES:
+        assert f'href="{module.replace(".", "/")}.html#{name}"' in index

@@ -78,7 +78,7 @@ def encode_file(
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
-    Does not load Open3D, and gives the bytes that `encode` does.
+    Does not load Open3D; comments of a PLY, which clouds do not have, are kept.
 
     Parameters
     ----------

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import PROFILES, Config
+from gs_codec.config import Config
 from gs_codec.metrics.images import compare_images
 from gs_codec.metrics.views import DIFFERENCE_GAIN
 from gs_codec.rendering.camera import Camera
@@ -29,6 +30,18 @@ from samples.generate import generate, orbit_cameras
 
 _COUNT = 600_000
 _WIDTH, _HEIGHT = 420, 300
+_PROFILE = "s"
+
+#: Streams drawn as one, and Okabe and Ito's colours, which the colour-blind tell apart.
+_PARTS = {
+    "positions": (("geometry", "low-bits"), "#000000"),
+    "SH-DC": (("sh-dc",), "#e69f00"),
+    "opacity": (("opacity",), "#56b4e9"),
+    "scaling": (("scaling",), "#009e73"),
+    "rotation": (("rotation",), "#f0e442"),
+    "SH-AC": (("sh1", "sh2", "sh3"), "#d55e00"),
+}
+_SHOWN = ("paper-s", "s", "paper-m", "m")
 
 
 def view() -> Camera:
@@ -47,47 +60,51 @@ def main(target: str) -> None:
     from matplotlib import pyplot as plt
 
     scene = generate(_COUNT, 3, 1)
-    data, _ = encode_scene(scene, Config("paper-m"))
-    before, after = (
-        np.clip(render(s, view(), device="cpu").colour, 0, 1) for s in (scene, decode_scene(data))
-    )
+    data, _ = encode_scene(scene, Config(_PROFILE))
+    before, after = _draw(scene), _draw(decode_scene(data))
     quality = compare_images(before, after)
     panels = {
-        f"before: {_COUNT:,} splats, {scene.float_bytes / 1e6:.0f} MB of floats": before,
-        f"after: {len(data) / 1e6:.1f} MB (paper-m)": after,
-        f"difference x {DIFFERENCE_GAIN}: {quality.psnr:.1f} dB": (
+        f"before: {scene.float_bytes / 1e6:.0f} MB ({_COUNT:,} splats)": before,
+        f"after: {len(data) / 1e6:.1f} MB (profile {_PROFILE})": after,
+        f"difference, {DIFFERENCE_GAIN} times as strong: {quality.psnr:.1f} dB": (
             DIFFERENCE_GAIN * np.abs(before - after)
         ),
     }
-    figure = plt.figure(figsize=(18, 3.95), dpi=80)
+    figure = plt.figure(figsize=(18, 4.0), dpi=80)
     for place, (title, image) in enumerate(panels.items()):
-        axis = figure.add_axes((0.25 * place, 0.0, 0.247, 0.93))
+        axis = figure.add_axes((0.25 * place, 0.0, 0.247, 0.92))
         axis.imshow(np.clip(image, 0, 1))
-        axis.set_title(title, fontsize=11)
+        axis.set_title(title, fontsize=15)
         axis.axis("off")
-    _draw_bits(figure.add_axes((0.795, 0.14, 0.2, 0.62)), scene)
+    _draw_bits(figure.add_axes((0.805, 0.16, 0.19, 0.56)), scene, before)
     figure.savefig(target)
 
 
-def _draw_bits(axis, scene: Scene) -> None:
-    """Bits per Gaussian of each stream, stacked, for each profile."""
-    names = ("geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
-    # Okabe and Ito's colours, told apart by the colour-blind.
-    colours = ("#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00")
-    for row, profile in enumerate(PROFILES):
-        sizes = encode_scene(scene, Config(profile))[1].section_bytes
+def _draw(scene: Scene) -> NDArray:
+    return np.clip(render(scene, view(), device="cpu").colour, 0, 1)
+
+
+def _draw_bits(axis, scene: Scene, before: NDArray) -> None:
+    """Bits per Gaussian of each attribute, stacked, for each profile, and what the view loses."""
+    for row, profile in enumerate(_SHOWN):
+        data, report = encode_scene(scene, Config(profile))
+        sizes = report.section_bytes
+        quality = compare_images(before, _draw(decode_scene(data)))
         left = 0.0
-        for name, colour in zip(names, (*colours, "#cc79a7"), strict=True):
-            bits = 8 * sizes[name] / scene.count
-            label = name if row == 0 else None
+        for part, (streams, colour) in _PARTS.items():
+            bits = 8 * sum(sizes.get(stream, 0) for stream in streams) / scene.count
+            label = None if row else part
             axis.barh(row, bits, left=left, color=colour, label=label, edgecolor="white")
             left += bits
-        axis.text(left + 3, row, f"{left:.0f}", va="center", fontsize=9)
-    axis.set_yticks(range(len(PROFILES)), PROFILES)
+        axis.text(left + 3, row, f"{left:.0f}: {quality.psnr:.1f} dB", va="center", fontsize=12)
+    axis.set_yticks(range(len(_SHOWN)), _SHOWN, fontsize=12)
     axis.invert_yaxis()
-    axis.set_xlim(0, 260)
-    axis.set_xlabel("bits per Gaussian (1888 as floats)", fontsize=9)
-    axis.legend(ncols=4, fontsize=8, loc="upper center", bbox_to_anchor=(0.42, 1.3), frameon=False)
+    axis.set_xlim(0, 245)
+    axis.set_xlabel("bits per Gaussian (1888 as floats)", fontsize=12)
+    axis.legend(
+        ncols=3, fontsize=11, loc="lower center", bbox_to_anchor=(0.42, 1.0), frameon=False,
+        columnspacing=1.0, handlelength=1.2,
+    )  # fmt: skip
     axis.spines[["top", "right"]].set_visible(False)
 
 

@@ -8,11 +8,22 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 demo: $(VENV)/installed
 	@mkdir -p demo
+	@echo; echo "1. A scene of 50,000 Gaussians, and 24 cameras around it"
 	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3 --cameras demo/cameras.json
+	@echo; echo "2. Encode it; the first run compiles kernels for some seconds"
 	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs
+	@echo; echo "3. Decode it, to a PLY that any viewer opens"
 	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply
+	@echo; echo "4. What was lost: by attribute, of which most is never seen"
 	$(BIN)/gs-codec compare demo/still_life.ply demo/decoded.ply
+	@echo; echo "5. What is seen of it: above 45 dB nobody tells two images apart"
 	$(BIN)/gs-codec compare demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --images demo/views
+	$(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --view 2 --layers error \
+	    --width 1000 --height 400 --screenshot demo/picture.png
+	@echo; echo "Done. demo/picture.png: the scene, and the error of each pixel; demo/views: every view before and after,"
+	@echo "and the difference ten times as strong; demo/decoded.ply: the decoded scene. In a window, side by side:"
+	@echo "    $(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json"
+	@echo "Next: samples/TUTORIAL.md, five minutes; or $(BIN)/gs-codec encode YOUR.ply YOUR.egs"
 
 test: $(VENV)/installed-test
 	$(BIN)/python -m pytest

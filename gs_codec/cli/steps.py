@@ -101,7 +101,10 @@ def plan_of(options: dict[str, Any]) -> Any:
                     else ""
                 )
                 raise InvalidInput(f"{option} needs a step, for example --prune-loo 30{other}")
-        if options["cameras"] is None and options["against_gt"] is None:
+        given = options["cameras"] is not None or options["against_gt"] is not None
+        if not (given or measured or options.get("allow_prune")):
+            if options["width"] is not None:
+                raise InvalidInput("--width: nothing goes by views, expected --cameras or a step")
             return None
     from gs_codec.preparation.pipeline import Plan
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 import gs_codec
 from gs_codec.cli.goal import goal_of
 from gs_codec.cli.main import app
+from gs_codec.cli.steps import plan_of
 from gs_codec.cloud import to_cloud
 from gs_codec.codec import decode_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
@@ -309,6 +310,23 @@ def test_pruning_without_a_target_is_refused(tmp_path):
     result = CliRunner().invoke(app, ["encode", "a.ply", str(tmp_path / "x.egs"), "--allow-prune"])
     assert isinstance(result.exception, InvalidInput)
     assert "--allow-prune needs a size or a quality" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    "asked", [{"allow_prune": True}, {"max_psnr_drop": 0.5}], ids=["pruning", "quality"]
+)
+def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
+    options = asdict(Steps()) | {
+        "cameras": None, "against_gt": None, "report": None, "checkpoint": None,
+        "allow_prune": False, "max_psnr_drop": None, "views": 8, "width": 100,
+        "background": "white",
+    }  # fmt: skip
+    plan = plan_of(options | asked)
+    assert (plan.cameras, plan.views, plan.width) == ("auto", 8, 100)
+    assert tuple(plan.background) == (1, 1, 1)
+    with pytest.raises(InvalidInput, match="--width: nothing goes by views"):
+        plan_of(options)
+    assert plan_of(options | {"width": None}) is None
 
 
 def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):

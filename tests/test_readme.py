@@ -7,11 +7,11 @@ import shlex
 from pathlib import Path
 
 import pytest
-from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec.cli.main import app
 from gs_codec.io.ply import write_ply
+from samples.generate import generate
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -27,7 +27,7 @@ SHOWN = re.compile(r"```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder that holds a scene.ply, as the documents assume."""
-    write_ply(tmp_path / "scene.ply", random_scene(1000, 3, seed=80))
+    write_ply(tmp_path / "scene.ply", generate(1000, 3, 80))
     monkeypatch.chdir(tmp_path)
     # SOG takes minutes where its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")

@@ -16,15 +16,20 @@ _TITLES = (
     "encode", "decode", "ours at that PSNR, by attributes", "by views",
 )  # fmt: skip
 
-#: The paper's profile that is shown, and what is shown of scenes after the first.
+#: The paper's profile that is shown, what would say little beside others, and what is shown of
+#: scenes after the first.
 _PAPER = "paper-m"
+_LEFT_OUT = {
+    "l", "s", "paper-l", "paper-s", "splat-transform, spz", "zstd, PLY", "zstd, byte planes",
+}  # fmt: skip
 _SHORT = ("m", "m, by views")
 
 
 def headline(lines: Sequence[Line]) -> list[str]:
     """Lines of a Markdown table: the first scene with photographs in full, others in short.
 
-    Quality is delta-PSNR, or PSNR against the scene's own views where that says so.
+    Quality is delta-PSNR, or PSNR against the scene's own views where that says so. A codec whose
+    times are those of a program, its start included, has a ``*``.
     """
     results = Results(lines)
     looks = looks_of(results)
@@ -46,7 +51,7 @@ def headline(lines: Sequence[Line]) -> list[str]:
 
 
 def _is_shown(codec: str, in_full: bool) -> bool:
-    return not (codec.startswith("paper-") and codec != _PAPER) if in_full else codec in _SHORT
+    return codec not in _LEFT_OUT if in_full else codec in _SHORT
 
 
 def _scene(results: Results, scene: str) -> str:
@@ -60,7 +65,7 @@ def _cells(
 ) -> list[str]:
     times = [_seconds(median(line.get(f"{way}_seconds"))) for way in ("encode", "decode")]
     return [
-        _codec(line["codec"]) + " (start of the program timed)" * is_started(line),
+        _codec(line["codec"]) + r" \*" * is_started(line),
         f"{line['ratio']:.1f}x" if line["ratio"] >= 10 else f"{line['ratio']:.2f}x",
         f"{line['bits_per_gaussian']:.1f}",
         _quality(line, photographs),

@@ -86,8 +86,9 @@ def read_checkpoint(path: Path, digest: str, fresh: AdamState) -> Checkpoint | N
     try:
         # Opened here, as numpy leaves a file that it cannot read open.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = str(archive["digest"])
-            if found == digest:
+            # As bytes: numpy cannot make text of characters that are none.
+            found, own = archive["digest"], np.array(digest)
+            if (found.dtype, found.tobytes()) == (own.dtype, own.tobytes()):
                 return _unpack(archive, fresh)
     except _DAMAGE as error:
         raise InvalidInput(f"{path}: not a whole checkpoint ({one_line(error)})") from error

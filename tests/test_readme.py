@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from gs_codec.bench.suite.headline import headline
 from gs_codec.cli.main import app
 from gs_codec.io.ply import write_ply
 from samples.generate import generate
@@ -49,6 +51,11 @@ def test_commands_run_in_the_order_given(folder, text, least):
         assert result.exit_code == 0, (line, result.output)
     assert (folder / "scene.egs").exists()
     assert (folder / "decoded.ply").exists()
+
+
+def test_the_table_is_that_of_the_committed_run():
+    lines = (ROOT / "gs_codec" / "bench" / "suite.jsonl").read_text().splitlines()
+    assert "\n".join(headline([json.loads(line) for line in lines])) in README
 
 
 def test_every_command_has_an_example():

@@ -15,7 +15,7 @@ from gs_codec.config import Config, Target
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
-from gs_codec.io.atomic import atomic_writer, check_writable
+from gs_codec.io.atomic import atomic_writer, check_writable, make_folder
 from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
@@ -270,7 +270,6 @@ def _prepare(
     """Prepare a scene; a folder for the report that cannot be written to is refused before."""
     # Loaded here: encoding alone does without all that draws.
     from gs_codec.preparation.pipeline import prepare_scene
-    from gs_codec.rendering.images import make_folder
 
     if folder is not None:
         check_writable(make_folder(folder) / "report.json")

@@ -14,8 +14,7 @@ from gs_codec.analysis.plot_fits import plot_attributes, plot_sh
 from gs_codec.analysis.plot_maps import plot_across_colours, plot_others, plot_within_colours
 from gs_codec.analysis.report import write_page
 from gs_codec.files import read_scene
-from gs_codec.io.atomic import atomic_writer, check_writable
-from gs_codec.rendering.images import make_folder
+from gs_codec.io.atomic import check_writable, write_files
 from gs_codec.report import Progress, step_counter
 
 if TYPE_CHECKING:
@@ -57,10 +56,7 @@ def analyse_file(
         "report.json": (json.dumps(content, allow_nan=False) + "\n").encode(),
         "report.html": write_page(analysis, pictures).encode(),
     }
-    make_folder(target)
-    for name, data in files.items():
-        with atomic_writer(target / name) as file:
-            file.write(data)
+    write_files(target, files)
     return content
 
 

@@ -28,6 +28,7 @@ from gs_codec.cli.bench_tables import (
     peer_row,
     point_row,
     preparation_row,
+    print_absent,
     stress_row,
     target_row,
 )
@@ -118,22 +119,15 @@ def run_peers(
     """Measure profiles and other codecs beside each other."""
     from gs_codec.bench.beside import measure_beside
     from gs_codec.bench.held_out import held_out_views
-    from gs_codec.bench.measure import machine
-    from gs_codec.bench.sources import load_scene
 
-    print_text(json_module.dumps(machine()))
     source, truth, width = views
-    lines = []
-    for path in scenes:
-        name, scene = load_scene(path, configs[0].extra, tile)
+    lines: list[dict[str, Any]] = []
+    for name, scene in _loaded(scenes, configs[0], tile):
         cameras, plan = held_out_views(source, scene, width) if source else ([], None)
-        for line in measure_beside(scene, name, configs, repeats, cameras, truth, plan):
-            print_text(json_module.dumps(line))
-            lines.append(line)
+        lines += _printed(measure_beside(scene, name, configs, repeats, cameras, truth, plan))
     rows = [peer_row(line) for line in lines if "absent" not in line]
     print_table(PEER_COLUMNS, rows, sys.stderr)
-    for reason in sorted({line["absent"] for line in lines if "absent" in line}):
-        print_status(reason)
+    print_absent(lines)
 
 
 def run_gains(
@@ -194,14 +188,10 @@ def run_points(scenes: list[Path], configs: list[Config], tile: int | None, repe
     """Measure what codes geometry and SH-DC."""
     if not {config.profile for config in configs} <= set(PROFILES):
         raise InvalidInput(f"--points: profiles {', '.join(PROFILES)}; paper-m when none is given")
-    from gs_codec.bench.measure import machine
     from gs_codec.bench.points import measure_points
-    from gs_codec.bench.sources import load_scene
 
-    print_text(json_module.dumps(machine()))
     rows = []
-    for path in scenes:
-        name, scene = load_scene(path, configs[0].extra, tile)
+    for name, scene in _loaded(scenes, configs[0], tile):
         for config in configs:
             for line in _printed(measure_points(scene, name, config, repeats)):
                 if "absent" in line:
@@ -209,6 +199,16 @@ def run_points(scenes: list[Path], configs: list[Config], tile: int | None, repe
                 else:
                     rows.append(point_row(line))
     print_table(POINT_COLUMNS, rows, sys.stderr)
+
+
+def _loaded(scenes: list[Path], config: Config, tile: int | None) -> Iterator[tuple[str, Scene]]:
+    """Name and scene of each file, after the line of the machine."""
+    from gs_codec.bench.measure import machine
+    from gs_codec.bench.sources import load_scene
+
+    print_text(json_module.dumps(machine()))
+    for path in scenes:
+        yield load_scene(path, config.extra, tile)
 
 
 def _held_out(
@@ -219,13 +219,9 @@ def _held_out(
 ) -> Iterator[tuple[str, Scene, list[Camera], Plan]]:
     """Name and scene of each file, cameras to measure in, and a plan that goes by others."""
     from gs_codec.bench.held_out import held_out_views
-    from gs_codec.bench.measure import machine
-    from gs_codec.bench.sources import load_scene
 
-    print_text(json_module.dumps(machine()))
     source, _, width = views
-    for path in scenes:
-        name, scene = load_scene(path, config.extra, tile)
+    for name, scene in _loaded(scenes, config, tile):
         yield name, scene, *held_out_views(source or "auto", scene, width)
 
 
@@ -248,16 +244,12 @@ def run_preparation(
     if not source:
         raise InvalidInput("--prepare needs --cameras")
     from gs_codec.bench.frontier_plot import plot_frontier
-    from gs_codec.bench.measure import machine
     from gs_codec.bench.prepared import measure_frontier, measure_pruning
-    from gs_codec.bench.sources import load_scene
     from gs_codec.preparation.pipeline import Plan
     from gs_codec.preparation.steps import Steps
 
-    print_text(json_module.dumps(machine()))
     lines: list[dict[str, Any]] = []
-    for path in scenes:
-        name, scene = load_scene(path, configs[0].extra, tile)
+    for name, scene in _loaded(scenes, configs[0], tile):
         plan = Plan(Steps(), source, truth, width)
         results = [measure_pruning(scene, name, plan)]
         results += [measure_frontier(scene, name, plan, config) for config in configs]

@@ -12,7 +12,13 @@ from typing import Annotated, Any
 import typer
 
 from gs_codec.bench.suite.options import GROUPS, Options
-from gs_codec.cli.bench_tables import EQUAL_COLUMNS, GAIN_COLUMNS, equal_rows, gain_row
+from gs_codec.cli.bench_tables import (
+    EQUAL_COLUMNS,
+    GAIN_COLUMNS,
+    equal_rows,
+    gain_row,
+    print_absent,
+)
 from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.cli.resources import Threads
 
@@ -57,8 +63,7 @@ def _measure(options: Options, out: Path) -> list[dict[str, Any]]:
     """Measure and report; lines are on stdout and in the file as soon as they are there."""
     from gs_codec.analysis.figure import new_figure
     from gs_codec.bench.suite.run import run_suite
-    from gs_codec.io.atomic import check_writable
-    from gs_codec.rendering.images import make_folder
+    from gs_codec.io.atomic import check_writable, make_folder
 
     new_figure(1, 1)  # without matplotlib there is no report: refused before the work
     target = make_folder(out) / "suite.jsonl"
@@ -103,5 +108,4 @@ def _print_tables(lines: list[dict[str, Any]]) -> None:
         print_table(EQUAL_COLUMNS, rows, sys.stderr)
     if rates := [gain_row(line) for line in lines if line["kind"] == "bd-rate"]:
         print_table(GAIN_COLUMNS, rates, sys.stderr)
-    for reason in sorted({line["absent"] for line in lines if "absent" in line}):
-        print_status(reason)
+    print_absent(lines)

@@ -1,8 +1,10 @@
-"""Rows of the readable tables of ``gs-codec bench``."""
+"""Rows of the readable tables of ``gs-codec bench``, and what stands below them."""
 
 from __future__ import annotations
 
 from typing import Any
+
+from gs_codec.cli.output import print_status
 
 #: Lines of the readable table: header, and the place of its figure in a result.
 COLUMNS = [
@@ -186,3 +188,9 @@ def _bits(row: dict[str, Any], curve: str) -> str:
     if curve not in row:
         return ""
     return "out of range" if row[curve] is None else f"{row[curve]:.1f}"
+
+
+def print_absent(lines: list[dict[str, Any]]) -> None:
+    """Say what could not be measured, and why; each once."""
+    for reason in sorted({line["absent"] for line in lines if "absent" in line}):
+        print_status(reason)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import re
 import secrets
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import InvalidInput, one_line
 
 
 def check_writable(path: str | Path) -> None:
@@ -30,6 +30,21 @@ def check_writable(path: str | Path) -> None:
         raise InvalidInput(f"{target}: no directory '{target.parent}'")
     if not os.access(target.parent, os.W_OK):
         raise InvalidInput(f"{target}: no permission to write in '{target.parent}'")
+
+
+def make_folder(path: str | Path) -> Path:
+    """The folder `path`, made if it is missing.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be.
+    """
+    try:
+        os.makedirs(path, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput(f"{path}: {one_line(error)}") from error
+    return Path(path)
 
 
 def temporary_name(name: str) -> str:
@@ -112,3 +127,17 @@ def _keep_name(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
+    """Write files by name into a folder, which is made if it is missing.
+
+    Raises
+    ------
+    InvalidInput
+        If the folder cannot be made, or one of them not be written; those before it stay.
+    """
+    target = make_folder(folder)
+    for name, content in files.items():
+        with atomic_writer(target / name) as file:
+            file.write(content)

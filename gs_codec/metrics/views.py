@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.io.atomic import make_folder
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import (
     find_image,
-    make_folder,
     output_names,
     read_image,
     write_png,

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gs_codec.io.atomic import atomic_writer
+from gs_codec.io.atomic import write_files
 from gs_codec.preparation.report import PrepareReport
-from gs_codec.rendering.images import make_folder
 
 
 def save_report(folder: str | Path, report: PrepareReport) -> None:
@@ -32,9 +31,7 @@ def save_report(folder: str | Path, report: PrepareReport) -> None:
         "ablation.md": _markdown(report.table()).encode(),
         "labels.npy": labels.getvalue(),
     }
-    for name, content in files.items():
-        with atomic_writer(make_folder(folder) / name) as file:
-            file.write(content)
+    write_files(folder, files)
 
 
 def _markdown(rows: Sequence[Sequence[str]]) -> str:

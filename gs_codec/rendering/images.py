@@ -58,21 +58,6 @@ def write_png(path: str | Path, image: NDArray) -> None:
         Image.fromarray(levels).save(file, "PNG")
 
 
-def make_folder(path: str | Path) -> Path:
-    """The folder `path`, made if it is missing.
-
-    Raises
-    ------
-    InvalidInput
-        If it cannot be.
-    """
-    try:
-        os.makedirs(path, exist_ok=True)
-    except OSError as error:
-        raise InvalidInput(f"{path}: {one_line(error)}") from error
-    return Path(path)
-
-
 def output_names(cameras: Sequence[Camera]) -> list[str]:
     """A file name, without suffix, for each camera's image; folders become part of it.
 

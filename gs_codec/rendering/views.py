@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from gs_codec.io.atomic import make_folder
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import make_folder, output_names, write_png
+from gs_codec.rendering.images import output_names, write_png
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene

@@ -15,8 +15,7 @@ from gs_codec.bench.suite.headline import headline
 from gs_codec.bench.suite.looks import STYLE, Look, looks_of
 from gs_codec.bench.suite.results import Results
 from gs_codec.bench.suite.sections import SECTIONS
-from gs_codec.io.atomic import atomic_writer
-from gs_codec.rendering.images import make_folder
+from gs_codec.io.atomic import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,10 +79,7 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
         "headline.md": ("\n".join(headline(lines)) + "\n").encode(),
         "report.html": text.encode(),
     }
-    make_folder(folder)
-    for name, data in files.items():
-        with atomic_writer(folder / name) as file:
-            file.write(data)
+    write_files(folder, files)
 
 
 def _draw_page(results: Results) -> tuple[str, dict[str, bytes]]:

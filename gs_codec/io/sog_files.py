@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
-import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.io import images
 from gs_codec.io.limits import refusing
+from gs_codec.io.mapped import located
 
 ZIP = b"PK\x03\x04"
 
@@ -22,6 +22,9 @@ ZIP = b"PK\x03\x04"
 Files = Callable[[str, int], bytes]
 
 _ENTRIES = 1000
+
+#: Flag of an extended WebP file.
+_ANIMATION = 2
 
 
 @contextmanager
@@ -92,33 +95,13 @@ def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:
     InvalidInput
         If it is not a still WebP image, or of more than `most` pixels.
     """
-    from PIL import Image
 
-    width, height = _webp_size(data, name)
-    if width * height > most:
-        raise InvalidInput(f"image '{name}': {width}x{height} pixels, expected at most {most}")
-    more = Image.DecompressionBombError, Image.DecompressionBombWarning
-    with refusing(f"image '{name}'", *more), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:
-            if image.size != (width, height) or getattr(image, "n_frames", 1) != 1:
-                raise InvalidInput(f"image '{name}': {image.size}, not as its header says")
-            return np.asarray(image.convert("RGBA"))
+    def check_size(width: int, height: int) -> None:
+        if width * height > most:
+            raise InvalidInput(f"{width}x{height} pixels, expected at most {most}")
 
-
-def _webp_size(data: bytes, name: str) -> tuple[int, int]:
-    """Width and height, before a library takes memory for them."""
-    if len(data) < 30 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
-        raise InvalidInput(f"image '{name}': begins with {data[:4]!a}, expected WebP")
-    kind = data[12:16]
-    if kind == b"VP8L" and data[20] == 0x2F:
-        (bits,) = struct.unpack_from("<I", data, 21)
-        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
-    if kind == b"VP8X":
-        width, height = (int.from_bytes(data[i : i + 3], "little") + 1 for i in (24, 27))
-        return width, height
     # Lossy images of version 1 exist; values that are only about right are.
-    if kind == b"VP8 ":
-        width, height = struct.unpack_from("<HH", data, 26)
-        return width & 0x3FFF, height & 0x3FFF
-    raise InvalidInput(f"image '{name}': WebP of kind {kind!a}, expected a still image")
+    with located(f"image '{name}'"):
+        if data[12:16] == b"VP8X" and data[20:21] and data[20] & _ANIMATION:
+            raise InvalidInput("an animation, expected a still image")
+        return images.read_pixels(io.BytesIO(data), ("WEBP",), check_size)

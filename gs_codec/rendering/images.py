@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput, one_line
+from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import atomic_writer
+from gs_codec.io.images import read_pixels
+from gs_codec.io.mapped import located
 from gs_codec.rendering.camera import MAX_SIDE, Camera
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+
+#: Most pixels of a photograph.
+_MOST = 1 << 27
 
 
 def read_image(path: str | Path) -> NDArray[np.float32]:
@@ -26,21 +30,20 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
     InvalidInput
         If it is missing, broken, or larger than a camera can be.
     """
-    from PIL import Image, UnidentifiedImageError
+    with located(path):
+        pixels = read_pixels(path, _FORMATS, _check_size)
+    image = pixels[..., :3].astype(np.float32)
+    image /= 255
+    if (pixels[..., 3] < 255).any():
+        image *= pixels[..., 3:].astype(np.float32) / np.float32(255)
+    return image
 
-    try:
-        with warnings.catch_warnings():
-            # What is odd in a file, but does not keep it from being read, is no matter of ours.
-            warnings.simplefilter("ignore")
-            with Image.open(path, formats=_FORMATS) as image:
-                if max(image.size) > MAX_SIDE:
-                    raise InvalidInput(f"{path}: {image.size} pixels, expected at most {MAX_SIDE}")
-                pixels = np.asarray(image.convert("RGBA"), np.float32) / np.float32(255)
-    except UnidentifiedImageError:
-        raise InvalidInput(f"{path}: not an image") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InvalidInput(f"{path}: {one_line(error)}") from error
-    return pixels[..., :3] * pixels[..., 3:]
+
+def _check_size(width: int, height: int) -> None:
+    if max(width, height) > MAX_SIDE or width * height > _MOST:
+        raise InvalidInput(
+            f"{width}x{height} pixels, expected at most {MAX_SIDE} each way and {_MOST} in all"
+        )
 
 
 def write_png(path: str | Path, image: NDArray) -> None:

@@ -1,0 +1,106 @@
+"""Images that nobody vouches for, as pixels: the one place where Pillow opens any."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import GsCodecError, InvalidInput, one_line
+
+#: Refuses an image of this width and height, by an error of ours.
+CheckSize = Callable[[int, int], None]
+
+
+def read_pixels(
+    source: str | Path | BinaryIO, formats: Sequence[str], check_size: CheckSize
+) -> NDArray[np.uint8]:
+    """Pixels ``(H, W, 4)`` of an image, RGBA; the first of several.
+
+    Parameters
+    ----------
+    source : str, Path or binary file
+    formats : sequence of str
+        Pillow's names of the formats to accept. Others never get to their reader: that of
+        PostScript runs the file as a program.
+    check_size : callable
+        Called as ``check_size(width, height)`` before pixels are decoded.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be opened, or is no sound image of these formats; and what `check_size` raises.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        if "WEBP" in formats:
+            # Its reader takes memory for all pixels when it opens a file.
+            _check_webp(source, check_size)
+        with _warnings_ignored(), Image.open(source, formats=tuple(formats)) as image:
+            check_size(*image.size)
+            return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
+    except GsCodecError:
+        raise
+    except UnidentifiedImageError:
+        raise InvalidInput(f"not an image ({', '.join(formats)})") from None
+    except Exception as error:
+        # Readers of formats raise what they like at bytes that they do not expect.
+        reason = one_line(error)[:200] or type(error).__name__
+        raise InvalidInput(reason) from error
+
+
+def _check_webp(source: str | Path | BinaryIO, check_size: CheckSize) -> None:
+    """Check the size that a WebP file states; other files pass."""
+    if isinstance(source, str | Path):
+        with open(source, "rb") as file:
+            _check_webp(file, check_size)
+        return
+    head = source.read(30)
+    source.seek(0)
+    if len(head) < 30 or head[:4] != b"RIFF" or head[8:12] != b"WEBP":
+        return
+    kind = head[12:16]
+    if kind == b"VP8L" and head[20] == 0x2F:
+        (bits,) = struct.unpack_from("<I", head, 21)
+        check_size((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1)
+    elif kind == b"VP8X":
+        width, height = (int.from_bytes(head[i : i + 3], "little") + 1 for i in (24, 27))
+        check_size(width, height)
+    elif kind == b"VP8 ":
+        width, height = struct.unpack_from("<HH", head, 26)
+        check_size(width & 0x3FFF, height & 0x3FFF)
+    else:
+        raise InvalidInput(f"WebP of kind {kind!a}, expected an image")
+
+
+_lock = threading.Lock()
+_inside: list[warnings.catch_warnings] = []
+
+
+@contextmanager
+def _warnings_ignored() -> Iterator[None]:
+    """No warnings of what is odd in a file, but does not keep it from being read.
+
+    Filters belong to the process: the first thread sets them, the last one restores them.
+    """
+    with _lock:
+        context = _inside[0] if _inside else warnings.catch_warnings()
+        if not _inside:
+            context.__enter__()
+            warnings.simplefilter("ignore")
+        _inside.append(context)
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside.pop()
+            if not _inside:
+                context.__exit__(None, None, None)

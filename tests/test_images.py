@@ -1,0 +1,135 @@
+"""Images of strangers: formats and sizes are checked before pixels, and one module reads them."""
+
+from __future__ import annotations
+
+import ast
+import io
+import struct
+import warnings
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import EpsImagePlugin, Image
+from test_ply import assert_one_line
+
+import gs_codec
+from gs_codec.errors import InvalidInput
+from gs_codec.io.images import _warnings_ignored, read_pixels
+from gs_codec.io.sog_files import read_pixels as read_sog_pixels
+from gs_codec.rendering.images import read_image
+
+#: Packages, and what opens images there.
+PACKAGES = ("gs_codec",)
+READER = "gs_codec/io/images.py"
+
+
+def any_size(width: int, height: int) -> None:
+    """Take every image."""
+
+
+def png(width: int, height: int, *chunks: bytes, rows: int | None = None) -> bytes:
+    """A grey PNG, with so many of its rows."""
+    pixels = zlib.compress(bytes((width + 1) * (height if rows is None else rows)))
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = [chunk(b"IHDR", header), *chunks, chunk(b"IDAT", pixels), chunk(b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+def chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+
+def test_one_module_opens_images():
+    root = Path(gs_codec.__file__).parents[1]
+    found = set()
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                opens = isinstance(node, ast.Attribute) and node.attr in ("open", "imread")
+                if opens and ast.unparse(node.value) in ("Image", "PIL.Image", "plt", "io"):
+                    found.add(path.relative_to(root).as_posix())
+    assert found == {READER}
+
+
+def test_postscript_is_not_run(tmp_path, monkeypatch):
+    """An EPS file opens as an image of any name, and its pixels are what Ghostscript draws."""
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: pytest.fail("was run"))
+    path = tmp_path / "view.png"
+    path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n")
+    with pytest.raises(InvalidInput, match="not an image") as caught:
+        read_image(path)
+    assert_one_line(caught.value, path)
+
+
+@pytest.mark.parametrize(("width", "height"), [(16385, 1), (1, 16385), (12000, 12000)])
+def test_large_images_are_refused_before_their_pixels(width, height, tmp_path):
+    path = tmp_path / "view.png"
+    path.write_bytes(png(width, height, rows=0))
+    with pytest.raises(InvalidInput, match=f"{width}x{height} pixels, expected at most") as caught:
+        read_image(path)
+    assert_one_line(caught.value, path)
+
+
+def test_webp_is_refused_before_its_reader_takes_memory():
+    data = b"RIFF" + struct.pack("<I", 22) + b"WEBPVP8X" + struct.pack("<I", 10)
+    data += bytes(4) + (16382).to_bytes(3, "little") * 2
+    with pytest.raises(InvalidInput, match="16383x16383 pixels, expected at most"):
+        read_sog_pixels(data, "a.webp", 1000)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        png(60_000, 60_000, rows=0),
+        png(8, 8, chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(1 << 25)))),
+        png(8, 8, *[chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(1 << 20)))] * 80),
+    ],
+    ids=["pixels", "text", "texts"],
+)
+def test_bombs_are_refused_in_one_line(data, tmp_path):
+    path = tmp_path / "view.png"
+    path.write_bytes(data)
+    with pytest.raises(InvalidInput) as caught:
+        read_image(path)
+    assert_one_line(caught.value, path)
+
+
+@pytest.mark.parametrize("kind", [AttributeError, AssertionError, KeyError, RecursionError])
+def test_whatever_a_reader_raises_is_one_line(kind, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise kind("odd\nbytes")
+
+    monkeypatch.setattr(Image, "open", fail)
+    path = tmp_path / "view.png"
+    path.write_bytes(png(8, 8))
+    with pytest.raises(InvalidInput, match="odd") as caught:
+        read_image(path)
+    assert_one_line(caught.value, path)
+
+
+def test_only_the_formats_asked_for_are_read():
+    data = io.BytesIO(png(3, 2))
+    assert read_pixels(data, ("PNG",), any_size).shape == (2, 3, 4)
+    with pytest.raises(InvalidInput, match=r"not an image \(JPEG\)"):
+        read_pixels(data, ("JPEG",), any_size)
+
+
+def test_grey_and_transparency_become_rgba(tmp_path):
+    Image.fromarray(np.full((2, 2), 51, np.uint8)).save(tmp_path / "a.png")
+    assert np.array_equal(read_image(tmp_path / "a.png"), np.full((2, 2, 3), np.float32(0.2)))
+    rgba = np.full((2, 2, 4), [255, 255, 255, 102], np.uint8)
+    Image.fromarray(rgba).save(tmp_path / "b.png")
+    assert np.array_equal(read_image(tmp_path / "b.png"), np.full((2, 2, 3), np.float32(0.4)))
+
+
+def test_warnings_come_back_with_the_last_of_several_threads():
+    before = list(warnings.filters)
+    first, second = _warnings_ignored(), _warnings_ignored()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    warnings.warn("is not heard", stacklevel=1)
+    second.__exit__(None, None, None)
+    assert warnings.filters == before

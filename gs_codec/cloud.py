@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.scene import SH_COEFFICIENTS, Scene
+from gs_codec.transform.coordinates import state_system, turn_axes
 
 if TYPE_CHECKING:
     import open3d
@@ -20,6 +21,9 @@ _KNOWN = {"positions", "f_dc", "f_rest", "opacity", "log_scale", "scale", "rot",
 def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     """A point cloud whose attributes are views of the scene's planes.
 
+    A cloud cannot tell its coordinate system, so that every one is ``RDF``: a scene that states
+    another is turned.
+
     Attributes are ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)``, ``opacity (N, 1)``
     (logit), ``log_scale (N, 3)``, ``scale (N, 3)`` (its exponential, for Open3D's shader),
     ``rot (N, 4)`` (wxyz as stored); zero ``normals (N, 3)`` if the scene has them; and its
@@ -27,6 +31,7 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     """
     import open3d
 
+    scene = turn_axes(scene)
     tensor = open3d.core.Tensor.from_numpy
     coefficients = SH_COEFFICIENTS[scene.sh_degree]
     attributes = {
@@ -85,6 +90,27 @@ def from_cloud(
     if extra == "keep" and "normals" in arrays and not zero_normals:
         kept |= {f"n{axis}": arrays["normals"][:, i] for i, axis in enumerate("xyz")}
     return Scene(**planes, has_normals=zero_normals, extra=kept)
+
+
+def turn_cloud(cloud: open3d.t.geometry.PointCloud, system: str) -> open3d.t.geometry.PointCloud:
+    """A copy of a cloud, turned from a coordinate system to ``RDF``, that of every other.
+
+    For a cloud of a file that does not say that it is in another; scenes that do are turned when
+    they are read.
+
+    Parameters
+    ----------
+    cloud : open3d.t.geometry.PointCloud
+        With the attributes `to_cloud` lists, in `system`.
+    system : str
+        As for `gs_codec.transform.coordinates.turn_axes`, for example ``RUB``.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no such system, or an attribute is missing or wrong.
+    """
+    return to_cloud(state_system(from_cloud(cloud, "keep"), system))
 
 
 def _plane(arrays: dict[str, NDArray], name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from gs_codec.codec.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
-from gs_codec.files import check_target, read_scene, suffix_of, write_scene
+from gs_codec.files import check_target, read_scene, suffix_of, turn_scene, write_scene
 from gs_codec.io.mapped import located
-from gs_codec.matching import without_order
 from gs_codec.report import Progress
-from gs_codec.transform.coordinates import turn_axes
+from gs_codec.transform.coordinates import CONVENTION, state_system, system_of
 
 
 @dataclass(frozen=True)
@@ -24,8 +23,8 @@ class ConvertReport:
     ----------
     count, sh_degree : int
         Of what was written.
-    coordinates : str or None
-        Coordinate system of what was written, where it is known.
+    coordinates : str
+        Coordinate system of what was written.
     turned_from : str or None
         The source's, where that was another.
     antialiased : bool
@@ -40,7 +39,7 @@ class ConvertReport:
 
     count: int
     sh_degree: int
-    coordinates: str | None
+    coordinates: str
     turned_from: str | None
     antialiased: bool
     dropped: int
@@ -53,7 +52,7 @@ def convert_file(
     source: str | Path,
     target: str | Path,
     config: Config | None = None,
-    coordinates: str | None = None,
+    coordinates: str = CONVENTION,
     progress: Progress | None = None,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix; it appears whole or not at all.
@@ -63,8 +62,9 @@ def convert_file(
     source, target : str or Path
     config : Config, optional
         For `.egs` targets; of others only what is done with extra properties and NaN.
-    coordinates : str, optional
-        Coordinate system to turn to, for example ``RDF``; the source must state its own.
+    coordinates : str
+        Coordinate system to turn to, or ``keep``; ``RDF`` is that of PLY and ``.splat`` files.
+        ``RUB:RDF`` turns from the first, whatever the source states.
     progress : callable, optional
 
     Raises
@@ -78,21 +78,25 @@ def convert_file(
     check_target(source, target)
     suffix = suffix_of(target)
     start = time.perf_counter()
-    scene = read_scene(source, config.extra, progress)
+    scene = read_scene(source, config.extra, progress, coordinates=None)
     read = time.perf_counter() - start
-    dropped, before = 0, scene.coordinates
+    dropped = 0
+    stated, _, wanted = coordinates.rpartition(":")
     with located(source):
+        if stated:
+            scene = state_system(scene, stated.upper())
+        before = system_of(scene)
         if suffix != ".egs" or config.profile != LOSSLESS:
             scene, dropped = drop_nonfinite(scene, config)
-        if coordinates is not None:
-            scene = turn_axes(without_order(scene), coordinates.upper())
+        if wanted != "keep":
+            scene = turn_scene(scene, wanted.upper())
     start = time.perf_counter()
     lost = write_scene(target, scene, config)
     return ConvertReport(
         scene.count,
         0 if suffix == ".splat" else scene.sh_degree,
-        scene.coordinates,
-        before if before != scene.coordinates else None,
+        system_of(scene),
+        before if before != system_of(scene) else None,
         scene.antialiased,
         dropped,
         lost,

@@ -16,7 +16,7 @@ from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_writable, make_folder
-from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes
+from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes, tell_format
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
 from gs_codec.io.splat import pack_splat
@@ -33,6 +33,7 @@ from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 from gs_codec.slabs import opened_slabs
 from gs_codec.storage import bounded
+from gs_codec.transform.coordinates import CONVENTION, system_of, turn_axes
 
 log = logging.getLogger(__name__)
 
@@ -153,7 +154,9 @@ def _encode_file(
     goal: Target | None,
 ) -> EncodeReport:
     start = time.perf_counter()
-    scene = read_scene(source, config.extra)
+    # Bits of a PLY or .egs stay as they are, and the comment that names another system.
+    stays = is_egs(source) or tell_format(source) == "ply"
+    scene = read_scene(source, config.extra, coordinates=None if stays else CONVENTION)
     read = time.perf_counter() - start
     with located(source):
         if plan is None and goal is None:
@@ -368,11 +371,23 @@ def read_scene(
     path: str | Path,
     extra: Literal["error", "keep", "drop"] = "error",
     progress: Progress | None = None,
+    coordinates: str | None = CONVENTION,
 ) -> Scene:
-    """The scene of a file, its format told by content; see `read_ply` for `extra`."""
-    if is_egs(path):
-        return _decode_ordered(path, progress)
-    return read_foreign(path, extra)
+    """The scene of a file, its format told by content; see `read_ply` for `extra`.
+
+    It is turned to the system `coordinates`; None leaves it in the file's, which
+    `Scene.coordinates` names if that is not the convention's.
+    """
+    scene = _decode_ordered(path, progress) if is_egs(path) else read_foreign(path, extra)
+    with located(path):
+        return scene if coordinates is None else turn_scene(scene, coordinates)
+
+
+def turn_scene(scene: Scene, coordinates: str) -> Scene:
+    """See `turn_axes`; comments that tell an order by places go with the places."""
+    if system_of(scene) == coordinates:
+        return scene
+    return turn_axes(without_order(scene), coordinates)
 
 
 def source_bytes(path: str | Path) -> int:
@@ -393,13 +408,20 @@ def inspect_file(path: str | Path) -> Info:
 
 
 def compare_files(first: str | Path, second: str | Path) -> Comparison:
-    """Compare two scenes; one decoded from `.egs` is matched with its original."""
-    scenes = []
+    """Compare two scenes; one decoded from `.egs` is matched with its original.
+
+    Of different coordinate systems, one is turned to the other's.
+    """
+    scenes, orders = [], []
     for path in (first, second):
-        scenes.append(read_scene(path, "drop"))
+        scenes.append(read_scene(path, "drop", coordinates=None))
         with located(path):
-            order_of(scenes[-1])
-    return compare_scenes(*put_side_by_side(scenes[0], scenes[1]))
+            orders.append(order_of(scenes[-1]))
+    systems = system_of(scenes[0]), system_of(scenes[1])
+    # An order is that of the places it was made of, so that its scene is not turned.
+    kept = 0 if orders[1] is None else 1
+    scenes[1 - kept] = turn_axes(scenes[1 - kept], systems[kept])
+    return replace(compare_scenes(*put_side_by_side(scenes[0], scenes[1])), systems=systems)
 
 
 def check_target(source: str | Path, target: str | Path) -> None:

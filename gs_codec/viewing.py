@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,6 +22,7 @@ from gs_codec.rendering.renderer import Rendering
 from gs_codec.rendering.renderer import render as render_view
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
+from gs_codec.transform.coordinates import system_of, turn_axes
 from gs_codec.views import Views
 
 if TYPE_CHECKING:
@@ -162,9 +164,12 @@ def compare(
     if cameras is not None:
         if truth is not None and width is not None:
             raise InvalidInput("width: given by the ground-truth images, expected one of the two")
-        scenes = scene_of(first), scene_of(second)
+        stored = _stored_scene(first), _stored_scene(second)
+        systems = system_of(stored[0]), system_of(stored[1])
+        scenes = turn_axes(stored[0]), turn_axes(stored[1])
         views = find_cameras(cameras, scenes[0], split, width)
-        return compare_views(*scenes, views, truth, images, background, device, progress)
+        seen = compare_views(*scenes, views, truth, images, background, device, progress)
+        return replace(seen, systems=systems)
     if isinstance(first, str | Path) and isinstance(second, str | Path):
         return files.compare_files(first, second)
     if isinstance(first, str | Path) or isinstance(second, str | Path):
@@ -245,6 +250,11 @@ def prepare(
 
 def scene_of(source: PointCloud | str | Path) -> Scene:
     """The scene of a cloud or file; other attributes and properties are left out."""
+    return turn_axes(_stored_scene(source))
+
+
+def _stored_scene(source: PointCloud | str | Path) -> Scene:
+    """Likewise, in the coordinate system of the file."""
     if isinstance(source, str | Path):
-        return files.read_scene(source, "drop")
+        return files.read_scene(source, "drop", coordinates=None)
     return from_cloud(source, "drop")

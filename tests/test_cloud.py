@@ -13,10 +13,11 @@ from scenes import random_scene
 
 import gs_codec
 from gs_codec import files
-from gs_codec.cloud import from_cloud, to_cloud
+from gs_codec.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.errors import InvalidInput
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.transform.coordinates import turn_axes
 
 PLY_TYPES = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 
@@ -74,6 +75,27 @@ def test_attributes_are_as_documented_seed2(sh_degree):
 def test_zero_normals_are_an_attribute():
     cloud = to_cloud(replace(random_scene(5, 0), has_normals=True))
     np.testing.assert_array_equal(cloud.point["normals"].numpy(), np.zeros((5, 3), np.float32))
+
+
+def test_every_cloud_is_right_down_forward_seed14(tmp_path):
+    scene = random_scene(60, 3, seed=14)
+    turned = turn_axes(scene, "RUB")
+    files.write_scene(tmp_path / "rub.ply", turned, gs_codec.Config())
+    files.encode_file(
+        tmp_path / "rub.ply", tmp_path / "a.egs", gs_codec.Config("lossless", keep_order=True)
+    )
+    data = (tmp_path / "a.egs").read_bytes()
+    clouds = (
+        gs_codec.read(tmp_path / "rub.ply"),
+        gs_codec.read(tmp_path / "a.egs"),
+        gs_codec.decode(data),
+    )
+    unsaid = to_cloud(replace(turned, comments=()))
+    for cloud in (*clouds, turn_cloud(unsaid, "RUB")):
+        assert_same_scene(scene, from_cloud(cloud))
+    assert_same_scene(replace(turned, comments=()), from_cloud(unsaid))
+    with pytest.raises(InvalidInput, match="coordinates 'up'"):
+        turn_cloud(unsaid, "up")
 
 
 @pytest.mark.parametrize("group", GROUPS)

@@ -51,10 +51,12 @@ def ply(tmp_path) -> Path:
 @pytest.mark.parametrize("suffix", [".ply", ".egs"])
 def test_what_spz_declares_stays_with_the_scene(suffix, spz, tmp_path, caplog):
     target = tmp_path / f"out{suffix}"
-    out, err = run("convert", spz, target, "-p", "lossless", "--keep-order")
+    out, err = run(
+        *("convert", spz, target, "-p", "lossless", "--keep-order", "--coordinates", "keep")
+    )
     assert out.startswith(f"{target}: 40 Gaussians, SH degree 2, ")
     assert "coordinates RUB, as they were" in err
-    scene, back = read_scene(spz), read_scene(target)
+    scene, back = (read_scene(path, coordinates=None) for path in (spz, target))
     assert_same_bits(scene, back)
     assert (back.coordinates, back.antialiased) == ("RUB", True)
     assert f"{spz}: opacity of 0 or 1 in 2 Gaussians" in caplog.messages[0]
@@ -64,10 +66,10 @@ def test_inspect_shows_what_was_declared(spz, tmp_path):
     encode_file(spz, tmp_path / "a.egs", Config("paper-m"))
     write_ply(tmp_path / "b.ply", random_scene(20, 0))
     encode_file(tmp_path / "b.ply", tmp_path / "b.egs")
-    assert "coordinates RUB, antialiased\n" in run("inspect", tmp_path / "a.egs")[0]
+    assert "coordinates RDF, antialiased\n" in run("inspect", tmp_path / "a.egs")[0]
     assert "coordinates not stated\n" in run("inspect", tmp_path / "b.egs")[0]
     shown = json.loads(run("inspect", tmp_path / "a.egs", "--json")[0])
-    assert (shown["coordinates"], shown["antialiased"]) == ("RUB", True)
+    assert (shown["coordinates"], shown["antialiased"]) == ("RDF", True)
     assert inspect_file(tmp_path / "b.egs").coordinates is None
 
 
@@ -107,7 +109,7 @@ def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
     for line in ("SH of degrees 1 to 2 left out", "properties left out: label, Weight_2"):
         assert line in report["lost"]
         assert f"{tmp_path / 'a.splat'}: {line}" in caplog.messages
-    assert "no system is stated" in err
+    assert "coordinates RDF, as they were" in err
 
 
 def test_what_is_not_finite_is_refused_or_dropped(tmp_path):
@@ -184,7 +186,8 @@ def colours(scene: Scene, directions: np.ndarray) -> np.ndarray:
     basis = np.zeros((15, scene.count))
     for i, direction in enumerate(directions.T):
         sh_basis.py_func(*direction, 15, basis[:, i])
-    return (scene.f_rest.reshape(3, 15, -1) * basis).sum(axis=1)
+    rest = scene.f_rest.reshape(3, -1, scene.count)
+    return (rest * basis[: rest.shape[1]]).sum(axis=1)
 
 
 def covariance(scene: Scene) -> np.ndarray:
@@ -209,28 +212,83 @@ def test_turned_scenes_look_the_same_from_turned_directions(system):
     assert turned.comments == ("first", coordinates_comment(system))
     signs = np.array([1 if a == b else -1 for a, b in zip("RDF", system, strict=True)])
     np.testing.assert_array_equal(turned.positions, scene.positions * signs[:, None])
-    mirrored = covariance(scene) * signs[:, None] * signs
-    np.testing.assert_allclose(covariance(turned), mirrored, rtol=1e-5, atol=1e-12)
-    rng = np.random.default_rng(5)
-    away = rng.normal(size=(3, 30))
-    away = (away / np.linalg.norm(away, axis=0)).astype(np.float32)
-    seen = colours(scene, away), colours(turned, away * signs[:, None].astype(np.float32))
-    np.testing.assert_allclose(*seen, atol=1e-5)
+    assert_seen_alike(scene, turned, np.diag(signs))
     assert_same_bits(scene, turn_axes(turned, "RDF"))
 
 
-def test_turning_needs_a_system_and_one_of_the_same_axes(spz, ply, tmp_path):
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize(
+    ("system", "turn"),
+    [
+        ("RFU", [[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
+        ("RBD", [[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        ("LBU", [[-1, 0, 0], [0, 0, -1], [0, -1, 0]]),
+    ],
+)
+def test_scenes_whose_z_is_up_look_the_same_too(system, turn, degree):
+    scene = stated(random_scene(30, degree, seed=4), "RDF")
+    turned = turn_axes(scene, system)
+    np.testing.assert_array_equal(turned.positions, np.array(turn) @ scene.positions)
+    assert_seen_alike(scene, turned, np.array(turn))
+    back = turn_axes(turned, "RDF")
+    np.testing.assert_allclose(back.f_rest, scene.f_rest, atol=1e-6)
+    assert_same_bits(replace(scene, f_rest=back.f_rest), back)
+
+
+def assert_seen_alike(scene: Scene, turned: Scene, turn: np.ndarray) -> None:
+    expected = turn @ covariance(scene) @ turn.T
+    np.testing.assert_allclose(covariance(turned), expected, rtol=1e-5, atol=1e-12)
+    away = np.random.default_rng(5).normal(size=(3, scene.count))
+    away = (away / np.linalg.norm(away, axis=0)).astype(np.float32)
+    seen = colours(scene, away), colours(turned, (turn @ away).astype(np.float32))
+    np.testing.assert_allclose(*seen, atol=1e-5)
+
+
+def test_turning_keeps_the_bits_of_what_is_no_number():
+    scene = random_scene(3, 1)
+    bits = np.array([0x7FA00001, 0xFFC00002, 0x7F800000], np.uint32)
+    scene.positions[:] = bits.view(np.float32)
+    assert_same_bits(stated(scene, "RDF"), turn_axes(turn_axes(stated(scene, "RDF"), "RUB")))
+
+
+def test_ply_and_splat_come_out_right_down_forward(spz, tmp_path):
+    flip = np.array([[1], [-1], [-1]], np.float32)
+    stored = read_scene(spz, coordinates=None)
+    for name in ("a.ply", "a.splat", "a.egs"):
+        _, err = run("convert", spz, tmp_path / name, "-p", "lossless", "--keep-order")
+        assert "coordinates turned from RUB to RDF" in err
+        positions = read_scene(tmp_path / name, coordinates=None).positions
+        np.testing.assert_array_equal(positions, stored.positions * flip)
+    encode_file(spz, tmp_path / "b.egs", Config("lossless", keep_order=True))
+    decode_file(tmp_path / "b.egs", tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+
+
+def test_encoding_keeps_the_bits_of_a_ply_that_states_another_system(tmp_path):
+    write_ply(tmp_path / "a.ply", stated(random_scene(40, 2, seed=6), "RUB"))
+    encode_file(tmp_path / "a.ply", tmp_path / "a.egs", Config("lossless", keep_order=True))
+    decode_file(tmp_path / "a.egs", tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+    assert read_scene(tmp_path / "a.egs").coordinates == "RDF"
+
+
+def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, tmp_path):
     target = tmp_path / "out.ply"
-    with pytest.raises(InvalidInput, match="states no system"):
-        convert_file(ply, target, coordinates="RDF")
-    for system in ("RFU", "up", "", "RDFX", "DRF"):
-        with pytest.raises(InvalidInput, match="expected such as RDF"):
+    for system in ("up", "", "RDFX", "DRF", "RUU", "up:RDF", "RDF:", "RDF:RUB:RDF"):
+        with pytest.raises(InvalidInput, match=r"scene.spz: .*expected such as RDF"):
             convert_file(spz, target, coordinates=system)
     assert not target.exists()
-    _, err = run("convert", spz, target, "--coordinates", "rdf")
-    assert "coordinates turned from RUB to RDF" in err
-    flip = np.array([[1], [-1], [-1]], np.float32)
-    np.testing.assert_array_equal(read_ply(target).positions, read_scene(spz).positions * flip)
+    _, err = run("convert", ply, target, "--coordinates", "rub")
+    assert "coordinates turned from RDF to RUB" in err
+    assert read_ply(target, "keep").coordinates == "RUB"
+    _, err = run("convert", spz, target, "--coordinates", "luf:rdf")
+    assert "coordinates turned from LUF to RDF" in err
+    flip = np.array([[-1], [-1], [1]], np.float32)
+    stored = read_scene(spz, coordinates=None)
+    np.testing.assert_array_equal(read_ply(target).positions, stored.positions * flip)
+    _, err = run("convert", spz, target, "--coordinates", "RDF:RDF")
+    assert "coordinates RDF, as they were" in err
+    np.testing.assert_array_equal(read_ply(target).positions, stored.positions)
     # Where a file is sorted by places that are others then, its comment goes.
     encode_file(spz, tmp_path / "a.egs")
     convert_file(tmp_path / "a.egs", target, coordinates="LUF")

@@ -191,7 +191,7 @@ def test_spz_is_read_as_its_formula_says(degree, version, tmp_path):
     bits = 12 if degree else 7
     streams = foreign.spz_streams(50, version, degree, seed=degree)
     data = foreign.spz_file(streams, 50, version, degree, degree % 2, bits)
-    scene = read_scene(written(tmp_path / "a.spz", data))
+    scene = read_scene(written(tmp_path / "a.spz", data), coordinates=None)
     assert (scene.count, scene.sh_degree) == (50, degree)
     assert scene.coordinates == "RUB"
     assert scene.antialiased == bool(degree % 2)
@@ -214,7 +214,8 @@ def test_spz_names_the_system_that_an_extension_names(version, tmp_path, caplog)
         data = foreign.spz_file(streams, 3, version, 0, 2, extensions=extension)
         caplog.clear()
         path = written(tmp_path / "a.spz", data)
-        assert read_scene(path).coordinates == system
+        assert read_scene(path, coordinates=None).coordinates == system
+        assert read_scene(path).coordinates == "RDF"
         assert f"{path}: extension 0xadbe0002 of 12 bytes not kept" in caplog.messages
 
 
@@ -646,15 +647,13 @@ def test_two_real_files_of_one_scene_agree_within_their_steps(caplog):
     other = read_scene(shared_scene_path("biker.spz"))
     assert packed.count == other.count == 152_746
     assert sum("opacity of 0 or 1 in 198 Gaussians" in line for line in caplog.messages) == 2
-    # One is right, down, forward, the other right, up, back.
-    flip = np.array([[1], [-1], [-1]], np.float32)
-    np.testing.assert_allclose(other.positions, packed.positions * flip, atol=2**-13 + 1e-6)
+    assert (packed.coordinates, other.coordinates) == (None, "RDF")  # turned from RUB
+    np.testing.assert_allclose(other.positions, packed.positions, atol=2**-13 + 1e-6)
     clipped = np.clip(packed.log_scale, -10, 255 / 16 - 10)
     np.testing.assert_allclose(other.log_scale, clipped, atol=1 / 32 + 1e-5)
     np.testing.assert_allclose(other.f_dc, packed.f_dc, atol=0.5 / 255 / 0.15 + 1e-5)
     np.testing.assert_array_equal(other.opacity, packed.opacity)
-    turned = packed.rot * np.array([[1], [1], [-1], [-1]], np.float32)
-    np.testing.assert_allclose(np.abs((turned * other.rot).sum(axis=0)), 1, atol=2e-6)
+    np.testing.assert_allclose(np.abs((packed.rot * other.rot).sum(axis=0)), 1, atol=2e-6)
 
 
 def test_a_real_splat_is_as_its_records_say():
@@ -680,7 +679,7 @@ def test_another_reader_gives_the_same(name):
     gsply = pytest.importorskip("gsply", reason="gsply, an independent reader, is not installed")
     path = shared_scene_path(name)
     theirs = gsply.read_spz(path) if name.endswith(".spz") else gsply.plyread(path)
-    ours = read_scene(path)
+    ours = read_scene(path, coordinates=None)  # gsply does not turn
     for group, values in (("positions", "means"), ("log_scale", "scales"), ("f_dc", "sh0")):
         expected = getattr(theirs, values).T
         np.testing.assert_allclose(getattr(ours, group), expected, rtol=1e-6, atol=1e-6)

@@ -15,6 +15,7 @@ from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.metrics.attributes import Comparison, GroupError, compare_scenes
 from gs_codec.scene import Scene
+from gs_codec.transform.coordinates import turn_axes
 
 UNITS = {
     "positions": ["scene units"],
@@ -325,6 +326,33 @@ def test_versions_in_different_orders_are_refused(trio, tmp_path):
     encode_file(trio.ply, coarse, Config("paper-m", depths={"geometry": 9}))
     with pytest.raises(InvalidInput, match="compare with the original"):
         compare_files(trio.egs, coarse)
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
+def test_scenes_of_two_coordinate_systems_are_compared_in_one(profile, tmp_path):
+    scene = random_scene(300, 3, seed=25)
+    paths = [tmp_path / name for name in ("rdf.ply", "rub.ply", "rdf.egs", "rub.egs")]
+    turned = turn_axes(scene, "RUB")
+    for path, each in zip(paths, (scene, turned), strict=False):
+        write_ply(path, each)
+        encode_file(path, path.with_suffix(".egs"), Config(profile))
+    expected = compare_files(paths[0], paths[2])
+    assert {g.max for g in compare_files(*paths[:2]).groups} == {0}
+    for first, second in ((0, 1), (1, 0), (1, 2), (2, 1), (0, 3), (3, 0)):
+        comparison = compare_files(paths[first], paths[second])
+        assert comparison.systems == tuple(
+            "RDF" if place % 2 == 0 else "RUB" for place in (first, second)
+        )
+        if 2 in (first, second):
+            assert replace(comparison, systems=expected.systems) == expected
+
+
+def test_two_real_formats_of_a_scene_are_compared_in_one_system():
+    pair = [shared_scene_path(name) for name in ("biker.spz", "biker.compressed.ply")]
+    comparison = compare_files(*pair)
+    assert comparison.systems == ("RUB", "RDF")
+    assert error_of(comparison, "positions", "scene units").max < 2**-13 + 1e-6
+    assert error_of(comparison, "rotation", "degrees").max < 0.2
 
 
 @pytest.mark.parametrize("depths", ["16 16 16", "16 16 16 8 8 x", "16 16 16 8 8 22", "-1 " * 6])

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gs_codec.cli.output import SCENES, print_json, print_table, print_text, progress_bar
+from gs_codec.cli.output import (
+    SCENES,
+    print_json,
+    print_status,
+    print_table,
+    print_text,
+    progress_bar,
+)
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 from gs_codec.errors import InvalidInput
 
@@ -53,6 +60,7 @@ def command(
             first, second, cameras, split=split, width=width, truth=against_gt, images=images,
             progress=progress, **options,
         )  # fmt: skip
+    _say_systems(comparison.systems)
     if json:
         print_json({"a": str(first), "b": str(second), **_plain(comparison)})
     else:
@@ -63,6 +71,7 @@ def _compare_attributes(first: Path, second: Path, json: bool) -> None:
     from gs_codec.files import compare_files
 
     comparison = compare_files(first, second)
+    _say_systems(comparison.systems)
     if json:
         print_json({"a": str(first), "b": str(second), **asdict(comparison)})
         return
@@ -71,6 +80,11 @@ def _compare_attributes(first: Path, second: Path, json: bool) -> None:
         ["attribute", "unit", "max error", "rms error"],
         [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
     )
+
+
+def _say_systems(systems: tuple[str, str]) -> None:
+    if systems[0] != systems[1]:
+        print_status("coordinates {} in A, {} in B: turned to one system".format(*systems))
 
 
 def _print_views(comparison: RenderedComparison) -> None:
@@ -108,4 +122,5 @@ def _plain(comparison: RenderedComparison) -> dict:
         "views": [plain(view) for view in comparison.views],
         "mean": plain(comparison.mean),
         "worst": plain(comparison.worst),
+        "systems": comparison.systems,
     }

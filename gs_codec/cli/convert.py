@@ -31,12 +31,13 @@ def command(
     extra: coding.Extra = "keep",
     nonfinite: coding.Nonfinite = "error",
     coordinates: Annotated[
-        str | None,
+        str,
         typer.Option(
-            metavar="AXES",
-            help="Turn to this system, where IN states its own: RDF is right, down, forward.",
+            metavar="[FROM:]TO",
+            help="Where x, y and z point in OUT: RDF is right, down, forward, as in PLY files; "
+            "'keep' is as in IN. FROM is for an IN that does not state its own, or a wrong one.",
         ),
-    ] = None,
+    ] = "RDF",
     profile: coding.Profile = "m",
     depth: coding.Depth = None,
     keep_order: coding.KeepOrder = False,
@@ -64,7 +65,5 @@ def _say_what_changed(done: ConvertReport) -> None:
         print_status(f"dropped {done.dropped:,} Gaussians with NaN or infinity")
     if done.turned_from:
         print_status(f"coordinates turned from {done.turned_from} to {done.coordinates}")
-    elif done.coordinates:
-        print_status(f"coordinates {done.coordinates}, as they were")
     else:
-        print_status("coordinates as they were; no system is stated")
+        print_status(f"coordinates {done.coordinates}, as they were")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.scene import Scene
+from gs_codec.transform.coordinates import CONVENTION
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,14 @@ class Comparison:
         ``stored order`` or ``index``.
     groups : tuple of GroupError
         Opacity and rotation are in it twice, in two units.
+    systems : tuple of two str
+        Coordinate systems of the two files; where they differ, one scene was turned.
     """
 
     count: int
     matched_by: str
     groups: tuple[GroupError, ...]
+    systems: tuple[str, str] = (CONVENTION, CONVENTION)
 
 
 def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Comparison:

@@ -23,6 +23,7 @@ from gs_codec.rendering.images import (
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
+from gs_codec.transform.coordinates import CONVENTION
 from gs_codec.workers import run_all
 
 #: By how much difference images are amplified.
@@ -66,10 +67,13 @@ class RenderedComparison:
         Gaussians of each.
     views : tuple of View
         In the cameras' order.
+    systems : tuple of two str
+        Coordinate systems of the two files; both scenes are drawn in that of PLY files.
     """
 
     counts: tuple[int, int]
     views: tuple[View, ...]
+    systems: tuple[str, str] = (CONVENTION, CONVENTION)
 
     @property
     def mean(self) -> View:

@@ -14,6 +14,7 @@ from scenes import random_scene, shared_scene_path
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
+from gs_codec.io import ply_header
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
@@ -512,6 +513,38 @@ def assert_one_line(error: BaseException, path: Path | str) -> None:
     assert str(error).startswith(f"{path}: ")
     assert len(str(error).splitlines()) == 1
     assert len(str(error)) - len(str(path)) < 400
+
+
+class Counted(str):
+    """Text that counts how often it is compared."""
+
+    comparisons = 0
+    __hash__ = str.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        Counted.comparisons += 1
+        return str.__eq__(self, other)
+
+    def split(self, *options) -> list[str]:  # type: ignore[override]
+        return [Counted(word) for word in super().split(*options)]
+
+
+@pytest.mark.parametrize("kind", ["list uchar int", "char"])
+def test_work_on_a_header_is_linear_in_its_properties(kind, monkeypatch):
+    def split(head: bytes) -> tuple[list[str], int]:
+        lines, size = split_lines(head)
+        return [Counted(line) for line in lines], size
+
+    split_lines = ply_header._split_lines
+    monkeypatch.setattr(ply_header, "_split_lines", split)
+    counts = []
+    for number in (500, 1000, 2000):
+        lines = [f"property {kind} p{i}\n" for i in range(number)]
+        header = f"ply\nformat ascii 1.0\nelement vertex 0\n{''.join(lines)}end_header\n"
+        before = Counted.comparisons
+        ply_header.read_header(np.frombuffer(header.encode(), np.uint8))
+        counts.append(Counted.comparisons - before)
+    assert counts[2] - counts[1] < 2.1 * (counts[1] - counts[0])
 
 
 @pytest.mark.parametrize("name", BAD_FILES)

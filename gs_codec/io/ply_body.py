@@ -48,7 +48,9 @@ class Ply:
         index = self.header.names.index(name)
         element = self.header.elements[index]
         if element.lists:
-            raise InvalidInput(f"property '{element.lists[0]}' is a list, expected a scalar")
+            raise InvalidInput(
+                f"property '{next(iter(element.lists))}' is a list, expected a scalar"
+            )
         before = self.header.elements[:index]
         if self.header.byte_order:
             return self._binary_rows(element, before)

@@ -41,14 +41,14 @@ class Element:
         Rows, as the header says.
     types : dict of str to str
         NumPy's code of each scalar property, without byte order.
-    lists : list of str
-        Names of properties that are lists.
+    lists : dict of str to str
+        The same of properties that are lists: NumPy's code of their items.
     """
 
     name: str
     count: int
     types: dict[str, str] = field(default_factory=dict)
-    lists: list[str] = field(default_factory=list)
+    lists: dict[str, str] = field(default_factory=dict)
 
     def dtype(self, byte_order: str) -> np.dtype:
         """Type of a row in a binary file."""
@@ -163,7 +163,7 @@ def _parse_property(words: list[str], line: int, element: Element) -> None:
     if len(element.types) + len(element.lists) == _PROPERTIES:
         raise _error(line, f"more than {_PROPERTIES} properties")
     if is_list:
-        element.lists.append(name)
+        element.lists[name] = _TYPES[types[1]]
     else:
         element.types[name] = _TYPES[types[0]]
 

@@ -47,6 +47,46 @@ def test_bounds_are_checked_where_that_is_asked(tmp_path):
     assert done.stdout == "0.0\nIndexError\n"
 
 
+STARTED = """
+import sys
+import numba
+import numpy as np
+from gs_codec.kernels import inlined, kernel
+@inlined
+def square(value):
+    return value * value
+@kernel
+def squares(values):
+    total = np.zeros(1, values.dtype)
+    for value in values:
+        total[0] += square(value)
+    return total
+print(squares(np.arange(4.0)), squares.stats.cache_hits, "scipy.linalg" in sys.modules)
+print(squares(np.arange(4)), numba.njit(lambda a, b: a @ b)(np.eye(2), np.ones(2)))
+"""
+
+
+def test_cached_kernels_start_without_the_compiler(tmp_path):
+    script = tmp_path / "started.py"
+    script.write_text(STARTED)
+    outputs = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, str(script)],
+            env=os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.stderr == ""
+        outputs.append(done.stdout.splitlines())
+    compiled, loaded = outputs
+    assert compiled[0].startswith("[14.] Counter()")
+    assert loaded[0].startswith("[14.] Counter({")
+    assert loaded[0].endswith("False"), "the compiler was made ready for nothing"
+    assert compiled[1] == loaded[1] == "[14] [1. 1.]", "what is not cached has to compile"
+
+
 def test_make_asks_for_it():
     rule = (ROOT / "Makefile").read_text().split("boundscheck: ")[1]
     assert "NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=" in rule

@@ -6,46 +6,61 @@ import logging
 import os
 import sys
 from contextlib import suppress
+from importlib import import_module
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from gs_codec import __version__
-from gs_codec.cli import (
-    analyze,
-    batch,
-    bench,
-    compare,
-    convert,
-    decode,
-    encode,
-    inspect,
-    prepare,
-    render,
-    verify,
-)
 from gs_codec.errors import GsCodecError, one_line
 
+#: Commands in the order of the help; each is a module of this package.
+NAMES = (
+    "encode",
+    "decode",
+    "verify",
+    "convert",
+    "prepare",
+    "batch",
+    "inspect",
+    "compare",
+    "render",
+    "analyze",
+    "bench",
+)
+
+
+class _Commands(TyperGroup):
+    """The commands; a command's module is loaded when it is called, or listed in the help."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands: dict[str, Any] = dict.fromkeys(NAMES)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name in self.commands and self.commands[cmd_name] is None:
+            self.commands[cmd_name] = _load_command(cmd_name)
+        return super().get_command(ctx, cmd_name)
+
+
+def _load_command(name: str) -> Any:
+    module = import_module(f"gs_codec.cli.{name}")
+    if hasattr(module, "app"):
+        return typer.main.get_command(module.app)
+    one = typer.Typer(add_completion=False)
+    one.command(name)(module.command)
+    return typer.main.get_command(one)
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="Compress 3D Gaussian Splatting scenes (PLY) to small .egs files and back.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for module in (
-    encode,
-    decode,
-    verify,
-    convert,
-    prepare,
-    batch,
-    inspect,
-    compare,
-    render,
-    analyze,
-):
-    app.command(module.__name__.rpartition(".")[2])(module.command)
-app.add_typer(bench.app, name="bench")
 
 
 @app.callback(invoke_without_command=True)

@@ -21,6 +21,8 @@ from scenes import random_scene
 
 from gs_codec import __version__
 from gs_codec.cli import main as cli
+from gs_codec.cli import output
+from gs_codec.cli.output import progress_lines
 from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
 from gs_codec.container.carried import write_extra
 from gs_codec.container.file import Section, SectionId, read_file, write_file
@@ -702,6 +704,30 @@ def test_progress_on_a_terminal_ends_in_a_clean_line(folder):
     assert "\x1b[?25h" in shown, "the cursor must be visible again"
 
 
+def test_progress_in_a_pipe_is_a_line_every_ten_seconds(capsys):
+    seconds = iter([100, 104, 109.9, 110, 119.9, 131.5, 141])
+    update = progress_lines(lambda: next(seconds))
+    for done in range(1, 4):
+        update("refit", done, 3000)
+    assert capsys.readouterr().err == "refit: 3 of 3,000 after 10 s\n"
+    update("refit", 2999, 3000)
+    update("refit", 3000, 3000)
+    update("code", 1, 2)
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", "refit: 3,000 of 3,000 after 32 s\n")
+
+
+@pytest.mark.parametrize("json", [[], ["--json"]], ids=["table", "json"])
+@pytest.mark.parametrize("command", ["encode scene.ply out.egs", "decode scene.egs out.ply"])
+def test_commands_tell_their_progress_in_a_pipe(folder, command, json):
+    folder.monkeypatch.setattr(output, "SECONDS_A_LINE", 0)
+    status, out, err = folder.run(*command.split(), *json)
+    assert status == 0
+    assert re.search(r"^(de)?code: 1 of \d+ after 0 s$", err, re.MULTILINE)
+    if json:
+        assert strict_json(out)["count"] == 1500
+
+
 LOADED = """
 import sys
 {run}
@@ -737,12 +763,14 @@ for line in {commands}:
                 ]
             ),
             {"numpy", "numba", "plyfile"},
-            {"open3d", "torch", "torchac", "matplotlib"},
+            {"open3d", "torch", "torchac", "matplotlib"}
+            | {"scipy.linalg", "rich", "gs_codec.cli.batch", "gs_codec.cli.bench"},
         ),
     ],
     ids=["import", "help", "files"],
 )
 def test_heavy_packages_load_where_they_are_used(folder, run, loaded, absent):
+    python("-c", run, cwd=folder.path)  # compiles
     status, _, err = python("-c", LOADED.format(run=run), cwd=folder.path)
     modules = set(err.split())
     assert status == 0

@@ -40,7 +40,7 @@ def command(
     from gs_codec.analysis.save import analyse_file
 
     options = Options(cameras, width, sample, seed)
-    with progress_bar(not json) as progress:
+    with progress_bar() as progress:
         content = analyse_file(source, out, options, progress)
     for note in content["notes"]:
         print_status(note)

@@ -55,7 +55,7 @@ def command(
         return
     from gs_codec.viewing import compare
 
-    with progress_bar(not json) as progress:
+    with progress_bar() as progress:
         comparison: Any = compare(
             first, second, cameras, split=split, width=width, truth=against_gt, images=images,
             progress=progress, **options,

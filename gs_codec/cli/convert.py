@@ -48,7 +48,7 @@ def command(
     config = coding.config_of(locals())
     from gs_codec.conversion import convert_file
 
-    with progress_bar(not json) as progress:
+    with progress_bar() as progress:
         done = convert_file(source, target, config, coordinates, progress)
     _say_what_changed(done)
     if json:

@@ -38,7 +38,7 @@ def command(
     from gs_codec.files import decode_file
 
     part = Part(box, sh_degree)
-    with progress_bar(not json) as progress:
+    with progress_bar() as progress:
         report = decode_file(
             source, target, threads, max_bytes, progress, part, tmc3, parse_memory(max_memory)
         )

@@ -64,7 +64,7 @@ def command(
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.files import encode_file, source_bytes
 
-    with progress_bar(not json) as progress:
+    with progress_bar() as progress:
         done = encode_file(
             source, target, config, progress, plan, report, wanted, parse_memory(max_memory)
         )

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from gs_codec.report import Progress
 
-from gs_codec.report import Progress as ProgressCallback
+#: How often progress is said where stderr is no terminal.
+SECONDS_A_LINE = 10
 
 #: What commands read.
 SCENES = "A scene: .ply, .egs, .splat, .spz, .sog or its meta.json."
@@ -42,22 +43,40 @@ def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None =
 
 
 @contextmanager
-def progress_bar(enabled: bool = True) -> Iterator[ProgressCallback | None]:
-    """A progress bar on stderr while the block runs, if stderr is a terminal."""
-    console = Console(stderr=True)
-    if not (enabled and console.is_terminal):
-        yield None
+def progress_bar() -> Iterator[Progress]:
+    """Progress on stderr while the block runs: bars on a terminal, lines now and then elsewhere."""
+    if not sys.stderr.isatty():
+        yield progress_lines(time.monotonic)
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
+    console = Console(stderr=True)
+    with Bars(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
         tasks: dict[str, Any] = {}
 
         def update(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
-            bar.update(tasks[stage], completed=done)
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done)
 
         yield update
+
+
+def progress_lines(clock: Callable[[], float]) -> Progress:
+    """A callback that prints how far a stage is, `SECONDS_A_LINE` after the line before."""
+    start = last = clock()
+
+    def update(stage: str, done: int, total: int) -> None:
+        nonlocal last
+        now = clock()
+        if now - last >= SECONDS_A_LINE:
+            last = now
+            print_status(f"{stage}: {done:,} of {total:,} after {now - start:.0f} s")
+
+    return update
 
 
 def size_text(size: float) -> str:

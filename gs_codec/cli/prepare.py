@@ -40,7 +40,7 @@ def command(
         raise InvalidInput("no step of preparation asked for, for example --prune-loo 30")
     from gs_codec.files import prepare_file
 
-    with progress_bar(not json) as progress:
+    with progress_bar() as progress:
         done = prepare_file(source, target, plan, report, progress)
     if json:
         print_json({"input": str(source), "output": str(target), **done.as_dict()})

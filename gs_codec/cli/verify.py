@@ -23,7 +23,7 @@ def command(
     """Check every checksum of an .egs file and decode all of it, writing nothing."""
     from gs_codec.slabs import verify_file
 
-    with progress_bar(not json) as progress:
+    with progress_bar() as progress:
         report = verify_file(source, threads, max_bytes, progress, tmc3, parse_memory(max_memory))
     if json:
         print_json({"input": str(source), **asdict(report)})

@@ -42,7 +42,8 @@ def read(
     open3d.t.geometry.PointCloud
         Float32 attributes ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)`` with
         K = 0, 3, 8, 15 for SH degree 0 to 3, ``opacity (N, 1)`` (logit), ``log_scale (N, 3)``,
-        ``scale (N, 3)`` (linear), ``rot (N, 4)`` (wxyz as stored).
+        ``scale (N, 3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down,
+        forward: a scene that states others, as `.spz` does, is turned.
 
     Raises
     ------
@@ -53,11 +54,28 @@ def read(
     MissingTool, ToolFailed
         If its points are coded by G-PCC, and ``tmc3`` is not there or does not decode them.
 
+    Notes
+    -----
+    What Open3D's methods change is what is encoded and written, with these limits of Open3D 0.20:
+
+    - ``translate``, and those that select or append points, are right as they are.
+    - ``scale`` changes ``scale`` but not ``log_scale``, which keeps every bit of a file. Delete the
+      one that is out of date, or `encode` and `write` raise `InvalidInput`.
+    - ``rotate`` is right for SH degree 0. It turns ``f_rest`` wrongly, so that colours no longer
+      follow directions, which cannot be told from an edit.
+    - ``transform`` moves ``positions`` alone, as its warning says, which cannot be told either.
+
     Examples
     --------
     >>> cloud = gs_codec.read("scene.ply")
     >>> cloud.point.positions.shape, cloud.point.f_rest.shape
     (SizeVector[2000, 3], SizeVector[2000, 15, 3])
+
+    Twice as large:
+
+    >>> larger = cloud.clone().scale(2, [0, 0, 0])
+    >>> del larger.point["log_scale"]
+    >>> gs_codec.write("larger.ply", larger)
     """
     return to_cloud(files.read_scene(path, extra, progress))
 
@@ -70,7 +88,7 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     path : str or Path
         Its suffix says the format. A PLY has the INRIA trainer's layout.
     cloud : open3d.t.geometry.PointCloud
-        With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough.
+        With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough, two agree.
     config : Config, optional
         How to encode an ``.egs`` file. Its `extra` says what becomes of other attributes there; a
         PLY keeps them, and a log message tells what ``.splat`` cannot hold.
@@ -78,8 +96,8 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     Raises
     ------
     InvalidInput
-        If the suffix is another, an attribute is missing, a value that is to be coded is not
-        finite, or the file cannot be written.
+        If the suffix is another, an attribute is missing, ``log_scale`` and ``scale`` disagree, a
+        value that is to be coded is not finite, or the file cannot be written.
     MissingTool, ToolFailed
         If `config` asks for G-PCC, and its program is not there or fails.
 
@@ -127,7 +145,7 @@ def encode(
     Parameters
     ----------
     cloud : open3d.t.geometry.PointCloud
-        With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough.
+        With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough, two agree.
     config : Config, optional
         By default profile ``m``.
     cameras : path, "auto", or sequence of Camera, optional
@@ -147,8 +165,8 @@ def encode(
     Raises
     ------
     InvalidInput
-        If an attribute is missing or of a wrong type, a value is not finite, or the target is out
-        of reach.
+        If an attribute is missing or of a wrong type, ``log_scale`` and ``scale`` disagree, a value
+        is not finite, or the target is out of reach.
     MissingTool, ToolFailed
         If `config` asks for G-PCC, and its program is not there or fails.
 

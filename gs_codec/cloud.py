@@ -40,8 +40,9 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
         "f_rest": scene.f_rest.reshape(3, coefficients, scene.count).transpose(2, 1, 0),
         "opacity": scene.opacity.T,
         "log_scale": scene.log_scale.T,
-        "scale": np.exp(scene.log_scale).T,
-        "rot": scene.rot.T,
+        "scale": _exponential(scene.log_scale).T,
+        # A copy: Open3D's `rotate` takes quaternions for rows one after another in memory.
+        "rot": np.ascontiguousarray(scene.rot.T),
     }
     if scene.has_normals:
         attributes["normals"] = np.zeros((scene.count, 3), np.float32)
@@ -60,18 +61,24 @@ def from_cloud(
 ) -> Scene:
     """The scene of a point cloud with the attributes `to_cloud` lists.
 
-    ``log_scale`` is used where it is there, else the logarithm of ``scale``. `extra` says what
-    to do with other attributes and with normals that are not all zero.
+    Of ``log_scale`` and ``scale`` one is enough; where both are there they have to agree, so that
+    no edit of one is ignored. `extra` says what to do with other attributes and with normals that
+    are not all zero.
 
     Raises
     ------
     InvalidInput
-        If an attribute is missing, has a wrong shape, or is not float32.
+        If an attribute is missing, has a wrong shape, or is not float32, or if ``scale`` is not
+        the exponential of ``log_scale``.
     """
     arrays = {name: cloud.point[name].cpu().numpy() for name in cloud.point}
-    if "log_scale" not in arrays and "scale" in arrays:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            arrays["log_scale"] = np.log(arrays["scale"])
+    if "scale" in arrays:
+        linear = _plane(arrays, "scale", (3,)).T
+        if "log_scale" in arrays:
+            _check_scales(linear, _plane(arrays, "log_scale", (3,)).T)
+        else:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                arrays["log_scale"] = np.log(linear)
     arrays.setdefault("f_rest", np.zeros((len(arrays.get("positions", ())), 0, 3), np.float32))
     shapes = {"positions": (3,), "f_dc": (3,), "opacity": (1,), "log_scale": (3,), "rot": (4,)}
     planes: dict[str, Any] = {n: _plane(arrays, n, shape) for n, shape in shapes.items()}
@@ -111,6 +118,24 @@ def turn_cloud(cloud: open3d.t.geometry.PointCloud, system: str) -> open3d.t.geo
         If there is no such system, or an attribute is missing or wrong.
     """
     return to_cloud(state_system(from_cloud(cloud, "keep"), system))
+
+
+def _exponential(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
+    with np.errstate(over="ignore"):
+        return np.exp(log_scale)
+
+
+def _check_scales(linear: NDArray[np.float32], log_scale: NDArray[np.float32]) -> None:
+    """Refuse scales of which one was edited; libraries round exponentials differently."""
+    if linear.shape != log_scale.shape:
+        raise InvalidInput(f"scale: shape {linear.shape}, expected {log_scale.shape} of log_scale")
+    expected, tiny = _exponential(log_scale), np.finfo(np.float32).tiny
+    differ = ~np.isclose(linear, expected, rtol=2e-6, atol=tiny, equal_nan=True).all(axis=1)
+    if differ.any():
+        raise InvalidInput(
+            f"scale: not the exponential of log_scale in {differ.sum():,} Gaussians; delete the "
+            "one that was not edited, after Open3D's scale del cloud.point['log_scale']"
+        )
 
 
 def _plane(arrays: dict[str, NDArray], name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:

@@ -174,13 +174,14 @@ def test_server_that_stops_is_an_error_of_each_scene_that_needs_it(server, tmp_p
         assert record["error"]["text"].startswith(own.url(tmp_path / "out"))
 
 
+@pytest.mark.parametrize("chain", ["", "simplecache::"])
 @pytest.mark.parametrize("known", ["", "[127.0.0.1]:{port} ssh-ed25519 {other}\n"])
-def test_host_that_is_not_known_is_not_trusted(server, tmp_path, known):
+def test_host_that_is_not_known_is_not_trusted(server, tmp_path, known, chain):
     shutil.copytree(server.home / ".ssh", tmp_path / ".ssh")
     other = (server.home / ".ssh/id_ed25519.pub").read_text().split()[1]
     known = known.format(port=server.port, other=other)
     (tmp_path / ".ssh/known_hosts").write_text(known)
-    url = server.url(server.folder / "in")
+    url = chain + server.url(server.folder / "in")
     done = server.run(url, str(tmp_path / "out"), HOME=str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"gs-codec: error: {url}: Host key is not trusted for host 127.0.0.1\n"

@@ -14,6 +14,7 @@ from typing import Any
 from gs_codec import __version__
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.memory import available_bytes
+from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.batch.work import encode_one
@@ -43,6 +44,7 @@ class Cluster:
             text = f"--dask: needs {error.name}; pip install 'gs-codec[cluster]'"
             raise MissingTool(text) from error
         self._distributed, self._address, self._jobs = distributed, address, jobs
+        self._name = f"--dask {without_secrets(address)}"
         self._options, self._watcher = options, watcher
         self._futures: dict[Any, Task] = {}
         self._client: Any = None
@@ -103,7 +105,8 @@ class Cluster:
                     self._distributed.Client(scheduler, set_as_default=False)
                 )
             except (OSError, ValueError, TimeoutError) as error:
-                text = f"--dask {self._address}: no scheduler there ({one_line(error)})"
+                cause = redacted(one_line(error), self._address)
+                text = f"{self._name}: no scheduler there ({cause})"
                 raise InvalidInput(text) from error
             yield client
 
@@ -115,7 +118,7 @@ class Cluster:
 
     def _check_scheduler(self) -> None:
         if self._client.status != "running":
-            raise InvalidInput(f"--dask {self._address}: the scheduler is gone")
+            raise InvalidInput(f"{self._name}: the scheduler is gone")
 
     def _record(self, task: Task, future: Any) -> Record:
         if future.status == "finished":

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
+from gs_codec.batch.redaction import without_secrets
+
 #: What files of a folder are scenes.
 SUFFIXES = (".ply", ".splat", ".spz", ".sog")
 
@@ -26,6 +28,10 @@ class Spot:
 
     path: str
     base: str = ""
+
+    def __repr__(self) -> str:
+        """Without secrets, as libraries may log it."""
+        return f"Spot({without_secrets(self.path)!r}, {without_secrets(self.base)!r})"
 
 
 @dataclass(frozen=True)
@@ -102,13 +108,3 @@ def is_url(text: str) -> bool:
 def local_path(text: str) -> str:
     """The path of a path or ``file://`` URL."""
     return unquote(urlsplit(text).path) if text.startswith("file://") else text
-
-
-def without_secrets(url: str) -> str:
-    """A URL without a password, and without the query that may sign it."""
-    scheme, separator, rest = url.partition("://")
-    host, slash, path = rest.partition("/")
-    account, at, host = host.rpartition("@")
-    if scheme in ("http", "https"):
-        path = path.partition("?")[0]
-    return scheme + separator + account.partition(":")[0] + at + host + slash + path

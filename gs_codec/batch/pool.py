@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 
 from gs_codec.batch.ledger import Record
+from gs_codec.batch.redaction import redact_process
 from gs_codec.batch.scenes import Task
 from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.report import Progress
@@ -157,6 +158,7 @@ def _without_interrupt() -> Iterator[None]:
 
 def _serve(connection: Connection, work: Work) -> None:
     """Work on what comes until nobody is there."""
+    redact_process()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:

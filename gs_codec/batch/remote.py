@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.batch.local import by_folder, file_sha256, fixed_part
-from gs_codec.batch.places import SUFFIXES, Spot, Stamp, without_secrets
+from gs_codec.batch.places import SUFFIXES, Spot, Stamp
+from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.io.atomic import leftovers, temporary_name
 
@@ -24,6 +25,9 @@ _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memo
 #: Hosts are known by ~/.ssh/known_hosts, as ssh has it, since sshfs alone trusts any; one that
 #: does not answer is given up.
 _SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
+
+#: Characters of an error that a server may have written.
+_MOST = 1000
 
 _INSTALL = "pip install 'gs-codec[cluster]'"
 
@@ -41,9 +45,12 @@ class RemotePlace:
 
     def __init__(self, base: str) -> None:
         self._base = base
-        self._protocol = base.partition("://")[0]
+        # fsspec's chains: the first protocol reads from what the next one gives.
+        self._protocols = [part.partition("://")[0] for part in base.split("::")]
         self._name = without_secrets(base)
-        self.shared = self._protocol != "memory"
+        self._read_only = [name for name in self._protocols if name in _READ_ONLY]
+        self._is_store = self._protocols[0] in _OBJECTS
+        self.shared = "memory" not in self._protocols
         self._fs, self._root = self._open()
         shown_root = self._name.rstrip("/")
         known = shown_root.endswith(self._root.rstrip("/"))
@@ -54,13 +61,15 @@ class RemotePlace:
             import fsspec
         except ImportError as error:
             raise MissingTool(f"{self._name}: needs fsspec; {_INSTALL}") from error
-        options = _SSH if self._protocol in ("ssh", "sftp") else {}
+        # Each protocol of a chain has its own options.
+        options = {name: dict(_SSH) for name in ("ssh", "sftp") if name in self._protocols}
         try:
             return fsspec.core.url_to_fs(self._base, **options)
         except ImportError as error:
-            raise MissingTool(f"{self._name}: {one_line(error)}; {_INSTALL}") from error
+            text = redacted(one_line(error), self._base)
+            raise MissingTool(f"{self._name}: {text}; {_INSTALL}") from error
         except Exception as error:
-            raise InvalidInput(f"{self._name}: {_cause(error)}") from error
+            raise InvalidInput(f"{self._name}: {_cause(error, self._base)}") from error
 
     @contextmanager
     def _named(self, spot: Spot | None = None) -> Iterator[None]:
@@ -72,15 +81,14 @@ class RemotePlace:
         except GsCodecError:
             raise
         except Exception as error:
-            text = _cause(error).replace(self._base, self._name)
-            text = text.replace(path, without_secrets(path))
-            if isinstance(error, FileNotFoundError) and text in (shown, path):
+            text = _cause(error, self._base, path)
+            if isinstance(error, FileNotFoundError) and text in (shown, without_secrets(path)):
                 text = os.strerror(errno.ENOENT)
             raise InvalidInput(f"{shown}: {text}") from error
 
     def find(self, pattern: str) -> list[tuple[str, Spot]]:
         """See `Place.find`; a folder of the web is told by its slash."""
-        wild = "*[" if self._protocol in _READ_ONLY else "*[?"
+        wild = "*[" if self._read_only else "*[?"
         root = self._root
         with self._named():
             if any(sign in root for sign in wild):
@@ -93,11 +101,12 @@ class RemotePlace:
                 found = {root: self._fs.info(root)}
                 root = posixpath.dirname(root)
         paths = sorted(path for path, info in found.items() if info.get("type") != "directory")
+        root = without_secrets(root)
         names = [without_secrets(path).removeprefix(root).lstrip("/") for path in paths]
         return [(name, Spot(path, self._base)) for name, path in zip(names, paths, strict=True)]
 
     def _is_folder(self, pattern: str) -> bool:
-        if self._protocol in _READ_ONLY:
+        if self._read_only:
             return pattern.endswith("/")
         return self._fs.isdir(self._root)
 
@@ -111,9 +120,10 @@ class RemotePlace:
 
     def check_folder(self, folder: str) -> None:
         """See `Place.check_folder`."""
-        if self._protocol in _READ_ONLY:
-            raise InvalidInput(f"{self._name}: {self._protocol} can be read only")
-        if self._protocol not in _OBJECTS:
+        if self._read_only or len(self._protocols) > 1:
+            kind = self._read_only[0] if self._read_only else "a chain of protocols"
+            raise InvalidInput(f"{self._name}: {kind} can be read only")
+        if not self._is_store:
             with self._named():
                 self._fs.makedirs(self._root, exist_ok=True)
 
@@ -155,7 +165,7 @@ class RemotePlace:
     def store(self, file: Path, spot: Spot) -> None:
         """See `Place.store`."""
         with self._named(spot):
-            if self._protocol in _OBJECTS:
+            if self._is_store:
                 self._fs.put_file(str(file), spot.path)
                 return
             folder, _, name = spot.path.rpartition("/")
@@ -171,7 +181,7 @@ class RemotePlace:
 
     def sweep(self, spots: Iterable[Spot]) -> None:
         """See `Place.sweep`."""
-        if self._protocol in _OBJECTS:
+        if self._is_store:
             return
         for folder, names in by_folder(spots).items():
             with self._named():
@@ -183,6 +193,7 @@ class RemotePlace:
                     self._fs.rm_file(posixpath.join(folder, entry))
 
 
-def _cause(error: BaseException) -> str:
+def _cause(error: BaseException, *urls: str) -> str:
     """What went wrong, which some backends tell by the kind of error alone."""
-    return one_line(error) or type(error).__name__
+    text = redacted(one_line(error), *urls) or type(error).__name__
+    return text if len(text) <= _MOST else f"{text[:_MOST]}..."

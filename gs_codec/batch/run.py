@@ -17,8 +17,9 @@ from typing import Literal, Protocol
 from gs_codec import __version__
 from gs_codec.batch.ledger import Ledger, Record, open_ledger
 from gs_codec.batch.memory import available_bytes
-from gs_codec.batch.places import Place, Stamp, local_path, place_of
+from gs_codec.batch.places import Place, Stamp, is_url, local_path, place_of
 from gs_codec.batch.pool import Pool
+from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.batch.scenes import Options, Task, find_tasks
 from gs_codec.batch.watch import Watcher
 from gs_codec.batch.work import encode_one, versions
@@ -77,6 +78,9 @@ class Batch:
             raise InvalidInput(f"jobs {self.jobs}: expected 1 to 1024")
         if self.jobs is not None and self.dask not in (None, "local"):
             raise InvalidInput("jobs: the cluster's workers decide, expected none with an address")
+        if self.report is not None and is_url(self.report):
+            shown = without_secrets(self.report)
+            raise InvalidInput(f"report {shown}: expected a file of this machine")
 
 
 @dataclass(frozen=True)
@@ -173,10 +177,14 @@ def _work(
 
 
 def _completed(record: Record, task: Task, digest: str) -> Record:
-    """With what is known of every scene, however early it failed."""
+    """With what is known of every scene, however early it failed, and without secrets."""
     record = replace(record, options=digest, versions=record.versions or versions())
+    urls = [url for spot in (task.source, task.target) for url in (spot.base, spot.path)]
+    record = replace(record, warnings=[redacted(text, *urls) for text in record.warnings])
     if record.error is None:
         return record
+    error = {name: redacted(text, *urls) for name, text in record.error.items()}
+    record = replace(record, error=error)
     return replace(record, input_bytes=task.stamp.size, input_modified=task.stamp.modified)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from gs_codec.batch.local import file_sha256
 from gs_codec.batch.memory import needed_bytes
 from gs_codec.batch.places import Place, Spot, Stamp
+from gs_codec.batch.redaction import without_secrets
 from gs_codec.config import Config, Target
 from gs_codec.errors import InvalidInput
 
@@ -129,7 +130,7 @@ def find_tasks(
     """
     found = sources.find(source)
     if not found:
-        raise InvalidInput(f"{source}: no scenes there")
+        raise InvalidInput(f"{without_secrets(source)}: no scenes there")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
     for name, spot in found:
         written = targets.spot(target, os.path.splitext(name)[0] + ".egs")

@@ -79,11 +79,13 @@ def command(
     # A plan has these of one scene; the report here is another.
     plan = steps.plan_of(locals() | {"report": None, "checkpoint": None})
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
+    from gs_codec.batch.redaction import redact_process
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options
 
     options = Options(config, plan, wanted)
     batch = Batch(source, target, options, jobs, resume, report, on_error, dask)  # type: ignore[arg-type]
+    redact_process()
     with watching() as watcher:
         summary = run_batch(batch, watcher)
     if json:

@@ -1,0 +1,162 @@
+"""Texts without the secrets of URLs: passwords, accounts that are tokens, queries that sign."""
+
+from __future__ import annotations
+
+import base64
+import logging
+import re
+import sys
+import traceback
+from functools import lru_cache
+from types import TracebackType
+from urllib.parse import unquote
+
+#: Where a URL of a chain ends, as in ``simplecache::https://host/scene.ply``.
+_CHAIN = re.compile(r"::(?=[A-Za-z][\w+.-]*(?:://|::))")
+
+_URL = re.compile(r"([A-Za-z][\w+.-]*://)(.*)", re.DOTALL)
+
+#: A URL in a text, and the quotes, brackets and stops that may follow it.
+_URL_IN_TEXT = re.compile(r"[A-Za-z][\w+.-]{0,30}://\S+")
+_AFTER = "'\"()<>[],.;:"
+
+_HEADER = re.compile(r"(?i)(authorization['\"]?\s*[:=,]\s*['\"]?(?:(?:basic|bearer)\s+)?)[^\s'\"]+")
+
+#: The query of a path alone, as a server may name it.
+_QUERY = re.compile(r"(?<=[\w/])\?[^\s'\"=]*=[^\s'\"]*")
+
+#: Protocols whose accounts may be tokens, and whose queries are no part of a name.
+_WEB = ("http://", "https://")
+
+#: Protocols whose paths are names of files, which may have any sign.
+_FILES = ("file://", "local://", "sftp://", "ssh://", "ftp://", "memory://")
+
+#: A secret with fewer signs may be part of any word; it is hidden where it is a word.
+_SHORT = 8
+
+#: What signs a URL has more signs than a number of a page.
+_SIGNATURE = 4
+
+_HIDDEN = "***"
+
+
+def without_secrets(url: str) -> str:
+    """A URL, or a chain of them, without passwords and without queries that may sign it.
+
+    Accounts of the web go too. What is no URL is returned as it is.
+    """
+    return "::".join(_parted(part)[0] for part in _CHAIN.split(url))
+
+
+def redacted(text: str, *urls: str) -> str:
+    """A text of a library or a server, without the secrets of the URLs in it.
+
+    Parameters
+    ----------
+    text : str
+    urls : str
+        URLs whose secrets are hidden wherever they stand, in any spelling.
+    """
+    for url in urls:
+        if (shown := without_secrets(url)) != url:
+            text = text.replace(url, shown)
+            for pattern in _spellings(url):
+                text = pattern.sub(_HIDDEN, text)
+    text = _URL_IN_TEXT.sub(_shown_in_text, text)
+    if any(name in url.lower() for url in urls for name in _WEB):
+        text = _QUERY.sub("", text)
+    return _HEADER.sub(rf"\g<1>{_HIDDEN}", text)
+
+
+def redact_process() -> None:
+    """Keep secrets of URLs out of the logs and tracebacks that this process writes."""
+    for handler in (*logging.root.handlers, logging.lastResort):
+        if handler is not None and not isinstance(handler.formatter, _Redacting):
+            handler.setFormatter(_Redacting(handler.formatter))
+    sys.excepthook = _write_traceback
+
+
+class _Redacting(logging.Formatter):
+    """What another formatter writes, tracebacks included, without secrets."""
+
+    def __init__(self, inner: logging.Formatter | None) -> None:
+        super().__init__()
+        self._inner = inner or logging.Formatter()
+
+    def format(self, record: logging.LogRecord) -> str:
+        return redacted(self._inner.format(record))
+
+
+def _shown_in_text(found: re.Match[str]) -> str:
+    url = found[0].rstrip(_AFTER)
+    return without_secrets(url) + found[0][len(url) :]
+
+
+def _write_traceback(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    sys.stderr.write(redacted("".join(traceback.format_exception(kind, error, trace))))
+
+
+def _parted(url: str) -> tuple[str, list[str]]:
+    """A URL as it is shown, and the secrets that are left out of it."""
+    if (match := _URL.fullmatch(url)) is None:
+        return url, []
+    scheme, rest = match[1].lower(), match[2]
+    account, rest = _without_account(rest)
+    user, _, password = re.sub("%3[aA]", ":", account).partition(":")
+    # Others take a sign that should be escaped for the end of a part.
+    secrets = [password, *re.split("[/?#@]", password)]
+    if scheme in _WEB:
+        token, user = user, ""
+        pair = f"{token}:{password}" if password else token
+        # The second is what the header of a request has.
+        secrets += [pair, base64.b64encode(unquote(pair).encode()).decode()]
+    rest, query = _without_query(scheme, rest)
+    values = [part.partition("=")[2] or part for part in re.split("[?#&;]|::", query)]
+    secrets += [value for value in values if len(value) >= _SIGNATURE]
+    shown = match[1] + (f"{user}@" if user else "") + rest
+    return shown, [secret for secret in secrets if secret]
+
+
+def _without_account(rest: str) -> tuple[str, str]:
+    """What a URL has before the host, and what follows."""
+    authority = re.split("[/?#]", rest, maxsplit=1)[0]
+    port = authority.rpartition("]")[2].partition(":")[2]
+    if "@" in authority:
+        account = authority.rpartition("@")[0]
+    elif "@" in rest and port and not port.isdigit():
+        # A password with signs that should be escaped, as a slash.
+        account = rest.rpartition("@")[0]
+    else:
+        return "", rest
+    return account, rest[len(account) + 1 :]
+
+
+def _without_query(scheme: str, rest: str) -> tuple[str, str]:
+    """The path of a URL with its host, and its query where it is no part of the name."""
+    path = re.split("[?#]", rest, maxsplit=1)[0]
+    query = rest[len(path) :]
+    if scheme in _WEB or (scheme not in _FILES and "=" in query):
+        return path, query
+    return rest, ""
+
+
+@lru_cache
+def _spellings(url: str) -> list[re.Pattern[str]]:
+    """What finds each secret of a URL, however its signs are escaped; the longest first."""
+    secrets = {unquote(one) for part in _CHAIN.split(url) for one in _parted(part)[1]}
+    return [_spelling(secret) for secret in sorted(secrets, key=len, reverse=True)]
+
+
+def _spelling(secret: str) -> re.Pattern[str]:
+    signs = []
+    for sign in secret:
+        # An escape may be escaped once more.
+        escaped = "".join(f"%(?:25){{0,3}}(?i:{byte:02x})" for byte in sign.encode())
+        plain = re.escape(sign) + (r"|\+" if sign == " " else "")
+        signs.append(rf"(?:\\{{0,4}}{plain}|{escaped})")
+    word = "".join(signs)
+    if len(secret) < _SHORT:
+        word = rf"(?:(?<![A-Za-z0-9])|(?<=%[0-9A-Fa-f]{{2}})){word}(?![A-Za-z0-9])"
+    return re.compile(word)

@@ -1,0 +1,200 @@
+"""Passwords and signatures of URLs: neither reports nor what processes say has them."""
+
+from __future__ import annotations
+
+import base64
+import logging
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from scenes import random_scene
+
+from gs_codec.batch.places import Spot
+from gs_codec.batch.redaction import redact_process, redacted, without_secrets
+from gs_codec.io.ply import write_ply
+
+LIMIT = 600
+
+PASSWORD, SIGNATURE, TOKEN = "pAss/w rd!", "sIg+n/a==tUre", "tOkEnOfRedirect"
+
+#: What gives a secret away, in whatever spelling.
+TRACES = (
+    *("pAss", "w%20rd", "sIg", "tUre", TOKEN, "cDn"),
+    base64.b64encode(f"user:{PASSWORD}".encode()).decode(),
+)
+
+
+class Handler(BaseHTTPRequestHandler):
+    """A folder for those who know the password, whose scenes are elsewhere."""
+
+    def do_GET(self) -> None:
+        path = urlsplit(self.path).path
+        content = self.server.files.get(path)  # type: ignore[attr-defined]
+        if path == "/moved/":
+            place = f"{self.server.url}/gone?tOkEn=x&token={TOKEN}"  # type: ignore[attr-defined]
+            self.answer(302, b"", Location=place.replace("http://", "http://user:cDn@"))
+        elif path == "/in/" and "Authorization" not in self.headers:
+            self.answer(401, f"{self.path} is not for you".encode())
+        elif content is None:
+            self.answer(500 if "gone" in path else 404, self.path.encode())
+        else:
+            self.answer(200, content)
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
+
+    def answer(self, status: int, content: bytes, **headers: str) -> None:
+        self.send_response(status, f"no {self.path}" if status == 500 else None)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", "text/html")
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        if self.command == "GET":
+            self.wfile.write(content)
+
+    def log_message(self, *arguments: object) -> None:
+        """Tests are quiet."""
+
+
+@pytest.fixture
+def server(tmp_path) -> Iterator[ThreadingHTTPServer]:
+    pytest.importorskip("aiohttp", reason="no client for the web")
+    write_ply(tmp_path / "a.ply", random_scene(200, 0))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    scene = (tmp_path / "a.ply").read_bytes()
+    links = b'<a href="a.ply">a</a> <a href="gone.ply">gone</a>'
+    server.files = {"/in/": links, "/none/": b"", "/in/a.ply": scene, "/a%20b.ply": scene[:-1]}
+    server.url = f"http://127.0.0.1:{server.server_port}"
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+    root = str(Path(__file__).parent.parent)
+    return subprocess.run(
+        [sys.executable, "-m", "gs_codec", "batch", *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": root},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT,
+    )
+
+
+def assert_no_secret(folder: Path, done: subprocess.CompletedProcess) -> None:
+    report = folder / "out/report.jsonl"
+    written = report.read_text() if report.exists() else ""
+    for place, text in (("stdout", done.stdout), ("stderr", done.stderr), ("report", written)):
+        assert [trace for trace in TRACES if trace in text] == [], f"{place}: {text}"
+    assert "Traceback" not in done.stderr
+
+
+SIGNED = "http://user:pAss%2Fw%20rd!@{host}/{name}?sig=sIg%2Bn%2fa%3D%3DtUre&b=1"
+
+
+@pytest.mark.parametrize(
+    ("url", "status", "said"),
+    [
+        ("http://user:pAss%2Fw%20rd!@{host}/in/", 1, "http://{host}/in/gone.ply: No such file"),
+        ("http://user:pAss%2Fw%20rd!@{host}/none/", 2, "http://{host}/none/: no scenes there"),
+        ("http://user:pAss@{host}/none/*.ply", 2, "http://{host}/none/*.ply: no scenes there"),
+        (SIGNED.replace("{name}", "a%20b.ply"), 1, "http://{host}/a%20b.ply: "),
+        (SIGNED.replace("{name}", "missing.ply"), 2, "http://{host}/missing.ply: No such file"),
+        (SIGNED.replace("{name}", "gone/*.ply"), 2, "http://{host}/gone/*.ply: 500, message='no /"),
+        (SIGNED.replace("{name}", "moved/*.ply"), 2, "http://{host}/moved/*.ply: 500, message="),
+        ("simplecache::" + SIGNED.replace("{name}", "gone/*.ply"), 2, "http://{host}/gone/*.ply: "),
+        ("http://pAss:sIg/tUre@{host}/in/", 2, "http://{host}/in/: "),
+        ("ftp://user:pAss/sIg@{host}/in", 2, "ftp://user@{host}/in: "),
+        ("nonsense://user:pAss@{host}/in?sig=sIg", 2, "nonsense://user@{host}/in: Protocol"),
+    ],
+)
+def test_secrets_of_a_source_are_never_said(server, tmp_path, url, status, said):
+    host = server.url.removeprefix("http://")
+    done = run(tmp_path, url.replace("{host}", host), "out", "--jobs", "2", "--json")
+    assert_no_secret(tmp_path, done)
+    assert said.replace("{host}", host) in done.stderr
+    assert done.returncode == status, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("sftp://me:secret@host:22/a", "sftp://me@host:22/a"),
+        ("sftp://me:se@cret@host/a@b", "sftp://me@host/a@b"),
+        ("sftp://host:22/a@b?c=d", "sftp://host:22/a@b?c=d"),
+        ("ftp://me:sec/ret@host/a", "ftp://me@host/a"),
+        ("ftp://me:12@host/a", "ftp://me@host/a"),
+        ("https://host/a.ply?signature=secret", "https://host/a.ply"),
+        ("https://host/a.ply#token=secret", "https://host/a.ply"),
+        ("HTTPS://secret@Host/a", "HTTPS://Host/a"),
+        ("https://me%3Asecret@host/a", "https://host/a"),
+        ("https://me:sec?ret@host/a", "https://host/a"),
+        ("http://me:secret@[::1]:80/a?b", "http://[::1]:80/a"),
+        ("s3://key:sec/ret@bucket/a?b", "s3://key@bucket/a?b"),
+        ("az://box/a.ply?sv=1&sig=secret", "az://box/a.ply"),
+        ("simplecache::https://host/a?s=a::b", "simplecache::https://host/a"),
+        ("zip://*.ply::https://me:secret@host/a.zip?b", "zip://*.ply::https://host/a.zip"),
+        ("zip://*.ply::/a/b.zip", "zip://*.ply::/a/b.zip"),
+        ("s3://bucket/a?b", "s3://bucket/a?b"),
+        ("/a/b:c@d?e=f", "/a/b:c@d?e=f"),
+    ],
+)
+def test_what_a_url_is_called(url, shown):
+    assert without_secrets(url) == shown
+    assert without_secrets(shown) == shown
+    assert redacted(f"no '{url}', or so", url) == f"no '{shown}', or so"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "url='https://host/a%20b.ply?sig=sIg%2Bn/a%3D%3DtUre'",
+        "url='HTTPS://HOST/a b.ply?b=1&sig=sIg+n%2Fa==tUre'",
+        "next=https%3A%2F%2Fhost%2Fa%3Fsig%3DsIg%252bn%252fa%253D%253DtUre",
+        "sIg+n/a==tUre",
+        "no user:pAss/w rd! known",
+        "no pAss%2fw+rd! known",
+        f"{{'Authorization': 'Basic {TRACES[-1]}'}}",
+        "see https://elsewhere/a?token='tOkEnOfRedirect'b (twice https://tOkEnOfRedirect@h).",
+        "GET /a.ply?sig=tOkEnOfRedirect",
+        "{'authorization': 'Bearer tOkEnOfRedirect'}",
+    ],
+)
+def test_spellings_of_a_secret_are_hidden(text):
+    found = redacted(text, SIGNED.format(host="host", name="a%20b.ply"))
+    assert [trace for trace in TRACES if trace in found] == []
+
+
+def test_text_that_means_harm_takes_no_time():
+    url = SIGNED.format(host="host", name="a")
+    for piece in ("a", "http://", "'", "\\", "%25", "::", "@", "?a=", "sIg"):
+        assert isinstance(redacted(piece * 100_000, url), str)
+
+
+def test_logs_and_what_libraries_show_have_no_secrets(monkeypatch, capsys):
+    url = SIGNED.format(host="host", name="a")
+    assert str(Spot(url, url)) == "Spot('http://host/a', 'http://host/a')"
+    handler = logging.StreamHandler(sys.stderr)
+    monkeypatch.setattr(logging.root, "handlers", [handler])
+    monkeypatch.setattr(logging, "lastResort", None)
+    monkeypatch.setattr(sys, "excepthook", None)
+    redact_process()
+    try:
+        raise RuntimeError(url)
+    except RuntimeError as error:
+        logging.getLogger("asyncio").exception("%s was never read", url)
+        sys.excepthook(type(error), error, error.__traceback__)
+    err = capsys.readouterr().err
+    assert err.count("RuntimeError: http://host/a") == 2
+    assert [trace for trace in TRACES if trace in err] == []

@@ -164,6 +164,61 @@ def test_what_was_changed_and_warned_of_is_reported(folder):
     assert "warning: " in err
 
 
+# Links
+
+
+def test_links_to_folders_above_are_not_followed(folder, caplog):
+    Path("in/sub/up").symlink_to("..")
+    Path("in/sub/above").symlink_to("../..")
+    for source in ("in", "in/**/*.ply", "in/sub/**/*.ply", "in/**/**/*.ply"):
+        caplog.clear()
+        assert folder.run("batch", source, "out").status == 0
+        assert len(records()) == (2 if "sub" in source else 3)
+        lines = [f"{Path('in/sub', name).absolute()}: leads to " for name in ("up", "above")]
+        assert all(caplog.text.count(line) == 1 for line in lines)
+    assert sorted(str(p.relative_to("out")) for p in Path("out").rglob("*.egs")) == [
+        *("a.egs", "b.egs", "deeper/c.egs", "sub/b.egs", "sub/deeper/c.egs")
+    ]
+
+
+@pytest.mark.parametrize("source", ["in", "in/**/*.ply"])
+def test_folders_of_many_links_are_read_once(folder, caplog, source):
+    for name in ("one", "two", "three"):
+        Path("in", name).symlink_to(".")
+        Path("in/sub/deeper", name).symlink_to("../../sub")
+    assert folder.run("batch", source, "out").status == 0
+    assert len(records()) == 3
+    assert caplog.text.count("leads to") == 6
+
+
+@pytest.mark.parametrize("source", ["in", "in/**/*.ply", "in/*/*.ply"])
+def test_scene_that_links_lead_to_is_encoded_once(folder, caplog, source):
+    write_ply("far.ply", random_scene(200, 0, seed=7))
+    Path("far").mkdir()
+    Path("far.ply").rename("far/d.ply")
+    Path("in/0").symlink_to("sub")
+    Path("in/far").symlink_to("../far")
+    Path("in/sub/0.ply").symlink_to("b.ply")
+    assert folder.run("batch", source, "out").status == 0
+    names = sorted(Path(record["source"]).relative_to(folder.path / "in") for record in records())
+    deep = [] if source == "in/*/*.ply" else ["a.ply", "sub/deeper/c.ply"]
+    assert [str(name) for name in names] == sorted([*deep, "sub/b.ply", "far/d.ply"])
+    assert "in/sub/0.ply: the same file as " in caplog.text
+
+
+def test_folder_that_cannot_be_read_is_said(folder, caplog):
+    real = os.scandir
+
+    def closed(path: str) -> Any:
+        if str(path).endswith("deeper"):
+            raise PermissionError(13, "Permission denied", path)
+        return real(path)
+
+    folder.monkeypatch.setattr(os, "scandir", closed)
+    assert folder.run("batch", "in", "out").status == 0
+    assert f"{Path('in/sub/deeper').absolute()}: Permission denied, skipped" in caplog.text
+
+
 # What is refused before anything is done
 
 

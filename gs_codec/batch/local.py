@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import logging
 import os
+import re
 import stat
+from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
 from gs_codec.batch.places import SUFFIXES, Spot, Stamp, local_path
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.io.atomic import leftovers
+
+log = logging.getLogger(__name__)
 
 
 class LocalPlace:
@@ -21,17 +26,20 @@ class LocalPlace:
     local = True
 
     def find(self, pattern: str) -> list[tuple[str, Spot]]:
-        """See `Place.find`; hidden files and folders match only where a dot is written."""
+        """See `Place.find`; hidden files and folders match only where a dot is written.
+
+        A file or folder that several links lead to is taken once.
+        """
         text = os.path.abspath(local_path(pattern))
         if os.path.isdir(text):
-            root, found = text, glob.iglob(glob.escape(text) + "/**", recursive=True)
+            root, found = text, matching_paths(glob.escape(text) + "/**/*")
             paths = [path for path in found if path.lower().endswith(SUFFIXES)]
         elif os.path.lexists(text) or not glob.has_magic(text):
             root, paths = os.path.dirname(text), [text] if os.path.lexists(text) else []
         else:
-            root, paths = fixed_part(text), glob.glob(text, recursive=True)
-        files = sorted(path for path in set(paths) if not os.path.isdir(path))
-        return [(os.path.relpath(path, root), Spot(path)) for path in files]
+            root, paths = fixed_part(text), matching_paths(text)
+        files = _each_once(root, [path for path in set(paths) if not os.path.isdir(path)])
+        return [(os.path.relpath(path, root), Spot(path)) for path in sorted(files)]
 
     def spot(self, folder: str, name: str) -> Spot:
         """See `Place.spot`."""
@@ -88,6 +96,57 @@ class LocalPlace:
                 continue
             for entry in leftovers(entries, names):
                 os.unlink(os.path.join(folder, entry))
+
+
+def matching_paths(pattern: str) -> list[str]:
+    """Paths that an absolute glob matches; ``**`` are any folders, each real one once."""
+    pattern = re.sub(r"(/\*\*)+/", "/**/", f"{pattern}/")
+    head, wild, rest = pattern.partition("/**/")
+    if not wild:
+        return glob.glob(pattern.rstrip("/"))
+    folders = [below for folder in glob.glob(head or "/") for below in _folders(folder)]
+    rest = rest or "*"
+    return [path for below in folders for path in matching_paths(f"{glob.escape(below)}/{rest}")]
+
+
+def _folders(root: str) -> list[str]:
+    """A folder and those below it that are not hidden; links are followed last, and once."""
+    found: list[str] = []
+    waiting, seen = deque([root]), set[str]()
+    while waiting:
+        start = waiting.popleft()
+        above = os.path.realpath(os.path.dirname(start)) if start != root else ""
+        for folder, names, _ in os.walk(start, onerror=_warn):
+            real = os.path.realpath(folder)
+            if real in seen or f"{above}/".startswith(f"{real.rstrip('/')}/"):
+                log.warning("%s: leads to %s, above it or read before; skipped", folder, real)
+                names.clear()
+                continue
+            seen.add(real)
+            found.append(folder)
+            names[:] = sorted(name for name in names if not name.startswith("."))
+            below = [os.path.join(folder, name) for name in names]
+            waiting += [path for path in below if os.path.islink(path)]
+    return found
+
+
+def _warn(error: OSError) -> None:
+    log.warning("%s: %s, skipped", error.filename, one_line(error))
+
+
+def _each_once(root: str, paths: Iterable[str]) -> list[str]:
+    """Those that are other files than those before; a file counts before links to it."""
+    real_root, taken = os.path.realpath(root), dict[str, str]()
+    real = {path: os.path.realpath(path) for path in paths}
+
+    def is_link(path: str) -> bool:
+        return real[path] != os.path.normpath(os.path.join(real_root, os.path.relpath(path, root)))
+
+    for path in sorted(real, key=lambda path: (is_link(path), path)):
+        if real[path] in taken:
+            log.warning("%s: the same file as %s, skipped", path, taken[real[path]])
+        taken.setdefault(real[path], path)
+    return list(taken.values())
 
 
 def file_sha256(path: str | Path) -> str:

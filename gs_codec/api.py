@@ -14,6 +14,7 @@ from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.ply import vertex_rows
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, RateReport
+from gs_codec.workers import using_threads
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -190,11 +191,12 @@ def encode(
         from gs_codec.preparation.steps import Steps
 
         plan = Plan(Steps(), cameras)
-    if target is None:
-        guide = None if plan is None else planned.guide_of(scene, plan, config)
-        return encode_scene(scene, config, guide=guide)[0]
-    ply_bytes = vertex_rows(scene).nbytes
-    data, report = planned.encode_goal(scene, scene, ply_bytes, config, as_target(target), plan)
+    with using_threads(config.threads):
+        if target is None:
+            guide = None if plan is None else planned.guide_of(scene, plan, config)
+            return encode_scene(scene, config, guide=guide)[0]
+        ply_bytes = vertex_rows(scene).nbytes
+        data, report = planned.encode_goal(scene, scene, ply_bytes, config, as_target(target), plan)
     assert report.rate is not None
     return data, report.rate
 

@@ -13,6 +13,7 @@ from gs_codec.files import check_target, read_scene, suffix_of, turn_scene, writ
 from gs_codec.io.mapped import located
 from gs_codec.report import Progress
 from gs_codec.transform.coordinates import CONVENTION, state_system, system_of
+from gs_codec.workers import using_threads
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,17 @@ def convert_file(
     """
     config = config or Config(extra="keep")
     check_target(source, target)
+    with using_threads(config.threads):
+        return _convert_file(source, target, config, coordinates, progress)
+
+
+def _convert_file(
+    source: str | Path,
+    target: str | Path,
+    config: Config,
+    coordinates: str,
+    progress: Progress | None,
+) -> ConvertReport:
     suffix = suffix_of(target)
     start = time.perf_counter()
     scene = read_scene(source, config.extra, progress, coordinates=None)

@@ -34,6 +34,7 @@ from gs_codec.scene import Scene
 from gs_codec.slabs import opened_slabs
 from gs_codec.storage import bounded
 from gs_codec.transform.coordinates import CONVENTION, system_of, turn_axes
+from gs_codec.workers import using_threads
 
 log = logging.getLogger(__name__)
 
@@ -140,7 +141,7 @@ def encode_file(
             raise InvalidInput(
                 f"{source}: max-memory: only a binary PLY of floats is read in parts"
             )
-    with bounded(max_memory):
+    with using_threads(config.threads), bounded(max_memory):
         return _encode_file(source, target, config, progress, plan, report_folder, goal)
 
 

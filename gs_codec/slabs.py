@@ -18,7 +18,7 @@ from gs_codec.matching import Order, order_of_file, with_order
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 from gs_codec.storage import bounded
-from gs_codec.workers import available_threads
+from gs_codec.workers import available_threads, using_threads
 
 #: Gaussians decoded at once, or as many as give each thread two blocks.
 _SLAB = 1 << 19
@@ -107,7 +107,7 @@ def opened_slabs(
     MissingTool
         If it uses G-PCC, and the program (`tmc3`, or what the environment says) is not there.
     """
-    with bounded(max_memory), opened(path) as view:
+    with using_threads(threads), bounded(max_memory), opened(path) as view:
         start = time.perf_counter()
         with located(path):
             chosen = choose_part(view, part, threads, max_bytes, tmc3)

@@ -1,20 +1,42 @@
-"""Threads for kernels that release the GIL; results never depend on their number."""
+"""Threads for kernels that release the GIL; results never depend on their number.
+
+`using_threads` sets the number once, for everything that is called in its block.
+"""
 
 from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import copy_context
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
+from itertools import chain, islice
 from threading import Semaphore
 from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_SET: ContextVar[int | None] = ContextVar("threads", default=None)
+
+
+@contextmanager
+def using_threads(number: int | None) -> Iterator[None]:
+    """Use so many threads at once in the block, whatever it calls; None leaves what is set."""
+    token = _SET.set(number or _SET.get())
+    try:
+        yield
+    finally:
+        _SET.reset(token)
+
 
 def available_threads() -> int:
+    """Threads that may be used here: as `using_threads` says, else one for each processor."""
+    return _SET.get() or processors()
+
+
+def processors() -> int:
     """Processors this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -30,10 +52,15 @@ def run_all(
     """Map `function` over `items` in threads, in order; `advance` is called after each.
 
     An item is taken when a thread is free for it, so that what items are made of need not all
-    be there at once. Threads see the caller's context variables.
+    be there at once. Threads see the caller's context variables; what an item calls stays in its
+    thread.
     """
     number = threads or available_threads()
     results: list[Result] = []
+    if number > 1:
+        items = iter(items)
+        first = list(islice(items, 2))
+        items, number = chain(first, items), number if len(first) > 1 else 1
     if number == 1:  # the caller's own: nothing to wait for
         for item in items:
             results.append(function(item))
@@ -45,7 +72,8 @@ def run_all(
 
     def work(item: Item) -> Result:
         try:
-            return function(item)
+            with using_threads(1):
+                return function(item)
         finally:
             free.release()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from gs_codec.batch import cluster, run
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.scenes import Options, Task
+from gs_codec.errors import GsCodecError
 
 encode_in, encode_one = run._encode_in, cluster.encode_one
 
@@ -51,6 +53,16 @@ def waiting(options: Options, scratch: str, task: Task, progress: Any) -> Record
     Path(os.environ["HELD"]).touch()
     while not Path(os.environ["GO"]).exists():
         time.sleep(0.02)
+    return encode_in(options, scratch, task, progress)
+
+
+def alone(options: Options, scratch: str, task: Task, progress: Any) -> Record:
+    """Start no thread."""
+
+    def refuse(thread: threading.Thread) -> None:
+        raise GsCodecError(f"{thread.name} started")
+
+    threading.Thread.start = refuse
     return encode_in(options, scratch, task, progress)
 
 

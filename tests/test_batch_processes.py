@@ -23,6 +23,8 @@ from gs_codec.batch.scenes import Options
 from gs_codec.config import Config
 from gs_codec.files import encode_file
 from gs_codec.io.ply import write_ply
+from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.steps import Steps
 
 TESTS = Path(__file__).parent
 
@@ -183,6 +185,16 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
         "once.egs",
         "z.egs",
     ]
+
+
+@pytest.mark.parametrize("plan", [None, Plan(Steps(), width=48, views=4)], ids=["plain", "views"])
+def test_scenes_of_one_thread_start_no_other(tmp_path, monkeypatch, plan):
+    for seed in range(2):
+        write_ply(tmp_path / f"{seed}.ply", random_scene(1000, 1, seed=seed))
+    monkeypatch.setattr(run, "_encode_in", batch_work.alone)
+    options = Options(Config(threads=1), plan)
+    summary = run_batch(Batch(str(tmp_path), str(tmp_path / "out"), options, jobs=2))
+    assert (summary.done, summary.failed) == (2, 0), Path(summary.report).read_text()
 
 
 SMALL_DISK = """

@@ -9,6 +9,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -702,6 +703,44 @@ def test_progress_on_a_terminal_ends_in_a_clean_line(folder):
     assert done.stdout.startswith(b"out.egs: 1,500 Gaussians")
     assert "code" in shown
     assert "\x1b[?25h" in shown, "the cursor must be visible again"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "encode scene.ply out.egs",
+        "encode scene.ply out.egs -p paper-m",
+        "encode scene.ply out.egs --cameras auto --views 3 --width 48 --prune-loo 10",
+        "encode scene.ply out.egs --cameras auto --views 3 --width 48 --max-psnr-drop 1",
+        "decode scene.egs out.ply",
+        "verify scene.egs",
+        "convert scene.ply out.splat",
+        "convert scene.egs out.egs",
+    ],
+)
+def test_one_thread_starts_no_other(folder, command):
+    started: list[str] = []
+    folder.monkeypatch.setattr(threading.Thread, "start", lambda self: started.append(self.name))
+    assert folder.run(*command.split(), "--threads", "1").status == 0
+    assert started == []
+
+
+COUNTED = """
+import os, sys
+from gs_codec.cli.main import main
+try:
+    main()
+finally:
+    print(len(os.listdir("/proc/self/task")), file=sys.stderr)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the system lists no threads")
+def test_numpy_starts_no_threads_either(folder):
+    folder.monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    command = ["encode", "scene.ply", "out.egs", "--threads", "1"]
+    status, _, err = python("-c", COUNTED, *command, cwd=folder.path)
+    assert (status, err) == (0, "1\n")
 
 
 def test_progress_in_a_pipe_is_a_line_every_ten_seconds(capsys):

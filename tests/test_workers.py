@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gs_codec.workers import run_all
+from gs_codec.workers import available_threads, run_all, using_threads
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 16, None])
@@ -48,6 +48,25 @@ def test_an_error_ends_the_work(threads):
     with pytest.raises(ValueError, match="five"):
         run_all(work, items(), threads)
     assert threading.active_count() < 50
+
+
+def test_one_setting_is_for_all_that_is_called():
+    with using_threads(3):
+        assert available_threads() == 3
+        with using_threads(None):
+            assert available_threads() == 3
+        with using_threads(1):
+            assert run_all(lambda _: threading.get_ident(), range(2)) == [threading.get_ident()] * 2
+        assert available_threads() == 3
+
+
+def test_what_an_item_calls_stays_in_its_thread():
+    def work(_: int) -> list[int]:
+        return [threading.get_ident(), *run_all(lambda _: threading.get_ident(), range(4))]
+
+    for found in run_all(work, range(4), 4):
+        assert len(set(found)) == 1
+    assert run_all(lambda _: available_threads(), range(1), 4) == [available_threads()]
 
 
 def test_one_thread_is_the_callers():

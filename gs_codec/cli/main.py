@@ -76,6 +76,8 @@ def main() -> None:
     """Run the command line; errors of use and input exit with status 2."""
     logging.basicConfig(format="gs-codec: %(levelname)s: %(message)s", level=logging.WARNING)
     logging.addLevelName(logging.WARNING, "warning")
+    # Nothing here is linear algebra of any size: numpy would start its threads in vain.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:

@@ -34,7 +34,7 @@ from gs_codec.errors import CorruptStream
 from gs_codec.geometry.tmc3 import Tmc3
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
-from gs_codec.workers import run_all
+from gs_codec.workers import run_all, using_threads
 
 #: A stream may decode to this many bytes, or to `EXPANSION` times its size if that is more.
 DECODED_BYTES = 1 << 30
@@ -93,8 +93,9 @@ def decode_part(
     MissingTool, ToolFailed
         If the stream uses G-PCC, and its program is not there or does not decode it.
     """
-    chosen = choose_part(data, part, threads, max_bytes, tmc3)
-    (scene,) = chosen.slabs(chosen.file.header.count, progress)
+    with using_threads(threads):
+        chosen = choose_part(data, part, threads, max_bytes, tmc3)
+        (scene,) = chosen.slabs(chosen.file.header.count, progress)
     return scene, chosen.file
 
 

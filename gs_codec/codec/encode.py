@@ -31,7 +31,7 @@ from gs_codec.geometry.count_tree import encode_geometry
 from gs_codec.geometry.tmc3 import Tmc3
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.scene import Scene
-from gs_codec.workers import run_all
+from gs_codec.workers import run_all, using_threads
 
 
 def encode_scene(
@@ -63,7 +63,8 @@ def encode_scene(
     MissingTool, ToolFailed
         If `config` asks for G-PCC, and its program is not there or fails.
     """
-    parts, report = encode_parts(scene, config, progress, guide)
+    with using_threads(None if config is None else config.threads):
+        parts, report = encode_parts(scene, config, progress, guide)
     return b"".join(parts), report
 
 

@@ -11,13 +11,13 @@ demo: $(VENV)/installed
 	@echo; echo "1. A scene of 50,000 Gaussians, and 24 cameras around it"
 	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3 --cameras demo/cameras.json
 	@echo; echo "2. Encode it; the first run compiles kernels for some seconds"
-	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs
+	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs --overwrite
 	@echo; echo "3. Decode it, to a PLY that any viewer opens"
-	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply
+	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply --overwrite
 	@echo; echo "4. What was lost: by attribute, of which most is never seen"
 	$(BIN)/gs-codec compare demo/still_life.ply demo/decoded.ply
 	@echo; echo "5. What is seen of it; at 48 dB the mean error is one level of 255"
-	$(BIN)/gs-codec compare demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --images demo/views
+	$(BIN)/gs-codec compare demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --images demo/views --overwrite
 	$(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --view 2 --layers error \
 	    --width 1000 --height 400 --screenshot demo/picture.png
 	@echo; echo "Done. demo/picture.png: the scene, and the error of each pixel; demo/views: every view before and after,"
@@ -46,7 +46,7 @@ SIZES := 200000 1000000 5000000 20000000
 scaling: $(VENV)/installed-test
 	@mkdir -p build/scaling
 	for n in $(SIZES); do $(BIN)/python samples/generate.py build/scaling/$$n.ply --gaussians $$n || exit; done
-	$(BIN)/gs-codec bench $(SIZES:%=build/scaling/%.ply) --scaling --plot build/scaling/plot.png $(MEMORY:%=--max-memory %)
+	$(BIN)/gs-codec bench $(SIZES:%=build/scaling/%.ply) --scaling --plot build/scaling/plot.png --overwrite $(MEMORY:%=--max-memory %)
 
 # Two samples and SCENES="a/point_cloud.ply ...", cameras.json and images beside each: build/suite/report.
 # Half an hour with a scene of 200,000 Gaussians; OPTIONS="--skip pruned" leaves that out. `make peers` before
@@ -56,7 +56,7 @@ suite: $(VENV)/installed-test
 	@mkdir -p $(SAMPLE)_60k $(SAMPLE)_100k
 	$(BIN)/python samples/generate.py $(SAMPLE)_60k/point_cloud.ply --gaussians 60000 --sh-degree 3 --seed 1 --cameras $(SAMPLE)_60k/cameras.json
 	$(BIN)/python samples/generate.py $(SAMPLE)_100k/point_cloud.ply --gaussians 100000 --sh-degree 1 --seed 2 --cameras $(SAMPLE)_100k/cameras.json
-	$(BIN)/gs-codec bench suite $(SCENES) $(SAMPLE)_60k/point_cloud.ply $(SAMPLE)_100k/point_cloud.ply --out build/suite/report $(OPTIONS)
+	$(BIN)/gs-codec bench suite $(SCENES) $(SAMPLE)_60k/point_cloud.ply $(SAMPLE)_100k/point_cloud.ply --out build/suite/report --overwrite $(OPTIONS)
 
 # Every reader, one after another, MINUTES each; findings are kept in the folder `fuzz`.
 MINUTES ?= 30

@@ -81,7 +81,9 @@ def read(
     return to_cloud(files.read_scene(path, extra, progress))
 
 
-def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> None:
+def write(
+    path: str | Path, cloud: PointCloud, config: Config | None = None, overwrite: bool = True
+) -> None:
     """Write a cloud as ``.ply``, ``.splat`` or, encoded, as ``.egs``; whole or not at all.
 
     Parameters
@@ -93,6 +95,8 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     config : Config, optional
         How to encode an ``.egs`` file. Its `extra` says what becomes of other attributes there; a
         PLY keeps them, and a log message tells what ``.splat`` cannot hold.
+    overwrite : bool
+        Whether a file that exists is replaced, once the new one is whole, or else refused.
 
     Raises
     ------
@@ -110,7 +114,7 @@ def write(path: str | Path, cloud: PointCloud, config: Config | None = None) -> 
     """
     config = config or Config()
     extra = config.extra if Path(path).suffix.lower() == ".egs" else "keep"
-    files.write_scene(path, from_cloud(cloud, extra), config)
+    files.write_scene(path, from_cloud(cloud, extra), config, overwrite)
 
 
 @overload

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gs_codec.codec.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
-from gs_codec.files import check_target, read_scene, suffix_of, turn_scene, write_scene
+from gs_codec.files import check_target, read_scene, turn_scene, write_scene
 from gs_codec.io.mapped import located
 from gs_codec.report import Progress
 from gs_codec.transform.coordinates import CONVENTION, state_system, system_of
@@ -55,6 +55,7 @@ def convert_file(
     config: Config | None = None,
     coordinates: str = CONVENTION,
     progress: Progress | None = None,
+    overwrite: bool = True,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix; it appears whole or not at all.
 
@@ -67,6 +68,8 @@ def convert_file(
         Coordinate system to turn to, or ``keep``; ``RDF`` is that of PLY and ``.splat`` files.
         ``RUB:RDF`` turns from the first, whatever the source states.
     progress : callable, optional
+    overwrite : bool
+        As for `encode_file`.
 
     Raises
     ------
@@ -76,19 +79,19 @@ def convert_file(
         If the source is an unsound `.egs` file.
     """
     config = config or Config(extra="keep")
-    check_target(source, target)
+    suffix = check_target(source, target, overwrite=overwrite)
     with using_threads(config.threads):
-        return _convert_file(source, target, config, coordinates, progress)
+        return _convert_file(source, target, suffix, config, coordinates, progress)
 
 
 def _convert_file(
     source: str | Path,
     target: str | Path,
+    suffix: str,
     config: Config,
     coordinates: str,
     progress: Progress | None,
 ) -> ConvertReport:
-    suffix = suffix_of(target)
     start = time.perf_counter()
     scene = read_scene(source, config.extra, progress, coordinates=None)
     read = time.perf_counter() - start

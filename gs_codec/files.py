@@ -15,7 +15,7 @@ from gs_codec.config import Config, Target
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
-from gs_codec.io.atomic import atomic_writer, check_writable, make_folder
+from gs_codec.io.atomic import atomic_writer, check_folder, check_writable, make_folder
 from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes, tell_format
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
@@ -37,6 +37,9 @@ from gs_codec.transform.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.workers import using_threads
 
 log = logging.getLogger(__name__)
+
+#: Suffixes of scenes that are written.
+_WRITTEN = (".ply", ".egs", ".splat")
 
 if TYPE_CHECKING:
     from gs_codec.preparation.pipeline import Plan
@@ -77,6 +80,7 @@ def encode_file(
     report_folder: str | Path | None = None,
     goal: Target | None = None,
     max_memory: int | None = None,
+    overwrite: bool = True,
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
@@ -87,7 +91,7 @@ def encode_file(
     source : str or Path
         PLY, `.egs`, `.splat`, `.spz` or SOG.
     target : str or Path
-        The `.egs` file; one that is there is replaced once the new one is whole.
+        The file to write, an `.egs`.
     config : Config, optional
         By default profile ``m``.
     progress : callable, optional
@@ -102,6 +106,10 @@ def encode_file(
     max_memory : int, optional
         Bytes; a scene that takes more is worked on in temporary files, with the same result. Not
         with `plan` nor `goal`, and of a binary PLY of floats alone.
+    overwrite : bool
+        Whether a `target` that exists is replaced, once the new one is whole, and files in
+        `report_folder` are; else both are refused before the work. Default True, as for other
+        functions of Python that write files; the command line has ``--overwrite`` for it.
 
     Returns
     -------
@@ -133,7 +141,9 @@ def encode_file(
     1600
     """
     config = config or Config()
-    check_target(source, target)
+    check_target(source, target, (".egs",), overwrite)
+    if report_folder is not None:
+        check_folder(report_folder, overwrite)
     if max_memory is not None:
         if plan is not None or goal is not None:
             raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
@@ -204,16 +214,20 @@ def prepare_file(
     plan: Plan,
     report_folder: str | Path | None = None,
     progress: Progress | None = None,
+    overwrite: bool = True,
 ) -> PrepareReport:
     """Prepare the scene of a file and write it as ``.ply``, ``.egs`` or ``.splat``.
+
+    `overwrite` is as for `encode_file`.
 
     Raises
     ------
     InvalidInput
         If the source cannot be used, or the target or the report cannot be written.
     """
-    check_target(source, target)
-    suffix = suffix_of(target)
+    suffix = check_target(source, target, overwrite=overwrite)
+    if report_folder is not None:
+        check_folder(report_folder, overwrite)
     scene = without_order(read_scene(source, "keep"))
     # The paper's profile has the stages of the paper's ablation.
     config = Config("paper-m", extra="keep")
@@ -229,7 +243,9 @@ def prepare_file(
     return prepared
 
 
-def write_scene(path: str | Path, scene: Scene, config: Config) -> tuple[str, ...]:
+def write_scene(
+    path: str | Path, scene: Scene, config: Config, overwrite: bool = True
+) -> tuple[str, ...]:
     """Write a scene as ``.ply``, ``.splat`` or, encoded, as ``.egs``.
 
     Returns
@@ -240,9 +256,10 @@ def write_scene(path: str | Path, scene: Scene, config: Config) -> tuple[str, ..
     Raises
     ------
     InvalidInput
-        If the suffix is another, or the file cannot be written.
+        If the suffix is another, or the file cannot be written or, without `overwrite`, exists.
     """
     suffix = suffix_of(path)
+    check_writable(path, overwrite)
     if suffix == ".ply":
         write_ply(path, scene)
         return ()
@@ -260,11 +277,20 @@ def write_scene(path: str | Path, scene: Scene, config: Config) -> tuple[str, ..
     return lost
 
 
-def suffix_of(path: str | Path) -> str:
-    """The suffix of a scene to be written, which tells its format."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".ply", ".egs", ".splat"):
-        raise InvalidInput(f"{path}: suffix '{suffix}', expected '.ply', '.egs' or '.splat'")
+def suffix_of(path: str | Path, known: tuple[str, ...] = _WRITTEN) -> str:
+    """The suffix of a scene to be written, which tells its format.
+
+    Raises
+    ------
+    InvalidInput
+        If it is none of `known`.
+    """
+    name = Path(path).name.lower()
+    suffix = ".compressed.ply" if name.endswith(".compressed.ply") else Path(name).suffix
+    if suffix not in known:
+        expected = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
+        other = "; `convert` writes that" if suffix in _WRITTEN else ""
+        raise InvalidInput(f"{path}: suffix '{suffix}', expected {expected}{other}")
     return suffix
 
 
@@ -308,6 +334,7 @@ def decode_file(
     part: Part | None = None,
     tmc3: str | Path | None = None,
     max_memory: int | None = None,
+    overwrite: bool = True,
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
@@ -319,7 +346,7 @@ def decode_file(
     source : str or Path
         An `.egs` file.
     target : str or Path
-        Written in the INRIA trainer's layout, whatever its suffix.
+        The PLY to write, in the INRIA trainer's layout.
     threads : int, optional
         Worker threads, 1-256; by default one for each available processor.
     max_bytes : int, optional
@@ -333,6 +360,8 @@ def decode_file(
         ``GS_CODEC_TMC3`` or PATH say.
     max_memory : int, optional
         Bytes that are enough for a part of the scene at a time.
+    overwrite : bool
+        As for `encode_file`.
 
     Returns
     -------
@@ -356,7 +385,7 @@ def decode_file(
     >>> report.sh_degree, report.bytes_read < report.file_bytes
     (1, True)
     """
-    check_target(source, target)
+    check_target(source, target, (".ply",), overwrite)
     start = time.perf_counter()
     part = part or Part()
     with opened_slabs(source, part, threads, max_bytes, progress, tmc3, max_memory) as slabs:
@@ -425,11 +454,17 @@ def compare_files(first: str | Path, second: str | Path) -> Comparison:
     return replace(compare_scenes(*put_side_by_side(scenes[0], scenes[1])), systems=systems)
 
 
-def check_target(source: str | Path, target: str | Path) -> None:
-    """Refuse a target that could not be written, before the work is done."""
-    check_writable(target)
+def check_target(
+    source: str | Path,
+    target: str | Path,
+    known: tuple[str, ...] = _WRITTEN,
+    overwrite: bool = True,
+) -> str:
+    """Refuse a target that could not be written, before the work is done; else its suffix."""
     if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
         raise InvalidInput(f"{target}: the source itself")
+    check_writable(target, overwrite)
+    return suffix_of(target, known)
 
 
 def _decode_ordered(path: str | Path, progress: Progress | None) -> Scene:

@@ -128,7 +128,7 @@ def test_folder_has_scenes_of_every_format(folder):
     assert names.keys() == {"b.ply", "c.ply", "splat.splat", "spz.spz", "sog.sog"}
     assert names["splat.splat"] is None
     assert Path("out/splat.egs").read_bytes() == encoded("in/sub/splat.splat")
-    assert folder.run("batch", "in/sub/*.json", "out").status == 1
+    assert folder.run("batch", "in/sub/*.json", "out", "--overwrite").status == 1
     assert records()[0]["error"]["text"].endswith("SOG of several files, expected a bundle (.sog)")
 
 
@@ -287,7 +287,7 @@ def test_two_batches_do_not_share_a_report(folder):
     assert folder.run("batch", "in", "out").status == 0
     with open("out/report.jsonl", "rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        assert "another batch is writing to it" in folder.refuse("batch", "in", "out")
+        assert "another batch" in folder.refuse("batch", "in", "out", "--overwrite")
 
 
 def test_report_that_cannot_be_written_ends_the_batch(folder):
@@ -375,9 +375,17 @@ def test_failures_are_tried_again(folder):
 
 def test_without_resume_the_report_begins_anew(folder):
     resumed(folder)
-    status, out, _ = folder.run("batch", "in", "out")
+    status, out, _ = folder.run("batch", "in", "out", "--overwrite")
     assert (status, len(records())) == (0, 3)
     assert out.startswith("3 scenes encoded; ")
+
+
+def test_what_an_earlier_batch_wrote_is_refused_unless_it_may_go(folder):
+    assert folder.run("batch", "in/a.ply", "out").status == 0
+    assert "out/a.egs: exists, expected --resume or" in folder.refuse("batch", "in/a.ply", "out")
+    os.unlink("out/a.egs")
+    assert "report.jsonl: exists, expected --resume or" in folder.refuse("batch", "in", "out")
+    assert "expected one of them" in folder.refuse("batch", "in", "out", "--resume", "--overwrite")
 
 
 def test_half_written_files_go(folder):

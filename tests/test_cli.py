@@ -226,9 +226,9 @@ def test_extra_properties_are_refused_kept_or_dropped(folder):
     write_ply("labels.ply", replace(read_ply("scene.ply"), extra={"label": label}))
     assert "--extra keep or --extra drop" in folder.refuse("encode", "labels.ply", "out.egs")
     for choice, names in (("keep", ["label"]), ("drop", [])):
-        assert folder.run("encode", "labels.ply", "out.egs", "--extra", choice).status == 0
-        assert folder.run("decode", "out.egs", "out.ply").status == 0
-        assert list(read_ply("out.ply", "keep").extra) == names
+        assert folder.run("encode", "labels.ply", f"{choice}.egs", "--extra", choice).status == 0
+        assert folder.run("decode", f"{choice}.egs", f"{choice}.ply").status == 0
+        assert list(read_ply(f"{choice}.ply", "keep").extra) == names
 
 
 def test_nonfinite_gaussians_are_refused_or_dropped(folder):
@@ -243,7 +243,7 @@ def test_nonfinite_gaussians_are_refused_or_dropped(folder):
     status, out, err = folder.run("encode", "holes.ply", "out.egs", "--nonfinite", "drop")
     assert (status, err) == (0, "dropped 3 Gaussians with NaN or infinity\n")
     assert "1,497 Gaussians" in out
-    out = folder.run("encode", "holes.ply", "out.egs", "--nonfinite", "drop", "--json").out
+    out = folder.run("encode", "holes.ply", "o.egs", "--nonfinite", "drop", "--json").out
     assert strict_json(out)["dropped"] == 3
 
 
@@ -253,15 +253,16 @@ def test_zero_quaternions_are_reported(folder):
     write_ply("zero.ply", scene)
     status, _, err = folder.run("encode", "zero.ply", "out.egs")
     assert (status, err) == (0, "replaced 2 zero quaternions by the identity\n")
-    out = folder.run("encode", "zero.ply", "out.egs", "--json").out
+    out = folder.run("encode", "zero.ply", "again.egs", "--json").out
     assert strict_json(out)["zero_quaternions"] == 2
 
 
 def test_an_existing_file_is_replaced(folder, trio):
     for name in ("out.egs", "out.ply"):
         (folder.path / name).write_bytes(b"old" * 1_000_000)
-    assert folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m").status == 0
-    assert folder.run("decode", "out.egs", "out.ply").status == 0
+    arguments = ("scene.ply", "out.egs", "-p", "paper-m", "--overwrite")
+    assert folder.run("encode", *arguments).status == 0
+    assert folder.run("decode", "out.egs", "out.ply", "--overwrite").status == 0
     assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
     assert (folder.path / "out.ply").read_bytes() == trio.decoded.read_bytes()
 
@@ -287,7 +288,7 @@ def test_version(folder):
 def test_name_that_is_not_text_can_be_printed(folder, trio):
     name = os.fsdecode(b"out\xff.egs")
     assert folder.run("encode", "scene.ply", name, "--json").status == 0
-    assert folder.run("encode", "scene.ply", name, "-p", "paper-m").status == 0
+    assert folder.run("encode", "scene.ply", name, "-p", "paper-m", "--overwrite").status == 0
     assert (folder.path / name).read_bytes() == trio.egs.read_bytes()
 
 
@@ -576,7 +577,7 @@ REFUSED = {
     "encode to source": ("encode scene.ply scene.ply", "the source itself"),
     "encode to link": ("encode scene.ply link.ply", "the source itself"),
     "decode to source": ("decode scene.egs ./scene.egs", "the source itself"),
-    "encode to long name": (f"encode scene.ply {'x' * 300}", "name too long"),
+    "encode to long name": (f"encode scene.ply {'x' * 300}.egs", "name too long"),
     "no such option": ("encode scene.ply out.egs --best", "--best"),
     "no such command": ("squeeze scene.ply", "squeeze"),
     "missing argument": ("encode scene.ply", "OUT"),
@@ -600,15 +601,20 @@ def test_folder_without_permission_is_refused(folder):
 
 
 @pytest.mark.parametrize("existing", [False, True])
-@pytest.mark.parametrize("command", ["encode scene.ply out", "decode scene.egs out"])
+@pytest.mark.parametrize(
+    "command", ["encode scene.ply o.egs --overwrite", "decode scene.egs o.ply --overwrite"]
+)
 def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
+    target = command.split()[2]
     if existing:
-        Path("out").write_bytes(b"precious")
+        Path(target).write_bytes(b"precious")
     folder.monkeypatch.setattr(os, "fsync", full)
-    assert folder.refuse(*command.split()) == "gs-codec: error: out: No space left on device\n"
+    assert (
+        folder.refuse(*command.split()) == f"gs-codec: error: {target}: No space left on device\n"
+    )
 
 
 def test_scenes_in_different_orders_are_refused(folder):

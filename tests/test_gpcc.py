@@ -191,7 +191,17 @@ def test_the_command_line_finds_the_program_where_it_is_told(stand_in, tmp_path,
     monkeypatch.delenv("GS_CODEC_TMC3")
     source, target, back = (str(tmp_path / n) for n in ("a.ply", "a.egs", "b.ply"))
     write_ply(source, random_scene(400, 1, seed=96))
-    encode = ["encode", source, target, "-p", "paper-s", "--geometry", "gpcc", "--json"]
+    encode = [
+        "encode",
+        source,
+        target,
+        "-p",
+        "paper-s",
+        "--geometry",
+        "gpcc",
+        "--json",
+        "--overwrite",
+    ]
     for options in ([], ["--no-verify"]):
         result = CliRunner().invoke(app, [*encode, "--tmc3", stand_in, *options])
         assert result.exit_code == 0, result.output

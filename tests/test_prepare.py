@@ -330,7 +330,7 @@ REFUSALS = {
     "no step": ("prepare scene.ply out.ply", "no step of preparation asked for"),
     "suffix": (
         "prepare scene.ply out.txt --rectify",
-        "suffix '.txt', expected '.ply', '.egs' or '.splat'",
+        "suffix '.txt', expected .ply, .egs or .splat",
     ),
     "itself": ("prepare scene.ply scene.ply --rectify", "the source itself"),
     "fraction": ("prepare scene.ply o.ply --prune-loo 0.3", "expected percent, half of all is 50"),

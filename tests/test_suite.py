@@ -351,7 +351,8 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
         (["a/scene.ply", "--width", "0"], "width 0: expected"),
         (["a/scene.ply", "--skip", "lunch"], "--skip lunch: expected one of peers, views, "),
         (["a/scene.ply", "--out", "file"], "file"),
-        (["a/scene.ply", "--out", "taken"], "taken/suite.jsonl: a directory"),
+        (["a/scene.ply", "--out", "taken"], "taken: not empty, expected another folder"),
+        (["a/scene.ply", "--out", "taken", "--overwrite"], "taken/suite.jsonl: a directory"),
     ],
 )
 def test_what_cannot_be_done_is_refused_before_the_work(tmp_path, monkeypatch, arguments, message):

@@ -100,13 +100,14 @@ class Ledger:
 
 
 @contextmanager
-def open_ledger(path: str | Path, resume: bool) -> Iterator[Ledger]:
+def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Iterator[Ledger]:
     """Open a report to go on with, or else to begin anew.
 
     Raises
     ------
     InvalidInput
-        If it cannot be written, another batch writes to it, or it is some other file.
+        If it cannot be written, another batch writes to it, it is some other file, or it would
+        begin anew and may not be overwritten.
     """
     check_writable(path)
     try:
@@ -120,6 +121,8 @@ def open_ledger(path: str | Path, resume: bool) -> Iterator[Ledger]:
         if content and not content.startswith(_START) and not _START.startswith(content):
             raise InvalidInput(f"{path}: exists and is not a report of gs-codec batch")
         if not resume:
+            if content and not overwrite:
+                raise InvalidInput(f"{path}: exists, expected --resume or --overwrite")
             content = b""
         # The process that wrote a line without an end was ended meanwhile.
         content = content[: content.rfind(b"\n") + 1]

@@ -55,6 +55,9 @@ class Batch:
         Whether others are started after a scene that failed.
     dask : str, optional
         Address of a scheduler, or ``local`` for a cluster of `jobs` processes.
+    overwrite : bool
+        Whether a report and outputs that exist are replaced where `resume` does not tell which are
+        complete. Default True, see `encode_file`; the command line refuses them.
 
     Raises
     ------
@@ -70,6 +73,7 @@ class Batch:
     report: str | None = None
     on_error: Literal["continue", "stop"] = "continue"
     dask: str | None = None
+    overwrite: bool = True
 
     def __post_init__(self) -> None:
         if self.on_error not in ("continue", "stop"):
@@ -136,7 +140,9 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         raise InvalidInput("memory: is this process's own, expected a place that workers see")
     targets.check_folder(batch.target)
     path = batch.report or _default_report(batch.target, targets)
-    with open_ledger(path, batch.resume) as ledger, _scratch(path) as scratch:
+    if not (batch.resume or batch.overwrite):
+        _refuse_existing(tasks, targets)
+    with open_ledger(path, batch.resume, batch.overwrite) as ledger, _scratch(path) as scratch:
         spots = [task.target for task in tasks]
         targets.sweep(spots)
         digest = options.digest()
@@ -186,6 +192,13 @@ def _completed(record: Record, task: Task, digest: str) -> Record:
     error = {name: redacted(text, *urls) for name, text in record.error.items()}
     record = replace(record, error=error)
     return replace(record, input_bytes=task.stamp.size, input_modified=task.stamp.modified)
+
+
+def _refuse_existing(tasks: Sequence[Task], targets: Place) -> None:
+    """Refuse to replace what an earlier batch may have written."""
+    for task in tasks:
+        if targets.stamp(task.target) is not None:
+            raise InvalidInput(f"{task.shown[1]}: exists, expected --resume or --overwrite")
 
 
 def _default_report(target: str, targets: Place) -> str:

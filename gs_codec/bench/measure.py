@@ -108,8 +108,9 @@ def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
     """Peak resident memory of whole processes; 0 where the system does not tell."""
     stream, back = ply.with_suffix(".egs"), ply.with_name("back.ply")
     depths = [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
-    encode = run_apart(["encode", str(ply), str(stream), "-p", config.profile, *depths]).peak_bytes
-    decode = run_apart(["decode", str(stream), str(back)]).peak_bytes
+    command = ["encode", str(ply), str(stream), "-p", config.profile, *depths, "--overwrite"]
+    encode = run_apart(command).peak_bytes
+    decode = run_apart(["decode", str(stream), str(back), "--overwrite"]).peak_bytes
     return {
         "encode_peak_bytes": encode,
         "decode_peak_bytes": decode,

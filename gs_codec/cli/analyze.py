@@ -15,8 +15,10 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
+from gs_codec.cli.resources import Overwrite
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.errors import InvalidInput
+from gs_codec.io.atomic import check_folder
 
 
 def command(
@@ -31,11 +33,13 @@ def command(
     width: Width = None,
     sample: Annotated[int, typer.Option(help="Most Gaussians that statistics go by.")] = 200_000,
     seed: Annotated[int, typer.Option(help="Of the sample, of shuffling, and of noise.")] = 0,
+    overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print report.json too.")] = False,
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
     if width and cameras is None:
         raise InvalidInput("--width needs --cameras")
+    check_folder(out, overwrite)
     from gs_codec.analysis.analyse import Options
     from gs_codec.analysis.save import analyse_file
 

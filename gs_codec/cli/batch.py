@@ -10,7 +10,8 @@ import typer
 from gs_codec.cli import coding, goal, steps
 from gs_codec.cli.batch_progress import watching
 from gs_codec.cli.output import print_json, print_text, size_text
-from gs_codec.cli.resources import Threads
+from gs_codec.cli.resources import Overwrite, Threads
+from gs_codec.errors import InvalidInput
 
 
 def command(
@@ -59,6 +60,7 @@ def command(
     max_psnr_drop: goal.MaxPsnrDrop = None,
     allow_prune: goal.AllowPrune = False,
     threads: Threads = None,
+    overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
     prune_importance: steps.PruneImportance = 0.0,
@@ -75,6 +77,8 @@ def command(
     background: steps.Backdrop = "black",
 ) -> None:
     """Encode a folder of scenes, each as `encode` would; exit status 1 if any failed."""
+    if resume and overwrite:
+        raise InvalidInput("--overwrite: --resume replaces what has changed, expected one of them")
     config = coding.config_of(locals())
     # A plan has these of one scene; the report here is another.
     plan = steps.plan_of(locals() | {"report": None, "checkpoint": None})
@@ -84,7 +88,7 @@ def command(
     from gs_codec.batch.scenes import Options
 
     options = Options(config, plan, wanted)
-    batch = Batch(source, target, options, jobs, resume, report, on_error, dask)  # type: ignore[arg-type]
+    batch = Batch(source, target, options, jobs, resume, report, on_error, dask, overwrite)  # type: ignore[arg-type]
     redact_process()
     with watching() as watcher:
         summary = run_batch(batch, watcher)

@@ -12,10 +12,11 @@ from typer.core import TyperGroup
 
 from gs_codec.cli import bench_modes, bench_scaling, bench_suite
 from gs_codec.cli.coding import parse_depths
-from gs_codec.cli.resources import MaxMemory, Threads
+from gs_codec.cli.resources import MaxMemory, Overwrite, Threads
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.io.atomic import check_writable
 
 #: Modes that --plot has something of.
 _PLOTTED = ("prepare", "targets", "scaling")
@@ -86,6 +87,7 @@ def command(
         typer.Option(metavar="PNG", help="With --prepare, --targets or --scaling: plot it."),
     ] = None,
     extra: Annotated[str, typer.Option(help="As for encode.")] = "error",
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure time, size, error, memory and rendered quality; JSON lines on stdout.
 
@@ -100,6 +102,8 @@ def command(
     scenes = scenes or []
     _check_scenes(mode, bool(scenes))
     _check_options(mode, bool(cameras), profile, bool(depth), plot is not None)
+    if plot is not None:
+        check_writable(plot, overwrite)
     bench_scaling.check_options(mode == "scaling", max_memory, tile or extra != "error")
     configs = [
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]

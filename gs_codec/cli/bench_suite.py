@@ -20,7 +20,8 @@ from gs_codec.cli.bench_tables import (
     print_absent,
 )
 from gs_codec.cli.output import print_status, print_table, print_text
-from gs_codec.cli.resources import Threads
+from gs_codec.cli.resources import Overwrite, Threads
+from gs_codec.io.atomic import check_folder, check_writable, make_folder
 
 
 def command(
@@ -48,12 +49,14 @@ def command(
         list[str] | None,
         typer.Option(metavar="GROUP", help=f"Leave out, repeatedly: {', '.join(GROUPS)}."),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure scenes in all that `bench` has, other codecs too, and report on them.
 
     Ten minutes for each 100,000 Gaussians, or so; suite.jsonl has what there is at any moment.
     """
     options = Options(tuple(scenes or ()), repeats, threads, width, seed, frozenset(skip or ()))
+    check_folder(out, overwrite)
     lines = _measure(options, out)
     _print_tables(lines)
     print_status(f"report: {out / 'report.html'}")
@@ -63,7 +66,6 @@ def _measure(options: Options, out: Path) -> list[dict[str, Any]]:
     """Measure and report; lines are on stdout and in the file as soon as they are there."""
     from gs_codec.analysis.figure import new_figure
     from gs_codec.bench.suite.run import run_suite
-    from gs_codec.io.atomic import check_writable, make_folder
 
     new_figure(1, 1)  # without matplotlib there is no report: refused before the work
     target = make_folder(out) / "suite.jsonl"

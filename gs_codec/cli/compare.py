@@ -16,8 +16,10 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
+from gs_codec.cli.resources import Overwrite
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 from gs_codec.errors import InvalidInput
+from gs_codec.io.atomic import check_folder
 
 if TYPE_CHECKING:
     from gs_codec.metrics.images import Quality
@@ -44,6 +46,7 @@ def command(
     split: Annotated[str, typer.Option(help=SPLIT)] = "held-out",
     background: Background = "black",
     device: Device = "auto",
+    overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Show how far two versions of a scene are apart: by attribute, or in rendered views."""
@@ -53,6 +56,8 @@ def command(
             raise InvalidInput("--images, --against-gt and --width need --cameras")
         _compare_attributes(first, second, json)
         return
+    if images is not None:
+        check_folder(images, overwrite)
     from gs_codec.viewing import compare
 
     with progress_bar() as progress:

@@ -10,21 +10,22 @@ import typer
 
 from gs_codec.cli import coding
 from gs_codec.cli.output import (
-    SCENES,
+    SCENES_PIPED,
     print_json,
     print_status,
     print_text,
     progress_bar,
     size_text,
 )
-from gs_codec.cli.resources import Threads
+from gs_codec.cli.resources import Overwrite, Threads
+from gs_codec.cli.streams import piped_source
 
 if TYPE_CHECKING:
     from gs_codec.conversion import ConvertReport
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES)],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="File to write: .ply, .egs or .splat.")
     ],
@@ -42,14 +43,15 @@ def command(
     depth: coding.Depth = None,
     keep_order: coding.KeepOrder = False,
     threads: Threads = None,
+    overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Convert a scene to another format, and say what that loses; profiles are for an .egs."""
     config = coding.config_of(locals())
     from gs_codec.conversion import convert_file
 
-    with progress_bar() as progress:
-        done = convert_file(source, target, config, coordinates, progress)
+    with piped_source(source) as file, progress_bar() as progress:
+        done = convert_file(file, target, config, coordinates, progress, overwrite)
     _say_what_changed(done)
     if json:
         print_json({"input": str(source), "output": str(target), **asdict(done)})

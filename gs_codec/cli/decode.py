@@ -4,18 +4,31 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import Decoder, MaxBytes, MaxMemory, Threads, parse_memory
+from gs_codec.cli.resources import (
+    Decoder,
+    MaxBytes,
+    MaxMemory,
+    Overwrite,
+    Threads,
+    parse_memory,
+)
+from gs_codec.cli.streams import piped
 from gs_codec.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from gs_codec.files import DecodeReport
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file; - is stdin.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply; - is stdout.")
+    ],
     threads: Threads = None,
     max_memory: MaxMemory = None,
     max_bytes: MaxBytes = None,
@@ -30,6 +43,7 @@ def command(
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
     tmc3: Decoder = None,
+    overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
@@ -38,23 +52,27 @@ def command(
     from gs_codec.files import decode_file
 
     part = Part(box, sh_degree)
-    with progress_bar() as progress:
-        report = decode_file(
-            source, target, threads, max_bytes, progress, part, tmc3, parse_memory(max_memory)
-        )
-    size = target.stat().st_size
-    if json:
-        print_json(
-            {"input": str(source), "output": str(target), "output_bytes": size, **asdict(report)}
-        )
-    else:
-        print_text(
-            f"{target}: {report.count:,} Gaussians, SH degree {report.sh_degree}, "
-            f"{size_text(size)}, {sum(report.seconds.values()):.2f} s"
-        )
-        if report.bytes_read < report.file_bytes:
-            share = report.bytes_read / report.file_bytes
-            print_text(f"read {size_text(report.bytes_read)} of {source}, {share:.0%} of it")
+    with piped(source, target, ".ply") as (file, out):
+        with progress_bar() as progress:
+            report = decode_file(
+                file, out, threads, max_bytes, progress, part, tmc3, parse_memory(max_memory),
+                overwrite,
+            )  # fmt: skip
+        named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
+        if json:
+            print_json(named | asdict(report))
+        else:
+            _print_report(named, report)
+
+
+def _print_report(named: dict[str, Any], report: DecodeReport) -> None:
+    print_text(
+        f"{named['output']}: {report.count:,} Gaussians, SH degree {report.sh_degree}, "
+        f"{size_text(named['output_bytes'])}, {sum(report.seconds.values()):.2f} s"
+    )
+    if report.bytes_read < report.file_bytes:
+        share = report.bytes_read / report.file_bytes
+        print_text(f"read {size_text(report.bytes_read)} of {named['input']}, {share:.0%} of it")
 
 
 def _parse_box(text: str) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ import typer
 from gs_codec import paper
 from gs_codec.cli import coding, goal, steps
 from gs_codec.cli.output import (
-    SCENES,
+    SCENES_PIPED,
     print_json,
     print_status,
     print_table,
@@ -19,14 +19,17 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.resources import MaxMemory, Threads, parse_memory
+from gs_codec.cli.resources import MaxMemory, Overwrite, Threads, parse_memory
+from gs_codec.cli.streams import piped
 from gs_codec.config import LATTICE_PROFILES
 from gs_codec.report import EncodeReport
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES)],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write, an .egs.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File to write, an .egs; - is stdout.")
+    ],
     profile: coding.Profile = "m",
     depth: coding.Depth = None,
     nonfinite: coding.Nonfinite = "error",
@@ -42,6 +45,7 @@ def command(
     allow_prune: goal.AllowPrune = False,
     threads: Threads = None,
     max_memory: MaxMemory = None,
+    overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
     prune_importance: steps.PruneImportance = 0.0,
@@ -64,20 +68,22 @@ def command(
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.files import encode_file, source_bytes
 
-    with progress_bar() as progress:
-        done = encode_file(
-            source, target, config, progress, plan, report, wanted, parse_memory(max_memory)
-        )
-    _say_what_changed(done)
-    size = source_bytes(source)
-    if json:
-        print_json(
-            {"input": str(source), "output": str(target), "profile": profile}
-            | asdict(done)
-            | {"input_bytes": size, "file_bytes": done.file_bytes}
-        )
-    else:
-        _print_report(size, target, done, profile in LATTICE_PROFILES)
+    with piped(source, target, ".egs") as (file, out):
+        with progress_bar() as progress:
+            done = encode_file(
+                file, out, config, progress, plan, report, wanted, parse_memory(max_memory),
+                overwrite,
+            )  # fmt: skip
+        _say_what_changed(done)
+        size = source_bytes(file)
+        if json:
+            print_json(
+                {"input": str(source), "output": str(target), "profile": profile}
+                | asdict(done)
+                | {"input_bytes": size, "file_bytes": done.file_bytes}
+            )
+        else:
+            _print_report(size, target, done, profile in LATTICE_PROFILES)
 
 
 def _say_what_changed(report: EncodeReport) -> None:

@@ -16,6 +16,7 @@ SECONDS_A_LINE = 10
 
 #: What commands read.
 SCENES = "A scene: .ply, .egs, .splat, .spz, .sog or its meta.json."
+SCENES_PIPED = f"{SCENES[:-1]}; - is stdin."
 
 
 def print_json(value: Any) -> None:

@@ -8,12 +8,14 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli import steps
-from gs_codec.cli.output import SCENES, print_json, progress_bar
+from gs_codec.cli.output import SCENES_PIPED, print_json, progress_bar
+from gs_codec.cli.resources import Overwrite
+from gs_codec.cli.streams import piped_source
 from gs_codec.errors import InvalidInput
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES)],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="Scene to write: .ply, .egs or .splat.")
     ],
@@ -32,6 +34,7 @@ def command(
     background: steps.Backdrop = "black",
     report: steps.Report = None,
     checkpoint: steps.Checkpoint = None,
+    overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Make a scene smaller before it is coded: prune, refit, compact; and say what that cost."""
@@ -40,8 +43,8 @@ def command(
         raise InvalidInput("no step of preparation asked for, for example --prune-loo 30")
     from gs_codec.files import prepare_file
 
-    with progress_bar() as progress:
-        done = prepare_file(source, target, plan, report, progress)
+    with piped_source(source) as file, progress_bar() as progress:
+        done = prepare_file(file, target, plan, report, progress, overwrite)
     if json:
         print_json({"input": str(source), "output": str(target), **done.as_dict()})
     else:

@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import SCENES, print_text, progress_bar
+from gs_codec.cli.resources import Overwrite
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
+from gs_codec.io.atomic import check_folder
 
 
 def command(
@@ -28,9 +30,11 @@ def command(
         ),
     ] = None,
     device: Device = "auto",
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw a scene from each camera, as the 3DGS rasteriser does."""
     options = drawing_options(background, device)
+    check_folder(out, overwrite)
     from gs_codec.files import read_scene
     from gs_codec.rendering.cameras import find_cameras
     from gs_codec.rendering.views import write_views

@@ -17,6 +17,10 @@ Threads = Annotated[
     int | None, typer.Option(help="Worker threads, 1-256.", show_default="all processors")
 ]
 
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace what exists; without, that is refused.")
+]
+
 MaxMemory = Annotated[
     str | None,
     typer.Option(

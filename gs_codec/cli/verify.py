@@ -10,10 +10,11 @@ import typer
 
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
 from gs_codec.cli.resources import Decoder, MaxBytes, MaxMemory, Threads, parse_memory
+from gs_codec.cli.streams import piped_source
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file.")],
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file; - is stdin.")],
     threads: Threads = None,
     max_memory: MaxMemory = None,
     max_bytes: MaxBytes = None,
@@ -23,8 +24,8 @@ def command(
     """Check every checksum of an .egs file and decode all of it, writing nothing."""
     from gs_codec.slabs import verify_file
 
-    with progress_bar() as progress:
-        report = verify_file(source, threads, max_bytes, progress, tmc3, parse_memory(max_memory))
+    with piped_source(source) as file, progress_bar() as progress:
+        report = verify_file(file, threads, max_bytes, progress, tmc3, parse_memory(max_memory))
     if json:
         print_json({"input": str(source), **asdict(report)})
     else:

@@ -13,23 +13,37 @@ from typing import BinaryIO
 from gs_codec.errors import InvalidInput, one_line
 
 
-def check_writable(path: str | Path) -> None:
-    """Refuse a path that no file can be written to.
+def check_writable(path: str | Path, overwrite: bool = True) -> None:
+    """Refuse a path that no file can be written to, or none but in place of another.
 
     Raises
     ------
     InvalidInput
-        If it is a directory or device, or its directory is missing or not writable.
+        If it is a directory or device, its directory is missing or not writable, or, without
+        `overwrite`, it is there already.
     """
     target = Path(path)
     if os.path.isdir(target):
         raise InvalidInput(f"{target}: a directory, expected a file name")
     if os.path.exists(target) and not target.is_file():
         raise InvalidInput(f"{target}: not a regular file")
+    if os.path.lexists(target) and not overwrite:
+        raise InvalidInput(f"{target}: exists, expected another name or --overwrite")
     if not target.parent.is_dir():
         raise InvalidInput(f"{target}: no directory '{target.parent}'")
     if not os.access(target.parent, os.W_OK):
         raise InvalidInput(f"{target}: no permission to write in '{target.parent}'")
+
+
+def check_folder(path: str | Path, overwrite: bool = True) -> None:
+    """Refuse a folder for results that has files already, if these may not be overwritten.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if not overwrite and os.path.isdir(path) and os.listdir(path):
+        raise InvalidInput(f"{path}: not empty, expected another folder or --overwrite")
 
 
 def make_folder(path: str | Path) -> Path:

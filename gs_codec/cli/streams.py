@@ -1,0 +1,74 @@
+"""``-`` as a file name: a scene from stdin, or to stdout."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from pathlib import Path
+
+from gs_codec.errors import GsCodecError, InvalidInput
+
+
+@contextmanager
+def piped_source(source: Path) -> Iterator[Path]:
+    """A file to read while the block runs, in place of ``-`` and of named pipes."""
+    if not _is_pipe(source):
+        yield source
+        return
+    with _stand_in(source, "stdin") as file:
+        _copy_from(source, file)
+        yield file
+
+
+@contextmanager
+def piped(source: Path, target: Path, suffix: str) -> Iterator[tuple[Path, Path]]:
+    """Files to read, as `piped_source`, and to write in place of ``-``.
+
+    The latter goes to stdout once it is whole; what is printed meanwhile goes to stderr.
+
+    Raises
+    ------
+    InvalidInput
+        If the target is ``-`` and stdout a terminal.
+    """
+    with piped_source(source) as file:
+        if str(target) not in ("-", "/dev/stdout"):
+            yield file, target
+            return
+        if sys.stdout.isatty():
+            raise InvalidInput(f"{target}: stdout is a terminal, expected a pipe or a file")
+        stdout = sys.stdout.buffer
+        with _stand_in(target, f"stdout{suffix}") as out:
+            with redirect_stdout(sys.stderr):
+                yield file, out
+            with open(out, "rb") as written:
+                shutil.copyfileobj(written, stdout)
+
+
+def _is_pipe(path: Path) -> bool:
+    try:
+        return str(path) == "-" or stat.S_ISFIFO(os.stat(path).st_mode)
+    except OSError:  # said when it is opened
+        return False
+
+
+def _copy_from(source: Path, file: Path) -> None:
+    with ExitStack() as stack:
+        pipe = sys.stdin.buffer if str(source) == "-" else stack.enter_context(open(source, "rb"))
+        shutil.copyfileobj(pipe, stack.enter_context(open(file, "wb")))
+
+
+@contextmanager
+def _stand_in(path: Path, name: str) -> Iterator[Path]:
+    """A temporary file; errors call it by the path it stands in for."""
+    with tempfile.TemporaryDirectory(prefix="gs-codec-") as folder:
+        file = Path(folder, name)
+        try:
+            yield file
+        except GsCodecError as error:
+            raise type(error)(str(error).replace(str(file), str(path))) from error

@@ -1,0 +1,171 @@
+"""Where results go: suffixes that are written, what exists already, pipes."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_cameras import inria_entry, write_json
+from test_cli import ROOT, Folder, assert_one_error_line
+
+import gs_codec
+from gs_codec.conversion import convert_file
+from gs_codec.errors import InvalidInput
+from gs_codec.files import decode_file, encode_file, prepare_file
+from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.steps import Steps
+
+
+@pytest.fixture
+def folder(trio, tmp_path, monkeypatch, capsys) -> Folder:
+    """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
+    for path in trio:
+        shutil.copy(path, tmp_path)
+    write_json(tmp_path / "cameras.json", inria_entry(width=40, height=30, fx=40.0, fy=40.0))
+    monkeypatch.chdir(tmp_path)
+    return Folder(tmp_path, monkeypatch, capsys)
+
+
+WRONG_SUFFIX = {
+    "encode scene.ply b.ply": "b.ply: suffix '.ply', expected .egs; `convert` writes that",
+    "encode scene.ply b.spz": "b.spz: suffix '.spz', expected .egs",
+    "encode scene.ply b": "b: suffix '', expected .egs",
+    "decode scene.egs b.splat": "b.splat: suffix '.splat', expected .ply; `convert` writes that",
+    "decode scene.egs b.egs": "b.egs: suffix '.egs', expected .ply; `convert` writes that",
+    "decode scene.egs b.compressed.ply": "suffix '.compressed.ply', expected .ply",
+    "convert scene.ply b.Compressed.PLY": "suffix '.compressed.ply', expected .ply, .egs or .splat",
+    "prepare scene.ply b.compressed.ply --rectify": "suffix '.compressed.ply', expected .ply, .egs",
+    "convert scene.ply -": "-: suffix '', expected .ply, .egs or .splat",
+}
+
+
+@pytest.mark.parametrize("command", WRONG_SUFFIX)
+def test_suffix_that_a_command_does_not_write_is_refused(folder, command):
+    assert WRONG_SUFFIX[command] in folder.refuse(*command.split())
+
+
+# What exists
+
+VIEWS = "--cameras cameras.json --width 16"
+WRITING = {
+    "encode scene.ply out.egs": "out.egs",
+    "encode scene.ply o.egs --rectify --report out": "out/report.json",
+    "decode scene.egs out.ply": "out.ply",
+    "convert scene.ply out.splat": "out.splat",
+    "prepare scene.ply out.ply --rectify --width 16": "out.ply",
+    "prepare scene.ply o.ply --rectify --report out": "out/report.json",
+    f"render scene.ply {VIEWS} --out out": "out/a.png",
+    f"compare scene.ply scene.egs {VIEWS} --images out": "out/a_a.png",
+    "analyze scene.ply --out out": "out/report.html",
+    "bench scene.ply --prepare --cameras cameras.json --plot out.png": "out.png",
+    "bench suite scene.ply --out out": "out/suite.jsonl",
+    "batch scene.ply out": "out/scene.egs",
+    "batch decoded.ply . --report out.jsonl": "out.jsonl",
+}
+
+
+@pytest.mark.parametrize("command", WRITING)
+def test_results_that_exist_are_refused_before_the_work(folder, command):
+    existing = Path(WRITING[command])
+    existing.parent.mkdir(exist_ok=True)
+    # As a report of `batch` begins.
+    existing.write_text('{"source": 0}\n')
+    line = folder.refuse(*command.split())
+    assert existing.parts[0] in line
+    assert "--overwrite" in line
+
+
+@pytest.mark.parametrize(
+    "command", [c for c in WRITING if c.split()[0] in ("encode", "decode", "convert", "render")]
+)
+def test_with_overwrite_they_are_replaced(folder, command):
+    existing = Path(WRITING[command])
+    existing.parent.mkdir(exist_ok=True)
+    existing.write_text("old")
+    (existing.parent / "beside").write_text("other")
+    assert folder.run(*command.split(), "--overwrite").status == 0
+    assert existing.read_bytes() != b"old"
+    assert (existing.parent / "beside").read_text() == "other"
+
+
+def test_empty_folder_is_taken(folder):
+    Path("out").mkdir()
+    assert folder.run("render", "scene.ply", *VIEWS.split(), "--out", "out").status == 0
+
+
+def test_link_that_leads_nowhere_exists(folder):
+    Path("link.egs").symlink_to("nowhere.egs")
+    assert "link.egs: exists" in folder.refuse("encode", "scene.ply", "link.egs")
+
+
+def test_functions_replace_unless_told_not_to(folder):
+    cloud = gs_codec.read("scene.ply")
+    writers = {
+        "a.egs": lambda path, **keep: encode_file("scene.ply", path, **keep),
+        "a.ply": lambda path, **keep: decode_file("scene.egs", path, **keep),
+        "a.splat": lambda path, **keep: convert_file("scene.ply", path, **keep),
+        "b.ply": lambda path, **keep: prepare_file(
+            "scene.ply", path, Plan(Steps(rectify=True), width=16), **keep
+        ),
+        "c.ply": lambda path, **keep: gs_codec.write(path, cloud, **keep),
+    }
+    for name, write in writers.items():
+        Path(name).write_text("old")
+        with pytest.raises(InvalidInput, match=f"^{name}: exists"):
+            write(name, overwrite=False)
+        assert Path(name).read_text() == "old"
+        write(name)
+        assert Path(name).read_bytes() != b"old"
+
+
+# Pipes
+
+
+def piped(*arguments: str, given: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-m", "gs_codec", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, env=environment, input=given, capture_output=True, check=False)
+
+
+def test_dash_is_stdin_and_stdout(folder, trio):
+    coded = piped("encode", "-", "-", "-p", "paper-m", given=trio.ply.read_bytes())
+    assert (coded.returncode, coded.stdout) == (0, trio.egs.read_bytes())
+    assert coded.stderr.startswith(b"-: 1,500 Gaussians, 355.48 kB -> ")
+    back = piped("decode", "-", "-", given=coded.stdout)
+    assert (back.returncode, back.stdout) == (0, trio.decoded.read_bytes())
+    assert not Path("-").exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["convert - out.splat", "prepare - out.ply --rectify", "verify -", "encode - out.egs"],
+)
+def test_commands_that_take_a_scene_from_stdin(folder, trio, command):
+    data = (trio.egs if command.startswith("verify") else trio.ply).read_bytes()
+    folder.monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+    assert folder.run(*command.split()).status == 0
+
+
+def test_named_pipe_is_read_as_a_file(folder, trio):
+    os.mkfifo("pipe")
+    with subprocess.Popen(["cp", str(trio.ply), "pipe"]):
+        assert folder.run("encode", "pipe", "out.egs", "-p", "paper-m").status == 0
+    assert Path("out.egs").read_bytes() == trio.egs.read_bytes()
+
+
+@pytest.mark.parametrize("given", [b"", b"no scene"])
+def test_errors_say_what_came_through_a_pipe(folder, given):
+    done = piped("encode", "-", "-", given=given)
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert_one_error_line(done.stderr.decode())
+    assert done.stderr.startswith(b"gs-codec: error: -: ")
+
+
+def test_scene_is_not_written_to_a_terminal(folder):
+    folder.monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert "-: stdout is a terminal" in folder.refuse("encode", "scene.ply", "-")

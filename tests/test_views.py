@@ -26,6 +26,7 @@ from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.images import find_image, output_names, read_image, write_png
 from gs_codec.rendering.renderer import render
 from gs_codec.rendering.views import write_views
+from gs_codec.transform.coordinates import turn_axes
 from samples.generate import generate, orbit_cameras
 
 
@@ -511,6 +512,23 @@ def test_render_writes_an_image_for_each_camera(folder, tmp_path):
     image = read_image(target / "v1.png")
     assert image.shape == (15, 20, 3)
     assert image[0, 0].tolist() == [1, 1, 1]
+
+
+def test_scenes_of_two_coordinate_systems_are_seen_in_one(folder, pair, tmp_path):
+    write_ply(tmp_path / "rub.ply", turn_axes(pair[0], "RUB"))
+    options = ["--cameras", folder, "--json"]
+    result = run("compare", folder / "a.ply", tmp_path / "rub.ply", *options)
+    report = json.loads(result.stdout)
+    assert report["systems"] == ["RDF", "RUB"]
+    assert "coordinates RDF in A, RUB in B: turned to one system" in result.stderr
+    assert {view["between"]["psnr"] for view in report["views"]} == {None}  # equal
+    same = run("compare", folder / "a.ply", folder / "a.ply", *options)
+    assert "turned" not in same.stderr
+    for name in (folder / "a.ply", tmp_path / "rub.ply"):
+        out = tmp_path / name.stem
+        run("render", name, "--cameras", folder, "--out", out)
+    for image in (tmp_path / "a").iterdir():
+        assert image.read_bytes() == (tmp_path / "rub" / image.name).read_bytes()
 
 
 def test_render_with_auto_cameras(folder, tmp_path):

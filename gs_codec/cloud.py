@@ -73,12 +73,12 @@ def from_cloud(
     """
     arrays = {name: cloud.point[name].cpu().numpy() for name in cloud.point}
     if "scale" in arrays:
-        linear = _plane(arrays, "scale", (3,)).T
+        linear = _plane(arrays, "scale", (3,))
         if "log_scale" in arrays:
-            _check_scales(linear, _plane(arrays, "log_scale", (3,)).T)
+            _check_scales(linear, _plane(arrays, "log_scale", (3,)))
         else:
             with np.errstate(divide="ignore", invalid="ignore"):
-                arrays["log_scale"] = np.log(linear)
+                arrays["log_scale"] = np.log(linear).T
     arrays.setdefault("f_rest", np.zeros((len(arrays.get("positions", ())), 0, 3), np.float32))
     shapes = {"positions": (3,), "f_dc": (3,), "opacity": (1,), "log_scale": (3,), "rot": (4,)}
     planes: dict[str, Any] = {n: _plane(arrays, n, shape) for n, shape in shapes.items()}
@@ -100,10 +100,10 @@ def from_cloud(
 
 
 def turn_cloud(cloud: open3d.t.geometry.PointCloud, system: str) -> open3d.t.geometry.PointCloud:
-    """A copy of a cloud, turned from a coordinate system to ``RDF``, that of every other.
+    """The cloud turned from a coordinate system to ``RDF``, that of every other.
 
     For a cloud of a file that does not say that it is in another; scenes that do are turned when
-    they are read.
+    they are read. The input stays as it is.
 
     Parameters
     ----------
@@ -126,15 +126,17 @@ def _exponential(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _check_scales(linear: NDArray[np.float32], log_scale: NDArray[np.float32]) -> None:
-    """Refuse scales of which one was edited; libraries round exponentials differently."""
+    """Refuse planes ``(3, N)`` of which one was edited; libraries round exponentials unlike."""
     if linear.shape != log_scale.shape:
-        raise InvalidInput(f"scale: shape {linear.shape}, expected {log_scale.shape} of log_scale")
+        raise InvalidInput(f"scale: {linear.shape[1]} rows, expected {log_scale.shape[1]}")
     expected, tiny = _exponential(log_scale), np.finfo(np.float32).tiny
-    differ = ~np.isclose(linear, expected, rtol=2e-6, atol=tiny, equal_nan=True).all(axis=1)
-    if differ.any():
+    unlike = (linear != expected).any(axis=0)
+    pair = linear[:, unlike], expected[:, unlike]
+    count = np.count_nonzero(~np.isclose(*pair, 2e-6, tiny, equal_nan=True).all(axis=0))
+    if count:
         raise InvalidInput(
-            f"scale: not the exponential of log_scale in {differ.sum():,} Gaussians; delete the "
-            "one that was not edited, after Open3D's scale del cloud.point['log_scale']"
+            f"scale: not the exponential of log_scale in {count:,} Gaussians; delete the one that "
+            "was not edited, after Open3D's scale del cloud.point['log_scale']"
         )
 
 

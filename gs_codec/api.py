@@ -24,6 +24,7 @@ def read(
     path: str | Path,
     extra: Literal["error", "keep", "drop"] = "error",
     progress: Progress | None = None,
+    max_bytes: int | None = None,
 ) -> PointCloud:
     """Read a scene: PLY, `.egs`, `.splat`, `.spz` or SOG, told apart by content.
 
@@ -37,6 +38,8 @@ def read(
     progress : callable, optional
         Called as ``progress(stage, done, total)`` while an `.egs` file is decoded, in the calling
         thread; what it raises ends that.
+    max_bytes : int, optional
+        Largest size of the scene's floats; by default 1 GiB or 1000 times the file.
 
     Returns
     -------
@@ -49,7 +52,8 @@ def read(
     Raises
     ------
     InvalidInput
-        If the file cannot be read, is of no known format, or has properties to be refused.
+        If the file cannot be read, is of no known format, unfolds to more than `max_bytes`, or has
+        properties to be refused.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If it is an `.egs` file that is damaged, or newer than this version.
     MissingTool, ToolFailed
@@ -78,7 +82,7 @@ def read(
     >>> del larger.point["log_scale"]
     >>> gs_codec.write("larger.ply", larger)
     """
-    return to_cloud(files.read_scene(path, extra, progress))
+    return to_cloud(files.read_scene(path, extra, progress, max_bytes=max_bytes))
 
 
 def write(

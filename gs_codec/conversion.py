@@ -56,6 +56,7 @@ def convert_file(
     coordinates: str = CONVENTION,
     progress: Progress | None = None,
     overwrite: bool = True,
+    max_bytes: int | None = None,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix; it appears whole or not at all.
 
@@ -70,6 +71,8 @@ def convert_file(
     progress : callable, optional
     overwrite : bool
         As for `encode_file`.
+    max_bytes : int, optional
+        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
 
     Raises
     ------
@@ -81,7 +84,7 @@ def convert_file(
     config = config or Config(extra="keep")
     suffix = check_target(source, target, overwrite=overwrite)
     with using_threads(config.threads):
-        return _convert_file(source, target, suffix, config, coordinates, progress)
+        return _convert_file(source, target, suffix, config, coordinates, progress, max_bytes)
 
 
 def _convert_file(
@@ -91,9 +94,10 @@ def _convert_file(
     config: Config,
     coordinates: str,
     progress: Progress | None,
+    max_bytes: int | None,
 ) -> ConvertReport:
     start = time.perf_counter()
-    scene = read_scene(source, config.extra, progress, coordinates=None)
+    scene = read_scene(source, config.extra, progress, coordinates=None, max_bytes=max_bytes)
     read = time.perf_counter() - start
     dropped = 0
     stated, _, wanted = coordinates.rpartition(":")

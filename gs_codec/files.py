@@ -15,8 +15,10 @@ from gs_codec.config import Config, Target
 from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
+from gs_codec.io import formats
 from gs_codec.io.atomic import atomic_writer, check_folder, check_writable, make_folder
 from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes, tell_format
+from gs_codec.io.limits import float_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
 from gs_codec.io.splat import pack_splat
@@ -81,6 +83,7 @@ def encode_file(
     goal: Target | None = None,
     max_memory: int | None = None,
     overwrite: bool = True,
+    max_bytes: int | None = None,
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
@@ -110,6 +113,8 @@ def encode_file(
         Whether a `target` that exists is replaced, once the new one is whole, and files in
         `report_folder` are; else both are refused before the work. Default True, as for other
         functions of Python that write files; the command line has ``--overwrite`` for it.
+    max_bytes : int, optional
+        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
 
     Returns
     -------
@@ -120,7 +125,7 @@ def encode_file(
     ------
     InvalidInput
         If the source cannot be used, the goal is out of reach, the target cannot be written, or
-        `max_memory` is too little.
+        `max_memory` or `max_bytes` is too little.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is an `.egs` file that cannot be decoded.
     MissingTool, ToolFailed
@@ -152,7 +157,7 @@ def encode_file(
                 f"{source}: max-memory: only a binary PLY of floats is read in parts"
             )
     with using_threads(config.threads), bounded(max_memory):
-        return _encode_file(source, target, config, progress, plan, report_folder, goal)
+        return _encode_file(source, target, config, progress, plan, report_folder, goal, max_bytes)
 
 
 def _encode_file(
@@ -163,11 +168,13 @@ def _encode_file(
     plan: Plan | None,
     report_folder: str | Path | None,
     goal: Target | None,
+    max_bytes: int | None,
 ) -> EncodeReport:
     start = time.perf_counter()
     # Bits of a PLY or .egs stay as they are, and the comment that names another system.
     stays = is_egs(source) or tell_format(source) == "ply"
-    scene = read_scene(source, config.extra, coordinates=None if stays else CONVENTION)
+    system = None if stays else CONVENTION
+    scene = read_scene(source, config.extra, coordinates=system, max_bytes=max_bytes)
     read = time.perf_counter() - start
     with located(source):
         if plan is None and goal is None:
@@ -215,6 +222,7 @@ def prepare_file(
     report_folder: str | Path | None = None,
     progress: Progress | None = None,
     overwrite: bool = True,
+    max_bytes: int | None = None,
 ) -> PrepareReport:
     """Prepare the scene of a file and write it as ``.ply``, ``.egs`` or ``.splat``.
 
@@ -228,7 +236,7 @@ def prepare_file(
     suffix = check_target(source, target, overwrite=overwrite)
     if report_folder is not None:
         check_folder(report_folder, overwrite)
-    scene = without_order(read_scene(source, "keep"))
+    scene = without_order(read_scene(source, "keep", max_bytes=max_bytes))
     # The paper's profile has the stages of the paper's ablation.
     config = Config("paper-m", extra="keep")
     with located(source):
@@ -402,13 +410,17 @@ def read_scene(
     extra: Literal["error", "keep", "drop"] = "error",
     progress: Progress | None = None,
     coordinates: str | None = CONVENTION,
+    max_bytes: int | None = None,
 ) -> Scene:
-    """The scene of a file, its format told by content; see `read_ply` for `extra`.
+    """The scene of a file, its format told by content; see `read_ply` for the options.
 
     It is turned to the system `coordinates`; None leaves it in the file's, which
     `Scene.coordinates` names if that is not the convention's.
     """
-    scene = _decode_ordered(path, progress) if is_egs(path) else read_foreign(path, extra)
+    if is_egs(path):
+        scene = _decode_ordered(path, progress, max_bytes)
+    else:
+        scene = read_foreign(path, extra, max_bytes)
     with located(path):
         return scene if coordinates is None else turn_scene(scene, coordinates)
 
@@ -425,6 +437,14 @@ def source_bytes(path: str | Path) -> int:
     return os.path.getsize(path) if is_egs(path) else stored_bytes(path)
 
 
+def stated_bytes(path: str | Path) -> int:
+    """Bytes of floats that the header of a scene's file says it holds."""
+    if is_egs(path):
+        info = inspect_file(path)
+        return float_bytes(info.count, info.sh_degree)
+    return formats.stated_bytes(path)
+
+
 def is_egs(path: str | Path) -> bool:
     """Whether a file is an `.egs` file, sound or not."""
     with opened(path) as data:
@@ -437,14 +457,16 @@ def inspect_file(path: str | Path) -> Info:
         return inspect_bytes(data)
 
 
-def compare_files(first: str | Path, second: str | Path) -> Comparison:
+def compare_files(
+    first: str | Path, second: str | Path, max_bytes: int | None = None
+) -> Comparison:
     """Compare two scenes; one decoded from `.egs` is matched with its original.
 
     Of different coordinate systems, one is turned to the other's.
     """
     scenes, orders = [], []
     for path in (first, second):
-        scenes.append(read_scene(path, "drop", coordinates=None))
+        scenes.append(read_scene(path, "drop", coordinates=None, max_bytes=max_bytes))
         with located(path):
             orders.append(order_of(scenes[-1]))
     systems = system_of(scenes[0]), system_of(scenes[1])
@@ -467,9 +489,9 @@ def check_target(
     return suffix_of(target, known)
 
 
-def _decode_ordered(path: str | Path, progress: Progress | None) -> Scene:
+def _decode_ordered(path: str | Path, progress: Progress | None, max_bytes: int | None) -> Scene:
     """A scene that tells its order."""
     with opened(path) as view, located(path):
-        scene, file = decode_part(view, Part(), progress=progress)
+        scene, file = decode_part(view, Part(), max_bytes=max_bytes, progress=progress)
         order = order_of_file(describe(file))
         return scene if order is None else with_order(scene, order)

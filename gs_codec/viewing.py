@@ -42,6 +42,7 @@ def render(
     accumulate: bool = False,
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
+    max_bytes: int | None = None,
 ) -> Views:
     """Draw a scene as the 3DGS rasteriser does, view after view as they are asked for.
 
@@ -67,6 +68,8 @@ def render(
         ``cuda`` draws with gsplat, ``auto`` does where that is possible.
     progress : callable, optional
         Called as ``progress("views", done, total)``.
+    max_bytes : int, optional
+        Largest size of the floats of a scene's file; by default 1 GiB or 1000 times the file.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def render(
     00000 (32, 48, 3)
     00001 (32, 48, 3)
     """
-    scene = scene_of(source)
+    scene = scene_of(source, max_bytes)
 
     def draw(camera: Camera) -> Rendering:
         return render_view(scene, camera, background, antialiased, accumulate, device=device)
@@ -109,6 +112,7 @@ def compare(
     background: Sequence[float] = (0.0, 0.0, 0.0),
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
+    max_bytes: int | None = None,
 ) -> Comparison | RenderedComparison | Quality:
     """Errors of one scene against another, by attribute or in what cameras see; or of images.
 
@@ -119,7 +123,7 @@ def compare(
     ----------
     first, second : open3d.t.geometry.PointCloud, or paths of scenes
         Or images ``(H, W, 3)``, 0-1.
-    cameras, split, width, background, device, progress
+    cameras, split, width, background, device, progress, max_bytes
         As for `render`; ``auto`` cameras are chosen from the first scene.
     truth : path, optional
         Folder of ground-truth images, found by the cameras' names; views take their size.
@@ -164,17 +168,17 @@ def compare(
     if cameras is not None:
         if truth is not None and width is not None:
             raise InvalidInput("width: given by the ground-truth images, expected one of the two")
-        stored = _stored_scene(first), _stored_scene(second)
+        stored = _stored_scene(first, max_bytes), _stored_scene(second, max_bytes)
         systems = system_of(stored[0]), system_of(stored[1])
         scenes = turn_axes(stored[0]), turn_axes(stored[1])
         views = find_cameras(cameras, scenes[0], split, width)
         seen = compare_views(*scenes, views, truth, images, background, device, progress)
         return replace(seen, systems=systems)
     if isinstance(first, str | Path) and isinstance(second, str | Path):
-        return files.compare_files(first, second)
+        return files.compare_files(first, second, max_bytes)
     if isinstance(first, str | Path) or isinstance(second, str | Path):
         raise InvalidInput("compare: one file and one cloud, expected two of a kind")
-    return compare_scenes(scene_of(first), scene_of(second))
+    return compare_scenes(scene_of(first, max_bytes), scene_of(second, max_bytes))
 
 
 def prepare(
@@ -187,6 +191,7 @@ def prepare(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     checkpoint: Path | None = None,
     progress: Progress | None = None,
+    max_bytes: int | None = None,
     **steps: Any,
 ) -> tuple[PointCloud, PrepareReport]:
     """Make a scene smaller before it is coded, and say what that cost (paper, Section 4.2).
@@ -209,6 +214,8 @@ def prepare(
         Where ``optimise`` keeps its state, and goes on from.
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
+    max_bytes : int, optional
+        Largest size of the floats of a scene's file; by default 1 GiB or 1000 times the file.
     **steps
         ``prune_geometry``, ``prune_importance``, ``prune_loo`` (percent), ``max_drop`` (dB),
         ``optimise`` (iterations), ``compact_sh`` (strength), ``refit_colour`` (steps),
@@ -244,17 +251,19 @@ def prepare(
     if unknown:
         raise InvalidInput(f"step '{unknown[0]}': expected {', '.join(Steps.__dataclass_fields__)}")
     plan = Plan(Steps(**steps), cameras, photographs, width, views, background, checkpoint)
-    scene, report = prepare_scene(scene_of(source), plan, progress)
+    scene, report = prepare_scene(scene_of(source, max_bytes), plan, progress)
     return to_cloud(scene), report
 
 
-def scene_of(source: PointCloud | str | Path) -> Scene:
+def scene_of(source: PointCloud | str | Path, max_bytes: int | None = None) -> Scene:
     """The scene of a cloud or file; other attributes and properties are left out."""
-    return turn_axes(_stored_scene(source))
+    return turn_axes(_stored_scene(source, max_bytes))
 
 
-def _stored_scene(source: PointCloud | str | Path) -> Scene:
+def _stored_scene(source: PointCloud | str | Path, max_bytes: int | None) -> Scene:
     """Likewise, in the coordinate system of the file."""
     if isinstance(source, str | Path):
-        return files.read_scene(source, "drop", coordinates=None)
+        return files.read_scene(source, "drop", coordinates=None, max_bytes=max_bytes)
+    if max_bytes is not None:
+        raise InvalidInput("max_bytes: of scenes in files, expected none with a cloud")
     return from_cloud(source, "drop")

@@ -557,13 +557,20 @@ def test_tasks_start_as_they_fit():
 
 
 def test_need_grows_with_the_scene_and_its_views():
-    small, large = (memory.needed_bytes(size, "a.ply") for size in (0, 10**9))
+    small, large = (memory.needed_bytes(size) for size in (0, 10**9))
     assert 0 < small < 10**9
     assert large - small >= 2.7e9
-    assert memory.needed_bytes(10**9, "a.ply", 1) > large
-    assert memory.needed_bytes(10**9, "a.spz") > large
-    assert memory.needed_bytes(10**9, "a.compressed.ply") > large
-    assert memory.needed_bytes(-1, "a.ply") == small
+    assert memory.needed_bytes(10**9, 1) > large
+
+
+def test_floats_are_expected_of_the_size_of_a_file():
+    expected = memory.expected_floats
+    assert expected(10**9, "a.ply") == 10**9
+    assert expected(10**9, "a.compressed.ply") == 5 * 10**9
+    assert expected(10**9, "a.spz") > expected(10**9, "a.compressed.ply")
+    assert expected(-1, "a.ply") == 0
+    assert memory.most_floats(10**9, "a.spz") > expected(10**9, "a.spz")
+    assert memory.most_floats(-1, "a.spz") > 0
 
 
 def test_paths_of_options_hold_anywhere(tmp_path, monkeypatch):

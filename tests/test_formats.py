@@ -550,7 +550,7 @@ BAD_SOG = {
     "no image": (bad_sog(drop="quats.webp"), "entry 'quats.webp'"),
     "no image data": (
         bad_sog().replace(b"WEBPVP8L", b"WEBPVP8Q"),
-        "(zip entry|image) 'scales.webp'",
+        r"(zip entry|image) 'sh0\.webp'",
     ),
     "large image": (
         bad_sog(image=resized("sh0.webp", 700, 700)),

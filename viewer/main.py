@@ -59,6 +59,12 @@ def command(
         Path | None,
         typer.Option(metavar="PNG", help="Write a picture, without a display, and end."),
     ] = None,
+    max_bytes: Annotated[
+        int | None,
+        typer.Option(
+            help="Largest size of a scene's floats.", show_default="1 GiB or 1000 times the file"
+        ),
+    ] = None,
     width: Annotated[int, typer.Option(help="Width of the window or picture, pixels.")] = 1280,
     height: Annotated[int, typer.Option(help="Its height.")] = 800,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
@@ -80,6 +86,7 @@ def command(
         mode,
         view,
         (width, height),
+        max_bytes,
     )
     request.check()
     if screenshot is not None:

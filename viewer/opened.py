@@ -109,9 +109,12 @@ class Opened:
 
 
 def open_scene(
-    source: Path | str | PointCloud, name: str = "", progress: Progress | None = None
+    source: Path | str | PointCloud,
+    name: str = "",
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
 ) -> Opened:
-    """Read a scene's file, or take a cloud; `progress` is as for `gs_codec.read`.
+    """Read a scene's file, or take a cloud; `progress` and `max_bytes` are as for `gs_codec.read`.
 
     Raises
     ------
@@ -119,7 +122,7 @@ def open_scene(
     """
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
-    cloud = gs_codec.read(source, "drop", progress)
+    cloud = gs_codec.read(source, "drop", progress, max_bytes)
     try:
         info = gs_codec.inspect(source)
     except gs_codec.GsCodecError:  # a scene, but no .egs

@@ -33,6 +33,8 @@ class Request:
         Camera to begin with.
     size : tuple of two int
         Width and height, pixels.
+    max_bytes : int or None
+        As for `gs_codec.read`.
     """
 
     a: Any = None
@@ -45,6 +47,7 @@ class Request:
     mode: str = "side"
     view: int | None = None
     size: tuple[int, int] = (1280, 800)
+    max_bytes: int | None = None
 
     def check(self) -> None:
         """Check what can be checked without opening anything.
@@ -78,7 +81,10 @@ class Request:
                 stage, k * total + done, len(sources) * total
             )
 
-        return [open_scene(source, progress=part(k)) for k, source in enumerate(sources)]
+        return [
+            open_scene(source, progress=part(k), max_bytes=self.max_bytes)
+            for k, source in enumerate(sources)
+        ]
 
 
 def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ def analyse_file(
     folder: str | Path,
     options: Options | None = None,
     progress: Progress | None = None,
+    max_bytes: int | None = None,
 ) -> dict[str, Any]:
     """Analyse the scene of a file, and write ``report.html``, its pictures and ``report.json``.
 
@@ -48,7 +49,7 @@ def analyse_file(
     target = Path(folder)
     there = next(path for path in (target, *target.absolute().parents) if path.exists())
     check_writable(there / "report.html")
-    scene = read_scene(source, "drop")
+    scene = read_scene(source, "drop", max_bytes=max_bytes)
     analysis = analyse_scene(scene, str(source), options, progress)
     pictures = draw_pictures(analysis, progress)
     content = analysis.as_dict() | {"pictures": list(pictures)}

@@ -21,20 +21,33 @@ _PIXEL = 320
 _PACKED = {".splat": 2, ".spz": 20, ".sog": 20, ".egs": 30}
 
 
-def needed_bytes(size: int, name: str, pixels: int = 0) -> int:
+#: Where a file's header was not read, its floats may be as many times what is expected of its
+#: size, and as many bytes at least.
+_MARGIN, _LEAST = 4, 64 << 20
+
+
+def needed_bytes(floats: int, pixels: int = 0) -> int:
     """Memory that encoding a scene takes at most, about.
 
     Parameters
     ----------
-    size : int
-        Bytes of its file; what is below 0 is not known, and taken for little.
-    name : str
-        Of the file, whose suffix tells how it is packed.
+    floats : int
+        Bytes of its raw floats.
     pixels : int
         Of all views of it that are drawn.
     """
+    return _FIXED + (_DRAWING if pixels else _ENCODING) * floats + _PIXEL * pixels
+
+
+def expected_floats(size: int, name: str) -> int:
+    """Bytes of raw floats of a file of `size` bytes; what is below 0 is taken for little."""
     packed = 5 if name.lower().endswith(".compressed.ply") else _PACKED.get(Path(name).suffix, 1)
-    return _FIXED + (_DRAWING if pixels else _ENCODING) * packed * max(size, 0) + _PIXEL * pixels
+    return packed * max(size, 0)
+
+
+def most_floats(size: int, name: str) -> int:
+    """Most bytes of floats to read from a file that a batch knew the size of, and no more."""
+    return max(_MARGIN * expected_floats(size, name), _LEAST)
 
 
 def available_bytes() -> int | None:

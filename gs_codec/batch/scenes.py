@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gs_codec.batch.local import file_sha256
-from gs_codec.batch.memory import needed_bytes
+from gs_codec.batch.memory import expected_floats, needed_bytes
 from gs_codec.batch.places import Place, Spot, Stamp
 from gs_codec.batch.redaction import without_secrets
 from gs_codec.config import Config, Target
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import GsCodecError, InvalidInput
 
 if TYPE_CHECKING:
     from gs_codec.preparation.pipeline import Plan
@@ -28,6 +28,7 @@ class Options:
     config: Config
     plan: Plan | None = None
     goal: Target | None = None
+    max_bytes: int | None = None
 
     def digest(self) -> str:
         """What tells options apart that may give other bytes; the number of threads does not."""
@@ -145,6 +146,21 @@ def find_tasks(
         taken[shown[1]] = shown[0]
         # What went meanwhile fails when it is read.
         stamp = sources.stamp(spot) or Stamp(-1, "")
-        need = needed_bytes(stamp.size, name, pixels)
+        floats = _stated(sources, spot)
+        if floats is None:
+            floats = expected_floats(stamp.size, name)
+        need = needed_bytes(min(floats, options.max_bytes or floats), pixels)
         tasks.append(Task(name, spot, written, shown, stamp, need))
     return tasks
+
+
+def _stated(sources: Place, spot: Spot) -> int | None:
+    """Bytes of floats that the header of a file of this machine states; others are not opened."""
+    if not sources.local or not os.path.isfile(spot.path):
+        return None
+    from gs_codec.files import stated_bytes
+
+    try:
+        return stated_bytes(spot.path)
+    except GsCodecError:  # told when it is read
+        return None

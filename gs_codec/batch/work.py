@@ -17,6 +17,7 @@ from pathlib import Path
 from gs_codec import __version__
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.local import file_sha256
+from gs_codec.batch.memory import most_floats
 from gs_codec.batch.places import place_of
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
@@ -65,9 +66,12 @@ def _encode(
     output = Path(task.target.path) if targets.local else folder / "scene.egs"
     if targets.local:
         targets.check_folder(str(output.parent))
+    limit = options.max_bytes
+    if limit is None and not sources.local:
+        limit = most_floats(size, task.name)
     try:
         report = encode_file(
-            file, output, options.config, progress, options.plan, goal=options.goal
+            file, output, options.config, progress, options.plan, goal=options.goal, max_bytes=limit
         )
     except GsCodecError as error:
         # Copies on this machine mean nothing to anybody.

@@ -15,7 +15,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.resources import Overwrite
+from gs_codec.cli.resources import MaxBytes, Overwrite
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import check_folder
@@ -33,6 +33,7 @@ def command(
     width: Width = None,
     sample: Annotated[int, typer.Option(help="Most Gaussians that statistics go by.")] = 200_000,
     seed: Annotated[int, typer.Option(help="Of the sample, of shuffling, and of noise.")] = 0,
+    max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print report.json too.")] = False,
 ) -> None:
@@ -45,7 +46,7 @@ def command(
 
     options = Options(cameras, width, sample, seed)
     with progress_bar() as progress:
-        content = analyse_file(source, out, options, progress)
+        content = analyse_file(source, out, options, progress, max_bytes)
     for note in content["notes"]:
         print_status(note)
     if json:

@@ -10,7 +10,7 @@ import typer
 from gs_codec.cli import coding, goal, steps
 from gs_codec.cli.batch_progress import watching
 from gs_codec.cli.output import print_json, print_text, size_text
-from gs_codec.cli.resources import Overwrite, Threads
+from gs_codec.cli.resources import MaxBytes, Overwrite, Threads
 from gs_codec.errors import InvalidInput
 
 
@@ -60,6 +60,7 @@ def command(
     max_psnr_drop: goal.MaxPsnrDrop = None,
     allow_prune: goal.AllowPrune = False,
     threads: Threads = None,
+    max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
@@ -87,7 +88,7 @@ def command(
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options
 
-    options = Options(config, plan, wanted)
+    options = Options(config, plan, wanted, max_bytes)
     batch = Batch(source, target, options, jobs, resume, report, on_error, dask, overwrite)  # type: ignore[arg-type]
     redact_process()
     with watching() as watcher:

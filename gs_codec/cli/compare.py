@@ -16,7 +16,7 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.resources import Overwrite
+from gs_codec.cli.resources import MaxBytes, Overwrite
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import check_folder
@@ -46,6 +46,7 @@ def command(
     split: Annotated[str, typer.Option(help=SPLIT)] = "held-out",
     background: Background = "black",
     device: Device = "auto",
+    max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
@@ -54,7 +55,7 @@ def command(
     if cameras is None:
         if images or against_gt or width:
             raise InvalidInput("--images, --against-gt and --width need --cameras")
-        _compare_attributes(first, second, json)
+        _compare_attributes(first, second, max_bytes, json)
         return
     if images is not None:
         check_folder(images, overwrite)
@@ -63,7 +64,7 @@ def command(
     with progress_bar() as progress:
         comparison: Any = compare(
             first, second, cameras, split=split, width=width, truth=against_gt, images=images,
-            progress=progress, **options,
+            progress=progress, max_bytes=max_bytes, **options,
         )  # fmt: skip
     _say_systems(comparison.systems)
     if json:
@@ -72,10 +73,10 @@ def command(
         _print_views(comparison)
 
 
-def _compare_attributes(first: Path, second: Path, json: bool) -> None:
+def _compare_attributes(first: Path, second: Path, max_bytes: int | None, json: bool) -> None:
     from gs_codec.files import compare_files
 
-    comparison = compare_files(first, second)
+    comparison = compare_files(first, second, max_bytes)
     _say_systems(comparison.systems)
     if json:
         print_json({"a": str(first), "b": str(second), **asdict(comparison)})

@@ -17,7 +17,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.resources import Overwrite, Threads
+from gs_codec.cli.resources import MaxBytes, Overwrite, Threads
 from gs_codec.cli.streams import piped_source
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def command(
     depth: coding.Depth = None,
     keep_order: coding.KeepOrder = False,
     threads: Threads = None,
+    max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
@@ -51,7 +52,7 @@ def command(
     from gs_codec.conversion import convert_file
 
     with piped_source(source) as file, progress_bar() as progress:
-        done = convert_file(file, target, config, coordinates, progress, overwrite)
+        done = convert_file(file, target, config, coordinates, progress, overwrite, max_bytes)
     _say_what_changed(done)
     if json:
         print_json({"input": str(source), "output": str(target), **asdict(done)})

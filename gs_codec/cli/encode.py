@@ -19,7 +19,7 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.resources import MaxMemory, Overwrite, Threads, parse_memory
+from gs_codec.cli.resources import MaxBytes, MaxMemory, Overwrite, Threads, parse_memory
 from gs_codec.cli.streams import piped
 from gs_codec.config import LATTICE_PROFILES
 from gs_codec.report import EncodeReport
@@ -45,6 +45,7 @@ def command(
     allow_prune: goal.AllowPrune = False,
     threads: Threads = None,
     max_memory: MaxMemory = None,
+    max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
@@ -72,7 +73,7 @@ def command(
         with progress_bar() as progress:
             done = encode_file(
                 file, out, config, progress, plan, report, wanted, parse_memory(max_memory),
-                overwrite,
+                overwrite, max_bytes,
             )  # fmt: skip
         _say_what_changed(done)
         size = source_bytes(file)

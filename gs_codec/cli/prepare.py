@@ -9,7 +9,7 @@ import typer
 
 from gs_codec.cli import steps
 from gs_codec.cli.output import SCENES_PIPED, print_json, progress_bar
-from gs_codec.cli.resources import Overwrite
+from gs_codec.cli.resources import MaxBytes, Overwrite
 from gs_codec.cli.streams import piped_source
 from gs_codec.errors import InvalidInput
 
@@ -34,6 +34,7 @@ def command(
     background: steps.Backdrop = "black",
     report: steps.Report = None,
     checkpoint: steps.Checkpoint = None,
+    max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
@@ -44,7 +45,7 @@ def command(
     from gs_codec.files import prepare_file
 
     with piped_source(source) as file, progress_bar() as progress:
-        done = prepare_file(file, target, plan, report, progress, overwrite)
+        done = prepare_file(file, target, plan, report, progress, overwrite, max_bytes)
     if json:
         print_json({"input": str(source), "output": str(target), **done.as_dict()})
     else:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.output import SCENES, print_text, progress_bar
-from gs_codec.cli.resources import Overwrite
+from gs_codec.cli.resources import MaxBytes, Overwrite
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 from gs_codec.io.atomic import check_folder
 
@@ -30,6 +30,7 @@ def command(
         ),
     ] = None,
     device: Device = "auto",
+    max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Draw a scene from each camera, as the 3DGS rasteriser does."""
@@ -39,7 +40,7 @@ def command(
     from gs_codec.rendering.cameras import find_cameras
     from gs_codec.rendering.views import write_views
 
-    loaded = read_scene(scene, "drop")
+    loaded = read_scene(scene, "drop", max_bytes=max_bytes)
     views = find_cameras(cameras, loaded, split, width)
     start = time.perf_counter()
     with progress_bar() as progress:

@@ -30,7 +30,9 @@ MaxMemory = Annotated[
 
 MaxBytes = Annotated[
     int | None,
-    typer.Option(help="Largest decoded size.", show_default="1 GiB or 1000 times the file"),
+    typer.Option(
+        help="Largest size of a scene's floats.", show_default="1 GiB or 1000 times the file"
+    ),
 ]
 
 Decoder = Annotated[

@@ -32,13 +32,10 @@ from gs_codec.container.file import (
 )
 from gs_codec.errors import CorruptStream
 from gs_codec.geometry.tmc3 import Tmc3
+from gs_codec.io.limits import most_bytes
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all, using_threads
-
-#: A stream may decode to this many bytes, or to `EXPANSION` times its size if that is more.
-DECODED_BYTES = 1 << 30
-EXPANSION = 1000
 
 
 def decode_scene(
@@ -71,8 +68,7 @@ def decode_part(
     threads : int, optional
         Worker threads, 1-256; by default one for each available processor.
     max_bytes : int, optional
-        Refuse a stream that would be larger decoded; by default `DECODED_BYTES` or
-        `EXPANSION` times the stream's size, whichever is more.
+        Refuse a stream that would be larger decoded; by default as `most_bytes` says.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
     tmc3 : path, optional
@@ -110,7 +106,7 @@ def choose_part(
     check_threads(threads)
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
-    limit = max(DECODED_BYTES, EXPANSION * len(data)) if max_bytes is None else max_bytes
+    limit = most_bytes(len(data), max_bytes)
     _check_size(header, limit)
     coded = _check_sections(file)
     tool = tool_for(file, tmc3)

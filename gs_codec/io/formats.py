@@ -8,13 +8,15 @@ from typing import Literal
 import numpy as np
 
 from gs_codec.errors import InvalidInput
+from gs_codec.io import packed_ply, sog, spz
+from gs_codec.io.limits import float_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.packed_ply import is_packed
 from gs_codec.io.ply import read_ply
 from gs_codec.io.ply_header import read_header
 from gs_codec.io.sog import read_sog, sog_bytes
 from gs_codec.io.sog_files import ZIP
-from gs_codec.io.splat import read_splat
+from gs_codec.io.splat import RECORD, read_splat
 from gs_codec.io.spz import GZIP, MAGIC, read_spz
 from gs_codec.scene import Scene
 
@@ -66,6 +68,27 @@ def stored_bytes(path: str | Path) -> int:
     return sog_bytes(path) if tell_format(path) == "sog" else Path(path).stat().st_size
 
 
+def stated_bytes(path: str | Path) -> int:
+    """Bytes of floats that a file that is no `.egs` says it holds; nothing else of it is read.
+
+    Raises
+    ------
+    InvalidInput
+        If it does not say so.
+    """
+    sizes = {"spz": spz.stated_size, "sog": sog.stated_size}
+    name = tell_format(path)
+    if name in sizes:
+        return float_bytes(*sizes[name](path))
+    with opened(path) as data, located(path):
+        if name == "splat":
+            return float_bytes(len(data) // RECORD, 0)
+        header = read_header(np.frombuffer(data, np.uint8))
+        if is_packed(header):
+            return float_bytes(*packed_ply.stated_size(header))
+        return sum(4 * e.count * len(e.types) for e in header.elements if e.name == "vertex")
+
+
 def is_read_in_parts(path: str | Path) -> bool:
     """Whether a file that is no `.egs` can be read without all of it being in memory."""
     if tell_format(path) != "ply":
@@ -75,8 +98,12 @@ def is_read_in_parts(path: str | Path) -> bool:
     return bool(header.byte_order) and not is_packed(header)
 
 
-def read_foreign(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:
-    """Read a scene of any format but `.egs`; of `extra` see `read_ply`.
+def read_foreign(
+    path: str | Path,
+    extra: Literal["error", "keep", "drop"] = "error",
+    max_bytes: int | None = None,
+) -> Scene:
+    """Read a scene of any format but `.egs`; of `extra` and `max_bytes` see `read_ply`.
 
     Raises
     ------
@@ -85,4 +112,4 @@ def read_foreign(path: str | Path, extra: Literal["error", "keep", "drop"] = "er
     """
     readers = {"splat": read_splat, "spz": read_spz, "sog": read_sog}
     name = tell_format(path)
-    return read_ply(path, extra) if name == "ply" else readers[name](path)
+    return read_ply(path, extra, max_bytes) if name == "ply" else readers[name](path, max_bytes)

@@ -10,8 +10,9 @@ from contextlib import contextmanager
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.scene import SH_COEFFICIENTS
 
-#: A scene may be as large as this, and as this many times its file.
-_SCENE_BYTES, _EXPANSION = 1 << 30, 1000
+#: A file may unfold to this many bytes, or to `EXPANSION` times its size if that is more.
+DECODED_BYTES = 1 << 30
+EXPANSION = 1000
 
 #: What libraries raise at data that they cannot read.
 FAILURES: tuple[type[Exception], ...] = (
@@ -29,19 +30,38 @@ FAILURES: tuple[type[Exception], ...] = (
 )
 
 
-def check_count(count: int, sh_degree: int, file_bytes: int) -> None:
-    """Refuse more Gaussians than a file of this size can honestly say, before memory is taken.
+def most_bytes(file_bytes: int, max_bytes: int | None) -> int:
+    """How many bytes of floats and extra properties a file of this size may unfold to."""
+    return max(DECODED_BYTES, EXPANSION * file_bytes) if max_bytes is None else max_bytes
+
+
+def float_bytes(count: int, sh_degree: int) -> int:
+    """Bytes of the floats of so many Gaussians."""
+    return 4 * count * (14 + 3 * SH_COEFFICIENTS[sh_degree])
+
+
+def check_count(count: int, sh_degree: int, file_bytes: int, max_bytes: int | None = None) -> None:
+    """Refuse more Gaussians than a file of this size may hold, before memory is taken.
 
     Raises
     ------
     InvalidInput
     """
-    wanted = 4 * count * (14 + 3 * SH_COEFFICIENTS[sh_degree])
-    limit = max(_SCENE_BYTES, _EXPANSION * file_bytes)
+    check_bytes(float_bytes(count, sh_degree), count, file_bytes, max_bytes)
+
+
+def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None) -> None:
+    """Refuse Gaussians that take more than a file of this size may unfold to.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    limit = most_bytes(file_bytes, max_bytes)
     if wanted > limit:
         raise InvalidInput(
             f"{count} Gaussians, which take {wanted} bytes; at most {limit} are read from a file "
-            f"of {file_bytes}"
+            f"of {file_bytes} (max-bytes)"
         )
 
 

@@ -27,8 +27,8 @@ def is_packed(header: PlyHeader) -> bool:
     return any(e.name == "vertex" and _PACKED[0] in e.types for e in header.elements)
 
 
-def read_packed(ply: Ply) -> Scene:
-    """Read the Gaussians of such a file.
+def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
+    """Read the Gaussians of such a file; floats may take `max_bytes`, see `most_bytes`.
 
     Raises
     ------
@@ -52,7 +52,8 @@ def read_packed(ply: Ply) -> Scene:
     if chunk.count != chunks:
         raise InvalidInput(f"element 'chunk': {chunk.count} rows, expected {chunks}")
     coefficients = 0 if sh is None else _check_sh(sh.types, sh.count, vertex.count)
-    check_count(vertex.count, SH_COEFFICIENTS.index(coefficients), len(ply.data))
+    degree = SH_COEFFICIENTS.index(coefficients)
+    check_count(vertex.count, degree, len(ply.data), max_bytes)
     rows, limits = ply.rows("vertex"), ply.rows("chunk")
     position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in _PACKED)
     rgba = np.stack([(colour >> shift) & 255 for shift in (24, 16, 8, 0)]).astype(np.uint8)
@@ -68,6 +69,15 @@ def read_packed(ply: Ply) -> Scene:
         _quaternions(rotation),
         comments=ply.header.comments,
     )
+
+
+def stated_size(header: PlyHeader) -> tuple[int, int]:
+    """Gaussians and SH degree that the header of such a file says there are."""
+    elements = {element.name: element for element in header.elements}
+    sh = elements.get("sh")
+    coefficients = 0 if sh is None else len(sh.types) // 3
+    degree = SH_COEFFICIENTS.index(coefficients) if coefficients in SH_COEFFICIENTS else 3
+    return elements["vertex"].count, degree
 
 
 def _check_types(element: str, types: dict[str, str], names: tuple | list, code: str) -> None:

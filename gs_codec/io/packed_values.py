@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,23 @@ from gs_codec.scene import SH_C0
 
 log = logging.getLogger(__name__)
 
+#: Gaussians whose values are worked out at once.
+_AT_ONCE = 1 << 16
+
 #: Of an opacity of 0 or 255, which has no logit: so far from it, a quarter of a step.
 _END = 0.25
+
+
+def planes_of(channels: int, count: int, values: Callable[[slice], NDArray]) -> NDArray[np.float32]:
+    """Planes ``(channels, N)`` of values, worked out for some of the Gaussians at a time.
+
+    What formulas need beside their result, often more, is never there for the whole scene.
+    """
+    planes = np.empty((channels, count), np.float32)
+    for start in range(0, count, _AT_ONCE):
+        some = slice(start, start + _AT_ONCE)
+        planes[:, some] = values(some)
+    return planes
 
 
 def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float32]:

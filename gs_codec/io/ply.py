@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import atomic_writer
+from gs_codec.io.limits import check_bytes
 from gs_codec.io.mapped import located
 from gs_codec.io.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
 from gs_codec.io.ply_body import Ply, open_ply
@@ -41,7 +42,11 @@ def _group_names(coefficients: int) -> dict[str, list[str]]:
     }
 
 
-def read_ply(path: str | Path, extra: Literal["error", "keep", "drop"] = "error") -> Scene:
+def read_ply(
+    path: str | Path,
+    extra: Literal["error", "keep", "drop"] = "error",
+    max_bytes: int | None = None,
+) -> Scene:
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
     The trainer's layout in any order of properties, or PlayCanvas' of packed properties.
@@ -52,6 +57,8 @@ def read_ply(path: str | Path, extra: Literal["error", "keep", "drop"] = "error"
     extra : {"error", "keep", "drop"}
         What to do with properties beyond the INRIA layout, normals that are not all zero, and
         elements beside the Gaussians, which cannot be kept.
+    max_bytes : int, optional
+        Largest size of floats and kept properties; by default as `most_bytes` says.
 
     Returns
     -------
@@ -68,10 +75,15 @@ def read_ply(path: str | Path, extra: Literal["error", "keep", "drop"] = "error"
         packed = is_packed(ply.header)
         _check_elements(ply, PACKED_ELEMENTS if packed else ("vertex",), extra)
         if packed:
-            return read_packed(ply)
+            return read_packed(ply, max_bytes)
         data = ply.rows("vertex")
     groups, colours = _find_groups(path, data.dtype)
     wanted = [name for group in GROUPS for name in groups[group]]
+    row = 4 * len(wanted)
+    if extra == "keep":
+        row += sum(data.dtype[name].itemsize for name in set(data.dtype.names or ()) - {*wanted})
+    with located(path):
+        check_bytes(len(data) * row, len(data), len(ply.data), max_bytes)
     planes = _read_planes(path, data, wanted)
     if colours:
         planes[3:6] = (planes[3:6] / 255 - 0.5) / SH_C0

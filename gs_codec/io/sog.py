@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.io.limits import check_count
 from gs_codec.io.mapped import located, opened
-from gs_codec.io.packed_values import largest_restored, opacities_of
+from gs_codec.io.packed_values import largest_restored, opacities_of, planes_of
 from gs_codec.io.sog_files import ZIP, read_pixels, sog_files, stored_bytes
 from gs_codec.io.sog_meta import Meta, parse_meta
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
@@ -33,8 +33,10 @@ _FIRST_TAG = 252
 _Load = Callable[[str, int], NDArray[np.uint8]]
 
 
-def read_sog(path: str | Path) -> Scene:
+def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
     """Read a `.sog` file, or the scene of a `meta.json`.
+
+    Floats may take `max_bytes`; see `most_bytes`.
 
     Raises
     ------
@@ -56,16 +58,15 @@ def read_sog(path: str | Path) -> Scene:
             return read_pixels(read(name, 8 * most), name, most)
 
         file_bytes = path.stat().st_size if is_zip else stored_bytes(path, meta.files)
-        check_count(meta.count, meta.bands or 0, file_bytes)
-        values = {group: _values(meta, group, load) for group in ("scales", "quats", "sh0")}
-        f_rest = _read_palette(meta, load, file_bytes)
+        check_count(meta.count, meta.bands or 0, file_bytes, max_bytes)
+        colours = _values(meta, "sh0", load)
         return Scene(
             _centres(meta, load),
-            _looked_up(meta.tables["sh0"], values["sh0"]),
-            f_rest,
-            _opacities(path, meta, values["sh0"][3]),
-            _looked_up(meta.tables["scales"], values["scales"]),
-            _quaternions(path, values["quats"]),
+            _looked_up(meta.tables["sh0"], colours),
+            _read_palette(meta, load, file_bytes, max_bytes),
+            _opacities(path, meta, colours[3]),
+            _looked_up(meta.tables["scales"], _values(meta, "scales", load)),
+            _quaternions(path, _values(meta, "quats", load)),
             comments=(ANTIALIASED,) if meta.model == "antialiased" else (),
         )
 
@@ -81,6 +82,16 @@ def sog_bytes(path: str | Path) -> int:
         return stored_bytes(path, parse_meta(read("meta.json", _META_BYTES)).files)
 
 
+def stated_size(path: str | Path) -> tuple[int, int]:
+    """Gaussians and SH degree that `meta.json` says there are; 3 where it does not say."""
+    path = Path(path)
+    with opened(path) as data:
+        is_zip = bytes(data[:4]) == ZIP
+    with located(path), sog_files(path, is_zip) as read:
+        meta = parse_meta(read("meta.json", _META_BYTES))
+        return meta.count, 3 if meta.bands is None else meta.bands
+
+
 def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.uint8]:
     """Bytes ``(4, N)`` of the Gaussians, whose pixels follow each other."""
     name = meta.files[group][image]
@@ -93,19 +104,27 @@ def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.u
 
 def _looked_up(table: NDArray[np.float32], values: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Values of the first three bytes, each by its column of a table."""
-    planes = np.stack([table[values[i], i] for i in range(3)])
-    if np.isnan(planes).any():
-        raise InvalidInput("a byte beyond its codebook")
-    return planes
+
+    def look_up(some: slice) -> NDArray[np.float32]:
+        planes = np.stack([table[values[i, some], i] for i in range(3)])
+        if np.isnan(planes).any():
+            raise InvalidInput("a byte beyond its codebook")
+        return planes
+
+    return planes_of(3, values.shape[1], look_up)
 
 
 def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
-    low, high = (_values(meta, "means", load, image)[:3].astype(np.int64) for image in range(2))
-    share = (low | high << 8) / 65535
+    low, high = (_values(meta, "means", load, image) for image in range(2))
     ends = meta.means[:, :, None]
-    logarithm = ends[0] * (1 - share) + ends[1] * share
+
+    def unfold(some: slice) -> NDArray[np.float64]:
+        share = (low[:3, some] | high[:3, some].astype(np.int64) << 8) / 65535
+        logarithm = ends[0] * (1 - share) + ends[1] * share
+        return np.sign(logarithm) * np.expm1(np.abs(logarithm))
+
     with np.errstate(over="ignore"):  # infinite, as a PLY may say: told later
-        return (np.sign(logarithm) * np.expm1(np.abs(logarithm))).astype(np.float32)
+        return planes_of(3, meta.count, unfold)
 
 
 def _opacities(path: Path, meta: Meta, values: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -115,16 +134,22 @@ def _opacities(path: Path, meta: Meta, values: NDArray[np.uint8]) -> NDArray[np.
 
 
 def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
-    three = (values[:3] / 127.5 - 1) * np.sqrt(0.5)
-    rot = largest_restored(three, values[3].astype(np.int64) - _FIRST_TAG)
     untold = values[3] < _FIRST_TAG
+
+    def restore(some: slice) -> NDArray[np.float32]:
+        three = (values[:3, some] / 127.5 - 1) * np.sqrt(0.5)
+        rot = largest_restored(three, values[3, some].astype(np.int64) - _FIRST_TAG)
+        rot[:, untold[some]] = np.array([[1], [0], [0], [0]], np.float32)
+        return rot
+
     if untold.any():
         log.warning("%s: %d rotations say nothing, made the identity", path, untold.sum())
-        rot[:, untold] = np.array([[1], [0], [0], [0]], np.float32)
-    return rot
+    return planes_of(4, len(untold), restore)
 
 
-def _read_palette(meta: Meta, load: _Load, file_bytes: int) -> NDArray[np.float32]:
+def _read_palette(
+    meta: Meta, load: _Load, file_bytes: int, max_bytes: int | None
+) -> NDArray[np.float32]:
     """SH-AC ``(3 * K, N)``: of each Gaussian a row of the palette."""
     if "shN" not in meta.files:
         return np.empty((0, meta.count), np.float32)
@@ -136,16 +161,20 @@ def _read_palette(meta: Meta, load: _Load, file_bytes: int) -> NDArray[np.float3
     if not degree or meta.bands not in (None, degree):
         expected = widths[1:] if meta.bands is None else widths[meta.bands]
         raise InvalidInput(f"image '{name}': {width} pixels wide, expected {expected}")
-    check_count(meta.count, degree, file_bytes)
-    labels = _values(meta, "shN", load, 1).astype(np.int64)
-    rows = labels[0] | labels[1] << 8
+    check_count(meta.count, degree, file_bytes, max_bytes)
+    low, high, *_ = _values(meta, "shN", load, 1)
+    rows = low | high.astype(np.uint16) << 8
     there = min(meta.palette, height * _PALETTE_COLUMNS)
     if rows.max(initial=0) >= max(there, 1):
         raise InvalidInput(f"row {rows.max()} of a palette of {there}")
     table = meta.tables["shN"]
     colours = pixels.reshape(height * _PALETTE_COLUMNS, -1, 4)[..., :3]
     palette = table[colours, np.arange(3)].transpose(2, 1, 0).reshape(-1, len(colours))
-    f_rest = palette[:, rows]
-    if np.isnan(f_rest).any():
-        raise InvalidInput("a byte beyond its codebook")
-    return f_rest
+
+    def look_up(some: slice) -> NDArray[np.float32]:
+        planes = palette[:, rows[some]]
+        if np.isnan(planes).any():
+            raise InvalidInput("a byte beyond its codebook")
+        return planes
+
+    return planes_of(len(palette), meta.count, look_up)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gs_codec.errors import InvalidInput
+from gs_codec.io.limits import check_count
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.packed_values import bytes_of_opacities, opacities_of, sh_of_colours
 from gs_codec.scene import SH_C0, Scene
@@ -19,12 +20,15 @@ _ROW = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rot", "u1", 4)]
 )
 
+#: Bytes of a Gaussian.
+RECORD = _ROW.itemsize
+
 #: Log-scale beyond which a scale is no float32.
 _LARGEST = 88.0
 
 
-def read_splat(path: str | Path) -> Scene:
-    """Read a `.splat` file.
+def read_splat(path: str | Path, max_bytes: int | None = None) -> Scene:
+    """Read a `.splat` file; floats may take `max_bytes`, see `most_bytes`.
 
     Raises
     ------
@@ -32,10 +36,11 @@ def read_splat(path: str | Path) -> Scene:
         If it cannot be opened, or is no whole number of records.
     """
     with opened(path) as data, located(path):
-        if len(data) % _ROW.itemsize:
+        if len(data) % RECORD:
             raise InvalidInput(
-                f"{len(data)} bytes, expected a multiple of {_ROW.itemsize} (.splat records)"
+                f"{len(data)} bytes, expected a multiple of {RECORD} (.splat records)"
             )
+        check_count(len(data) // RECORD, 0, len(data), max_bytes)
         rows = np.frombuffer(bytes(data), _ROW)
     with np.errstate(divide="ignore", invalid="ignore"):  # not finite, as in a PLY: told later
         log_scale = np.log(rows["scale"].T)

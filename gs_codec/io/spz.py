@@ -20,10 +20,13 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.io.limits import check_count, refusing
 from gs_codec.io.mapped import located, opened
-from gs_codec.io.packed_values import largest_restored, opacities_of
+from gs_codec.io.packed_values import largest_restored, opacities_of, planes_of
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene, coordinates_comment
 
 log = logging.getLogger(__name__)
+
+#: What attributes are in, of which parts are no copies.
+Bytes = bytes | memoryview
 
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b\x08"
@@ -59,8 +62,10 @@ class _Header:
         return position, 1, 3, 3, 3 if self.version < 3 else 4, 3 * coefficients
 
 
-def read_spz(path: str | Path) -> Scene:
+def read_spz(path: str | Path, max_bytes: int | None = None) -> Scene:
     """Read an `.spz` file; a comment names its coordinate system, which is not changed.
+
+    Floats may take `max_bytes`; see `most_bytes`.
 
     Raises
     ------
@@ -70,16 +75,18 @@ def read_spz(path: str | Path) -> Scene:
     with opened(path) as view, located(path):
         data = bytes(view)
         if data.startswith(GZIP):
-            header, streams, extensions = _inflate(data)
+            header, streams, extensions = _inflate(data, max_bytes)
         elif data.startswith(MAGIC):
-            header, streams, extensions = _decompress(data)
+            header, streams, extensions = _decompress(data, max_bytes)
         else:
             raise InvalidInput(f"begins with {data[:4]!a}, expected {MAGIC!a} or gzip (.spz)")
         system = _read_extensions(path, extensions)
         return _scene_of(path, header, streams, system)
 
 
-def _check_header(version: int, fields: tuple[int, ...], file_bytes: int) -> _Header:
+def _check_header(
+    version: int, fields: tuple[int, ...], file_bytes: int, max_bytes: int | None
+) -> _Header:
     header = _Header(version, *fields)
     if header.sh_degree >= len(SH_COEFFICIENTS):
         raise InvalidInput(f"SH degree {header.sh_degree}, expected 0 to 3")
@@ -89,41 +96,60 @@ def _check_header(version: int, fields: tuple[int, ...], file_bytes: int) -> _He
         )
     if header.flags > _ANTIALIASED | _EXTENSIONS:
         raise InvalidInput(f"flags {header.flags:#x}, expected at most 0x3")
-    check_count(header.count, header.sh_degree, file_bytes)
+    check_count(header.count, header.sh_degree, file_bytes, max_bytes)
     return header
 
 
-def _inflate(data: bytes) -> tuple[_Header, list[bytes], bytes]:
-    """Header, attributes and extensions of versions 1 to 3."""
-    inflater = zlib.decompressobj(wbits=31)
+def stated_size(path: str | Path) -> tuple[int, int]:
+    """Gaussians and SH degree that a file says it has; see `read_spz` for what is refused."""
+    with opened(path) as view, located(path):
+        if view[: len(MAGIC)] == MAGIC:
+            head = bytes(view[: _HEADER.size])
+        else:
+            head = _unzipped_head(zlib.decompressobj(wbits=31), bytes(view[:1024]))
+        if len(head) < _HEADER.size:
+            raise InvalidInput(f"{len(head)} bytes, expected a header of {_HEADER.size}")
+        _, version, *fields, _ = _HEADER.unpack(head)
+        header = _check_header(version, tuple(fields), len(view), None)
+        return header.count, header.sh_degree
+
+
+def _unzipped_head(inflater: zlib._Decompress, data: bytes) -> bytes:
     with refusing("gzip stream"):
         head = inflater.decompress(data, _HEADER.size)
     if len(head) < _HEADER.size or not head.startswith(MAGIC):
         raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected {MAGIC!a}")
+    return head
+
+
+def _inflate(data: bytes, max_bytes: int | None) -> tuple[_Header, list[Bytes], bytes]:
+    """Header, attributes and extensions of versions 1 to 3."""
+    inflater = zlib.decompressobj(wbits=31)
+    head = _unzipped_head(inflater, data)
     _, version, *fields, _ = _HEADER.unpack(head)
     if not 1 <= version <= 3:
         raise InvalidInput(f"version {version} in a gzip stream, expected 1 to 3")
-    header = _check_header(version, tuple(fields), len(data))
+    header = _check_header(version, tuple(fields), len(data), max_bytes)
     bounds = np.cumsum([0, *(size * header.count for size in header.sizes)]).tolist()
     limit = bounds[-1] + (1 << 20 if header.flags & _EXTENSIONS else 0)
     with refusing("gzip stream"):
-        body = inflater.decompress(inflater.unconsumed_tail, limit + 1)
+        body = memoryview(inflater.decompress(inflater.unconsumed_tail, limit + 1))
     if len(body) < bounds[-1]:
         raise InvalidInput(f"{len(body)} bytes of attributes, expected {bounds[-1]}")
     if len(body) > limit or not inflater.eof or inflater.unused_data:
         raise InvalidInput(f"bytes left over, or cut off, after {bounds[-1]} bytes of attributes")
-    streams = [body[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
-    return header, streams, body[bounds[-1] :]
+    streams: list[Bytes] = [body[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return header, streams, bytes(body[bounds[-1] :])
 
 
-def _decompress(data: bytes) -> tuple[_Header, list[bytes], bytes]:
+def _decompress(data: bytes, max_bytes: int | None) -> tuple[_Header, list[Bytes], bytes]:
     """Header, attributes and extensions of version 4."""
     if len(data) < _ZSTD_HEADER.size:
         raise InvalidInput(f"{len(data)} bytes, expected a header of {_ZSTD_HEADER.size}")
     _, version, *fields, number, table = _ZSTD_HEADER.unpack_from(data)
     if version != 4:
         raise InvalidInput(f"version {version}, expected 4 (1 to 3 are gzip streams)")
-    header = _check_header(version, tuple(fields), len(data))
+    header = _check_header(version, tuple(fields), len(data), max_bytes)
     sizes = [size * header.count for size in header.sizes]
     wanted = sum(size > 0 for size in sizes)
     if number != wanted:
@@ -132,7 +158,7 @@ def _decompress(data: bytes) -> tuple[_Header, list[bytes], bytes]:
     if not _ZSTD_HEADER.size <= table <= place <= len(data):
         raise InvalidInput(f"table of streams at byte {table}, of a file of {len(data)}")
     entries = iter(struct.iter_unpack("<QQ", data[table:place]))
-    streams = []
+    streams: list[Bytes] = []
     for name, size in zip(_STREAMS, sizes, strict=True):
         packed, stated = next(entries) if size else (0, 0)
         if stated != size or packed > len(data) - place:
@@ -188,7 +214,7 @@ def _read_extensions(path: str | Path, data: bytes) -> str:
     return system
 
 
-def _scene_of(path: str | Path, header: _Header, streams: list[bytes], system: str) -> Scene:
+def _scene_of(path: str | Path, header: _Header, streams: list[Bytes], system: str) -> Scene:
     count = header.count
     positions, alphas, colours, scales, rotations, sh = (
         np.frombuffer(stream, np.uint8).reshape(count, size).T
@@ -197,17 +223,22 @@ def _scene_of(path: str | Path, header: _Header, streams: list[bytes], system: s
     comments = [coordinates_comment(system)]
     if header.flags & _ANTIALIASED:
         comments.append(ANTIALIASED)
-    coefficients = SH_COEFFICIENTS[header.sh_degree]
-    by_colour = sh.reshape(coefficients, 3, count).transpose(1, 0, 2)
+    rotate = _first_three if header.version < 3 else _smallest_three
     return Scene(
-        _positions(positions, header),
-        ((colours / 255 - 0.5) / _COLOUR_SCALE).astype(np.float32),
-        ((by_colour.reshape(3 * coefficients, count) - np.float32(128)) / 128),
+        planes_of(3, count, lambda some: _positions(positions[:, some], header)),
+        planes_of(3, count, lambda some: (colours[:, some] / 255 - 0.5) / _COLOUR_SCALE),
+        planes_of(len(sh), count, lambda some: _f_rest(sh[:, some])),
         opacities_of(path, alphas[0]),
-        scales / np.float32(16) - 10,
-        _first_three(rotations) if header.version < 3 else _smallest_three(rotations),
+        planes_of(3, count, lambda some: scales[:, some] / np.float32(16) - 10),
+        planes_of(4, count, lambda some: rotate(rotations[:, some])),
         comments=tuple(comments),
     )
+
+
+def _f_rest(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """SH-AC ``(3 * K, n)``: all coefficients of a colour, colour by colour."""
+    by_colour = rows.reshape(len(rows) // 3, 3, rows.shape[1]).transpose(1, 0, 2)
+    return (by_colour.reshape(rows.shape).astype(np.float32) - 128) / 128
 
 
 def _positions(rows: NDArray[np.uint8], header: _Header) -> NDArray[np.float32]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+from collections import Counter
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
@@ -14,7 +16,7 @@ from scenes import random_scene
 from test_cameras import inria_entry, write_json
 from test_cli import Folder, assert_one_error_line
 
-from gs_codec.batch import local, memory, run
+from gs_codec.batch import cluster, local, memory, run, scenes
 from gs_codec.batch.ledger import Record, parse_record
 from gs_codec.batch.places import Spot, is_url, place_of
 from gs_codec.batch.pool import Pool
@@ -554,6 +556,51 @@ def test_tasks_start_as_they_fit():
     pool._busy.clear()
     assert pool._next() is lost
     assert pool._next() is None
+
+
+@pytest.mark.parametrize(
+    ("jobs", "threads", "count", "expected"),
+    [
+        (None, None, 99, (8, 1)),
+        (None, None, 3, (3, 2)),
+        (2, None, 99, (2, 4)),
+        (None, 3, 99, (2, 3)),
+        (None, 9, 99, (1, 9)),
+        (5, 4, 99, (5, 4)),  # as it was asked for
+    ],
+)
+def test_scenes_share_the_processors(monkeypatch, jobs, threads, count, expected):
+    monkeypatch.setattr(run, "available_threads", lambda: 8)
+    monkeypatch.setattr(scenes, "available_threads", lambda: 8)
+    options = Options(Config(threads=threads))
+    batch = Batch("in", "out", options, jobs)
+    pool = run._runner(batch, options, count, "", True, Watcher())
+    assert (pool._jobs, pool._work.args[0].config.threads) == expected
+    # What no other process sees is worked on one after another.
+    here = run._runner(batch, options, count, "", False, Watcher())
+    assert here._work.args[0].config.threads == threads or 8
+
+
+@pytest.mark.parametrize(
+    ("on_host", "of_worker", "expected"), [(4, 1, 2), (8, 4, 1), (0, 2, 4), (1, 1, 8)]
+)
+def test_scenes_of_a_cluster_share_the_processors_of_a_host(
+    monkeypatch, on_host, of_worker, expected
+):
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+
+    class Worker:
+        memory_manager = type("", (), {"memory_limit": None})
+        state = type("", (), {"nthreads": of_worker})
+        local_directory = "."
+
+    heard = []
+    monkeypatch.setattr(distributed, "get_worker", Worker)
+    monkeypatch.setattr(scenes, "available_threads", lambda: 8)
+    monkeypatch.setattr(cluster, "encode_one", lambda task, options, *_: heard.append(options))
+    hosts = Counter({platform.node(): on_host, "another": 99})
+    cluster._encode_there(task("a", 1), Options(Config()), hosts, "topic")
+    assert heard[0].config.threads == expected
 
 
 def test_need_grows_with_the_scene_and_its_views():

@@ -315,3 +315,74 @@ def test_scheduler_that_is_not_there_is_one_line(scenes, place):
     assert err.splitlines()[-1].startswith(
         "gs-codec: error: --dask tcp://127.0.0.1:1: no scheduler"
     )
+
+
+#: Knocks at ports as another user would: in plain text, and with a key of its own.
+STRANGER = """
+import socket, ssl, sys, tempfile
+from pathlib import Path
+from distributed import Security
+
+def said(port, context=None):
+    with socket.create_connection(("127.0.0.1", port)) as plain:
+        connection = plain if context is None else context.wrap_socket(plain)
+        connection.sendall(b"GET /info HTTP/1.0\\r\\n\\r\\n")
+        return connection.recv(64)
+
+own = Security.temporary()
+context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+with tempfile.TemporaryDirectory() as folder:
+    (Path(folder) / "own").write_text(own.tls_client_cert + own.tls_client_key)
+    context.load_cert_chain(Path(folder) / "own")
+for port in map(int, sys.argv[1:]):
+    try:
+        plain = said(port)
+    except ConnectionError:
+        plain = b""
+    try:
+        secret = said(port, context)
+    except (ConnectionError, ssl.SSLError):
+        secret = b""
+    # An alert of TLS begins with 21.
+    print("refused" if plain[:1] in (b"", b"\\x15") and not secret else f"{plain!r} {secret!r}")
+"""
+
+
+def test_local_cluster_talks_to_nobody_else(scenes, place):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    psutil = pytest.importorskip("psutil", reason="comes with the extra 'cluster'")
+    environment = PATIENT | {"DASK_DISTRIBUTED__WORKER__PRELOAD": "batch_work", "HOLD": "0"}
+    process = place.start(scenes[0], "--dask", "local", "--jobs", "2", **environment)
+    try:
+        wait_for(place.held.exists, process)
+        own = psutil.Process(process.pid)
+        connections = [
+            each for one in (own, *own.children(True)) for each in one.net_connections("inet")
+        ]
+        listening = [each.laddr for each in connections if each.status == psutil.CONN_LISTEN]
+        # A scheduler, and two workers with what restarts them.
+        assert [address.ip for address in listening] == ["127.0.0.1"] * 5
+        ports = [str(address.port) for address in listening]
+        knocked = subprocess.run(
+            [sys.executable, "-c", STRANGER, *ports], capture_output=True, text=True, check=False
+        )
+        assert knocked.stdout.split("\n")[:-1] == ["refused"] * 5, knocked.stderr
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        finish(process)
+
+
+def test_local_cluster_does_the_same(scenes, place, tmp_path):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    source, wanted = scenes
+    names = [f"scene {index}" for index in (0, 3, 6)]
+    (tmp_path / "in").mkdir()
+    for name in names:
+        (tmp_path / f"in/{name}.ply").write_bytes((source / f"{name}.ply").read_bytes())
+    (tmp_path / "in/broken.ply").write_bytes(BROKEN["text.ply"])
+    status, out, err = finish(place.start(tmp_path / "in", "--dask", "local", **PATIENT))
+    assert status == 1, err
+    assert "3 scenes encoded, 1 failed" in out
+    assert place.outputs() == {f"{name}.egs": wanted[f"{name}.egs"] for name in names}
+    assert list(place.temporary.iterdir()) == []

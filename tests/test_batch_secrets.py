@@ -127,6 +127,14 @@ def test_secrets_of_a_source_are_never_said(server, tmp_path, url, status, said)
     assert done.returncode == status, done.stderr
 
 
+def test_workers_of_dask_say_none(server, tmp_path):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    host = server.url.removeprefix("http://")
+    done = run(tmp_path, f"http://user:pAss%2Fw%20rd!@{host}/in/", "out", "--dask", "local")
+    assert_no_secret(tmp_path, done)
+    assert "1 scene encoded, 1 failed" in done.stdout, done.stderr
+
+
 @pytest.mark.parametrize(
     ("url", "shown"),
     [

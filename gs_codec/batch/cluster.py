@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+import platform
 import secrets
 import threading
+from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -19,7 +20,6 @@ from gs_codec.batch.scenes import Options, Task
 from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.batch.work import encode_one
 from gs_codec.errors import InvalidInput, MissingTool, one_line
-from gs_codec.workers import available_threads
 
 #: Dask stops a worker that takes more of its limit than this from starting tasks.
 _SHARE = 0.7
@@ -29,7 +29,19 @@ class Cluster:
     """Workers of an existing scheduler, or of one on this machine.
 
     A worker runs as many scenes at once as it has threads, but no more than fit into 70 % of its
-    memory limit; a scene that its limit could not hold is refused.
+    memory limit; a scene that its limit could not hold is refused. Each scene has its share of
+    the processors of the worker's host.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, or ``local``.
+    jobs : int
+        Worker processes of a local one.
+    folder : str
+        What a local one writes there.
+    options : Options
+    watcher : Watcher
 
     Raises
     ------
@@ -37,13 +49,16 @@ class Cluster:
         If Dask is not installed, or there is no scheduler at the address.
     """
 
-    def __init__(self, address: str, jobs: int | None, options: Options, watcher: Watcher) -> None:
+    def __init__(
+        self, address: str, jobs: int, folder: str, options: Options, watcher: Watcher
+    ) -> None:
         try:
             import distributed
         except ImportError as error:
             text = f"--dask: needs {error.name}; pip install 'gs-codec[cluster]'"
             raise MissingTool(text) from error
-        self._distributed, self._address, self._jobs = distributed, address, jobs
+        self._distributed, self._address = distributed, address
+        self._jobs, self._folder = jobs, folder
         self._name = f"--dask {without_secrets(address)}"
         self._options, self._watcher = options, watcher
         self._futures: dict[Any, Task] = {}
@@ -58,12 +73,12 @@ class Cluster:
         """See `Runner.run`."""
         with ExitStack() as stack:
             self._client = stack.enter_context(self._connected())
-            self._check_versions()
+            hosts = self._hosts()
             names = {task.name: task for task in tasks}
             self._client.subscribe_topic(self._topic, lambda event: self._hear(names, event[1]))
             for task in tasks:
                 future = self._client.submit(
-                    _encode_there, task, self._options, self._topic, pure=False
+                    _encode_there, task, self._options, hosts, self._topic, pure=False
                 )
                 self._futures[future] = task
             # Those that were not asked for are not left to the cluster.
@@ -92,29 +107,37 @@ class Cluster:
             try:
                 scheduler: Any = self._address
                 if scheduler == "local":
-                    jobs = self._jobs or available_threads()
-                    scheduler = stack.enter_context(
-                        self._distributed.LocalCluster(
-                            n_workers=jobs,
-                            threads_per_worker=1,
-                            dashboard_address=None,
-                            silence_logs=logging.CRITICAL,
-                        )
-                    )
+                    from gs_codec.batch.local_cluster import start_cluster
+
+                    scheduler = stack.enter_context(start_cluster(self._jobs, self._folder))
                 client = stack.enter_context(
                     self._distributed.Client(scheduler, set_as_default=False)
                 )
+            except ImportError as error:
+                text = f"{self._name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
+                raise MissingTool(text) from error
             except (OSError, ValueError, TimeoutError) as error:
                 cause = redacted(one_line(error), self._address)
                 text = f"{self._name}: no scheduler there ({cause})"
                 raise InvalidInput(text) from error
             yield client
 
-    def _check_versions(self) -> None:
-        for worker, found in self._client.run(_version, on_error="return").items():
-            if found != __version__:
-                has = f"gs_codec {found}" if isinstance(found, str) else "no gs_codec"
+    def _hosts(self) -> Counter[str]:
+        """Scenes that each host works on at once, by its name.
+
+        Raises
+        ------
+        InvalidInput
+            If a worker has another version.
+        """
+        hosts = Counter[str]()
+        for worker, found in self._client.run(_introduced, on_error="return").items():
+            version, host, threads = found if isinstance(found, tuple) else (None, "", 0)
+            if version != __version__:
+                has = f"gs_codec {version}" if version else "no gs_codec"
                 raise InvalidInput(f"{worker}: {has}, expected gs_codec {__version__} on workers")
+            hosts[host] += threads
+        return hosts
 
     def _check_scheduler(self) -> None:
         if self._client.status != "running":
@@ -130,8 +153,9 @@ class Cluster:
         return Record(*task.shown, error={"kind": kind, "text": text})
 
 
-def _version() -> str:
-    return __version__
+def _introduced(dask_worker: Any) -> tuple[str, str, int]:
+    """What a worker has, where it is, and how many scenes it takes at once."""
+    return __version__, platform.node(), dask_worker.state.nthreads
 
 
 class _Gate:
@@ -167,8 +191,8 @@ def _free_at_first() -> int | None:
     return available_bytes()
 
 
-def _encode_there(task: Task, options: Options, topic: str) -> Record:
-    """Encode a scene on a worker, with its share of the processors; its stages are events."""
+def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str) -> Record:
+    """Encode a scene on a worker, with its share of the host; its stages are events."""
     import distributed
 
     worker = distributed.get_worker()
@@ -180,8 +204,9 @@ def _encode_there(task: Task, options: Options, topic: str) -> Record:
         )
         return Record(*task.shown, error={"kind": "InvalidInput", "text": text})
     room = _free_at_first() if limit is None else int(limit * _SHARE)
-    threads = options.config.threads or max(available_threads() // worker.state.nthreads, 1)
-    options = replace(options, config=replace(options.config, threads=threads))
+    # A worker that came later is not counted among those of its host.
+    at_once = max(hosts[platform.node()], worker.state.nthreads)
+    options = options.with_share(at_once)
 
     def tell(stage: str, done: int, total: int) -> None:
         said = {"name": task.name, "stage": stage, "done": done, "total": total}

@@ -45,7 +45,7 @@ class Batch:
     options : Options
         With `threads` None, a scene has its share of the processors.
     jobs : int, optional
-        Most scenes at once. Default one for each processor.
+        Most scenes at once. Default as many as there are processors for their threads.
     resume : bool
         Go on with the report that is there. Default False: a new one takes its place.
     report : str, optional
@@ -208,18 +208,17 @@ def _default_report(target: str, targets: Place) -> str:
 def _runner(
     batch: Batch, options: Options, count: int, scratch: str, shared: bool, watcher: Watcher
 ) -> Runner:
+    threads = options.config.threads or 1
+    jobs = batch.jobs or max(available_threads() // threads, 1)
+    jobs = min(jobs, max(count, 1))
     if batch.dask is not None:
         from gs_codec.batch.cluster import Cluster
 
-        return Cluster(batch.dask, batch.jobs, options, watcher)
-    processors = available_threads()
-    jobs = min(batch.jobs or processors, max(count, 1))
-    threads = options.config.threads or max(processors // jobs, 1)
-    options = replace(options, config=replace(options.config, threads=threads))
-    work = partial(_encode_in, options, scratch)
+        return Cluster(batch.dask, jobs, scratch, options, watcher)
     if shared:
+        work = partial(_encode_in, options.with_share(jobs), scratch)
         return Pool(work, jobs, available_bytes(), watcher)
-    return _Here(work, watcher)
+    return _Here(partial(_encode_in, options.with_share(1), scratch), watcher)
 
 
 def _encode_in(

@@ -16,6 +16,7 @@ from gs_codec.batch.places import Place, Spot, Stamp
 from gs_codec.batch.redaction import without_secrets
 from gs_codec.config import Config, Target
 from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.workers import available_threads
 
 if TYPE_CHECKING:
     from gs_codec.preparation.pipeline import Plan
@@ -39,6 +40,11 @@ class Options:
             "files": list(self._files()),
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+    def with_share(self, jobs: int) -> Options:
+        """The same with the threads that a scene has where `jobs` of them are encoded at once."""
+        threads = self.config.threads or max(available_threads() // jobs, 1)
+        return replace(self, config=replace(self.config, threads=threads))
 
     def pixels(self) -> int:
         """Pixels of all views that are drawn of a scene, at most.

@@ -15,6 +15,7 @@ import batch_work
 import pytest
 from scenes import random_scene
 
+from gs_codec.batch.run import batch_mark
 from gs_codec.files import encode_file
 from gs_codec.io.ply import write_ply
 
@@ -139,9 +140,12 @@ def test_batch_from_server_to_server(server):
 def test_one_that_cannot_be_written_is_its_own_error(server):
     (server.folder / "half").mkdir()
     (server.folder / "half/sub").write_text("not a folder")
-    (server.folder / "half/.a.egs.01234567").write_text("half of a file")
+    report = str(server.folder / "half.jsonl")
+    other = f".a.egs.{batch_mark('another report')}01234567"
+    for name in (f".a.egs.{batch_mark(report)}01234567", other):
+        (server.folder / "half" / name).write_text("half of a file")
     target = server.url(server.folder / "half")
-    done = server.run("in", target, "--report", str(server.folder / "half.jsonl"))
+    done = server.run("in", target, "--report", report)
     assert done.returncode == 1, done.stderr
     lines = (server.folder / "half.jsonl").read_text().splitlines()
     errors = {r["output"]: r["error"] for r in map(json.loads, lines) if r["error"]}
@@ -149,7 +153,9 @@ def test_one_that_cannot_be_written_is_its_own_error(server):
     for output, error in errors.items():
         assert error["text"].startswith(f"{output}: ")
         assert "\n" not in error["text"]
-    assert sorted(path.name for path in (server.folder / "half").iterdir()) == ["a.egs", "sub"]
+    assert sorted(path.name for path in (server.folder / "half").iterdir()) == [
+        *(other, "a.egs", "sub")
+    ]
 
 
 def test_server_that_stops_is_an_error_of_each_scene_that_needs_it(server, tmp_path):

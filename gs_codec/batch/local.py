@@ -14,7 +14,7 @@ from pathlib import Path
 
 from gs_codec.batch.places import SUFFIXES, Spot, Stamp, local_path
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.io.atomic import leftovers
+from gs_codec.io.atomic import leftovers, remove_leftover
 
 log = logging.getLogger(__name__)
 
@@ -83,19 +83,19 @@ class LocalPlace:
             raise InvalidInput(f"{spot.path}: not a regular file")
         return Path(spot.path)
 
-    def store(self, file: Path, spot: Spot) -> None:
+    def store(self, file: Path, spot: Spot, mark: str) -> None:
         """Files of this machine are written where they belong."""
         raise NotImplementedError
 
-    def sweep(self, spots: Iterable[Spot]) -> None:
-        """See `Place.sweep`."""
+    def sweep(self, spots: Iterable[Spot], mark: str) -> None:
+        """See `Place.sweep`; here any file that no process has open for writing is left over."""
         for folder, names in by_folder(spots).items():
             try:
                 entries = os.listdir(folder)
             except OSError:  # nothing was ever written there
                 continue
             for entry in leftovers(entries, names):
-                os.unlink(os.path.join(folder, entry))
+                remove_leftover(os.path.join(folder, entry))
 
 
 def matching_paths(pattern: str) -> list[str]:

@@ -79,11 +79,11 @@ class Place(Protocol):
     def fetch(self, spot: Spot, folder: Path) -> Path:
         """The file on this machine, copied to `folder` unless it is."""
 
-    def store(self, file: Path, spot: Spot) -> None:
-        """Copy a file there; it appears whole or not at all."""
+    def store(self, file: Path, spot: Spot, mark: str) -> None:
+        """Copy a file there; it appears whole or not at all. `mark` is that of the batch."""
 
-    def sweep(self, spots: Iterable[Spot]) -> None:
-        """Remove what was left half-written of these files."""
+    def sweep(self, spots: Iterable[Spot], mark: str) -> None:
+        """Remove what a batch with this mark left half-written of these files."""
 
 
 def place_of(text: str) -> Place:

@@ -162,14 +162,14 @@ class RemotePlace:
             raise InvalidInput(f"{shown}: {size} bytes came, expected {stamp.size}")
         return target
 
-    def store(self, file: Path, spot: Spot) -> None:
+    def store(self, file: Path, spot: Spot, mark: str) -> None:
         """See `Place.store`."""
         with self._named(spot):
             if self._is_store:
                 self._fs.put_file(str(file), spot.path)
                 return
             folder, _, name = spot.path.rpartition("/")
-            begun = posixpath.join(folder, temporary_name(name))
+            begun = posixpath.join(folder, temporary_name(name, mark))
             self._fs.makedirs(folder, exist_ok=True)
             try:
                 self._fs.put_file(str(file), begun)
@@ -179,7 +179,7 @@ class RemotePlace:
                     self._fs.rm_file(begun)
                 raise
 
-    def sweep(self, spots: Iterable[Spot]) -> None:
+    def sweep(self, spots: Iterable[Spot], mark: str) -> None:
         """See `Place.sweep`."""
         if self._is_store:
             return
@@ -189,7 +189,7 @@ class RemotePlace:
                     entries = [posixpath.basename(p) for p in self._fs.ls(folder, detail=False)]
                 except FileNotFoundError:
                     continue
-                for entry in leftovers(entries, names):
+                for entry in leftovers(entries, names, mark):
                     self._fs.rm_file(posixpath.join(folder, entry))
 
 

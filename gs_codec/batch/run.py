@@ -5,9 +5,11 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
+import platform
 import shutil
 import tempfile
 import time
+import uuid
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -135,16 +137,17 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
     start, watcher = time.perf_counter(), watcher or Watcher()
     sources, targets = place_of(batch.source), place_of(batch.target)
     options = batch.options.absolute()
-    tasks = find_tasks(batch.source, batch.target, sources, targets, options)
+    path = batch.report or _default_report(batch.target, targets)
+    mark = batch_mark(path)
+    tasks = find_tasks(batch.source, batch.target, sources, targets, options, mark)
     if batch.dask is not None and not (sources.shared and targets.shared):
         raise InvalidInput("memory: is this process's own, expected a place that workers see")
     targets.check_folder(batch.target)
-    path = batch.report or _default_report(batch.target, targets)
     if not (batch.resume or batch.overwrite):
         _refuse_existing(tasks, targets)
     with open_ledger(path, batch.resume, batch.overwrite) as ledger, _scratch(path) as scratch:
         spots = [task.target for task in tasks]
-        targets.sweep(spots)
+        targets.sweep(spots, mark)
         digest = options.digest()
         known = {t: r for t in tasks if (r := _complete(t, ledger, digest, sources, targets))}
         waiting = [task for task in tasks if task not in known]
@@ -155,7 +158,7 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
             records = _work(runner, waiting, digest, batch, ledger, watcher)
         finally:
             if targets.local:
-                targets.sweep(spots)
+                targets.sweep(spots, mark)
     return _sum_up(path, records, list(known.values()), len(waiting), time.perf_counter() - start)
 
 
@@ -246,6 +249,12 @@ class _Here:
     def stop(self) -> None:
         """See `Runner.stop`."""
         self._stopped = True
+
+
+def batch_mark(report: str) -> str:
+    """What tells a batch from others that write to the same place: the report, and its host."""
+    text = f"{platform.node()} {uuid.getnode()} {os.path.abspath(report)}"
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:8]
 
 
 @contextmanager

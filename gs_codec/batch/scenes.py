@@ -115,6 +115,8 @@ class Task:
         The source when the batch was planned.
     need : int
         Bytes of memory that it takes, about.
+    mark : str
+        What tells unfinished uploads of the batch from those of others: 8 hexadecimal digits.
     """
 
     name: str
@@ -123,10 +125,11 @@ class Task:
     shown: tuple[str, str]
     stamp: Stamp
     need: int
+    mark: str = ""
 
 
 def find_tasks(
-    source: str, target: str, sources: Place, targets: Place, options: Options
+    source: str, target: str, sources: Place, targets: Place, options: Options, mark: str = ""
 ) -> list[Task]:
     """The scenes that a file, folder or glob matches, and their places in the target's folder.
 
@@ -156,7 +159,7 @@ def find_tasks(
         if floats is None:
             floats = expected_floats(stamp.size, name)
         need = needed_bytes(min(floats, options.max_bytes or floats), pixels)
-        tasks.append(Task(name, spot, written, shown, stamp, need))
+        tasks.append(Task(name, spot, written, shown, stamp, need, mark))
     return tasks
 
 

@@ -85,7 +85,7 @@ def _encode(
     start = time.perf_counter()
     written = file_sha256(output), os.path.getsize(output)
     if not targets.local:
-        targets.store(output, task.target)
+        targets.store(output, task.target, task.mark)
     seconds |= report.seconds | {"store": time.perf_counter() - start}
     return replace(
         blank,

@@ -6,11 +6,16 @@ import os
 import re
 import secrets
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from gs_codec.errors import InvalidInput, one_line
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 
 def check_writable(path: str | Path, overwrite: bool = True) -> None:
@@ -61,16 +66,54 @@ def make_folder(path: str | Path) -> Path:
     return Path(path)
 
 
-def temporary_name(name: str) -> str:
-    """What a file is called, beside its place, until it is whole."""
-    return f".{name[:100]}.{secrets.token_hex(4)}"
+def temporary_name(name: str, mark: str = "") -> str:
+    """What a file is called, beside its place, until it is whole; `mark` tells whose it is."""
+    return f".{name[:100]}.{mark}{secrets.token_hex(4)}"
 
 
-def leftovers(entries: Iterable[str], names: Iterable[str]) -> list[str]:
-    """Those entries of a folder that are temporary names of these files."""
-    begun = {name[:100] for name in names}
-    found = [(entry, re.fullmatch(r"\.(.*)\.[0-9a-f]{8}", entry, re.DOTALL)) for entry in entries]
+def leftovers(entries: Iterable[str], names: Iterable[str], mark: str = "") -> list[str]:
+    """Those entries of a folder that are temporary names of these files with this mark."""
+    begun, pattern = {name[:100] for name in names}, rf"\.(.*)\.{mark}[0-9a-f]{{8}}"
+    found = [(entry, re.fullmatch(pattern, entry, re.DOTALL)) for entry in entries]
     return [entry for entry, match in found if match and match[1] in begun]
+
+
+def remove_leftover(path: str | Path) -> None:
+    """Remove a temporary file, unless a process is still writing it, or it is no file of ours."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+    except OSError:
+        return
+    try:
+        unused = _lock(descriptor)
+    finally:
+        os.close(descriptor)
+    if unused:
+        with suppress(OSError):  # Windows, where what another process writes cannot be removed
+            os.unlink(path)
+
+
+def _lock(descriptor: int) -> bool:
+    """Lock a file, as what is being written is; False if another process has."""
+    try:
+        if fcntl:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # file systems without locks
+        return True
+    return True
+
+
+@contextmanager
+def _locked(descriptor: int) -> Iterator[None]:
+    """Keep a file locked, beyond its being closed."""
+    own = os.dup(descriptor)
+    try:
+        _lock(own)
+        yield
+    finally:
+        os.close(own)
 
 
 @contextmanager
@@ -91,14 +134,15 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
     hidden = target.with_name(temporary_name(target.name))
     try:
         descriptor, named = _create(target.parent, hidden)
-        with open(descriptor, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(descriptor)
-            if not named:
-                _name(descriptor, target, hidden)
-        if named:
-            os.replace(hidden, target)
+        with _locked(descriptor) if fcntl else nullcontext():
+            with open(descriptor, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(descriptor)
+                if not named:
+                    _name(descriptor, target, hidden)
+            if named:
+                os.replace(hidden, target)
         _keep_name(target.parent)
     except BaseException as error:
         with suppress(OSError):

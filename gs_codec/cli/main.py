@@ -47,7 +47,9 @@ class _Commands(TyperGroup):
 def _load_command(name: str) -> Any:
     module = import_module(f"gs_codec.cli.{name}")
     if hasattr(module, "app"):
-        return typer.main.get_command(module.app)
+        group = typer.main.get_command(module.app)
+        group.name = name
+        return group
     one = typer.Typer(add_completion=False)
     one.command(name)(module.command)
     return typer.main.get_command(one)

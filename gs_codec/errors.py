@@ -1,8 +1,18 @@
 """Everything that can go wrong, as one small family of exceptions."""
 
 
+def printable(text: str) -> str:
+    """Text in which characters are escaped that end a line, steer a terminal or turn directions.
+
+    Names in files of strangers may hold any.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 class GsCodecError(Exception):
-    """Base of every error gs_codec raises on purpose; its text is one line.
+    """Base of every error gs_codec raises on purpose; its text is one printable line.
 
     Examples
     --------
@@ -12,6 +22,9 @@ class GsCodecError(Exception):
     ...     print(error)
     missing.ply: No such file or directory
     """
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__(printable(text))
 
 
 class InvalidInput(GsCodecError):
@@ -39,5 +52,5 @@ class ToolFailed(GsCodecError):
 
 
 def one_line(error: BaseException) -> str:
-    """What an exception says, on one line."""
-    return " ".join((getattr(error, "strerror", None) or str(error)).split())
+    """What an exception says, on one printable line."""
+    return printable(" ".join((getattr(error, "strerror", None) or str(error)).split()))

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 import gs_codec
+from gs_codec.cli.output import log_to_stderr, print_status, print_text
 from viewer.layers import COLOURINGS, LAYERS
 
 app = typer.Typer(
@@ -71,7 +72,7 @@ def command(
 ) -> None:
     """Show a 3D Gaussian Splatting scene, or two versions of one, of any format."""
     if version:
-        print(f"gs-viewer {gs_codec.__version__}")
+        print_text(f"gs-viewer {gs_codec.__version__}")
         return
     from viewer.request import Request, parse_layers
 
@@ -104,17 +105,18 @@ def command(
 
 def main() -> None:
     """Run the command; errors of use and input exit with status 2."""
+    log_to_stderr("gs-viewer")
     try:
         app(standalone_mode=False)
     except (gs_codec.GsCodecError, OSError) as error:
-        print(f"gs-viewer: error: {error}", file=sys.stderr)
+        print_status(f"gs-viewer: error: {error}")
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
-        print("gs-viewer: interrupted", file=sys.stderr)
+        print_status("gs-viewer: interrupted")
         sys.exit(130)
     except Exception as error:
         # Typer's errors of use; releases differ in where they keep the class.
         if not hasattr(error, "format_message"):
             raise
-        print(f"gs-viewer: error: {' '.join(error.format_message().split())}", file=sys.stderr)
+        print_status(f"gs-viewer: error: {' '.join(error.format_message().split())}")
         sys.exit(2)

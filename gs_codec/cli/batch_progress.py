@@ -17,6 +17,7 @@ from rich.progress import (
 )
 
 from gs_codec.cli.output import size_text
+from gs_codec.errors import printable
 
 
 @contextmanager
@@ -65,7 +66,7 @@ class _Lines:
 
     def said(self, text: str) -> None:
         """See `Watcher.said`."""
-        self._console.print(" ".join(text.split()))
+        self._console.print(printable(text))
 
 
 class _Bars(_Lines):
@@ -83,12 +84,12 @@ class _Bars(_Lines):
     def started(self, task: Any) -> None:
         """See `Watcher.started`."""
         if task.name not in self._running:
-            self._running[task.name] = self._bars.add_task(task.name, total=None)
+            self._running[task.name] = self._bars.add_task(printable(task.name), total=None)
 
     def stage(self, task: Any, stage: str, done: int, total: int) -> None:
         """See `Watcher.stage`."""
         self.started(task)  # somewhere else, which nobody told
-        text = f"{task.name}: {stage}"
+        text = printable(f"{task.name}: {stage}")
         self._bars.update(self._running[task.name], description=text, completed=done, total=total)
 
     def ended(self, task: Any, record: Any) -> None:

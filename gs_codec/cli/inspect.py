@@ -28,11 +28,11 @@ def command(
     low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in info.bounds)
     print_text(
         f"{file}: version {info.version}, profile {info.profile}, {info.count:,} Gaussians, "
-        f"SH degree {info.sh_degree}, {info.blocks} blocks of at most {info.block_size:,}\n"
+        f"SH degree {info.sh_degree}, {info.blocks} blocks of at most {info.block_size:,}",
         f"{size_text(info.file_bytes)}, {info.ratio:.2f} times smaller than the floats, "
-        f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian\n"
+        f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian",
         f"bounds {low} to {high}, coordinates {info.coordinates or 'not stated'}"
-        f"{', antialiased' if info.antialiased else ''}"
+        f"{', antialiased' if info.antialiased else ''}",
     )
     if info.tool is not None:
         print_text(f"geometry and SH-DC: G-PCC, by '{info.tool}'")
@@ -41,7 +41,7 @@ def command(
         [_stream_row(stream, info) for stream in info.streams],
     )
     if info.skipped:
-        print_text("\n".join(["skipped:", *(f"  {line}" for line in info.skipped)]))
+        print_text("skipped:", *(f"  {line}" for line in info.skipped))
     if channels and info.passes:
         print_table(
             ["symbols", "stream", "tables", "finest step", "coarsest step"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 from contextlib import suppress
@@ -13,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from gs_codec import __version__
+from gs_codec.cli.output import log_to_stderr, print_status, print_text
 from gs_codec.errors import GsCodecError, one_line
 
 #: Commands in the order of the help; each is a module of this package.
@@ -70,14 +70,13 @@ def _options(
     version: bool = typer.Option(False, "--version", help="Print the version and exit."),
 ) -> None:
     if version:
-        print(f"gs-codec {__version__}")
+        print_text(f"gs-codec {__version__}")
         raise typer.Exit
 
 
 def main() -> None:
     """Run the command line; errors of use and input exit with status 2."""
-    logging.basicConfig(format="gs-codec: %(levelname)s: %(message)s", level=logging.WARNING)
-    logging.addLevelName(logging.WARNING, "warning")
+    log_to_stderr("gs-codec")
     # Nothing here is linear algebra of any size: numpy would start its threads in vain.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
@@ -86,7 +85,7 @@ def main() -> None:
         status = app(standalone_mode=False)
         _flush_output()
     except (GsCodecError, OSError, MemoryError) as error:
-        print(f"gs-codec: error: {describe_error(error)}", file=sys.stderr)
+        print_status(f"gs-codec: error: {describe_error(error)}")
         with suppress(OSError):
             _flush_output()
         sys.exit(2)
@@ -97,10 +96,10 @@ def main() -> None:
         if not hasattr(error, "format_message"):
             raise
         if message := " ".join(error.format_message().split()):  # none: help was shown
-            print(f"gs-codec: error: {message}", file=sys.stderr)
+            print_status(f"gs-codec: error: {message}")
         sys.exit(2)
     if status == 130:
-        print("gs-codec: interrupted", file=sys.stderr)
+        print_status("gs-codec: interrupted")
     sys.exit(status)
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
+from gs_codec.errors import printable
 from gs_codec.report import Progress
 
 #: How often progress is said where stderr is no terminal.
@@ -24,18 +26,35 @@ def print_json(value: Any) -> None:
     print(json.dumps(value))
 
 
-def print_text(text: str) -> None:
-    """A line on stdout."""
-    print(text)
+def print_text(*lines: str) -> None:
+    """Lines on stdout."""
+    for line in lines:
+        print(printable(line))
 
 
 def print_status(text: str) -> None:
     """A line on stderr."""
-    print(text, file=sys.stderr)
+    print(printable(text), file=sys.stderr)
+
+
+class _Lines(logging.Formatter):
+    """Messages of a line each."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
+        return printable(super().formatMessage(record))
+
+
+def log_to_stderr(program: str) -> None:
+    """Warnings of the library become lines on stderr."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Lines(f"{program}: %(levelname)s: %(message)s"))
+    logging.addLevelName(logging.WARNING, "warning")
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
 
 
 def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None = None) -> None:
     """Aligned columns; the first to the left, the others to the right."""
+    rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
     for row in [columns, *rows]:
         cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gs_codec.cli.output import print_table
+from gs_codec.cli.output import print_table, print_text
 from gs_codec.cli.views import CAMERAS, drawing_options
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Steps
@@ -123,6 +123,6 @@ def print_steps(report: Any) -> None:
     """What went, and the ablation table."""
     for reason, number in report.removed.items():
         if number:
-            print(f"pruned by {reason}: {number:,} of {report.steps[0].count:,}")
+            print_text(f"pruned by {reason}: {number:,} of {report.steps[0].count:,}")
     columns, *rows = report.table()
     print_table(columns, rows)

@@ -1,0 +1,153 @@
+"""Text of strangers' files and names does not steer the terminal that messages are printed on."""
+
+from __future__ import annotations
+
+import ast
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import random_scene
+from test_cli import Folder, assert_one_error_line
+
+import gs_codec
+from gs_codec.batch import run
+from gs_codec.cli.output import log_to_stderr
+from gs_codec.config import Config
+from gs_codec.errors import CorruptStream, InvalidInput, one_line, printable
+from gs_codec.files import write_scene
+from viewer.main import main as viewer_main
+
+#: Title, clearing, bell, an 8-bit escape, other directions of writing, and ends of lines.
+HOSTILE = "a\x1b]0;b\x07\x1b[2J\x9b1m\u202ec\u2066\u200f\u2028d\n\re"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, capsys) -> Folder:
+    """A scene of a hostile name, and commands that run in this process."""
+    write_scene(tmp_path / f"{HOSTILE}.ply", random_scene(60, 0), Config())
+    monkeypatch.setattr(run, "Pool", lambda work, jobs, room, watcher: run._Here(work, watcher))
+    monkeypatch.chdir(tmp_path)
+    return Folder(tmp_path, monkeypatch, capsys)
+
+
+def assert_printable(*texts: str) -> None:
+    for text in texts:
+        assert all(line.isprintable() for line in text.split("\n"))
+        assert HOSTILE[:4] not in text
+
+
+def test_what_steers_a_terminal_is_escaped():
+    assert printable("né 中 'x' \\") == "né 中 'x' \\"
+    assert printable("\x1b[2J\x07\u202e\udc80\n") == r"\x1b[2J\x07\u202e\udc80\n"
+    assert printable(printable(HOSTILE)) == printable(HOSTILE)
+    assert printable(HOSTILE).isprintable()
+
+
+@pytest.mark.parametrize("kind", [gs_codec.GsCodecError, InvalidInput, CorruptStream])
+def test_errors_are_printable(kind):
+    assert str(kind(f"{HOSTILE}: no such file")).endswith("e: no such file")
+    assert_printable(str(kind(HOSTILE)), one_line(ValueError(HOSTILE)))
+    assert one_line(OSError(2, HOSTILE)).isprintable()
+
+
+def test_messages_that_are_logged_are_printable(capsys):
+    root = logging.getLogger()
+    before = root.handlers[:]
+    root.handlers.clear()
+    try:
+        log_to_stderr("gs-codec")
+        logging.getLogger("gs_codec.io.ply").warning("%s: not kept", HOSTILE)
+    finally:
+        root.handlers[:] = before
+    err = capsys.readouterr().err
+    assert err.startswith("gs-codec: warning: a\\x1b]0;b\\x07")
+    assert err.count("\n") == 1
+    assert_printable(err)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "encode {}.ply {}.egs",
+        "convert {}.ply {}.splat",
+        "encode {}.none {}.egs",
+        "inspect {}.ply",
+        "compare {}.ply {}.ply",
+        "render {}.ply --cameras {}.json --out out",
+        "--{}",
+    ],
+)
+def test_names_of_files_are_printed_escaped(command, folder):
+    done = folder.run(*[part.format(HOSTILE) for part in command.split()])
+    assert_printable(done.out, done.err)
+
+
+def test_decoding_prints_names_escaped(folder):
+    assert folder.run("encode", f"{HOSTILE}.ply", f"{HOSTILE}.egs").status == 0
+    for command in (["inspect"], ["verify"], ["inspect", "--channels"]):
+        done = folder.run(*command, f"{HOSTILE}.egs")
+        assert done.status == 0
+        assert printable(HOSTILE) in done.out
+        assert_printable(done.out, done.err)
+    done = folder.run("decode", f"{HOSTILE}.egs", f"{HOSTILE}2.ply")
+    assert printable(HOSTILE) in done.out
+    assert_printable(done.out, done.err)
+
+
+def test_a_batch_prints_names_escaped(folder):
+    Path(f"{HOSTILE}.spz").write_bytes(b"no scene")
+    done = folder.run("batch", f"{HOSTILE}.ply", "out")
+    assert done.status == 0
+    assert printable(HOSTILE) in done.err
+    assert_printable(done.out, done.err)
+    done = folder.run("batch", f"{HOSTILE}.spz", "out2")
+    assert done.status == 1
+    assert_printable(done.out, done.err)
+    assert "\x1b" not in Path("out2/report.jsonl").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("property int label", "property int l\x1b[2J\x07"),
+        ("property int label", "property list uchar int l\x1b[2J\x07"),
+        ("element vertex", "element v\x1b[2J\x07"),
+        ("element vertex", "\x1b[2J\x07"),
+        ("property float opacity", "property double l\x1b[2J\x07"),
+    ],
+)
+@pytest.mark.parametrize("extra", ["error", "keep"])
+def test_names_in_headers_are_printed_escaped(old, new, extra, folder):
+    scene = replace(random_scene(5, 0), extra={"label": np.zeros(5, "<i4")})
+    write_scene("x.ply", scene, Config(extra="keep"))
+    header = Path("x.ply").read_bytes()
+    Path("x.ply").write_bytes(header.replace(old.encode(), new.encode()))
+    done = folder.run("convert", "x.ply", "y.egs", "--extra", extra)
+    assert_printable(done.out, done.err)
+    if done.status:
+        assert_one_error_line(done.err)
+
+
+def test_the_viewer_prints_names_escaped(folder, capsys):
+    folder.monkeypatch.setattr(
+        "sys.argv", ["gs-viewer", f"{HOSTILE}.none", "--screenshot", "x.png"]
+    )
+    with pytest.raises(SystemExit):
+        viewer_main()
+    err = capsys.readouterr().err
+    assert printable(HOSTILE) in err
+    assert_printable(err)
+
+
+def test_commands_print_by_one_module():
+    root = Path(gs_codec.__file__).parents[1]
+    for path in [*(root / "gs_codec/cli").glob("*.py"), *(root / "viewer").rglob("*.py")]:
+        if path.name == "output.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "print":
+                files = [ast.unparse(k.value) for k in node.keywords if k.arg == "file"]
+                assert files == ["file"], f"{path}:{node.lineno}"

@@ -20,6 +20,7 @@ from gs_codec.files import read_scene
 from gs_codec.io.ply import write_ply
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
+from gs_codec.preparation.targets import photographed
 from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
@@ -390,11 +391,36 @@ def test_images_are_found_by_name_with_any_suffix(tmp_path):
 @pytest.mark.parametrize(
     ("name", "stem"),
     [("a.jpg", "a"), ("x/y.png", "x_y"), ("../../etc/p.png", "_.._etc_p"), ("/root/a", "_root_a"),
-     ("..", "_"), ("c:\\d.png", "c:_d"), ("v1.5", "v1.5")],
+     ("..", "_"), ("c:\\d.png", "c:_d"), ("v1.5", "v1.5"), ("a\0\x1b\n\u202eb", "a____b")],
 )  # fmt: skip
 def test_output_names_stay_in_the_folder(name, stem):
     assert output_names([camera(name)]) == [stem]
     assert "/" not in stem
+
+
+NAMES_OUTSIDE = ("../secret", "../secret.png", "sub/../../secret.jpg", "..\\secret", "..")
+
+
+@pytest.mark.parametrize("name", [*NAMES_OUTSIDE, "{}", "{}.png"])
+def test_names_that_lead_out_of_the_folder_of_images_are_refused(name, tmp_path):
+    folder = tmp_path / "images"
+    (folder / "sub").mkdir(parents=True)
+    Image.new("RGB", (40, 30)).save(tmp_path / "secret.png")
+    Image.new("RGB", (40, 30)).save(folder / "view.png")
+    name = name.format(tmp_path / "secret")
+    with pytest.raises(InvalidInput, match="expected a name that stays in the folder") as caught:
+        find_image(folder, name)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InvalidInput, match="expected a name that stays in the folder"):
+        photographed([camera("view"), camera(name)], folder)
+
+
+def test_images_may_be_links(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    Image.new("RGB", (40, 30)).save(tmp_path / "elsewhere.png")
+    (folder / "view..1.png").symlink_to(tmp_path / "elsewhere.png")
+    assert find_image(folder, "view..1") == folder / "view..1.png"
 
 
 def test_output_names_are_never_shared():
@@ -492,6 +518,22 @@ def test_compare_against_ground_truth_as_json(folder):
     assert mean["delta"]["psnr"] == pytest.approx(mean["b"]["psnr"] - mean["a"]["psnr"])
     lowest = min(report["views"], key=lambda view: view["between"]["psnr"])
     assert report["worst"] == lowest
+
+
+def test_cameras_of_a_stranger_read_no_other_file(folder, tmp_path):
+    write_png(tmp_path / "secret.png", np.full((30, 40, 3), 0.5))
+    (entry, *_) = json.loads((folder / "cameras.json").read_text())
+    entry["img_name"] = str(tmp_path / "secret.png")
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(json.dumps([entry]))
+    options = ["--cameras", cameras, "--against-gt", folder / "truth"]
+    for command in (
+        ["compare", folder / "a.ply", folder / "b.ply", *options],
+        ["prepare", folder / "a.ply", tmp_path / "a.ply", "--refit-colour", "1", *options],
+    ):
+        result = run(*command)
+        assert isinstance(result.exception, InvalidInput)
+        assert "expected a name that stays in the folder" in str(result.exception)
 
 
 def test_json_knows_no_infinity(folder):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import fitted
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import find_image, read_image
+from gs_codec.rendering.images import read_image, seek_image
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
@@ -110,15 +109,13 @@ def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Ca
     Raises
     ------
     InvalidInput
-        If none is.
+        If none is, or a name leads out of the folder.
     """
     found = []
     for camera in cameras:
-        try:
-            found.append((camera, find_image(folder, camera.name)))
-        except InvalidInput:
-            if not os.path.isdir(folder):
-                raise
+        path = seek_image(folder, camera.name)
+        if path is not None:
+            found.append((camera, path))
     if not found:
         raise InvalidInput(f"{folder}: no image of the {len(cameras)} cameras")
     return found

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,8 @@ def write_png(path: str | Path, image: NDArray) -> None:
 def output_names(cameras: Sequence[Camera]) -> list[str]:
     """A file name, without suffix, for each camera's image; folders become part of it.
 
+    What is not printable becomes an underscore, too.
+
     Raises
     ------
     InvalidInput
@@ -71,7 +74,8 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
     """
     names: dict[str, str] = {}
     for camera in cameras:
-        stem = _stem(camera.name).replace("/", "_").replace("\\", "_").lstrip(".") or "_"
+        letters = (c if c.isprintable() and c not in "/\\" else "_" for c in _stem(camera.name))
+        stem = "".join(letters).lstrip(".") or "_"
         if stem in names:
             raise InvalidInput(
                 f"images '{names[stem]}' and '{camera.name}' would both be written as '{stem}.png'"
@@ -86,8 +90,18 @@ def find_image(folder: str | Path, name: str) -> Path:
     Raises
     ------
     InvalidInput
-        If there is none.
+        If there is none, or the name leads out of the folder.
     """
+    path = seek_image(folder, name)
+    if path is None:
+        raise InvalidInput(f"{folder}: no image '{_stem(name)}' ({', '.join(_SUFFIXES)})")
+    return path
+
+
+def seek_image(folder: str | Path, name: str) -> Path | None:
+    """Likewise, but None if there is none in a folder that exists."""
+    if PurePath(name).anchor or ".." in re.split(r"[/\\]", name):
+        raise InvalidInput(f"{folder}: image '{name}', expected a name that stays in the folder")
     named = Path(folder) / name
     stem = _stem(name)
     others = [Path(folder) / f"{stem}{suffix}" for suffix in _SUFFIXES]
@@ -97,7 +111,7 @@ def find_image(folder: str | Path, name: str) -> Path:
             return path
     if not os.path.isdir(folder):
         raise InvalidInput(f"{folder}: no such folder, expected images")
-    raise InvalidInput(f"{folder}: no image '{stem}' ({', '.join(_SUFFIXES)})")
+    return None
 
 
 def _stem(name: str) -> str:

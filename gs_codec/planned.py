@@ -52,8 +52,8 @@ def encode_goal(
     if limit is None or goal.allow_prune:
         from gs_codec.preparation.pipeline import choose_views
 
-        views = views or choose_views(original, plan)
-        seen = Seen(views, views.held_out.errors(original))
+        views = views or choose_views(original, plan, progress)
+        seen = Seen(views, views.held_out.errors(original, progress), progress)
     targets = views.renders if views is not None else None
     guide = guide_of(scene, plan, config, progress, targets)
     return encode_to_target(scene, config, goal, limit, guide, seen, progress)
@@ -77,7 +77,7 @@ def guide_of(
     from gs_codec.preparation.pipeline import draw_views
     from gs_codec.preparation.targets import draw_targets
 
-    targets = targets or draw_views(scene, plan)
+    targets = targets or draw_views(scene, plan, progress)
     if plan.steps.optimise:
-        targets = draw_targets(scene, targets.cameras, targets.background)
+        targets = draw_targets(scene, targets.cameras, targets.background, progress)
     return lambda clean: guide(clean, targets, config.threads, progress)

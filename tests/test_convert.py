@@ -281,12 +281,12 @@ def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, t
     _, err = run("convert", ply, target, "--coordinates", "rub")
     assert "coordinates turned from RDF to RUB" in err
     assert read_ply(target, "keep").coordinates == "RUB"
-    _, err = run("convert", spz, target, "--coordinates", "luf:rdf")
+    _, err = run("convert", spz, target, "--coordinates", "luf:rdf", "--overwrite")
     assert "coordinates turned from LUF to RDF" in err
     flip = np.array([[-1], [-1], [1]], np.float32)
     stored = read_scene(spz, coordinates=None)
     np.testing.assert_array_equal(read_ply(target).positions, stored.positions * flip)
-    _, err = run("convert", spz, target, "--coordinates", "RDF:RDF")
+    _, err = run("convert", spz, target, "--coordinates", "RDF:RDF", "--overwrite")
     assert "coordinates RDF, as they were" in err
     np.testing.assert_array_equal(read_ply(target).positions, stored.positions)
     # Where a file is sorted by places that are others then, its comment goes.

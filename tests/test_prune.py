@@ -9,9 +9,12 @@ import pytest
 from scenes import edge_scenes, random_scene
 
 from gs_codec.errors import InvalidInput
+from gs_codec.preparation import targets as targets_module
 from gs_codec.preparation.leave_one_out import leave_one_out
 from gs_codec.preparation.loo_rounds import prune_leave_one_out
+from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
+from gs_codec.preparation.steps import Steps
 from gs_codec.preparation.targets import Views, draw_targets
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
@@ -206,6 +209,23 @@ def test_a_limit_and_a_percentage_together():
     limited, _ = prune_leave_one_out(scene, views_of(scene), 90, 0.05)
     alone, _ = prune_leave_one_out(scene, views_of(scene), 0, 0.05)
     assert limited.tolist() == alone.tolist()
+
+
+def test_every_view_that_is_drawn_or_measured_is_told(monkeypatch):
+    drawn: list[Camera] = []
+    told: list[tuple[str, int, int]] = []
+
+    def counted(scene, camera, *arguments, **options):
+        drawn.append(camera)
+        return render(scene, camera, *arguments, **options)
+
+    monkeypatch.setattr(targets_module, "render", counted)
+    scene, plan = visible_scene(300, 118), Plan(Steps(max_drop=0.5), CAMERAS)
+    prepare_scene(scene, plan, lambda *step: told.append(step))
+    stages = [stage for stage, _, _ in told]
+    assert len(drawn) == stages.count("draw") + stages.count("measure")
+    assert {"draw", "measure", "leave-one-out, round 1"} <= set(stages)
+    assert {total for _, _, total in told} == {len(CAMERAS)}
 
 
 def test_no_loss_allowed_removes_only_what_is_not_seen():

@@ -54,7 +54,7 @@ def guide(
     aside.
     """
     cameras = views.cameras
-    loss = views.error(scene)
+    loss = views.error(scene, progress)
     found, weights = sensitivity(
         scene, cameras, views.background, None, threads, progress, keep=scene.sh_degree > 0
     )

@@ -49,7 +49,7 @@ def prune_leave_one_out(
     kept = np.arange(scene.count)
     rounds: list[dict[str, Any]] = []
     cameras, targets = views.renders.cameras, views.wanted
-    before = targets.errors(scene) if max_drop is not None else np.zeros(1)
+    before = targets.errors(scene, progress) if max_drop is not None else np.zeros(1)
     while len(kept) > least:
         current = scene.take(kept)
         stage = f"leave-one-out, round {len(rounds) + 1}"
@@ -58,7 +58,7 @@ def prune_leave_one_out(
         rounds.append({"gaussians": len(kept)})
         asked = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
         if max_drop is not None:
-            removed = _allowed(current, scores, asked, targets, before, max_drop)
+            removed = _allowed(current, scores, asked, targets, before, max_drop, progress)
         kept = kept[keep_highest(scores, removed)]
         if removed < asked:
             break
@@ -72,12 +72,13 @@ def _allowed(
     targets: Targets,
     before: NDArray[np.float64],
     max_drop: float,
+    progress: Progress | None,
 ) -> int:
     """The most, up to `most`, of the lowest scores that can go within the loss allowed."""
 
     def fits(number: int) -> bool:
         left = scene.take(keep_highest(scores, number))
-        return targets.drop(targets.errors(left), before) <= max_drop
+        return targets.drop(targets.errors(left, progress), before) <= max_drop
 
     if fits(most):
         return most

@@ -113,12 +113,11 @@ def prepare_scene(
         If there are no cameras, nothing would be left, or an image is broken.
     """
     steps = plan.steps
-    views = views or choose_views(scene, plan)
-    held_out = views.held_out
+    views = views or choose_views(scene, plan, progress)
     context = _Context(steps, views, plan.checkpoint, progress)
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
-    reports = [_report("original", scene, held_out, 0.0, {})]
+    reports = [_report("original", scene, context, 0.0, {})]
     for step in _STEPS:
         if not step.is_asked(steps):
             continue
@@ -130,11 +129,11 @@ def prepare_scene(
             gone[stay] = False
             labels[kept[gone]] = LABELS.index(step.label)
             kept = kept[stay]
-        reports.append(_report(step.name, scene, held_out, seconds, details))
+        reports.append(_report(step.name, scene, context, seconds, details))
     return scene, PrepareReport(labels, tuple(reports), views)
 
 
-def choose_views(scene: Scene, plan: Plan) -> Views:
+def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> Views:
     """The views a plan works and measures by, drawn and read.
 
     Raises
@@ -143,7 +142,7 @@ def choose_views(scene: Scene, plan: Plan) -> Views:
         If there are no cameras, no photograph of those to measure by, or one is broken.
     """
     rest, test = _split(scene, plan)
-    renders = draw_targets(scene, evenly(rest, plan.views), plan.background)
+    renders = draw_targets(scene, evenly(rest, plan.views), plan.background, progress)
     photographs = None
     if plan.photographs is not None:
         found = photographed(rest, plan.photographs)
@@ -151,14 +150,15 @@ def choose_views(scene: Scene, plan: Plan) -> Views:
     if test == rest:
         return Views(renders, photographs, photographs or renders)
     if plan.photographs is None:
-        return Views(renders, photographs, draw_targets(scene, test, plan.background))
+        return Views(renders, photographs, draw_targets(scene, test, plan.background, progress))
     measured = photographed(test, plan.photographs)
     return Views(renders, photographs, read_targets(measured, plan.background))
 
 
-def draw_views(scene: Scene, plan: Plan) -> Targets:
+def draw_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> Targets:
     """The renders of `choose_views` alone."""
-    return draw_targets(scene, evenly(_split(scene, plan)[0], plan.views), plan.background)
+    cameras = evenly(_split(scene, plan)[0], plan.views)
+    return draw_targets(scene, cameras, plan.background, progress)
 
 
 def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
@@ -170,9 +170,9 @@ def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
 
 
 def _report(
-    name: str, scene: Scene, held_out: Targets, seconds: float, details: dict[str, Any]
+    name: str, scene: Scene, context: _Context, seconds: float, details: dict[str, Any]
 ) -> StepReport:
-    quality = held_out.quality(scene)
+    quality = context.views.held_out.quality(scene, context.progress)
     return StepReport(name, scene.count, scene.float_bytes, quality, seconds, details)
 
 

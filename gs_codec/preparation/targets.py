@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -16,10 +16,12 @@ from gs_codec.metrics.views import fitted
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import read_image, seek_image
 from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 #: MSE that a scene without photographs is taken to have against them: 30 dB.
 _NOMINAL_ERROR = 1e-3
@@ -39,20 +41,20 @@ class Targets:
     background: tuple[float, float, float]
     source: Scene | None = None
 
-    def quality(self, scene: Scene) -> Quality:
+    def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
         """Mean over the views of PSNR and SSIM of a scene's images against them."""
 
         def compare(i: int) -> Quality:
             drawn = render(scene, self.cameras[i], self.background, threads=1, device="cpu")
             return compare_images(drawn.colour, self.images[i])
 
-        return mean_quality(run_all(compare, range(len(self.cameras))))
+        return mean_quality(self._of_each(compare, progress))
 
-    def error(self, scene: Scene) -> float:
+    def error(self, scene: Scene, progress: Progress | None = None) -> float:
         """Mean squared error of a scene's images, mean over the views."""
-        return float(np.mean(self.errors(scene)))
+        return float(np.mean(self.errors(scene, progress)))
 
-    def errors(self, scene: Scene) -> NDArray[np.float64]:
+    def errors(self, scene: Scene, progress: Progress | None = None) -> NDArray[np.float64]:
         """Mean squared error of a scene's image in each view."""
         if scene is self.source:
             return np.zeros(len(self.cameras))
@@ -61,7 +63,11 @@ class Targets:
             drawn = render(scene, self.cameras[i], self.background, threads=1, device="cpu")
             return float(np.mean((drawn.colour - self.images[i]) ** 2, dtype=np.float64))
 
-        return np.array(run_all(measure, range(len(self.cameras))))
+        return np.array(self._of_each(measure, progress))
+
+    def _of_each(self, measure: Callable[[int], Result], progress: Progress | None) -> list[Result]:
+        number = len(self.cameras)
+        return run_all(measure, range(number), advance=step_counter(progress, "measure", number))
 
     def drop(
         self, errors: float | NDArray[np.float64], before: float | NDArray[np.float64]
@@ -122,11 +128,16 @@ def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Ca
 
 
 def draw_targets(
-    scene: Scene, cameras: Sequence[Camera], background: tuple[float, float, float]
+    scene: Scene,
+    cameras: Sequence[Camera],
+    background: tuple[float, float, float],
+    progress: Progress | None = None,
 ) -> Targets:
     """A scene's own views."""
     images = run_all(
-        lambda camera: render(scene, camera, background, threads=1, device="cpu").colour, cameras
+        lambda camera: render(scene, camera, background, threads=1, device="cpu").colour,
+        cameras,
+        advance=step_counter(progress, "draw", len(cameras)),
     )
     return Targets(tuple(cameras), tuple(images), False, background, scene)
 

@@ -61,15 +61,18 @@ class Seen:
         A quality is measured in those held out.
     before : ndarray, shape (views,)
         Mean squared errors in these at which nothing is lost.
+    progress : callable, optional
+        Is told of each view that is measured.
     """
 
     views: Views
     before: NDArray[np.float64]
+    progress: Progress | None = None
 
     def loss(self, data: bytes) -> float:
         """Decibels that a file loses."""
         measured = self.views.held_out
-        return measured.drop(measured.errors(decode_scene(data)), self.before)
+        return measured.drop(measured.errors(decode_scene(data), self.progress), self.before)
 
 
 def encode_to_target(

@@ -105,7 +105,7 @@ def _convert_file(
         if stated:
             scene = state_system(scene, stated.upper())
         before = system_of(scene)
-        if suffix != ".egs" or config.profile != LOSSLESS:
+        if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
             scene, dropped = drop_nonfinite(scene, config)
         if wanted != "keep":
             scene = turn_scene(scene, wanted.upper())

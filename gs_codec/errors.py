@@ -23,6 +23,9 @@ class GsCodecError(Exception):
     missing.ply: No such file or directory
     """
 
+    #: Whether it is about another file than the one that is worked on, which its text names.
+    of_another_file = False
+
     def __init__(self, text: str = "") -> None:
         super().__init__(printable(text))
 

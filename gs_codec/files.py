@@ -202,7 +202,7 @@ def _encode_by_plan(
     """Encode a scene, of a file of `size` bytes, by a plan, to a goal, or both."""
     prepared, views, original = None, None, scene
     if plan is not None and plan.steps.wanted:
-        scene, prepared = _prepare(scene, plan, report_folder, progress)
+        scene, prepared = _prepare(scene, plan, config, report_folder, progress)
         views = prepared.views
     if goal is not None:
         data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
@@ -223,10 +223,12 @@ def prepare_file(
     progress: Progress | None = None,
     overwrite: bool = True,
     max_bytes: int | None = None,
+    config: Config | None = None,
 ) -> PrepareReport:
     """Prepare the scene of a file and write it as ``.ply``, ``.egs`` or ``.splat``.
 
-    `overwrite` is as for `encode_file`.
+    `config` is how an ``.egs`` is coded, with the bytes that `encode_file` writes, and what the
+    report's last steps are of; extra properties are kept. `overwrite` is as for `encode_file`.
 
     Raises
     ------
@@ -237,11 +239,12 @@ def prepare_file(
     if report_folder is not None:
         check_folder(report_folder, overwrite)
     scene = without_order(read_scene(source, "keep", max_bytes=max_bytes))
-    # The paper's profile has the stages of the paper's ablation.
-    config = Config("paper-m", extra="keep")
+    config = replace(config or Config(), extra="keep")
     with located(source):
-        scene, prepared = _prepare(scene, plan, report_folder, progress)
-        data, report = encode_scene(scene, config)
+        scene, prepared = _prepare(scene, plan, config, report_folder, progress)
+        coded = suffix == ".egs"
+        guide = guide_of(scene, plan, config, progress, prepared.views.renders) if coded else None
+        data, report = encode_scene(scene, config, guide=guide)
         prepared = _finish_report(prepared, scene, config, data, report, report_folder)
     if suffix == ".egs":
         with atomic_writer(target) as file:
@@ -303,7 +306,11 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = _WRITTEN) -> str:
 
 
 def _prepare(
-    scene: Scene, plan: Plan, folder: str | Path | None, progress: Progress | None
+    scene: Scene,
+    plan: Plan,
+    config: Config,
+    folder: str | Path | None,
+    progress: Progress | None,
 ) -> tuple[Scene, PrepareReport]:
     """Prepare a scene; a folder for the report that cannot be written to is refused before."""
     # Loaded here: encoding alone does without all that draws.
@@ -311,7 +318,7 @@ def _prepare(
 
     if folder is not None:
         check_writable(make_folder(folder) / "report.json")
-    return prepare_scene(scene, plan, progress)
+    return prepare_scene(scene, plan, progress, config=config)
 
 
 def _finish_report(

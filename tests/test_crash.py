@@ -157,7 +157,8 @@ WRITING = {
     "prepare": "prepare scene.ply {}/out.ply --prune-geometry 0.01 --width 30 --views 2",
     "prepare --report": "prepare scene.ply out.ply --prune-importance 1 --width 30"
     " --views 2 --report {} --overwrite",
-    "compare --images": "compare scene.ply scene.egs --cameras auto --width 100 --images {} --overwrite",
+    "compare --images": "compare scene.ply scene.egs --cameras auto --width 100 --images {}"
+    " --overwrite",
     "render": "render scene.ply --cameras auto --width 100 --out {} --overwrite",
 }
 

@@ -19,6 +19,7 @@ from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
 from gs_codec.preparation.pipeline import Plan, prepare_scene
+from gs_codec.preparation.rectify import rectify
 from gs_codec.preparation.report import LABELS
 from gs_codec.preparation.steps import Steps
 from gs_codec.preparation.targets import draw_targets, evenly
@@ -169,6 +170,31 @@ def test_rectification_is_what_coding_does(scene):
     assert not report.labels.any()
 
 
+def test_rectification_goes_by_the_depths_of_the_profile(scene):
+    outlier = scene.f_rest.copy()
+    outlier[2, 5] = 40.0
+    wild = replace(scene, f_rest=outlier)
+    edges = {}
+    for config in (Config("paper-l"), Config("paper-m"), Config("m"), Config("paper-s")):
+        result, _ = prepare_scene(wild, plan(rectify=True), config=config)
+        edges[config.profile] = float(result.f_rest[2, 5])
+    # Of band 1, which has 5, 4, and 4 bits in l, m, and s.
+    assert edges["m"] == edges["paper-m"] == edges["paper-s"] < edges["paper-l"]
+    finer = Config("paper-m", depths={"sh1": 5})
+    result, _ = prepare_scene(wild, plan(rectify=True), config=finer)
+    assert result.f_rest[2, 5] == edges["paper-l"]
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_each_band_is_rectified_at_its_own_depth(degree):
+    scene = random_scene(300, degree, seed=5)
+    scene.f_rest[:, 7] = 40.0
+    edges = rectify(scene, {"sh1": 2, "sh2": 5, "sh3": 8})[0].f_rest[:, 7].reshape(3, -1)
+    bands = np.split(edges, [3, 8][: degree - 1], axis=1)
+    for coarse, fine in zip(bands, bands[1:], strict=False):
+        assert coarse.max() < fine.min()
+
+
 def test_all_steps_run_in_order(scene):
     steps = {
         "prune_geometry": 1, "prune_importance": 10, "prune_loo": 20, "optimise": 6,
@@ -237,9 +263,14 @@ def folder(scene, tmp_path):
     return tmp_path
 
 
+PAPER = Config("paper-m")
+
+
 def test_report_files(folder, scene):
     chosen = Plan(Steps(prune_loo=30), folder / "cameras.json")
-    report = prepare_file(folder / "scene.ply", folder / "out.ply", chosen, folder / "new" / "r")
+    report = prepare_file(
+        folder / "scene.ply", folder / "out.ply", chosen, folder / "new" / "r", config=PAPER
+    )
     labels = np.load(folder / "new" / "r" / "labels.npy")
     np.testing.assert_array_equal(labels, report.labels)
     saved = json.loads((folder / "new" / "r" / "report.json").read_text())
@@ -255,7 +286,7 @@ def test_report_files(folder, scene):
 
 def test_stages_of_coding_add_up(folder):
     chosen = Plan(Steps(prune_loo=30), folder / "cameras.json")
-    report = prepare_file(folder / "scene.ply", folder / "out.egs", chosen)
+    report = prepare_file(folder / "scene.ply", folder / "out.egs", chosen, config=PAPER)
     quantised, coded, whole = report.steps[-3:]
     bits = 3 * 16 + 3 * 8 + 8 + 3 * 8 + 4 * 8 + 9 * 4
     assert quantised.size_bytes == 280 * bits / 8
@@ -306,7 +337,37 @@ def test_prepare_prints_what_went_and_the_table(folder):
     assert lines[1].startswith("pruned by leave-one-out: ")
     assert lines[1].endswith(" of 400")
     assert lines[2].split() == ["step", "Gaussians", "MB", "PSNR", "dB", "SSIM", "s"]
-    assert lines[-1].startswith("geometry coding")
+    assert lines[-1].startswith("coding (m)")
+    result = run("prepare", folder / "scene.ply", folder / "p.ply", *options, "-p", "paper-s")
+    assert result.stdout.splitlines()[-1].startswith("geometry coding")
+
+
+@pytest.mark.parametrize("profile", [None, "s", "paper-s", "lossless"])
+def test_prepared_scene_is_coded_as_encode_does(folder, profile):
+    options = ["--prune-importance", 20, "--cameras", folder, *(["-p", profile] if profile else [])]
+    for command in ("prepare", "encode"):
+        result = run(command, folder / "scene.ply", folder / f"{command}.egs", *options)
+        assert result.exit_code == 0, result.output
+    data = (folder / "prepare.egs").read_bytes()
+    assert data == (folder / "encode.egs").read_bytes()
+    assert inspect_bytes(data).profile == (profile or "m")
+
+
+@pytest.mark.parametrize("command", ["encode scene.ply o.egs", "prepare scene.ply o.ply --rectify"])
+def test_errors_name_the_file_they_are_about(folder, monkeypatch, command):
+    monkeypatch.chdir(folder)
+    (folder / "broken").mkdir()
+    for entry in json.loads((folder / "cameras.json").read_text()):
+        (folder / "broken" / f"{entry['img_name']}.png").write_bytes(b"no image")
+    for options, begin in (
+        ("--cameras none.json", "none.json: no such file"),
+        ("--cameras scene.ply", "scene.ply: "),
+        ("--cameras cameras.json --prune-loo 10 --against-gt none", "none: no such folder"),
+        ("--cameras cameras.json --prune-loo 10 --against-gt broken", "broken/"),
+    ):
+        error = str(run(*command.split(), *options.split()).exception)
+        assert error.startswith(begin)
+        assert "scene.ply: " not in error.removeprefix(begin)
 
 
 def test_prepare_as_json(folder):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -319,14 +320,16 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
     options = asdict(Steps()) | {
         "cameras": None, "against_gt": None, "report": None, "checkpoint": None,
         "allow_prune": False, "max_psnr_drop": None, "views": 8, "width": 100,
-        "background": "white",
+        "background": "white", "profile": "m",
     }  # fmt: skip
-    plan = plan_of(options | asked)
+    ctx = SimpleNamespace(get_parameter_source=lambda name: SimpleNamespace(name="COMMANDLINE"))
+    plan = plan_of(ctx, options | asked)
     assert (plan.cameras, plan.views, plan.width) == ("auto", 8, 100)
     assert tuple(plan.background) == (1, 1, 1)
-    with pytest.raises(InvalidInput, match="--width: nothing goes by views"):
-        plan_of(options)
-    assert plan_of(options | {"width": None}) is None
+    with pytest.raises(InvalidInput, match="--views has no effect: nothing goes by views"):
+        plan_of(ctx, options)
+    ctx.get_parameter_source = lambda name: None
+    assert plan_of(ctx, options) is None
 
 
 def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):

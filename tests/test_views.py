@@ -582,7 +582,7 @@ def test_render_with_auto_cameras(folder, tmp_path):
 
 REFUSALS = {
     "no cameras": ("--cameras none.json", "none.json: no such file or folder"),
-    "images alone": ("--images out", "--images, --against-gt and --width need --cameras"),
+    "images alone": ("--images out", "--images needs --cameras"),
     "two widths": (
         "--cameras cameras.json --against-gt truth --width 20", "width: given by the ground-truth",
     ),

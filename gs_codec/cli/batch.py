@@ -15,6 +15,7 @@ from gs_codec.errors import InvalidInput
 
 
 def command(
+    ctx: typer.Context,
     source: Annotated[
         str,
         typer.Argument(
@@ -80,9 +81,9 @@ def command(
     """Encode a folder of scenes, each as `encode` would; exit status 1 if any failed."""
     if resume and overwrite:
         raise InvalidInput("--overwrite: --resume replaces what has changed, expected one of them")
-    config = coding.config_of(locals())
+    config = coding.config_of(ctx, locals())
     # A plan has these of one scene; the report here is another.
-    plan = steps.plan_of(locals() | {"report": None, "checkpoint": None})
+    plan = steps.plan_of(ctx, locals() | {"report": None, "checkpoint": None})
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.batch.redaction import redact_process
     from gs_codec.batch.run import Batch, run_batch

@@ -12,17 +12,39 @@ from typer.core import TyperGroup
 
 from gs_codec.cli import bench_modes, bench_scaling, bench_suite
 from gs_codec.cli.coding import parse_depths
+from gs_codec.cli.given import is_given, refuse_given
 from gs_codec.cli.resources import MaxMemory, Overwrite, Threads
 from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import check_writable
 
-#: Modes that --plot has something of.
-_PLOTTED = ("prepare", "targets", "scaling")
+#: Options that some modes have no use for.
+_OPTIONS = (
+    "profile", "depth", "tile", "repeats", "cameras", "against_gt", "width", "coders", "max_memory",
+    "plot", "extra", "overwrite",
+)  # fmt: skip
+
+_VIEWS = ("cameras", "against_gt", "width")
+
+#: What each mode uses of them; without a mode, profiles are measured one by one.
+_USED: dict[str, tuple[str, ...]] = {
+    "": ("profile", "depth", "tile", "repeats", *_VIEWS, "coders", "extra"),
+    "prepare": ("profile", "depth", "tile", *_VIEWS, "plot", "extra", "overwrite"),
+    "gains": ("tile", *_VIEWS, "extra"),
+    "targets": ("tile", *_VIEWS, "plot", "extra", "overwrite"),
+    "parts": ("profile", "depth", "tile", "cameras", "width", "extra"),
+    "points": ("profile", "depth", "tile", "repeats", "extra"),
+    "peers": ("profile", "depth", "tile", "repeats", *_VIEWS, "extra"),
+    "stress": ("profile",),
+    "scaling": ("profile", "max_memory", "plot", "overwrite"),
+}
+
+_BY_CAMERAS = ("prepare", "gains", "targets", "parts")
 
 
 def command(
+    ctx: typer.Context,
     scenes: Annotated[
         list[Path] | None,
         typer.Argument(metavar="SCENE...", help="3DGS .ply files.", show_default=False),
@@ -93,18 +115,15 @@ def command(
 
     `bench suite` measures all there is to measure; a scene of that name is ./suite.
     """
-    if (against_gt or width) and not cameras:
-        raise InvalidInput("--against-gt and --width need --cameras")
     mode = _mode_of(
         prepare=prepare, gains=gains, targets=targets, parts=parts, points=points, peers=peers,
         scaling=scaling, stress=stress,
     )  # fmt: skip
     scenes = scenes or []
     _check_scenes(mode, bool(scenes))
-    _check_options(mode, bool(cameras), profile, bool(depth), plot is not None)
+    _check_options(ctx, mode, profile)
     if plot is not None:
         check_writable(plot, overwrite)
-    bench_scaling.check_options(mode == "scaling", max_memory, tile or extra != "error")
     configs = [
         Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
         for name in profile or PROFILE_CHOICES
@@ -141,20 +160,21 @@ def _mode_of(**asked: bool) -> str:
     return modes[0] if modes else ""
 
 
-def _check_options(
-    mode: str, cameras: bool, profiles: list[str] | None, depths: bool, plot: bool
-) -> None:
+def _check_options(ctx: typer.Context, mode: str, profiles: list[str] | None) -> None:
     """Refuse what a mode has no use for, or cannot do without."""
-    if plot and mode not in _PLOTTED:
-        raise InvalidInput(f"--plot needs --{', --'.join(_PLOTTED[:-1])} or --{_PLOTTED[-1]}")
-    if mode == "prepare" and not cameras:
-        raise InvalidInput("--prepare needs --cameras")
-    if mode in ("gains", "targets") and (not cameras or profiles or depths):
-        raise InvalidInput(f"--{mode} needs --cameras, and takes no --profile and no --depth")
-    if mode == "parts" and not (cameras and set(profiles or ["m"]) <= set(LATTICE_PROFILES)):
-        raise InvalidInput("--parts needs --cameras, and profiles l, m or s; m when none is given")
-    if mode in ("scaling", "stress") and (cameras or depths):
-        raise InvalidInput(f"--{mode} takes no --cameras and no --depth")
+    for name in _OPTIONS:
+        if name not in _USED[mode]:
+            modes = " or ".join(f"--{other}" for other in _USED if other and name in _USED[other])
+            why = f"has no effect beside --{mode}" if mode else f"needs {modes}"
+            refuse_given(ctx, [name], why)
+    if mode in _BY_CAMERAS and not is_given(ctx, "cameras"):
+        raise InvalidInput(f"--{mode} needs --cameras")
+    if not is_given(ctx, "cameras"):
+        refuse_given(ctx, ("against_gt", "width"), "needs --cameras")
+    if not is_given(ctx, "plot"):
+        refuse_given(ctx, ["overwrite"], "needs --plot")
+    if mode == "parts" and not set(profiles or ["m"]) <= set(LATTICE_PROFILES):
+        raise InvalidInput("--parts: expected profiles l, m or s; m when none is given")
 
 
 def _check_scenes(mode: str, given: bool) -> None:

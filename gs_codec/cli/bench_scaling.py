@@ -9,19 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.cli.output import print_table, print_text
-from gs_codec.errors import InvalidInput
 
 _COLUMNS = [
     "scene, profile", "Gaussians", "MB", "encode CPU s", "peak MB", "decode CPU s", "peak MB",
 ]  # fmt: skip
-
-
-def check_options(scaling: bool, max_memory: str | None, others: object) -> None:
-    """Refuse options that only this mode has, or that it does not."""
-    if max_memory and not scaling:
-        raise InvalidInput("--max-memory needs --scaling")
-    if scaling and others:
-        raise InvalidInput("--scaling takes no --tile and no --extra")
 
 
 def measure(

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, Config
+from gs_codec.cli.given import refuse_given
+from gs_codec.config import DEPTH_GROUPS, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
 
 Profile = Annotated[
@@ -46,15 +47,25 @@ Verify = Annotated[
 _PLAIN = ("profile", "nonfinite", "extra", "threads", "keep_order", "geometry", "verify")
 
 
-def config_of(values: dict[str, Any]) -> Config:
-    """The configuration of a command's parameters, by name."""
+def config_of(ctx: typer.Context, values: dict[str, Any]) -> Config:
+    """The configuration of a command's parameters, by name.
+
+    Raises
+    ------
+    InvalidInput
+        If one is out of its range, or has no effect.
+    """
     plain = {name: values[name] for name in _PLAIN if name in values}
     tool = values.get("tmc3")
-    return Config(
+    config = Config(
         **plain,
         depths=parse_depths(values["depth"] or []),
         tmc3=None if tool is None else str(tool),
     )
+    if config.profile not in PROFILES:
+        why = f"has no effect on profile '{config.profile}', expected one of {', '.join(PROFILES)}"
+        refuse_given(ctx, ("geometry", "tmc3", "verify"), why)
+    return config
 
 
 def parse_depths(options: list[str]) -> dict[str, int]:

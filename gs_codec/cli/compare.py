@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gs_codec.cli.given import refuse_given
 from gs_codec.cli.output import (
     SCENES,
     print_json,
@@ -18,8 +19,12 @@ from gs_codec.cli.output import (
 )
 from gs_codec.cli.resources import MaxBytes, Overwrite
 from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
-from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import check_folder
+
+#: Options of what is drawn.
+_OF_VIEWS = (
+    "images", "against_gt", "width", "split", "background", "device", "overwrite",
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from gs_codec.metrics.images import Quality
@@ -27,6 +32,7 @@ if TYPE_CHECKING:
 
 
 def command(
+    ctx: typer.Context,
     first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another version of it.")],
     cameras: Annotated[
@@ -53,11 +59,12 @@ def command(
     """Show how far two versions of a scene are apart: by attribute, or in rendered views."""
     options = drawing_options(background, device)
     if cameras is None:
-        if images or against_gt or width:
-            raise InvalidInput("--images, --against-gt and --width need --cameras")
+        refuse_given(ctx, _OF_VIEWS, "needs --cameras")
         _compare_attributes(first, second, max_bytes, json)
         return
-    if images is not None:
+    if images is None:
+        refuse_given(ctx, ["overwrite"], "needs --images")
+    else:
         check_folder(images, overwrite)
     from gs_codec.viewing import compare
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gs_codec.cli import coding
+from gs_codec.cli.given import refuse_given
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 
 def command(
+    ctx: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="File to write: .ply, .egs or .splat.")
@@ -48,7 +50,10 @@ def command(
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Convert a scene to another format, and say what that loses; profiles are for an .egs."""
-    config = coding.config_of(locals())
+    config = coding.config_of(ctx, locals())
+    if target.suffix.lower() != ".egs":
+        of_coding = ("keep_order", "profile", "depth")
+        refuse_given(ctx, of_coding, f"has no effect on {target}, expected an .egs")
     from gs_codec.conversion import convert_file
 
     with piped_source(source) as file, progress_bar() as progress:

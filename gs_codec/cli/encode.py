@@ -26,6 +26,7 @@ from gs_codec.report import EncodeReport
 
 
 def command(
+    ctx: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="File to write, an .egs; - is stdout.")
@@ -65,7 +66,7 @@ def command(
     checkpoint: steps.Checkpoint = None,
 ) -> None:
     """Encode a scene to an .egs file, prepared or as it is."""
-    plan, config = steps.plan_of(locals()), coding.config_of(locals())
+    plan, config = steps.plan_of(ctx, locals()), coding.config_of(ctx, locals())
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.files import encode_file, source_bytes
 

@@ -8,10 +8,12 @@ from typing import Annotated
 
 import typer
 
+from gs_codec.cli.given import refuse_given
 from gs_codec.cli.output import print_json, print_table, print_text, size_text
 
 
 def command(
+    ctx: typer.Context,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file.")],
     channels: Annotated[
         bool, typer.Option("--channels", help="List every channel's quantiser and model.")
@@ -19,6 +21,8 @@ def command(
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Show what an .egs file holds, from its header alone."""
+    if json:
+        refuse_given(ctx, ["channels"], "has no effect: --json has them anyway")
     from gs_codec.files import inspect_file
 
     info = inspect_file(file)

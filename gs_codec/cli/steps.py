@@ -8,10 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
+from gs_codec.cli.given import refuse_given
 from gs_codec.cli.output import print_table, print_text
 from gs_codec.cli.views import CAMERAS, drawing_options
-from gs_codec.errors import InvalidInput
+from gs_codec.config import LATTICE_PROFILES
 from gs_codec.preparation.steps import Steps
+
+#: Options that say which views there are.
+_OF_VIEWS = ("views", "width", "background")
 
 _PANEL = {"rich_help_panel": "Preparation"}
 
@@ -50,7 +54,10 @@ RefitColour = Annotated[
     int, typer.Option(metavar="N", help="Refit SH by N conjugate-gradient steps.", **_PANEL)
 ]
 Rectify = Annotated[
-    bool, typer.Option("--rectify", help="Move SH-AC to their Laplace range.", **_PANEL)
+    bool,
+    typer.Option(
+        "--rectify", help="Move SH-AC to the Laplace range of -p paper-* (else paper-m).", **_PANEL
+    ),
 ]
 Cameras = Annotated[
     str | None,
@@ -87,25 +94,19 @@ Checkpoint = Annotated[
 ]
 
 
-def plan_of(options: dict[str, Any]) -> Any:
-    """The plan that options of these names ask for; None if they ask for nothing."""
+def plan_of(ctx: typer.Context, options: dict[str, Any]) -> Any:
+    """The plan that options of these names ask for; None if they ask for nothing.
+
+    Raises
+    ------
+    InvalidInput
+        If one of them has no effect beside the others.
+    """
     steps = Steps(**{field.name: options[field.name] for field in fields(Steps)})
-    if not steps.wanted:
-        measured = options.get("max_psnr_drop") is not None
-        for name in ("report", "checkpoint", "against_gt"):
-            if options[name] and not (measured and name == "against_gt"):
-                option = "--" + name.replace("_", "-")
-                other = (
-                    " or --max-psnr-drop"
-                    if name == "against_gt" and "max_psnr_drop" in options
-                    else ""
-                )
-                raise InvalidInput(f"{option} needs a step, for example --prune-loo 30{other}")
-        given = options["cameras"] is not None or options["against_gt"] is not None
-        if not (given or measured or options.get("allow_prune")):
-            if options["width"] is not None:
-                raise InvalidInput("--width: nothing goes by views, expected --cameras or a step")
-            return None
+    if not steps.optimise:
+        refuse_given(ctx, ["checkpoint"], "needs --optimise, whose state it keeps")
+    if not steps.wanted and not _goes_by_views(ctx, options):
+        return None
     from gs_codec.preparation.pipeline import Plan
 
     return Plan(
@@ -117,6 +118,27 @@ def plan_of(options: dict[str, Any]) -> Any:
         drawing_options(options["background"], "cpu")["background"],
         options["checkpoint"],
     )
+
+
+def _goes_by_views(ctx: typer.Context, options: dict[str, Any]) -> bool:
+    """Whether coding without preparation goes by views; what has no effect is refused."""
+    step = "needs a step, for example --prune-loo 30"
+    refuse_given(ctx, ["report"] if options["report"] else [], step)
+    measured = options.get("max_psnr_drop") is not None
+    if not measured:
+        other = " or --max-psnr-drop" if "max_psnr_drop" in options else ""
+        refuse_given(ctx, ["against_gt"], step + other)
+    profile = options.get("profile")
+    if profile not in LATTICE_PROFILES:
+        known = ", ".join(LATTICE_PROFILES)
+        why = f"has no effect on profile '{profile}', expected {known}, or a step"
+        refuse_given(ctx, ["cameras", *_OF_VIEWS], why)
+    if options["cameras"] is not None or measured or options.get("allow_prune"):
+        return True
+    refuse_given(
+        ctx, _OF_VIEWS, "has no effect: nothing goes by views, expected --cameras or a step"
+    )
+    return False
 
 
 def print_steps(report: Any) -> None:

@@ -39,9 +39,21 @@ def opened(path: str | Path) -> Iterator[memoryview]:
 
 
 @contextmanager
-def located(path: str | Path) -> Iterator[None]:
-    """Put the file's name before the errors of reading it."""
+def other_files() -> Iterator[None]:
+    """Mark errors that name the files they are about, for `located`."""
     try:
         yield
     except GsCodecError as error:
+        error.of_another_file = True
+        raise
+
+
+@contextmanager
+def located(path: str | Path) -> Iterator[None]:
+    """Put the file's name before the errors of reading it, but not of other files."""
+    try:
+        yield
+    except GsCodecError as error:
+        if error.of_another_file:
+            raise
         raise type(error)(f"{path}: {error}") from error

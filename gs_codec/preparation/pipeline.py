@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.config import PROFILES
+from gs_codec.config import PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.loo_rounds import prune_leave_one_out
@@ -47,6 +47,7 @@ class _Context:
     views: Views
     checkpoint: Path | None
     progress: Progress | None
+    config: Config
 
     def counter(self, stage: str, total: int) -> Callable[[], None] | None:
         """See `step_counter`."""
@@ -102,10 +103,12 @@ def prepare_scene(
     plan: Plan,
     progress: Progress | None = None,
     views: Views | None = None,
+    config: Config | None = None,
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
 
-    `views` are those of `choose_views`, of this scene or of one it was made from.
+    `views` are those of `choose_views`, of this scene or of one it was made from; `config` is how
+    it will be coded, whose depths `rectify` goes by.
 
     Raises
     ------
@@ -114,7 +117,7 @@ def prepare_scene(
     """
     steps = plan.steps
     views = views or choose_views(scene, plan, progress)
-    context = _Context(steps, views, plan.checkpoint, progress)
+    context = _Context(steps, views, plan.checkpoint, progress, config or Config())
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
@@ -238,7 +241,9 @@ def _finite(value: float) -> float | None:
 
 
 def _rectify(scene: Scene, context: _Context) -> _Outcome:
-    changed, moved = rectify(scene, PROFILES["paper-m"]["sh1"])
+    config = context.config
+    paper = config.profile in PROFILES
+    changed, moved = rectify(scene, config.resolved_depths() if paper else PROFILES["paper-m"])
     return None, changed, {"moved": moved}
 
 

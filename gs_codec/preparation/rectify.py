@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from math import isqrt
 
 import numpy as np
 
@@ -10,8 +12,14 @@ from gs_codec.quantise import CentredQuantiser, fit_centred
 from gs_codec.scene import Scene
 
 
-def rectify(scene: Scene, depth: int) -> tuple[Scene, int]:
-    """Clip each SH-AC channel to the range it has at `depth` bits; see `fit_centred`.
+def rectify(scene: Scene, depths: Mapping[str, int]) -> tuple[Scene, int]:
+    """Clip each SH-AC channel to the range it has at its band's depth; see `fit_centred`.
+
+    Parameters
+    ----------
+    scene : Scene
+    depths : mapping of str to int
+        Bits of ``sh1``, ``sh2`` and ``sh3``.
 
     Returns
     -------
@@ -20,8 +28,9 @@ def rectify(scene: Scene, depth: int) -> tuple[Scene, int]:
         Values that were moved.
     """
     clipped = scene.f_rest.copy()
-    for row in clipped:
-        quantiser, _ = fit_centred(row, depth)
+    for index, row in enumerate(clipped):
+        band = isqrt(index % (len(clipped) // 3) + 1)
+        quantiser, _ = fit_centred(row, depths[f"sh{band}"])
         if isinstance(quantiser, CentredQuantiser):
             centre, reach = quantiser.centre, quantiser.half_range
             np.clip(row, centre - reach, centre + reach, out=row)

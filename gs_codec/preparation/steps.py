@@ -32,7 +32,8 @@ class Steps:
     refit_colour : int
         Conjugate-gradient steps on the colours, SH-DC and SH-AC.
     rectify : bool
-        Move SH-AC outside their Laplace range to its edge, as coding does.
+        Move SH-AC outside their Laplace range to its edge, as coding by a `paper` profile does: at
+        the depths of that profile, of ``paper-m`` where another codes.
 
     Raises
     ------

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.io.mapped import other_files
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import fitted
 from gs_codec.rendering.camera import Camera
@@ -109,6 +110,7 @@ class Views(NamedTuple):
         return self.photographs or self.renders
 
 
+@other_files()
 def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Camera, Path]]:
     """The cameras whose image is in a folder, and the images' paths.
 
@@ -142,6 +144,7 @@ def draw_targets(
     return Targets(tuple(cameras), tuple(images), False, background, scene)
 
 
+@other_files()
 def read_targets(
     found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
 ) -> Targets:

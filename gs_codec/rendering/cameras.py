@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.errors import InvalidInput
+from gs_codec.io.mapped import other_files
 from gs_codec.rendering.auto_cameras import auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.camera_files import read_cameras
@@ -52,7 +53,8 @@ def find_cameras(
     elif str(source) == "auto":
         cameras = auto_cameras(scene, auto)
     else:
-        cameras = read_cameras(source)
+        with other_files():
+            cameras = read_cameras(source)
     if split == "held-out":
         split = "test" if any(camera.split == "test" for camera in cameras) else "all"
     chosen = [camera for camera in cameras if split in ("all", camera.split)]

@@ -1,0 +1,86 @@
+"""Options that would have no effect beside the others are refused, in every command."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pytest
+from test_cameras import inria_entry, write_json
+from test_cli import Folder
+from typer.main import get_command
+
+from gs_codec.cli.bench import _OPTIONS, _USED
+from gs_codec.cli.main import app
+
+#: A value for each option that a command may ignore.
+VALUES = {
+    "cameras": "cameras.json", "views": "64", "width": "40", "background": "black",
+    "against-gt": "images", "report": "report", "checkpoint": "kept", "allow-prune": None,
+    "geometry": "octree", "tmc3": "tmc3", "no-verify": None, "keep-order": None,
+    "profile": "m", "depth": "opacity=8", "images": "views", "split": "all", "device": "cpu",
+    "overwrite": None, "channels": None, "max-memory": "1GB", "tile": "9", "repeats": "5",
+    "coders": None, "plot": "a.png", "extra": "error",
+}  # fmt: skip
+
+_ENCODE = ("cameras", "views", "width", "background", "report", "checkpoint", "against-gt")
+_GPCC = ("geometry", "tmc3", "no-verify")
+
+#: Commands, and options that have no effect there.
+IGNORED = {
+    "encode scene.ply o.egs -p paper-m": (*_ENCODE, "keep-order", "allow-prune", "no-verify"),
+    "encode scene.ply o.egs -p lossless": (*_ENCODE, *_GPCC, "depth", "allow-prune"),
+    "encode scene.ply o.egs": (*_ENCODE[1:], *_GPCC, "keep-order", "allow-prune"),
+    "encode scene.ply o.egs --cameras cameras.json": ("report", "checkpoint", "against-gt"),
+    "encode scene.ply o.egs --target-ratio 9": (*_ENCODE[1:], "keep-order", *_GPCC),
+    "encode scene.ply o.egs --max-psnr-drop 1": ("report", "checkpoint", "max-memory"),
+    "encode scene.ply o.egs --rectify": ("checkpoint", "allow-prune", "max-memory", *_GPCC),
+    "prepare scene.ply o.ply --rectify": ("checkpoint",),
+    "batch scene.ply out": ("views", "width", "background", "against-gt", *_GPCC, "allow-prune"),
+    "batch scene.ply out -p paper-m": ("cameras", "views", "width", "background", "keep-order"),
+    "batch scene.ply out --resume": ("overwrite",),
+    "convert scene.ply o.splat": ("profile", "depth"),
+    "convert scene.egs o.ply": ("keep-order",),
+    "compare scene.ply scene.egs": (
+        "images", "against-gt", "width", "split", "background", "device", "overwrite",
+    ),
+    "compare scene.ply scene.egs --cameras auto": ("overwrite",),
+    "inspect scene.egs --json": ("channels",),
+    "analyze scene.ply --out out": ("width",),
+    "bench scene.ply": ("against-gt", "width", "max-memory", "plot", "overwrite"),
+}  # fmt: skip
+
+#: Modes of `bench`, which know what each of them uses.
+IGNORED |= {
+    f"bench --{mode}" + " scene.ply" * (mode != "stress"): tuple(
+        option.replace("_", "-") for option in _OPTIONS if option not in used
+    )
+    for mode, used in _USED.items()
+    if mode
+}
+
+
+@pytest.fixture
+def folder(trio, tmp_path, monkeypatch, capsys) -> Folder:
+    """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
+    for path in trio:
+        shutil.copy(path, tmp_path)
+    write_json(tmp_path / "cameras.json", inria_entry(width=40, height=30, fx=40.0, fy=40.0))
+    monkeypatch.chdir(tmp_path)
+    return Folder(tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.parametrize(
+    ("command", "option"), [(c, option) for c, options in IGNORED.items() for option in options]
+)
+def test_option_without_effect_is_refused(folder, command, option):
+    value = VALUES[option]
+    line = folder.refuse(*command.split(), f"--{option}", *([] if value is None else [value]))
+    assert re.search(option.removeprefix("no-").replace("-", "[-_]"), line)
+
+
+def test_every_option_of_bench_is_used_by_some_mode_or_is_one():
+    """So that an option which is new is not ignored by the modes."""
+    options = {p.name for p in get_command(app).commands["bench"].params}  # type: ignore[attr-defined]
+    assert set(_OPTIONS) == {name for used in _USED.values() for name in used}
+    assert options - set(_OPTIONS) - set(_USED) == {"scenes", "threads"}

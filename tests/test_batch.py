@@ -459,6 +459,14 @@ def test_pipe_is_not_waited_for(folder):
     ]
 
 
+def test_link_in_a_circle_is_the_error_of_one_scene(folder):
+    Path("in/circle.ply").symlink_to("circle.ply")
+    assert folder.run("batch", "in", "out").status == 1
+    errors = [r["error"]["text"] for r in records() if r["error"]]
+    assert errors == [f"{Path('in/circle.ply').absolute()}: Too many levels of symbolic links"]
+    assert len(records()) == 4
+
+
 def test_surprises_are_errors_of_their_scene(folder):
     def surprise(*arguments: Any, **options: Any) -> None:
         raise ZeroDivisionError
@@ -741,6 +749,15 @@ def test_errors_of_a_place_have_no_secrets(monkeypatch):
     strange = RuntimeError("no 'https://host/a.ply?signature=secret'\nat all")
     assert fails(strange) == "https://host/a.ply: no 'https://host/a.ply' at all"
     assert fails(TimeoutError()) == "https://host/a.ply: TimeoutError"
+
+
+def test_warnings_name_the_scene_and_not_its_copy(folder):
+    pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
+    store = place_of("memory://")._fs
+    store.pipe_file("/scenes/a.ply", Path("in/a.ply").read_bytes() + b"more")
+    assert folder.run("batch", "memory://scenes/a.ply", "out").status == 0
+    (warning,) = records()[0]["warnings"]
+    assert warning.startswith("memory://scenes/a.ply: 4 bytes after the last vertex")
 
 
 def test_download_needs_room(folder):

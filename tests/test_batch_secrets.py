@@ -1,4 +1,4 @@
-"""Passwords and signatures of URLs: neither reports nor what processes say has them."""
+"""Servers of the web: secrets of URLs are never said, and what means harm ends soon."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -16,8 +17,9 @@ from urllib.parse import urlsplit
 import pytest
 from scenes import random_scene
 
-from gs_codec.batch.places import Spot
+from gs_codec.batch.places import Spot, place_of
 from gs_codec.batch.redaction import redact_process, redacted, without_secrets
+from gs_codec.errors import InvalidInput
 from gs_codec.io.ply import write_ply
 
 LIMIT = 600
@@ -40,6 +42,11 @@ class Handler(BaseHTTPRequestHandler):
         if path == "/moved/":
             place = f"{self.server.url}/gone?tOkEn=x&token={TOKEN}"  # type: ignore[attr-defined]
             self.answer(302, b"", Location=place.replace("http://", "http://user:cDn@"))
+        elif path in ("/endless.ply", "/more.ply"):
+            said = (
+                {"Content-Length": "100"} if path == "/more.ply" and self.command == "HEAD" else {}
+            )
+            self.answer(200, None, **said)
         elif path == "/in/" and "Authorization" not in self.headers:
             self.answer(401, f"{self.path} is not for you".encode())
         elif content is None:
@@ -50,15 +57,20 @@ class Handler(BaseHTTPRequestHandler):
     def do_HEAD(self) -> None:
         self.do_GET()
 
-    def answer(self, status: int, content: bytes, **headers: str) -> None:
+    def answer(self, status: int, content: bytes | None, **headers: str) -> None:
+        """Answer; without content, with no end."""
         self.send_response(status, f"no {self.path}" if status == 500 else None)
         for name, value in headers.items():
             self.send_header(name, value)
         self.send_header("Content-Type", "text/html")
-        self.send_header("Content-Length", str(len(content)))
+        if content is not None:
+            self.send_header("Content-Length", str(len(content)))
         self.end_headers()
-        if self.command == "GET":
-            self.wfile.write(content)
+        with suppress(ConnectionError):
+            while self.command == "GET":
+                self.wfile.write(bytes(10_000) if content is None else content)
+                if content is not None:
+                    break
 
     def log_message(self, *arguments: object) -> None:
         """Tests are quiet."""
@@ -133,6 +145,15 @@ def test_workers_of_dask_say_none(server, tmp_path):
     done = run(tmp_path, f"http://user:pAss%2Fw%20rd!@{host}/in/", "out", "--dask", "local")
     assert_no_secret(tmp_path, done)
     assert "1 scene encoded, 1 failed" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(("name", "most"), [("endless.ply", 9000), ("more.ply", 100)])
+def test_files_without_an_end_are_given_up(server, tmp_path, monkeypatch, name, most):
+    monkeypatch.setattr("shutil.disk_usage", lambda path: type("", (), {"free": 10_000}))
+    place = place_of(f"{server.url}/{name}")
+    ((_, spot),) = place.find(f"{server.url}/{name}")
+    with pytest.raises(InvalidInput, match=f"/{name}: more than {most} bytes come"):
+        place.fetch(spot, tmp_path)
 
 
 @pytest.mark.parametrize(

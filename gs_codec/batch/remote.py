@@ -26,6 +26,9 @@ _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memo
 #: does not answer is given up.
 _SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
 
+#: How much of the room on a disk a file may take that does not say how large it is.
+_FILLED = 0.9
+
 #: Characters of an error that a server may have written.
 _MOST = 1000
 
@@ -147,7 +150,9 @@ class RemotePlace:
             return file_sha256(self.fetch(spot, Path(folder)))
 
     def fetch(self, spot: Spot, folder: Path) -> Path:
-        """See `Place.fetch`; there must be room for the copy."""
+        """See `Place.fetch`; there must be room for the copy, and no more comes than was said."""
+        from fsspec.callbacks import Callback
+
         shown, stamp = self.shown(spot), self.stamp(spot)
         if stamp is None:
             raise InvalidInput(f"{shown}: {os.strerror(errno.ENOENT)}")
@@ -155,8 +160,14 @@ class RemotePlace:
             raise InvalidInput(f"{shown}: {stamp.size} bytes, {folder} has room for {free}")
         name = posixpath.basename(without_secrets(spot.path)) or "scene"
         target = folder / name
+        most = stamp.size if stamp.size >= 0 else int(_FILLED * free)
+
+        def check(_: int | None, value: int, **__: Any) -> None:
+            if value > most:
+                raise InvalidInput(f"{shown}: more than {most} bytes come")
+
         with self._named(spot):
-            self._fs.get_file(spot.path, str(target))
+            self._fs.get_file(spot.path, str(target), callback=Callback(hooks={"most": check}))
             size = target.stat().st_size
         if stamp.size not in (-1, size):
             raise InvalidInput(f"{shown}: {size} bytes came, expected {stamp.size}")

@@ -153,14 +153,21 @@ def find_tasks(
         if shown[0] == shown[1]:
             raise InvalidInput(f"{shown[1]}: the source itself")
         taken[shown[1]] = shown[0]
-        # What went meanwhile fails when it is read.
-        stamp = sources.stamp(spot) or Stamp(-1, "")
+        stamp = _stamp(sources, spot)
         floats = _stated(sources, spot)
         if floats is None:
             floats = expected_floats(stamp.size, name)
         need = needed_bytes(min(floats, options.max_bytes or floats), pixels)
         tasks.append(Task(name, spot, written, shown, stamp, need, mark))
     return tasks
+
+
+def _stamp(sources: Place, spot: Spot) -> Stamp:
+    """What a file is like; one that is gone or cannot be reached fails when it is read, alone."""
+    try:
+        return sources.stamp(spot) or Stamp(-1, "")
+    except GsCodecError:
+        return Stamp(-1, "")
 
 
 def _stated(sources: Place, spot: Spot) -> int | None:

@@ -37,8 +37,8 @@ def encode_one(
     blank = Record(*task.shown, versions=versions())
     warnings: list[str] = []
     try:
-        with tempfile.TemporaryDirectory(dir=scratch) as folder, _collected(warnings):
-            record = _encode(task, options, Path(folder), progress, blank)
+        with tempfile.TemporaryDirectory(dir=scratch) as folder:
+            record = _encode(task, options, Path(folder), progress, blank, warnings)
     except Exception as error:
         # Others are to be encoded all the same, whatever this was.
         kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__
@@ -50,7 +50,12 @@ def encode_one(
 
 
 def _encode(
-    task: Task, options: Options, folder: Path, progress: Progress | None, blank: Record
+    task: Task,
+    options: Options,
+    folder: Path,
+    progress: Progress | None,
+    blank: Record,
+    warnings: list[str],
 ) -> Record:
     from gs_codec.files import encode_file
 
@@ -69,14 +74,10 @@ def _encode(
     limit = options.max_bytes
     if limit is None and not sources.local:
         limit = most_floats(size, task.name)
-    try:
+    with _named({str(file): task.shown[0], str(output): task.shown[1]}, warnings):
         report = encode_file(
             file, output, options.config, progress, options.plan, goal=options.goal, max_bytes=limit
         )
-    except GsCodecError as error:
-        # Copies on this machine mean nothing to anybody.
-        text = str(error).replace(str(file), task.shown[0]).replace(str(output), task.shown[1])
-        raise type(error)(text) from error
     after = sources.stamp(task.source)
     if before is None or before != after:
         # What was read may be neither the old scene nor the new one.
@@ -113,6 +114,25 @@ def versions() -> dict[str, str]:
     return {"gs_codec": __version__} | {
         name: importlib.metadata.version(name) for name in _COMPUTING
     }
+
+
+@contextmanager
+def _named(names: dict[str, str], warnings: list[str]) -> Iterator[None]:
+    """Let errors and warnings name what files are copies of; copies mean nothing to anybody."""
+
+    def named(text: str) -> str:
+        for file, shown in names.items():
+            text = text.replace(file, shown)
+        return text
+
+    found: list[str] = []
+    try:
+        with _collected(found):
+            yield
+    except GsCodecError as error:
+        raise type(error)(named(str(error))) from error
+    finally:
+        warnings.extend(map(named, found))
 
 
 @contextmanager

@@ -5,6 +5,7 @@ Run by test_viewer_window.py, in a process of its own, on a display of its own.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -18,6 +19,7 @@ import numpy as np
 from open3d.visualization import gui
 from PIL import ImageGrab
 
+from viewer.pane import Pane
 from viewer.request import Request
 from viewer.window import Viewer
 from viewer.worker import Stale
@@ -102,13 +104,24 @@ class Driver:
         self.xdotool("mousedown", 1)
         self.xdotool("mouseup", 1)
 
-    def drag(self, frame: gui.Rect) -> None:
-        x, y = frame.x + frame.width / 2, frame.y + frame.height / 2
-        self.move(x, y)
-        self.xdotool("mousedown", 1)
-        for step in range(1, 6):
-            self.move(x + 12 * step, y + 4 * step)
-        self.xdotool("mouseup", 1)
+    def drag(self, pane: Pane, button: int = 1, events: int = 5, back: bool = True) -> list:
+        """Drag from the middle of a pane by (60, 20) in so many events, and back; the cameras."""
+        frame, corner = pane.widget.frame, self.viewer.window.os_frame
+        x, y = corner.x + frame.get_left() + frame.width // 2, corner.y + frame.height // 2
+        steps = [
+            (x + round(60 * k / events), y + round(20 * k / events)) for k in range(events + 1)
+        ]
+        self.xdotool("mousemove", *steps[0], "mousedown", button)
+        models = []
+        for way in (steps[1:], steps[-2::-1]) if back else (steps[1:],):
+            moves = [("mousemove", *step, "sleep", 0.01) for step in way]
+            process = subprocess.Popen(["xdotool", *map(str, itertools.chain(*moves))])
+            while process.poll() is None:  # frames are drawn between the events
+                self.tick()
+            self.tick(3)
+            models.append(self.models())
+        self.xdotool("mouseup", button)
+        return models
 
     def key(self, name: str) -> None:
         self.xdotool("key", name)
@@ -118,6 +131,62 @@ class Driver:
             np.array(p.widget.scene.camera.get_model_matrix()).tolist()
             for p in self.viewer.stage.panes
         ]
+
+
+def layers(driver: Driver, first: np.ndarray) -> dict:
+    """How many pixels of each half of the panes a layer changes; how far it is back without it."""
+    found, before = {}, first
+    for layer in driver.viewer.panel.boxes:
+        driver.toggle(layer)
+        after = driver.rest()
+        changed = np.abs(driver.scenes(after) - driver.scenes(before)).max(axis=2) > 12
+        halves = np.array_split(changed, 2, axis=1)
+        found[layer] = [int(half.sum()) for half in halves]
+        driver.toggle(layer)
+        before = driver.rest()
+        apart = np.abs(driver.scenes(before) - driver.scenes(first)).max()
+        found[layer].append(int(apart))
+    return found
+
+
+def drags(driver: Driver) -> dict:
+    """The cameras after the same drags and back, in events as many as not, however panes are."""
+    viewer, found = driver.viewer, {}
+    cases = [
+        ("side", 1, ""),
+        ("side", 1, "ctrl"),
+        ("side", 3, ""),
+        ("wipe", 1, ""),
+        ("wipe", 1, "ctrl"),
+    ]
+    for mode, button, key in cases:
+        if mode != viewer.choice.mode:
+            viewer.set_mode(mode)
+        driver.rest()
+        models = [[driver.models()]]
+        for events in (1, 5, 20, 50):
+            if key:
+                driver.xdotool("keydown", key)
+            models.append(driver.drag(viewer.stage.panes[events % 2], button, events))
+            if key:
+                driver.xdotool("keyup", key)
+        found[f"{mode} {button} {key}"] = models
+    viewer.set_mode("side")
+    driver.rest()
+    return found
+
+
+def wheel(driver: Driver) -> list[float]:
+    """How far ahead the centre is at first, after scrolling up and after scrolling down."""
+    navigator, distances = driver.viewer.stage.navigator, []
+    frame = driver.viewer.stage.panes[0].widget.frame
+    driver.move(frame.x + frame.width / 2, frame.y + frame.height / 2)
+    for button in (None, 4, 5, 5):
+        if button:
+            driver.xdotool("click", button)
+            driver.rest()
+        distances.append(navigator.distance)
+    return distances
 
 
 def stop_loading(driver: Driver) -> list[str]:
@@ -148,25 +217,19 @@ def stop_loading(driver: Driver) -> list[str]:
 def run(folder: Path) -> dict:
     driver = Driver(folder)
     viewer = driver.viewer
-    found: dict = {"layers": {}}
-    first = before = driver.rest()
+    found: dict = {}
+    first = driver.rest()
     found["drawn"] = float(driver.scenes(first).std())
     found["quality"] = viewer.stage.quality
-    for layer in viewer.panel.boxes:
-        driver.toggle(layer)
-        after = driver.rest()
-        changed = np.abs(driver.scenes(after) - driver.scenes(before)).max(axis=2) > 12
-        halves = np.array_split(changed, 2, axis=1)
-        found["layers"][layer] = [int(half.sum()) for half in halves]
-        driver.toggle(layer)
-        before = driver.rest()
-        apart = np.abs(driver.scenes(before) - driver.scenes(first)).max()
-        found["layers"][layer].append(int(apart))
+    found["layers"] = layers(driver, first)
     found["at_first"] = driver.models()
-    driver.drag(viewer.stage.panes[0].widget.frame)
+    driver.drag(viewer.stage.panes[0], back=False)
     moved = driver.rest()
     found["after_drag"] = driver.models()
     found["drag_changed"] = int((np.abs(driver.scenes(moved) - driver.scenes(first)) > 12).sum())
+    found["drags"] = drags(driver)
+    found["wheel"] = wheel(driver)
+    found["near"] = [p.widget.scene.camera.get_near() for p in viewer.stage.panes]
     driver.key("n")
     driver.rest()
     found["number"] = viewer.number

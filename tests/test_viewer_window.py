@@ -112,6 +112,26 @@ def test_both_cameras_follow_one(found):
     assert found["drag_changed"] > 1000
 
 
+@pytest.mark.parametrize("case", ["side 1 ", "side 1 ctrl", "side 3 ", "wipe 1 ", "wipe 1 ctrl"])
+def test_a_drag_ends_where_it_would_in_one_event_and_back_at_its_start(found, case):
+    (before,), *drags = found["drags"][case]
+    there, back = np.array(drags).transpose(1, 0, 2, 3, 4)  # of drags, panes: matrices
+    moved = np.abs(there[0, 0] - before[0]).max()
+    assert moved > 0.5
+    assert np.abs(there - there[0, 0]).max() < 0.01 * moved
+    assert np.abs(back - before).max() < 0.01 * moved
+
+
+def test_scrolling_up_comes_nearer(found):
+    first, nearer, again, farther = found["wheel"]
+    assert nearer < again < farther
+    assert again == pytest.approx(first)
+
+
+def test_what_is_near_is_drawn_after_a_layout(found):
+    assert max(found["near"]) < 0.05
+
+
 def test_keys_go_through_the_cameras(found):
     assert found["number"] == 1
     np.testing.assert_allclose(found["back"][0], found["at_first"][0], atol=1e-5)

@@ -14,8 +14,9 @@ from viewer.panel import folded
 _WIDTH = 76
 
 _KEYS = (
-    ("drag, wheel", "turn, come nearer"),
-    ("ctrl + drag", "shift"),
+    ("drag", "turn"),
+    ("ctrl + drag, right drag", "shift"),
+    ("wheel up, down", "come nearer, go away"),
     ("N, P", "next, previous camera"),
     ("M", "side by side, wipe, flip"),
     ("F", "in one view: A or B"),

@@ -48,14 +48,9 @@ class Pane:
         # Colours as they are, and frames in half the time.
         view.set_post_processing(False)
         view.set_antialiasing(False)
-        self.widget.set_view_controls(gui.SceneWidget.Controls.ROTATE_CAMERA)
-        self._model: NDArray | None = None
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
         self._corners = np.asarray(self._box.get_box_points())
-        if scene.count:
-            centre = np.nanmedian(scene.positions, axis=0)
-            self.widget.center_of_rotation = centre.astype(np.float32)
 
     def look(self, pose: Pose, width: int, height: int, left: int = 0) -> None:
         """Look from a pose; the pane is the part of a picture that begins `left` pixels in."""
@@ -68,15 +63,7 @@ class Pane:
         far = _BEYOND * max(float(depth.max(initial=0.0)), 1e-3)
         camera = self.widget.scene.camera
         camera.set_projection(intrinsics, _NEAR * far, far, frame.width, frame.height)
-        self._model = np.array(camera.get_model_matrix())
         self.widget.force_redraw()
-
-    def moved(self) -> NDArray | None:
-        """Where the camera stands now, if somebody has moved it since `look`."""
-        model = np.array(self.widget.scene.camera.get_model_matrix())
-        if self._model is None or np.array_equal(model, self._model):
-            return None
-        return model
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Put a picture of the pane's size behind everything, or take it away."""

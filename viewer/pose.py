@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-#: Axes of Open3D's cameras (right, up, back) from ours (right, down, forward).
-_FLIP = np.diag([1.0, -1.0, -1.0])
 
 #: Focal length of a camera that nobody gave, picture heights: 60 degrees.
 _FOCAL = 0.866
@@ -66,19 +64,6 @@ class Pose:
         matrix[:3, 3] = -self.rotation @ self.position
         return matrix
 
-    @property
-    def model(self) -> NDArray[np.float64]:
-        """Camera to world ``(4, 4)`` with Open3D's axes."""
-        matrix = np.eye(4)
-        matrix[:3, :3] = self.rotation.T @ _FLIP
-        matrix[:3, 3] = self.position
-        return matrix
-
-    def moved(self, model: NDArray) -> Pose:
-        """The same lens where an Open3D camera stands."""
-        u, _, v = np.linalg.svd(_FLIP @ np.asarray(model, np.float64)[:3, :3].T)
-        return replace(self, rotation=u @ v, position=np.array(model[:3, 3], np.float64))
-
     def project(
         self, points: NDArray, width: int, height: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -114,3 +99,9 @@ def look_at(position: NDArray, target: NDArray) -> Pose:
     right = np.cross([0.0, 1.0, 0.0], forward)
     right = right / (np.linalg.norm(right) or 1.0)
     return Pose(np.stack([right, np.cross(forward, right), forward]), np.asarray(position))
+
+
+def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:
+    """What is up for cameras of these rotations: the mean of what is up in their pictures."""
+    up = -np.mean([rotation[1] for rotation in rotations], axis=0)
+    return up / (np.linalg.norm(up) or 1.0)

@@ -13,6 +13,7 @@ from open3d.visualization import gui
 import gs_codec
 from viewer.choice import Choice
 from viewer.layers import Legend, centres, error_image, pruned_centres
+from viewer.navigation import Navigator, distance_ahead
 from viewer.numbers import quality_text
 from viewer.opened import Opened, Pruned
 from viewer.pane import Pane
@@ -50,6 +51,7 @@ class Stage:
     scenes, panes : list
     pruned : Pruned or None
     pose : Pose or None
+    navigator : Navigator
     legends : list of Legend
         Of what centres are coloured by.
     error_legend : Legend or None
@@ -72,6 +74,7 @@ class Stage:
         self.panes: list[Pane] = []
         self.pruned: Pruned | None = None
         self.pose: Pose | None = None
+        self.navigator = Navigator()
         self.legends: list[Legend] = []
         self.error_legend: Legend | None = None
         self.quality = ""
@@ -79,7 +82,9 @@ class Stage:
         self._views: dict[Opened, Any] = {}
         self._coloured: Any = None
         self._moved_at = 0.0
+        self._laid_out = False
         self._drawn: Literal["coarse", "full"] | None = None
+        self._coming: Literal["coarse", "full"] | None = None
 
     def put(self, scenes: list[Opened], pruned: Pruned | None) -> None:
         """Show other scenes."""
@@ -90,7 +95,7 @@ class Stage:
             pane.widget.scene.clear_geometry()
         self.scenes, self.pruned = scenes, pruned
         self._views.clear()
-        self._coloured = None
+        self._coloured = self._coming = None
         self.legends, self.error_legend, self.quality = [], None, ""
         self.panes = [Pane(self.window, scene) for scene in scenes]
         known = {}
@@ -98,6 +103,7 @@ class Stage:
             known["pruned"] = pruned_centres(scenes[0], pruned, self._most)
         for pane in self.panes:
             self.window.add_child(pane.widget)
+            pane.widget.set_on_mouse(self._mouse)
             pane.points.update(known)
             if self.by_hand:
                 # Something to see until the first picture is drawn.
@@ -177,11 +183,12 @@ class Stage:
     def look_from(self, pose: Pose) -> None:
         """Look from somewhere else."""
         self.pose = pose
+        self.navigator.aim(distance_ahead(pose, self.scenes[0].positions))
         self.arrange()
 
     def arrange(self) -> None:
         """Lay panes out, and draw their pictures anew."""
-        self._moved_at, self._drawn = time.monotonic(), None
+        self._moved_at, self._drawn, self._coming = time.monotonic(), None, None
         self.window.set_needs_layout()
         self.window.post_redraw()
 
@@ -194,6 +201,7 @@ class Stage:
             pane.widget.frame = gui.Rect(left + start, top, max(stop - start, 1), height)
         self.size = (width, height)
         self._look()
+        self._laid_out = True
 
     def _places(self, width: int) -> list[tuple[int, int, int, int]]:
         """For each visible pane: where it starts and stops, the picture's width, and its left."""
@@ -211,24 +219,50 @@ class Stage:
         for pane, (_, _, wide, left) in zip(self.visible, self._places(width), strict=True):
             pane.look(self.pose, wide, height, left)
 
+    def _mouse(self, event: Any) -> Any:
+        """Turn by dragging; shift with ctrl or another button; come nearer by the wheel.
+
+        All panes follow the one pose. Open3D's own control is left out: it measures from a
+        camera that it alone may set.
+        """
+        pose, navigator, kind = self.pose, self.navigator, gui.MouseEvent.Type
+        if pose is None:
+            return gui.SceneWidget.EventCallbackResult.CONSUMED
+        moved = None
+        if event.type == kind.BUTTON_DOWN:
+            left = event.is_button_down(gui.MouseButton.LEFT)
+            shifts = not left or event.is_modifier_down(gui.KeyModifier.CTRL)
+            navigator.hold(pose, event.x, event.y, shifts)
+        elif event.type == kind.DRAG:
+            wide = self._places(self.size[0])[0][2]
+            moved = navigator.drag(event.x, event.y, wide, self.size[1])
+        elif event.type == kind.BUTTON_UP:
+            navigator.release()
+        elif event.type == kind.WHEEL:
+            moved = navigator.nearer(pose, event.wheel_dy)
+        if moved is not None:
+            self.pose = moved
+            self._moved_at, self._drawn = time.monotonic(), None
+            self._look()
+        return gui.SceneWidget.EventCallbackResult.CONSUMED
+
     def tick(self) -> bool:
-        """Follow cameras that were moved, and draw pictures when they rest."""
+        """Draw pictures, coarse ones while the camera moves."""
         if self.pose is None:
             return False
-        for pane in self.visible:
-            model = pane.moved()
-            if model is not None:
-                self.pose = self.pose.moved(model)
-                self._moved_at, self._drawn = time.monotonic(), None
-                self._look()
-                break
+        looked = self._laid_out
+        if looked:
+            # Open3D sets near and far planes of its own when it draws a pane of another size.
+            self._laid_out = False
+            self._look()
         rested = time.monotonic() - self._moved_at > _REST
         wanted: Literal["coarse", "full"] = "full" if rested else "coarse"
-        if self._drawn not in ("full", wanted):
-            self._drawn = wanted
-            self._draw(1 if rested else _COARSE)
-            return True
-        return False
+        # A coarse picture that is being drawn is waited for, or none came while moves do.
+        if self._drawn in ("full", wanted) or wanted == self._coming == "coarse":
+            return looked
+        self._drawn = wanted
+        self._draw(1 if rested else _COARSE)
+        return True
 
     # Pictures
 
@@ -267,6 +301,7 @@ class Stage:
             return pictures, quality, legend
 
         def done(found: Any) -> None:
+            self._coming = None
             if found is None:
                 return
             pictures, self.quality, self.error_legend = found
@@ -277,7 +312,12 @@ class Stage:
             self._changed()
             self.window.post_redraw()
 
-        self.worker.submit("picture", draw, done, self._failed)
+        def failed(error: Exception) -> None:
+            self._coming = None
+            self._failed(error)
+
+        self._coming = self._drawn
+        self.worker.submit("picture", draw, done, failed)
 
 
 def _cut(image: NDArray, place: tuple[int, int, int, int], coarse: int) -> NDArray[np.float32]:

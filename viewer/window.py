@@ -16,7 +16,7 @@ from viewer.opened import Opened, Pruned, open_scene
 from viewer.pane import picture_of
 from viewer.panel import Panel, monospace
 from viewer.photograph import find_photograph
-from viewer.pose import of_camera, overview
+from viewer.pose import of_camera, overview, up_of
 from viewer.request import Request, find_pruned, find_views
 from viewer.screenshot import compose, save_picture
 from viewer.stage import Stage
@@ -114,7 +114,9 @@ class Viewer:
         self.number = min(self.number, max(len(cameras) - 1, 0))
         first = scenes[0]
         self.stage.put(scenes, pruned)
-        self.stage.pose = (
+        if cameras:
+            self.stage.navigator.up = up_of([camera.rotation for camera in cameras])
+        self.stage.look_from(
             of_camera(cameras[self.number])
             if cameras
             else overview(first.positions, first.opacities)

@@ -1,0 +1,150 @@
+"""What a mouse makes of a pose, without a window."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from viewer.navigation import Navigator, distance_ahead
+from viewer.pose import Pose, look_at, up_of
+
+TARGET = np.array([0.5, -0.2, 1.0])
+POSE = look_at(np.array([2.0, -3.0, -5.0]), TARGET)
+SIZE = (600, 400)
+
+
+def navigator(pose: Pose = POSE) -> Navigator:
+    navigator = Navigator()
+    navigator.aim(float(np.linalg.norm(pose.position - TARGET)))
+    return navigator
+
+
+def dragged(
+    way: list[tuple[float, float]], events: int, shifts: bool, pose: Pose = POSE
+) -> tuple[Pose, Navigator]:
+    """Where a drag along corners ends, each part of it in so many events."""
+    hand, last = navigator(pose), pose
+    x, y = 300, 200
+    hand.hold(pose, x, y, shifts)
+    for right, down in way:
+        for k in range(1, events + 1):
+            at = x + round(k * right / events), y + round(k * down / events)
+            last = hand.drag(*at, *SIZE) or last
+        x, y = at
+    hand.release()
+    return last, hand
+
+
+def matrix(pose: Pose) -> np.ndarray:
+    return np.column_stack([pose.rotation, pose.position])
+
+
+def place(pose: Pose, point: np.ndarray = TARGET) -> np.ndarray:
+    return pose.project(point[None], *SIZE)[0][0]
+
+
+@pytest.mark.parametrize("shifts", [False, True], ids=["turn", "shift"])
+@pytest.mark.parametrize("events", [1, 5, 20, 50])
+def test_a_drag_ends_where_it_would_in_one_event(events, shifts):
+    once, _ = dragged([(100, 40)], 1, shifts)
+    several, _ = dragged([(100, 40)], events, shifts)
+    np.testing.assert_allclose(matrix(several), matrix(once), atol=1e-12)
+    assert np.abs(matrix(once) - matrix(POSE)).max() > 0.2
+
+
+@pytest.mark.parametrize("shifts", [False, True], ids=["turn", "shift"])
+@pytest.mark.parametrize("way", [[(120, 50), (-120, -50)], [(90, 0), (0, 300), (-90, -300)]])
+def test_there_and_back_is_the_start(way, shifts):
+    back, _ = dragged(way, 7, shifts)
+    np.testing.assert_allclose(matrix(back), matrix(POSE), atol=1e-12)
+
+
+def test_half_a_height_is_a_quarter_turn_about_the_target():
+    turned, _ = dragged([(200, 0)], 3, False)
+    before, after = POSE.position - TARGET, turned.position - TARGET
+    assert after[1] == pytest.approx(before[1])
+    assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before))
+    assert before[[0, 2]] @ after[[0, 2]] == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(place(turned), [300, 200], atol=1e-9)
+
+
+@pytest.mark.parametrize("roll", [0, 30, 90, 180])
+def test_what_is_before_the_target_follows_the_mouse(roll):
+    turn = np.radians(roll)
+    rolled = [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    pose = replace(POSE, rotation=np.array(rolled) @ POSE.rotation)
+    near = TARGET - 2 * pose.rotation[2]
+    for right, down in ((3, 0), (0, 3), (-2, 2)):
+        moved = place(dragged([(right, down)], 1, False, pose)[0], near) - place(pose, near)
+        drag = np.array([right, down])
+        assert moved @ drag > 0.9 * np.linalg.norm(moved) * np.linalg.norm(drag)
+
+
+def test_the_horizon_stays_level_and_nothing_turns_over():
+    pose = POSE
+    for right, down in 40 * [(70, 30), (20, -90), (-110, 300)]:
+        pose, _ = dragged([(right, down)], 2, False, pose)
+        assert pose.rotation[0, 1] == pytest.approx(0, abs=1e-9)  # right is level
+        assert pose.rotation[1, 1] > 0  # down is down
+        np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-9)
+
+
+def test_a_look_along_the_axis_can_be_turned():
+    rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    above = Pose(rotation, TARGET - [0, 5, 0])
+    for way in ((40, 0), (0, -40)):
+        turned, _ = dragged([way], 1, False, above)
+        assert np.abs(turned.rotation - rotation).max() > 0.2
+        np.testing.assert_allclose(place(turned), [300, 200], atol=1e-6)
+
+
+def test_shifts_carry_the_point_ahead_with_the_mouse_and_it_stays_the_centre():
+    shifted, hand = dragged([(100, 40)], 4, True)
+    np.testing.assert_allclose(place(shifted), [400, 240], atol=1e-9)
+    np.testing.assert_array_equal(shifted.rotation, POSE.rotation)
+    centre = shifted.position + hand.distance * shifted.rotation[2]
+    turned = hand.turned(shifted, 0.2, 0.1)
+    np.testing.assert_allclose(place(turned, centre), [300, 200], atol=1e-9)
+
+
+def test_the_wheel_comes_nearer_goes_away_and_never_sticks():
+    hand = navigator()
+    first = hand.distance
+    near = hand.nearer(POSE, 3)
+    assert np.linalg.norm(near.position - TARGET) == pytest.approx(0.9**3 * first)
+    assert hand.distance == pytest.approx(0.9**3 * first)
+    back = hand.nearer(near, -3)
+    np.testing.assert_allclose(back.position, POSE.position)
+    pose = back
+    for _ in range(200):
+        before, pose = pose, hand.nearer(pose, 1)
+        assert (pose.position - before.position) @ POSE.rotation[2] > 1e-3 * first
+
+
+def test_what_moves_the_camera_otherwise_ends_a_drag():
+    for other in (lambda hand: hand.nearer(POSE, 1), lambda hand: hand.aim(1.0)):
+        hand = navigator()
+        hand.hold(POSE, 0, 0)
+        other(hand)
+        assert hand.drag(50, 50, *SIZE) is None
+
+
+def test_the_point_ahead_is_where_the_scene_is():
+    rng = np.random.default_rng(5)
+    ahead = TARGET + rng.normal(0, 0.1, (500, 3))
+    aside = POSE.position - 3 * POSE.rotation[2] + rng.normal(0, 0.5, (5000, 3))
+    distance = np.linalg.norm(TARGET - POSE.position)
+    some = np.concatenate([ahead, aside, np.full((9, 3), np.nan)]).astype(np.float32)
+    assert distance_ahead(POSE, some) == pytest.approx(distance, rel=0.01)
+    assert distance_ahead(POSE, aside.astype(np.float32)) == pytest.approx(3, rel=0.05)
+    assert distance_ahead(POSE, np.zeros((0, 3), np.float32)) == 1
+    assert distance_ahead(POSE, POSE.position[None].astype(np.float32)) > 0
+
+
+def test_up_is_what_most_cameras_have_up():
+    rotations = [
+        look_at(np.array(p), TARGET).rotation for p in ((3, -1, 0), (-3, -1, 1), (0, -1, 5))
+    ]
+    np.testing.assert_allclose(up_of(rotations), [0, -1, 0], atol=0.2)

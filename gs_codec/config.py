@@ -85,16 +85,17 @@ PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
 
 @dataclass(frozen=True)
 class Target:
-    """One wish; sizes are met from below, by 2 % or less.
+    """One wish; sizes are met from below, by 2 % or less unless the finest steps take less.
 
     Parameters
     ----------
     size : int, optional
-        Bytes of the file.
+        Most bytes of the file.
     ratio : float, optional
-        Times that the file is smaller than the PLY.
+        Times that the file is at least smaller than the PLY, or than the float32 attributes of a
+        scene that comes from a compressed file.
     bits : float, optional
-        Bits for each Gaussian of the input.
+        Most bits for each Gaussian of the input.
     psnr_drop : float, optional
         Decibels that views may lose, mean over the views.
     allow_prune : bool

@@ -17,7 +17,13 @@ from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io import formats
 from gs_codec.io.atomic import atomic_writer, check_folder, check_writable, make_folder
-from gs_codec.io.formats import is_read_in_parts, read_foreign, stored_bytes, tell_format
+from gs_codec.io.formats import (
+    is_compressed,
+    is_read_in_parts,
+    read_foreign,
+    stored_bytes,
+    tell_format,
+)
 from gs_codec.io.limits import float_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
@@ -180,7 +186,7 @@ def _encode_file(
         if plan is None and goal is None:
             parts, report = encode_parts(scene, config, progress)
         else:
-            size = source_bytes(source)
+            size = raw_bytes(source, scene)
             data, report = _encode_by_plan(scene, size, config, plan, goal, report_folder, progress)
             parts = [data]
     start = time.perf_counter()
@@ -199,7 +205,7 @@ def _encode_by_plan(
     report_folder: str | Path | None,
     progress: Progress | None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene, of a file of `size` bytes, by a plan, to a goal, or both."""
+    """Encode a scene, of `size` bytes uncompressed, by a plan, to a goal, or both."""
     prepared, views, original = None, None, scene
     if plan is not None and plan.steps.wanted:
         scene, prepared = _prepare(scene, plan, config, report_folder, progress)
@@ -450,6 +456,16 @@ def stated_bytes(path: str | Path) -> int:
         info = inspect_file(path)
         return float_bytes(info.count, info.sh_degree)
     return formats.stated_bytes(path)
+
+
+def raw_bytes(path: str | Path, scene: Scene) -> int:
+    """What a ratio counts from: the size of a PLY; of a compressed file's scene, of its floats."""
+    return scene.float_bytes if comes_compressed(path) else stored_bytes(path)
+
+
+def comes_compressed(path: str | Path) -> bool:
+    """Whether a file has anything but plain numbers of a PLY."""
+    return is_egs(path) or is_compressed(path)
 
 
 def is_egs(path: str | Path) -> bool:

@@ -79,9 +79,12 @@ class RateReport:
     predicted_drop : float or None
         The same, expected from sensitivities.
     encodings : int
-        How often the scene was encoded.
+        How often the scene was encoded, attempts with more Gaussians included.
     pruned : int
         Gaussians that went because the target allowed it.
+    at_end : bool
+        Whether no steps come nearer to the target: these are the finest that there are, or of a
+        quality the coarsest.
     """
 
     target: Target
@@ -93,6 +96,7 @@ class RateReport:
     predicted_drop: float | None
     encodings: int
     pruned: int = 0
+    at_end: bool = False
 
 
 @dataclass(frozen=True)

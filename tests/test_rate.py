@@ -19,9 +19,10 @@ from gs_codec.cli.goal import goal_of
 from gs_codec.cli.main import app
 from gs_codec.cli.steps import plan_of
 from gs_codec.cloud import to_cloud
-from gs_codec.codec import decode_scene
+from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.errors import InvalidInput
+from gs_codec.files import encode_file, read_scene, write_scene
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
@@ -29,6 +30,7 @@ from gs_codec.planned import encode_goal
 from gs_codec.preparation.pipeline import Plan, choose_views
 from gs_codec.preparation.steps import Steps
 from gs_codec.preparation.targets import draw_targets
+from gs_codec.rate import allocate
 from gs_codec.rate.allocate import encode_to_target
 from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.scene import Scene
@@ -164,10 +166,19 @@ def test_the_same_target_gives_the_same_bytes(scene):
     assert len(streams) == 1
 
 
-@pytest.mark.parametrize("size", [10, 10**9])
-def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene, size):
+def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene):
     with pytest.raises(InvalidInput, match=r"target .* bytes: [\d,]+ to [\d,]+ bytes are in reach"):
-        to_target(scene, Config("m"), Target(size=size))
+        to_target(scene, Config("m"), Target(size=10))
+
+
+@pytest.mark.parametrize(
+    "target", [Target(size=10**9), Target(ratio=1e-5), Target(bits=1e5)], ids=str
+)
+def test_size_that_no_steps_fill_is_that_of_the_finest(scene, target):
+    data, report = to_target(scene, Config("m"), target)
+    assert data == encode_scene(scene, Config("m", coarseness=2.0**FINEST))[0]
+    assert report.rate.at_end
+    assert not to_target(scene, Config("m"), Target(bits=60))[1].rate.at_end
 
 
 @pytest.mark.parametrize("profile", ["paper-m", "lossless"])
@@ -217,10 +228,18 @@ def test_a_size_by_views_is_met(seen):
     assert report.rate.predicted_bytes == pytest.approx(len(data), rel=0.3)
 
 
+def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
+    scene, plan = seen
+    _, report = encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=60), plan)
+    assert report.rate.coarseness == 2.0**COARSEST
+    assert report.rate.psnr_drop < 60
+    assert report.rate.at_end
+
+
 def test_a_loss_out_of_reach_is_refused(seen):
     scene, plan = seen
-    with pytest.raises(InvalidInput, match=r"target 60 dB: .* dB are in reach"):
-        encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=60), plan)
+    with pytest.raises(InvalidInput, match=r"target 1e-09 dB: .* dB are in reach"):
+        encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=1e-9), plan)
 
 
 def test_photographs_tell_what_is_lost(seen, tmp_path):
@@ -286,12 +305,19 @@ def test_pruning_reaches_what_steps_do_not(crowded):
     with pytest.raises(InvalidInput, match="are in reach"):
         encode_goal(scene, scene, 1, Config("m"), Target(bits=14), plan)
     target = Target(bits=14, allow_prune=True)
-    data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
+    counted = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            allocate, "encode_scene", lambda *a, **k: counted.append(1) or encode_scene(*a, **k)
+        )
+        data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
     assert 8 * len(data) <= 14 * scene.count
     assert report.rate.pruned > 0
+    # Those that were too large too; the others choose colours alone.
+    assert report.rate.encodings >= len(counted) > 20
 
 
-@pytest.mark.parametrize("target", [Target(size=10**8), Target(psnr_drop=60), Target(size=99)])
+@pytest.mark.parametrize("target", [Target(psnr_drop=1e-9), Target(size=99)])
 def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="are in reach"):
@@ -322,7 +348,8 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
         "allow_prune": False, "max_psnr_drop": None, "views": 8, "width": 100,
         "background": "white", "profile": "m",
     }  # fmt: skip
-    ctx = SimpleNamespace(get_parameter_source=lambda name: SimpleNamespace(name="COMMANDLINE"))
+    typed = dict.fromkeys(("views", "width", "background"), SimpleNamespace(name="COMMANDLINE"))
+    ctx = SimpleNamespace(get_parameter_source=typed.get)
     plan = plan_of(ctx, options | asked)
     assert (plan.cameras, plan.views, plan.width) == ("auto", 8, 100)
     assert tuple(plan.background) == (1, 1, 1)
@@ -352,11 +379,31 @@ def test_command_line_meets_a_size(scene, tmp_path):
     report = json.loads(result.stdout)
     assert report["rate"]["file_bytes"] == out.stat().st_size
     first = out.read_bytes()
-    CliRunner().invoke(app, ["encode", str(source), str(out), "--target-size", "40000"])
+    options = ["--target-size", "40000", "--overwrite"]
+    assert CliRunner().invoke(app, ["encode", str(source), str(out), *options]).exit_code == 0
     assert out.read_bytes() == first
 
 
-@pytest.mark.parametrize("options", [["--target-ratio", "1"], ["--target-size", "1kB"]])
+def test_command_line_says_that_steps_are_the_finest(scene, tmp_path):
+    source, out = tmp_path / "scene.ply", tmp_path / "out.egs"
+    write_ply(source, scene)
+    result = CliRunner().invoke(app, ["encode", str(source), str(out), "--target-size", "5MB"])
+    assert result.exit_code == 0, result.output
+    assert "steps 0.016 times the profile's" in result.stdout
+    assert "there are no finer steps" in result.stdout
+
+
+@pytest.mark.parametrize("suffix", [".egs", ".splat", ".ply"])
+def test_ratio_counts_from_the_floats_of_what_comes_compressed(scene, tmp_path, suffix):
+    source, out = tmp_path / f"scene{suffix}", tmp_path / "out.egs"
+    write_scene(source, scene, Config("s"))
+    limit = source.stat().st_size if suffix == ".ply" else read_scene(source).float_bytes
+    for ratio in (12.0, 14.0):
+        encode_file(source, out, goal=Target(ratio=ratio))
+        assert 0.98 * limit <= ratio * out.stat().st_size <= limit
+
+
+@pytest.mark.parametrize("options", [["--target-ratio", "999"], ["--target-size", "1kB"]])
 def test_command_line_refuses_what_is_out_of_reach(scene, tmp_path, options):
     source, out = tmp_path / "scene.ply", tmp_path / "out.egs"
     write_ply(source, scene)

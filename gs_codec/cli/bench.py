@@ -174,7 +174,7 @@ def _check_options(ctx: typer.Context, mode: str, profiles: list[str] | None) ->
     if not is_given(ctx, "plot"):
         refuse_given(ctx, ["overwrite"], "needs --plot")
     if mode == "parts" and not set(profiles or ["m"]) <= set(LATTICE_PROFILES):
-        raise InvalidInput("--parts: expected profiles l, m or s; m when none is given")
+        raise InvalidInput("--parts needs profiles l, m or s; m when none is given")
 
 
 def _check_scenes(mode: str, given: bool) -> None:

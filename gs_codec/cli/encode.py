@@ -68,7 +68,7 @@ def command(
     """Encode a scene to an .egs file, prepared or as it is."""
     plan, config = steps.plan_of(ctx, locals()), coding.config_of(ctx, locals())
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
-    from gs_codec.files import encode_file, source_bytes
+    from gs_codec.files import comes_compressed, encode_file, source_bytes
 
     with piped(source, target, ".egs") as (file, out):
         with progress_bar() as progress:
@@ -77,7 +77,7 @@ def command(
                 overwrite, max_bytes,
             )  # fmt: skip
         _say_what_changed(done)
-        size = source_bytes(file)
+        size, compressed = source_bytes(file), comes_compressed(file)
         if json:
             print_json(
                 {"input": str(source), "output": str(target), "profile": profile}
@@ -85,7 +85,7 @@ def command(
                 | {"input_bytes": size, "file_bytes": done.file_bytes}
             )
         else:
-            _print_report(size, target, done, profile in LATTICE_PROFILES)
+            _print_report(size, compressed, target, done, profile in LATTICE_PROFILES)
 
 
 def _say_what_changed(report: EncodeReport) -> None:
@@ -95,11 +95,14 @@ def _say_what_changed(report: EncodeReport) -> None:
         print_status(f"replaced {report.zero_quaternions:,} zero quaternions by the identity")
 
 
-def _print_report(size: int, target: Path, report: EncodeReport, lattices: bool) -> None:
+def _print_report(
+    size: int, compressed: bool, target: Path, report: EncodeReport, lattices: bool
+) -> None:
     count = max(report.count, 1)
+    ratio = (report.raw_bytes if compressed else size) / report.file_bytes
     print_text(
         f"{target}: {report.count:,} Gaussians, {size_text(size)} -> "
-        f"{size_text(report.file_bytes)}, {size / report.file_bytes:.2f} times smaller, "
+        f"{size_text(report.file_bytes)}, {ratio:.2f} times smaller{' than the floats' * compressed}, "
         f"{8 * report.file_bytes / count:.1f} bits per Gaussian, "
         f"{sum(report.seconds.values()):.2f} s"
     )

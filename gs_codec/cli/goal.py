@@ -16,14 +16,19 @@ _PANEL = {"rich_help_panel": "Size or quality (one of them; profiles l, m, s)"}
 
 TargetSize = Annotated[
     str | None,
-    typer.Option(metavar="SIZE", help="As large as this: 5MB, 800kB, 3MiB.", **_PANEL),
+    typer.Option(metavar="SIZE", help="At most as large as this: 5MB, 800kB, 3MiB.", **_PANEL),
 ]
 TargetRatio = Annotated[
-    float | None, typer.Option(metavar="R", help="So many times smaller than IN.", **_PANEL)
+    float | None,
+    typer.Option(
+        metavar="R", help="At least so many times smaller than IN, or than its floats.", **_PANEL
+    ),
 ]
 TargetBits = Annotated[
     float | None,
-    typer.Option("--target-bpg", metavar="B", help="So many bits for each Gaussian.", **_PANEL),
+    typer.Option(
+        "--target-bpg", metavar="B", help="At most so many bits for each Gaussian.", **_PANEL
+    ),
 ]
 MaxPsnrDrop = Annotated[
     float | None,
@@ -66,4 +71,6 @@ def print_rate(rate: RateReport) -> None:
         text += f"; {size_text(rate.predicted_bytes)} expected"
     if rate.psnr_drop is not None:
         text += f"; views lose {rate.psnr_drop:.4f} dB, {rate.predicted_drop:.4f} dB expected"
+    if rate.at_end:
+        text += f"; there are no {'coarser' if rate.psnr_drop is not None else 'finer'} steps"
     print_text(text)

@@ -13,7 +13,7 @@ from gs_codec.io.limits import float_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.packed_ply import is_packed
 from gs_codec.io.ply import read_ply
-from gs_codec.io.ply_header import read_header
+from gs_codec.io.ply_header import PlyHeader, read_header
 from gs_codec.io.sog import read_sog, sog_bytes
 from gs_codec.io.sog_files import ZIP
 from gs_codec.io.splat import RECORD, read_splat
@@ -91,11 +91,17 @@ def stated_bytes(path: str | Path) -> int:
 
 def is_read_in_parts(path: str | Path) -> bool:
     """Whether a file that is no `.egs` can be read without all of it being in memory."""
-    if tell_format(path) != "ply":
-        return False
+    return not is_compressed(path) and bool(_header_of(path).byte_order)
+
+
+def is_compressed(path: str | Path) -> bool:
+    """Whether a file that is no `.egs` has anything but plain numbers of a PLY."""
+    return tell_format(path) != "ply" or is_packed(_header_of(path))
+
+
+def _header_of(path: str | Path) -> PlyHeader:
     with opened(path) as data, located(path):
-        header = read_header(np.frombuffer(data, np.uint8))
-    return bool(header.byte_order) and not is_packed(header)
+        return read_header(np.frombuffer(data, np.uint8))
 
 
 def read_foreign(

@@ -112,9 +112,10 @@ def encode_to_target(
     clean, zero_quaternions = identity_for_zero(clean)
     times = StageTimes()
     if seen is not None and target.allow_prune:
-        met = _meet_pruning(clean, config, target, limit, guide, seen, times, progress)
+        met, encodings = _meet_pruning(clean, config, target, limit, guide, seen, times, progress)
     else:
-        met = _meet(clean, config, target, limit, guide, seen, times, 0.0)
+        met = _meet(_begin(clean, config, guide, times), target, limit, seen, 0.0)
+        encodings = met.trials.number
     data, report = met.trials.last
     steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
     rate = RateReport(
@@ -125,8 +126,9 @@ def encode_to_target(
         met.predicted_bytes,
         met.trials.loss,
         met.predicted_drop,
-        met.trials.number,
+        encodings,
         clean.count - met.trials.scene.count,
+        met.at_end,
     )
     return data, replace(
         report, dropped=dropped, zero_quaternions=zero_quaternions, seconds=times.seconds, rate=rate
@@ -240,11 +242,15 @@ def _measured(known: Guidance, **colours: Callable[..., Scene]) -> Guidance:
 
 @dataclass(frozen=True)
 class _Met:
-    """Trials of which the last meets a target, and what was expected of it."""
+    """Trials of which the last meets a target, and what was expected of it.
+
+    `at_end` tells that there are no steps that would come nearer to the target.
+    """
 
     trials: _Trials
     predicted_bytes: int | None = None
     predicted_drop: float | None = None
+    at_end: bool = False
 
 
 def _meet_pruning(
@@ -256,27 +262,30 @@ def _meet_pruning(
     seen: Seen,
     times: StageTimes,
     progress: Progress | None,
-) -> _Met:
+) -> tuple[_Met, int]:
     """Meet a target with as many Gaussians as leave the least error, or the smallest file.
 
-    They go a part at a time, by leave-one-out error, as long as each part pays.
+    They go a part at a time, by leave-one-out error, as long as each part pays. How many encodings
+    that took is told too.
     """
     renders = seen.views.renders
     best: _Met | None = None
     refused: _OutOfReach | None = None
     least, place, encodings = math.inf, 0.0, 0
     for part in range(1, _MOST_PARTS + 1):
+        trials = _begin(scene, config, guide, times)
         try:
-            met = _meet(scene, config, target, limit, guide, seen, times, place)
+            met = _meet(trials, target, limit, seen, place)
         except _OutOfReach as refusal:
             refused, cost = refusal, math.inf
             if not isinstance(refusal, _TooLarge):
                 break
         else:
-            data = met.trials.last[0]
+            data = trials.last[0]
             cost = len(data) if limit is None else seen.loss(data)
-            encodings += met.trials.number
-            place = met.trials.place
+            place = trials.place
+        finally:
+            encodings += trials.number
         if cost < least:
             best, least = met, cost
         elif best is not None:
@@ -291,24 +300,20 @@ def _meet_pruning(
     if best is None:
         assert refused is not None
         raise refused
-    best.trials.number = encodings
-    return best
+    return best, encodings
+
+
+def _begin(scene: Scene, config: Config, guide: Guide | None, times: StageTimes) -> _Trials:
+    """Trials of a scene, of which there were none yet."""
+    with times.stage("views"):
+        guidance = guide(scene) if guide is not None else None
+    return _Trials(scene, config, guidance, times)
 
 
 def _meet(
-    scene: Scene,
-    config: Config,
-    target: Target,
-    limit: int | None,
-    guide: Guide | None,
-    seen: Seen | None,
-    times: StageTimes,
-    start: float,
+    trials: _Trials, target: Target, limit: int | None, seen: Seen | None, start: float
 ) -> _Met:
     """Meet a target with all Gaussians of a scene."""
-    with times.stage("views"):
-        guidance = guide(scene) if guide is not None else None
-    trials = _Trials(scene, config, guidance, times)
     if limit is not None:
         return _meet_size(trials, limit, start)
     assert seen is not None
@@ -334,9 +339,10 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
     found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)
     if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
-        kind = _TooLarge if least > limit else _OutOfReach
-        raise kind(f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach")
-    return _Met(trials, predicted)
+        if most > limit:
+            kind = _TooLarge if least > limit else _OutOfReach
+            raise kind(f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach")
+    return _Met(trials, predicted, at_end=found is None)
 
 
 def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
@@ -359,9 +365,10 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
         found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
-        raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
+        if most > wanted:
+            raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
     predicted = measured.drop(before + at_once * 4.0**trials.place, before)
-    return _Met(trials, None, predicted)
+    return _Met(trials, None, predicted, at_end=found is None)
 
 
 def _search_recoloured(

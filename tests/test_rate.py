@@ -172,7 +172,7 @@ def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene):
 
 
 @pytest.mark.parametrize(
-    "target", [Target(size=10**9), Target(ratio=1e-5), Target(bits=1e5)], ids=str
+    "target", [Target(size=10**9), Target(ratio=1e-9), Target(bits=1e5)], ids=str
 )
 def test_size_that_no_steps_fill_is_that_of_the_finest(scene, target):
     data, report = to_target(scene, Config("m"), target)

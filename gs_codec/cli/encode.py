@@ -99,10 +99,11 @@ def _print_report(
     size: int, compressed: bool, target: Path, report: EncodeReport, lattices: bool
 ) -> None:
     count = max(report.count, 1)
+    beside = " than the floats" if compressed else ""
     ratio = (report.raw_bytes if compressed else size) / report.file_bytes
     print_text(
         f"{target}: {report.count:,} Gaussians, {size_text(size)} -> "
-        f"{size_text(report.file_bytes)}, {ratio:.2f} times smaller{' than the floats' * compressed}, "
+        f"{size_text(report.file_bytes)}, {ratio:.2f} times smaller{beside}, "
         f"{8 * report.file_bytes / count:.1f} bits per Gaussian, "
         f"{sum(report.seconds.values()):.2f} s"
     )

@@ -249,11 +249,11 @@ def test_known_weights_are_taken():
     assert_same(compact_sh(scene, cameras, weights=weights)[0], compact_sh(scene, cameras)[0])
 
 
-def test_progress_counts_views():
+def test_progress_counts_views_and_gaussians():
     calls = []
     scene = visible_scene(5, 15)
     compact_sh(scene, orbit(3), progress=lambda *step: calls.append(step))
-    assert calls == [("weights", i, 3) for i in (1, 2, 3)]
+    assert calls == [*(("weights", i, 3) for i in (1, 2, 3)), ("compact", 1, 1)]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from gs_codec.preparation.sh_weights import (
     with_coefficients,
 )
 from gs_codec.rendering.camera import Camera
-from gs_codec.report import Progress
+from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
 
@@ -127,7 +127,8 @@ def compact_sh(
                 scene.positions, before, weights, centres, penalty, least, after, start, stop
             )
 
-        counts = run_all(run, range(0, scene.count, _CHUNK), threads)
+        starts = range(0, scene.count, _CHUNK)
+        counts = run_all(run, starts, threads, step_counter(progress, "compact", len(starts)))
         unseen, unsolved = (sum(count) for count in zip(*counts, strict=True))
     result = with_coefficients(scene, after)
     return result, CompactReport(

@@ -18,7 +18,7 @@ from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sensitivity import sensitivity
 from gs_codec.preparation.sh_weights import coefficients_of
 from gs_codec.preparation.targets import Targets
-from gs_codec.report import Progress
+from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 from gs_codec.transform.ycocg import from_ycocg, to_ycocg
 
@@ -128,7 +128,8 @@ class _Colours:
         steps: NDArray[np.float32],
         profile: LatticeProfile,
     ) -> _Compaction:
-        return _Compaction(self.views, self.weights[:, order], steps, profile, self.threads)
+        weights = self.weights[:, order]
+        return _Compaction(self.views, weights, steps, profile, self.threads, self.progress)
 
     def _operator_of(self, scene: Scene) -> ImageOperator:
         if self.operator is None or not _same_shapes(self.operator.scene, scene):
@@ -156,6 +157,7 @@ class _Compaction:
     steps: NDArray[np.float32]
     profile: LatticeProfile
     threads: int | None
+    progress: Progress | None
 
     def whole(self, scene: Scene) -> Scene:
         """The scene compacted by all views."""
@@ -170,6 +172,7 @@ class _Compaction:
             smallest=0.5 * self.steps,
             weights=self.weights[list(seen)],
             threads=self.threads,
+            progress=self.progress,
         )[0]
 
     def pays(self, scene: Scene, operator: ImageOperator) -> bool:
@@ -201,7 +204,8 @@ class _Compaction:
     ) -> NDArray[np.float64]:
         """Mean squared errors in some of the views."""
         values = [self.views.images[view].size for view in seen]
-        errors = operator.errors(coefficients_of(scene), self.views.images, seen)
+        advance = step_counter(self.progress, "measure", len(seen))
+        errors = operator.errors(coefficients_of(scene), self.views.images, seen, advance)
         return np.maximum(errors / values, _EPS)
 
 

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint check docs boundscheck scaling suite fuzz peers clean
+.PHONY: demo test test-all lint check docs boundscheck scaling suite fuzz peers clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -25,7 +25,11 @@ demo: $(VENV)/installed
 	@echo "    $(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json"
 	@echo "Next: samples/TUTORIAL.md, five minutes; or $(BIN)/gs-codec encode YOUR.ply YOUR.egs"
 
+# Tests of what is not installed are skipped, and say what they miss; `make test-all` installs it.
 test: $(VENV)/installed-test
+	$(BIN)/python -m pytest
+
+test-all: $(VENV)/installed-all
 	$(BIN)/python -m pytest
 
 lint: $(VENV)/installed-test
@@ -88,14 +92,22 @@ boundscheck: $(VENV)/installed-test
 	    $(BIN)/python -m pytest --ignore tests/test_viewer_window.py $(TESTS)
 
 $(VENV)/installed: pyproject.toml .ci/system-packages
+	@echo "Installing gs-codec into $(VENV): a gigabyte, the most of it Open3D, scipy and numba; minutes the first time"
 	.ci/system-packages
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install -e .
 	@touch $@
 
-# torch 2.13.0 is pinned because other releases may bring gigabytes of CUDA.
 $(VENV)/installed-test: $(VENV)/installed
-	.ci/system-packages test
+	@echo "Installing what tests and lint run on: pytest, hypothesis, matplotlib, pdoc, ruff, mypy"
+	$(PIP) install -e '.[test]'
+	@touch $@
+
+# torch 2.13.0 is pinned because other releases may bring gigabytes of CUDA.
+$(VENV)/installed-all: $(VENV)/installed-test
+	@echo "Installing what a few tests need, another gigabyte: torch, torchac and g++ for the paper's coder; Dask and"
+	@echo "sshfs for clusters and places elsewhere; openssh-server to put files on; Xvfb and xdotool for windows"
+	.ci/system-packages all
 	$(PIP) install torch==2.13.0
 	$(PIP) install -e '.[cluster,paper,test]'
 	@touch $@

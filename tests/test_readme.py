@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -94,6 +96,24 @@ def test_make_targets_exist(name):
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"^    make (\w+)", (ROOT / name).read_text(), re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize(("target", "wanted"), [("test", False), ("test-all", True)])
+def test_what_few_tests_need_is_installed_where_that_is_asked(tmp_path, target, wanted):
+    command = ["make", "--dry-run", f"VENV={tmp_path}", target]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    for what in ("torch", "cluster", "system-packages all", "openssh-server"):
+        assert any(what in line for line in lines) == wanted, what
+    for number, line in enumerate(lines):
+        if "pip" in line and "install" in line:
+            before = [other for other in lines[:number] if other.startswith("echo")]
+            assert "Installing" in "".join(before[-2:]), "installs, and has not said what"
+
+
+def test_ci_runs_every_test():
+    assert "\nmake test-all\n" in (ROOT / ".ci" / "run").read_text()
 
 
 def test_documents_are_linked():

@@ -247,6 +247,20 @@ def test_scaling_is_measured_in_processes_of_their_own(tmp_path):
     assert read_image(tmp_path / "plot.png").shape[2] == 3
 
 
+def test_start_is_measured_of_each_command(tmp_path):
+    path = tmp_path / "scene.ply"
+    write_ply(path, random_scene(1200, 1, seed=74))
+    result = CliRunner().invoke(app, ["bench", str(path), "--start", "--repeats", "1"])
+    assert result.exit_code == 0, result.output
+    machine, *lines = [json.loads(line) for line in result.stdout.splitlines()]
+    assert machine["kind"] == "machine"
+    assert {line["gaussians"] for line in lines} == {1000}
+    assert {"--help", "encode", "decode"} < {line["command"] for line in lines}
+    for line in lines:
+        assert 0 < line["cpu_seconds"]["min"] <= line["cpu_seconds"]["max"]
+        assert f"scene, {line['command']} " in result.stderr
+
+
 def test_growth_of_what_is_linear():
     lines = [
         {"gaussians": n, **{way: {"cpu_seconds": 1 + 2e-6 * n} for way in ("encode", "decode")}}

@@ -14,7 +14,7 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 from gs_codec import paper
-from gs_codec.bench import ablated, apart, held_out, host, measure, points, scaling
+from gs_codec.bench import ablated, apart, held_out, host, measure, points, scaling, start
 from gs_codec.bench.beside import our_codec
 from gs_codec.bench.curves import Curve
 from gs_codec.bench.equal import compare_at_equal_quality
@@ -72,7 +72,7 @@ def stand_in(patch: pytest.MonkeyPatch) -> list[tuple[list[dict], Path]]:
     report = ModuleType(REPORT)
     report.write_report = lambda lines, folder: reported.append((lines, folder))  # type: ignore[attr-defined]
     patch.setitem(sys.modules, REPORT, report)
-    for module in (measure, points, scaling):
+    for module in (measure, points, scaling, start):
         patch.setattr(module, "run_apart", run_here)
     patch.setattr(stages, "find_peers", peers)
     patch.setattr(held_out, "_MEASURED", 3)
@@ -110,7 +110,7 @@ def test_every_kind_of_line_is_there_and_says_its_scene(suite):
         "scene", "codec", "error", "memory", "beside", "point", "gain", "bd-rate", "equal", "part",
         "points", "ablation",
     }  # fmt: skip
-    for scene, others in (("shot", {"pruned"}), ("plain", {"coder", "scaling", "growth"})):
+    for scene, others in (("shot", {"pruned"}), ("plain", {"coder", "scaling", "growth", "start"})):
         found = {line["kind"] for line in lines if line["kind"] not in general}
         here = {line["kind"] for line in lines if line.get("scene") == scene}
         assert here == common | others
@@ -276,6 +276,14 @@ def test_costs_grow_over_the_largest_scene_tiled(suite):
     assert [(line["profile"], line["gaussians"]) for line in found] == expected
     assert {tuple(line["options"]) for line in found} == {("--threads", "2")}
     assert [line["profile"] for line in of(suite[0], "growth")] == ["m", "paper-m"]
+
+
+def test_every_kind_of_command_is_started(suite):
+    found = of(suite[0], "start")
+    commands = ["--help", "encode", "decode", "verify", "inspect", "convert", "compare"]
+    assert [line["command"] for line in found] == commands
+    assert {line["scene"] for line in found} == {"plain"}
+    assert all(line["cpu_seconds"]["median"] == 0.25 for line in found)
 
 
 def test_what_is_measured_and_found_is_told(suite):

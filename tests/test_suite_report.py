@@ -137,6 +137,9 @@ def lines_of_all() -> list[Line]:
         known = {"scene": str(count), "profile": "m", "gaussians": count}
         known |= {"float_bytes": 236 * count, "encode": used, "decode": used}
         lines.append({"kind": "scaling", **known})
+    times = {"median": 0.5, "min": 0.4, "max": 0.75}
+    start = {"kind": "start", "scene": "bonsai", "command": "decode", "gaussians": 1000}
+    lines.append(start | {"seconds": times, "cpu_seconds": times})
     growth = {"seconds_per_million": 2.0}
     lines.append({"kind": "growth", "profile": "m", "encode": growth, "decode": growth})
     return lines

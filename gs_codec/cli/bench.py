@@ -36,6 +36,7 @@ _USED: dict[str, tuple[str, ...]] = {
     "parts": ("profile", "depth", "tile", "cameras", "width", "extra"),
     "points": ("profile", "depth", "tile", "repeats", "extra"),
     "peers": ("profile", "depth", "tile", "repeats", *_VIEWS, "extra"),
+    "start": ("repeats", "extra"),
     "stress": ("profile",),
     "scaling": ("profile", "max_memory", "plot", "overwrite"),
 }
@@ -96,6 +97,9 @@ def command(
     prepare: Annotated[
         bool, typer.Option("--prepare", help="Measure preparation instead (ten minutes or so).")
     ] = False,
+    start: Annotated[
+        bool, typer.Option("--start", help="Measure how long each command takes to start instead.")
+    ] = False,
     stress: Annotated[
         bool, typer.Option("--stress", help="Measure scenes that try the numbers instead.")
     ] = False,
@@ -117,7 +121,7 @@ def command(
     """
     mode = _mode_of(
         prepare=prepare, gains=gains, targets=targets, parts=parts, points=points, peers=peers,
-        scaling=scaling, stress=stress,
+        scaling=scaling, start=start, stress=stress,
     )  # fmt: skip
     scenes = scenes or []
     _check_scenes(mode, bool(scenes))
@@ -144,6 +148,7 @@ def command(
         "parts": lambda: bench_modes.run_parts(scenes, chosen("m"), tile, views),
         "points": lambda: bench_modes.run_points(scenes, chosen("paper-m"), tile, repeats),
         "peers": lambda: bench_modes.run_peers(scenes, configs, tile, repeats, views),
+        "start": lambda: bench_modes.run_start(scenes, configs[0], repeats),
         "stress": lambda: bench_modes.run_stress(profile or list(PROFILE_CHOICES), threads),
         "scaling": lambda: bench_scaling.measure(
             scenes, profile or ["m"], threads, max_memory, plot

@@ -20,6 +20,7 @@ from gs_codec.cli.bench_tables import (
     PEER_COLUMNS,
     POINT_COLUMNS,
     PREPARATION_COLUMNS,
+    START_COLUMNS,
     STRESS_COLUMNS,
     TARGET_COLUMNS,
     add_to_rows,
@@ -29,6 +30,7 @@ from gs_codec.cli.bench_tables import (
     point_row,
     preparation_row,
     print_absent,
+    start_row,
     stress_row,
     target_row,
 )
@@ -69,6 +71,16 @@ def run_stress(profiles: list[str], threads: int | None) -> None:
     print_text(json_module.dumps(machine()))
     lines = _printed(measure_stress(profiles, threads=threads))
     print_table(STRESS_COLUMNS, [stress_row(line) for line in lines], sys.stderr)
+
+
+def run_start(scenes: list[Path], config: Config, repeats: int) -> None:
+    """Measure how long commands take to start."""
+    from gs_codec.bench.start import measure_start
+
+    rows = []
+    for name, scene in _loaded(scenes, config, None):
+        rows += [start_row(line) for line in _printed(measure_start(scene, name, repeats))]
+    print_table(START_COLUMNS, rows, sys.stderr)
 
 
 def _measure(

@@ -26,6 +26,7 @@ POINT_COLUMNS = [
     "peak MB", "tmc3 MB",
 ]  # fmt: skip
 PART_COLUMNS = ["scene, profile", "without", "bits/G", "PSNR dB", "saves bits/G at equal PSNR"]
+START_COLUMNS = ["scene, command", "seconds", "CPU s"]
 STRESS_COLUMNS = ["case, profile", "error/bound", "of", "moved", "bits/G", "s"]
 EQUAL_COLUMNS = [
     "scene, codec", "PSNR dB", "bits/G", "by attributes", "by views", "paper", "lossless",
@@ -125,6 +126,12 @@ def point_row(line: dict[str, Any]) -> list[str]:
         f"{peak / 1e6:.0f}",
         f"{line['tool_peak_bytes'] / 1e6:.0f}" if "tool_peak_bytes" in line else "",
     ]
+
+
+def start_row(line: dict[str, Any]) -> list[str]:
+    """A row of a command that starts."""
+    times = [f"{line[name]['median']:.2f}" for name in ("seconds", "cpu_seconds")]
+    return [f"{line['scene']}, {line['command']}", *times]
 
 
 def stress_row(line: dict[str, Any]) -> list[str]:

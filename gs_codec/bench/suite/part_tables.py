@@ -5,7 +5,7 @@ from __future__ import annotations
 from gs_codec.analysis.page import number
 from gs_codec.bench.suite.looks import looks_of
 from gs_codec.bench.suite.results import Line, Results, finite, median_of
-from gs_codec.bench.suite.tables import Cells, seconds
+from gs_codec.bench.suite.tables import Cells, seconds, spread
 
 #: Lines that parts are measured by, and are none.
 _MEASURES = ("nothing", "steps as fine")
@@ -63,6 +63,15 @@ def coder_table(results: Results) -> tuple[list[str], Cells]:
     ]
     columns = ["scene, profile, coder", "symbols", "bytes", "over entropy, %"]
     return [*columns, "encode s", "decode s"], cells
+
+
+def start_table(results: Results) -> tuple[list[str], Cells]:
+    """What each command takes of a small scene, by the clock and of processors."""
+    cells = [
+        [line["command"], *(spread(line[name]) for name in ("seconds", "cpu_seconds"))]
+        for line in results.of("start")
+    ]
+    return ["command", "seconds", "CPU s"], cells
 
 
 def points_table(results: Results) -> tuple[list[str], Cells]:

@@ -127,9 +127,14 @@ def scaling(report: Drawing) -> Iterator[str]:
         "scaling",
         plot_costs.plot_scaling(report.results, title),
         "The largest scene, tiled; every measurement a process of its own. The start of Python and "
-        "loading of kernels, about a second, is what the left ends of the curves show.",
+        "loading of kernels is what the left ends of the curves show.",
         f"{title}. Processor seconds and peak memory against Gaussians, logarithmic.",
     )
+    if report.results.of("start"):
+        table_of_start = part_tables.start_table(report.results)
+        yield table(
+            "Start of commands: all they do of 1,000 Gaussians, compiled before", table_of_start
+        )
 
 
 def memory(report: Drawing) -> Iterator[str]:

@@ -19,6 +19,7 @@ from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
 from gs_codec.bench.points import measure_points
 from gs_codec.bench.pruned import measure_pruned
 from gs_codec.bench.scaling import measure_scaling
+from gs_codec.bench.start import measure_start
 from gs_codec.bench.suite.options import Options
 from gs_codec.bench.suite.scenes import MeasuredScene
 from gs_codec.bench.tile import tile_scene
@@ -137,6 +138,10 @@ def _scaling(measured: MeasuredScene, options: Options, _: Sequence[dict[str, An
             yield line | {"scene": measured.name}
 
 
+def _start(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
+    return measure_start(measured.scene, measured.name, options.repeats)
+
+
 def _config(profile: str, options: Options) -> Config:
     return Config(profile, threads=options.threads)
 
@@ -156,4 +161,5 @@ STAGES = (
 STAGES_OF_LARGEST = (
     Stage("entropy coders", ("coders",), _coders),
     Stage("growing scenes", ("scaling",), _scaling),
+    Stage("start of commands", ("scaling",), _start),
 )

@@ -369,6 +369,12 @@ BAD_FILES = {
         ),
         "after 19999999999999999980 of others|beside",
     ),
+    "60 elements of long names": (
+        rewritten(
+            "element vertex", "".join(f"element {i:090} 0\n" for i in range(60)) + "element p"
+        ),
+        "expected 'vertex'",
+    ),
     "two of an element": (
         rewritten("element", "element vertex 0\nproperty float x\nelement"),
         "two elements of the same name",

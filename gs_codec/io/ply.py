@@ -97,7 +97,9 @@ def read_ply(
 def _check_elements(ply: Ply, used: tuple[str, ...], extra: str) -> None:
     """Refuse a file without Gaussians, or with other elements that have rows."""
     if "vertex" not in ply.header.names:
-        found = ", ".join(f"'{name[:60]}'" for name in ply.header.names) or "none"
+        names = ply.header.names
+        found = ", ".join(f"'{name[:60]}'" for name in names[:4]) or "none"
+        found += ", ..." if len(names) > 4 else ""
         raise InvalidInput(f"elements {found}, expected 'vertex'")
     others = [e.name[:60] for e in ply.header.elements if e.name not in used and e.count]
     if others and extra == "error":

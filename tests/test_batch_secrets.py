@@ -47,6 +47,8 @@ class Handler(BaseHTTPRequestHandler):
                 {"Content-Length": "100"} if path == "/more.ply" and self.command == "HEAD" else {}
             )
             self.answer(200, None, **said)
+        elif path.endswith("loop/"):
+            self.answer(200, b'<a href="a.ply">a</a> <a href="loop/">b</a> <a href="x.loop/">c</a>')
         elif path == "/in/" and "Authorization" not in self.headers:
             self.answer(401, f"{self.path} is not for you".encode())
         elif content is None:
@@ -145,6 +147,21 @@ def test_workers_of_dask_say_none(server, tmp_path):
     done = run(tmp_path, f"http://user:pAss%2Fw%20rd!@{host}/in/", "out", "--dask", "local")
     assert_no_secret(tmp_path, done)
     assert "1 scene encoded, 1 failed" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("pattern", ["tree/", "tree/**/*.ply"])
+def test_folders_of_a_server_are_read_as_far_as_they_go(server, pattern):
+    own = "".join(f'<a href="{name}">x</a>' for name in ("a.ply", "sub/", "./", "../", "?C=N"))
+    server.files |= {"/tree/": own.encode(), "/tree/sub/": own.encode(), "/tree/sub/sub/": b""}
+    url = f"{server.url}/{pattern}"
+    assert [name for name, _ in place_of(url).find(url)] == ["a.ply", "sub/a.ply"]
+
+
+@pytest.mark.parametrize("pattern", ["loop/", "loop/**/*.ply"])
+def test_folders_of_a_server_without_an_end_are_given_up(server, pattern):
+    url = f"{server.url}/{pattern}"
+    with pytest.raises(InvalidInput, match="loop/: 33 folders deep, expected links without"):
+        place_of(url).find(url)
 
 
 @pytest.mark.parametrize(("name", "most"), [("endless.ply", 9000), ("more.ply", 100)])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import posixpath
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +19,8 @@ from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.io.atomic import leftovers, temporary_name
 
+log = logging.getLogger(__name__)
+
 _READ_ONLY = ("http", "https")
 
 #: Stores that show a file when it is closed, and know neither folders nor moving.
@@ -25,6 +29,9 @@ _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memo
 #: Hosts are known by ~/.ssh/known_hosts, as ssh has it, since sshfs alone trusts any; one that
 #: does not answer is given up.
 _SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
+
+#: Folders in folders, where links may lead up again.
+_DEEPEST = 32
 
 #: How much of the room on a disk a file may take that does not say how large it is.
 _FILLED = 0.9
@@ -85,7 +92,8 @@ class RemotePlace:
             raise
         except Exception as error:
             text = _cause(error, self._base, path)
-            if isinstance(error, FileNotFoundError) and text in (shown, without_secrets(path)):
+            named = (shown, without_secrets(path))
+            if isinstance(error, FileNotFoundError) and text in named:
                 text = os.strerror(errno.ENOENT)
             raise InvalidInput(f"{shown}: {text}") from error
 
@@ -95,10 +103,10 @@ class RemotePlace:
         root = self._root
         with self._named():
             if any(sign in root for sign in wild):
-                found = self._fs.glob(root, detail=True)
-                root = fixed_part(root, wild)
+                root, glob = fixed_part(root, wild), root
+                found = self._matching(glob, root)
             elif self._is_folder(pattern):
-                found = self._fs.find(root, detail=True)
+                found = self._below(root)
                 found = {p: info for p, info in found.items() if p.lower().endswith(SUFFIXES)}
             else:
                 found = {root: self._fs.info(root)}
@@ -107,6 +115,53 @@ class RemotePlace:
         root = without_secrets(root)
         names = [without_secrets(path).removeprefix(root).lstrip("/") for path in paths]
         return [(name, Spot(path, self._base)) for name, path in zip(names, paths, strict=True)]
+
+    def _matching(self, glob: str, root: str) -> dict[str, Any]:
+        """Files that a glob matches, all below a folder."""
+        from fsspec.utils import glob_translate
+
+        if self._is_store or "**" not in glob:
+            return self._fs.glob(glob, detail=True)
+        found, wanted = self._below(root), re.compile(glob_translate(glob))
+        return {path: info for path, info in found.items() if wanted.match(path)}
+
+    def _below(self, root: str) -> dict[str, Any]:
+        """All files below a folder.
+
+        Raises
+        ------
+        InvalidInput
+            If folders go too deep, as they do without an end where links lead up again.
+        """
+        if self._is_store:
+            return self._fs.find(root, detail=True)
+        found: dict[str, Any] = {}
+        waiting = [(f"{root.rstrip('/')}/", 0)]
+        while waiting:
+            folder, depth = waiting.pop()
+            if depth > _DEEPEST:
+                shown = self.shown(Spot(folder, self._base))
+                raise InvalidInput(f"{shown}: {depth} folders deep, expected links without circles")
+            for path, info in self._listed(folder, depth):
+                if info.get("type") != "directory":
+                    found[path] = info
+                elif posixpath.basename(path.rstrip("/")) not in ("", ".", ".."):
+                    waiting.append((f"{path.rstrip('/')}/", depth + 1))
+        return found
+
+    def _listed(self, folder: str, depth: int) -> list[tuple[str, dict[str, Any]]]:
+        """What a folder has; one below the first that cannot be read is warned of."""
+        try:
+            entries = self._fs.ls(folder, detail=True)
+        except FileNotFoundError:  # how fsspec has an empty folder of the web
+            return []
+        except OSError as error:
+            if not depth:
+                raise
+            shown = self.shown(Spot(folder, self._base))
+            log.warning("%s: %s, skipped", shown, _cause(error, self._base, folder))
+            return []
+        return [(e["name"], e) for e in entries if e["name"].rstrip("/") != folder.rstrip("/")]
 
     def _is_folder(self, pattern: str) -> bool:
         if self._read_only:

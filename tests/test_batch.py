@@ -614,7 +614,7 @@ def test_scenes_share_the_processors(monkeypatch, jobs, threads, count, expected
     assert (pool._jobs, pool._work.args[0].config.threads) == expected
     # What no other process sees is worked on one after another.
     here = run._runner(batch, options, count, "", False, Watcher())
-    assert here._work.args[0].config.threads == threads or 8
+    assert here._work.args[0].config.threads == (threads or 8)
 
 
 @pytest.mark.parametrize(

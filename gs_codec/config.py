@@ -62,7 +62,7 @@ class LatticeProfile:
     fineness: float
     of_loss: float
 
-    def coarser(self, factor: float) -> LatticeProfile:
+    def scaled(self, factor: float) -> LatticeProfile:
         """The profile whose steps are `factor` times as large; errors go by their squares."""
         square = factor**2
         return LatticeProfile(
@@ -77,7 +77,7 @@ _M = LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063, of_loss=0.3)
 
 #: Half, once and 2.25 times the steps of `m`.
 LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
-    {"l": _M.coarser(0.5), "m": _M, "s": _M.coarser(2.25)}
+    {"l": _M.scaled(0.5), "m": _M, "s": _M.scaled(2.25)}
 )
 
 PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
@@ -283,7 +283,7 @@ class Config:
         """The numbers of profile ``l``, ``m`` or ``s``, its coarseness applied."""
         if self.profile not in LATTICE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
-        return LATTICE_PROFILES[self.profile].coarser(self.coarseness)
+        return LATTICE_PROFILES[self.profile].scaled(self.coarseness)
 
 
 def check_threads(threads: int | None) -> None:

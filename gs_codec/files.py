@@ -392,8 +392,8 @@ def decode_file(
     Raises
     ------
     InvalidInput
-        If the source cannot be read, the target cannot be written, or `max_memory` is not enough
-        for one block.
+        If the source cannot be read, the target cannot be written, a box has no Gaussians, or
+        `max_memory` is not enough for one block.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is not a sound `.egs` file.
     MissingTool, ToolFailed
@@ -475,7 +475,7 @@ def is_egs(path: str | Path) -> bool:
 
 
 def inspect_file(path: str | Path) -> Info:
-    """See `inspect_bytes`; reads the first pages of the file alone."""
+    """See `inspect_bytes`; of the blocks, which come before the comments, nothing is read."""
     with opened(path) as data, located(path):
         return inspect_bytes(data)
 

@@ -1,4 +1,7 @@
-"""What a file says of itself, read from its header and `channels` or `box` section alone."""
+"""What a file says of itself, read from its header and the sections that describe its blocks.
+
+Those are its channels, lattices and bounds or box, the program that coded it, and comments.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from gs_codec.config import LATTICE_PROFILES, LOSSLESS
 from gs_codec.container.box import Box, read_box
 from gs_codec.container.carried import read_comments
 from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
-from gs_codec.container.file import DESCRIPTIONS, VERSION, EgsFile, SectionId, read_file
+from gs_codec.container.file import DESCRIPTIONS, EgsFile, SectionId, read_file
 from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
 from gs_codec.container.tool import read_tool
 from gs_codec.lattice.fixed import PLACES
@@ -65,12 +68,12 @@ class PassInfo:
 
 @dataclass(frozen=True)
 class Info:
-    """Everything `inspect` knows, from the header and the tables of a file alone.
+    """Everything `inspect` knows, from a file's header, tables and comments alone.
 
     Attributes
     ----------
     version : int
-        Of the format.
+        Of the format, as the file has it.
     count : int
         Number of Gaussians.
     sh_degree : int
@@ -147,7 +150,7 @@ class Info:
 
 
 def inspect_bytes(data: bytes | memoryview) -> Info:
-    """Read the header and what is read with it of a stream; the rest is not touched.
+    """Read the header of a stream and what describes its blocks; the blocks are not touched.
 
     Raises
     ------
@@ -158,7 +161,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
 
 
 def describe(file: EgsFile) -> Info:
-    """What the header of a file, and what is read with it, say."""
+    """What the header of a file and its sections that describe the blocks say."""
     header = file.header
     details = _lattice_details if header.profile in LATTICE_PROFILES else _channel_details
     stored = file.sections.get((SectionId.COMMENTS, 0))
@@ -166,7 +169,7 @@ def describe(file: EgsFile) -> Info:
     tool = file.sections.get((SectionId.TOOL, 0))
     coder = "columns" if header.profile == LOSSLESS else "octree"
     return Info(
-        version=VERSION,
+        version=file.version,
         count=header.count,
         sh_degree=header.sh_degree,
         profile=header.profile,

@@ -27,7 +27,8 @@ _MARK = "gs_codec order "
 _GRID = "grid"
 _FLOATS = "floats"
 
-_UNRELATED = "neither scene was decoded from the other: compare with the original"
+_INSTEAD = "compare with the original, or what cameras see (--cameras auto)"
+_UNRELATED = f"neither scene was decoded from the other: {_INSTEAD}"
 
 #: Share of Gaussians that rounding to float32 may have moved out of their cells.
 _MOVED = 0.01
@@ -187,4 +188,4 @@ def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
         return orders[1].apply(first, second), second, "stored order"
     if orders[0] is not None and marks[1] in ((), marks[0][:-1]):
         return first, orders[0].apply(second, first), "stored order"
-    raise InvalidInput("both scenes were reordered, differently: compare with the original")
+    raise InvalidInput(f"both scenes were reordered, differently: {_INSTEAD}")

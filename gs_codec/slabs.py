@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from gs_codec.codec.decode import ChosenPart, choose_part
 from gs_codec.codec.part import Part
 from gs_codec.codec.room import slab_within
+from gs_codec.container.file import MAGIC
+from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.inspection import describe
+from gs_codec.io.formats import tell_format
 from gs_codec.io.mapped import located, opened
 from gs_codec.matching import Order, order_of_file, with_order
 from gs_codec.report import Progress
@@ -56,12 +59,22 @@ class Slabs:
         """How many Gaussians there are, and scenes of some of them, one after another.
 
         How many are in a box is known once they are decoded: these are held in memory.
+
+        Raises
+        ------
+        InvalidInput
+            If there are none in the box, of a scene that has some.
         """
         scenes = self.scenes()
         if self.chosen.part.box is None:
             return self.chosen.file.header.count, scenes
         found = list(scenes)
-        return sum(scene.count for scene in found), iter(found)
+        count = sum(scene.count for scene in found)
+        if self.chosen.file.header.count and not count:
+            corners = describe(self.chosen.file).bounds
+            low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in corners)
+            raise InvalidInput(f"{self.path}: no Gaussians in the box, bounds {low} to {high}")
+        return count, iter(found)
 
     def scenes(self) -> Iterator[Scene]:
         """Scenes of some Gaussians, one after another; what is whole tells its order."""
@@ -109,9 +122,19 @@ def opened_slabs(
     """
     with using_threads(threads), bounded(max_memory), opened(path) as view:
         start = time.perf_counter()
+        _check_format(path, view)
         with located(path):
             chosen = choose_part(view, part, threads, max_bytes, tmc3)
         yield Slabs(Path(path), chosen, progress, time.perf_counter() - start)
+
+
+def _check_format(path: str | Path, view: memoryview) -> None:
+    """Refuse scenes of other formats, and say what reads them."""
+    if view[: len(MAGIC)] == MAGIC:
+        return
+    with suppress(InvalidInput):
+        name = tell_format(path)
+        raise CorruptStream(f"{path}: {name}, not an .egs file; `convert` reads other formats")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 import threading
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +28,7 @@ from gs_codec.cli.output import progress_lines
 from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
 from gs_codec.container.carried import write_extra
 from gs_codec.container.file import Section, SectionId, read_file, write_file
-from gs_codec.files import encode_file
+from gs_codec.files import encode_file, write_scene
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.scene import GROUPS
 
@@ -115,7 +116,7 @@ def python(*arguments: str, cwd: Path = ROOT) -> Result:
 
 
 def test_encode_and_decode_write_what_the_library_does(folder, trio):
-    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m")
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m", "-v")
     assert (status, err) == (0, "")
     assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
     assert out.startswith("out.egs: 1,500 Gaussians, 355.48 kB -> ")
@@ -183,6 +184,44 @@ def test_inspect_says_what_the_file_holds(folder, trio):
     assert listed.startswith(plain)
     rows = {line.split()[0] for line in listed[len(plain) :].splitlines()}
     assert {"x", "f_dc_2", "opacity", "scale_1", "rot_3", "f_rest_44"} <= rows
+
+
+def test_encode_prints_one_line(folder):
+    for options in ([], ["-p", "paper-m"], ["-p", "lossless"]):
+        out = folder.run("encode", "scene.ply", "out.egs", "--overwrite", *options).out
+        assert len(out.splitlines()) == 1
+
+
+@pytest.mark.parametrize("suffix", ["ply", "splat", "egs"])
+def test_inspect_tells_of_every_scene(folder, suffix):
+    scene = replace(
+        read_ply("scene.ply"), comments=("CoordinateSystem: RUB", "SplatRenderMode: mip")
+    )
+    write_scene(f"a.{suffix}", scene, Config("lossless"))
+    status, out, err = folder.run("inspect", f"a.{suffix}")
+    assert (status, err) == (0, "")
+    kept = suffix != "splat"
+    degree = 3 if kept else 0
+    assert f"1,500 Gaussians, SH degree {degree}" in out.splitlines()[0]
+    assert out.startswith(f"a.{suffix}: {'version 1' if suffix == 'egs' else suffix}, ")
+    where = [line for line in out.splitlines() if line.startswith("bounds ")]
+    assert len(where) == 1
+    info = strict_json(folder.run("inspect", f"a.{suffix}", "--json").out)
+    bounds = [scene.positions.min(axis=1), scene.positions.max(axis=1)]
+    np.testing.assert_allclose(info["bounds"], bounds)
+    assert (info["count"], info["sh_degree"], info["antialiased"]) == (1500, degree, kept)
+    assert info["raw_bytes"] == 4 * 1500 * (14 + 45 * kept)
+
+
+def test_inspect_tells_what_else_a_ply_has(folder):
+    scene = read_ply("scene.ply")
+    scene.positions[:, 3] = np.inf
+    write_ply("labels.ply", replace(scene, extra={"label": np.arange(1500, dtype="<u2")}))
+    out = folder.run("inspect", "labels.ply").out
+    assert out.splitlines()[-1] == "other properties: label"
+    assert "inf" not in out
+    write_ply("none.ply", random_scene(0))
+    assert "no bounds" in folder.run("inspect", "none.ply").out
 
 
 def test_compare_prints_the_errors(folder):
@@ -305,7 +344,7 @@ def lattice(folder) -> Folder:
 
 @pytest.mark.parametrize("profile", LATTICE_PROFILES)
 def test_encode_to_lattices_writes_what_the_library_does(folder, profile):
-    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", profile)
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", profile, "--verbose")
     assert (status, err) == (0, "")
     encode_file("scene.ply", "library.egs", Config(profile))
     assert Path("out.egs").read_bytes() == Path("library.egs").read_bytes()
@@ -332,9 +371,8 @@ def test_values_beyond_the_lattices_are_told(folder):
     scene = read_ply("scene.ply")
     scene.opacity[0, :3] = 1e6
     write_ply("far.ply", scene)
-    status, out, _ = folder.run("encode", "far.ply", "out.egs", "-p", "m")
-    assert status == 0
-    assert out.splitlines()[-1] == "values beyond 400, moved to 400: 3"
+    status, _, err = folder.run("encode", "far.ply", "out.egs", "-p", "m")
+    assert (status, err) == (0, "values beyond 400, moved to 400: 3\n")
 
 
 @pytest.mark.parametrize("profile", LATTICE_PROFILES)
@@ -394,14 +432,8 @@ def test_decode_of_a_box(lattice, name):
     for group in GROUPS:
         np.testing.assert_array_equal(getattr(part, group), getattr(whole, group)[:, inside])
     assert part.comments == ()
-    status, out, err = lattice.run("decode", name, "none.ply", "--bbox", "8,8,8,9,9,9")
-    assert (status, err) == (0, "")
-    assert out.startswith("none.ply: 0 Gaussians, SH degree 3, ")
-    assert read_ply("none.ply").count == 0
-    arguments = ["decode", name, "o.ply", "--bbox", "8,8,8,9,9,9", "--json"]
-    report = strict_json(lattice.run(*arguments).out)
-    assert report["count"] == 0
-    assert report["bytes_read"] < 0.3 * report["file_bytes"]
+    line = lattice.refuse("decode", name, "none.ply", "--bbox", "8,8,8,9,9,9")
+    assert f"{name}: no Gaussians in the box, bounds -" in line
 
 
 @pytest.mark.parametrize("profile", LATTICE_PROFILES)
@@ -412,7 +444,7 @@ def test_smallest_scenes_go_all_the_way_through_lattices(folder, profile, count)
         ["encode", "small.ply", "small.egs", "-p", profile],
         ["inspect", "small.egs", "--channels"],
         ["decode", "small.egs", "back.ply"],
-        ["decode", "small.egs", "part.ply", "--bbox", "0,0,0,1,1,1", "--sh-degree", "2"],
+        ["decode", "small.egs", "part.ply", "--bbox=-9,-9,-9,9,9,9", "--sh-degree", "2"],
         ["compare", "small.ply", "back.ply"],
     ):
         status, out, err = folder.run(*arguments)
@@ -528,13 +560,22 @@ REFUSED = {
     "encode directory": ("encode some.dir out.egs", "some.dir: .*directory"),
     "decode missing": ("decode missing.egs out.ply", "missing.egs: No such file"),
     "decode directory": ("decode some.dir out.ply", "some.dir: .*directory"),
-    "decode .ply": ("decode scene.ply out.ply", "scene.ply: not an .egs file"),
+    "decode .ply": ("decode scene.ply out.ply", "scene.ply: ply, not an .egs file"),
     "inspect missing": ("inspect missing.egs", "missing.egs: No such file"),
     "inspect directory": ("inspect some.dir", "some.dir: .*directory"),
-    "inspect .ply": ("inspect scene.ply", "scene.ply: not an .egs file"),
+    "inspect text": ("inspect text.md", "text.md: begins with b'# Ti', expected .egs, .ply"),
+    "inspect zip": ("inspect zip.pt", "zip.pt: a checkpoint of PyTorch, expected a scene: export"),
+    "inspect other zip": ("inspect zip.sog", "zip.sog: a zip without meta.json, expected a SOG"),
+    "channels of a .ply": ("inspect scene.ply --channels", "--channels has no effect on scene.ply"),
+    "verbose JSON": ("encode scene.ply o.egs -v --json", "--verbose has no effect: --json has"),
+    "decode .splat": (
+        "decode a.splat out.ply",
+        "a.splat: splat, not an .egs file; `convert`",
+    ),
+    "verify .ply": ("verify scene.ply", "scene.ply: ply, not an .egs file; `convert` reads"),
     "compare missing": ("compare scene.ply missing.ply", "missing.ply: No such file"),
     "compare directory": ("compare some.dir scene.ply", "some.dir: .*directory"),
-    "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians"),
+    "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians.* cameras see"),
     "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of l, m, s, "),
     "depth group": (
         "encode scene.ply out.egs -p paper-m --depth colour=3",
@@ -590,6 +631,11 @@ def test_bad_use_is_refused(folder, name):
     Path("some.dir").mkdir()
     Path("link.ply").symlink_to("scene.ply")
     write_ply("other.ply", random_scene(7))
+    Path("text.md").write_text("# Title")
+    Path("a.splat").write_bytes(bytes(32))
+    for path, entry in (("zip.pt", "step/data.pkl"), ("zip.sog", "readme")):
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr(entry, b"")
     assert re.search(message, folder.refuse(*command.split(" ")))
 
 
@@ -775,6 +821,7 @@ def test_commands_tell_their_progress_in_a_pipe(folder, command, json):
 
 LOADED = """
 import sys
+import zipfile
 {run}
 print(*sorted(sys.modules), file=sys.stderr)
 """

@@ -13,6 +13,8 @@ from scenes import edge_scenes, made_up_guide, random_scene
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, Config
+from gs_codec.container import file
+from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply
 from gs_codec.model.mixture import Component, MixtureModel
 from gs_codec.model.table import normalise
@@ -273,3 +275,10 @@ def test_random_weights_give_the_same_table(seed):
     channel = Channel("opacity", 5, 8, precision=8, weights=weights.tolist())
     set_frequencies(channel)
     assert channel.frequencies == normalise(weights, 8).frequencies.tolist()
+
+
+def test_version_that_is_told_is_the_files_own(monkeypatch):
+    data = encode_scene(random_scene(5, 0), Config("m"))[0]
+    monkeypatch.setattr(file, "VERSION", 3)
+    assert inspect_bytes(data).version == 1
+    assert inspect_bytes(encode_scene(random_scene(5, 0), Config("m"))[0]).version == 3

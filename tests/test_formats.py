@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import logging
 import math
 import struct
 import zipfile
@@ -643,6 +644,7 @@ def test_json_is_told_by_its_beginning(tmp_path):
 
 
 def test_two_real_files_of_one_scene_agree_within_their_steps(caplog):
+    caplog.set_level(logging.INFO, "gs_codec")
     packed = read_scene(shared_scene_path("biker.compressed.ply"))
     other = read_scene(shared_scene_path("biker.spz"))
     assert packed.count == other.count == 152_746

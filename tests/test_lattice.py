@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
+from gs_codec.config import LATTICE_PROFILES
 from gs_codec.entropy.bits import BitReader, BitWriter
 from gs_codec.entropy.passes import PRECISION, PassReader, PassTables, PassWriter
 from gs_codec.entropy.rans import LANES
@@ -634,3 +635,11 @@ def test_steps_of_few_gaussians_are_finite(count):
     sensitivity, opacity, scales = made_up(19, count)
     steps = fit_steps(sensitivity, opacity, scales, 1e-3)
     assert all(np.isfinite(row).all() for row in steps.coefficients.values())
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
+def test_scaled_profile_has_steps_so_many_times_as_large(factor):
+    base = LATTICE_PROFILES["m"]
+    scaled = base.scaled(factor)
+    assert scaled.fineness == base.fineness * factor
+    assert scaled.error == base.error * factor**2

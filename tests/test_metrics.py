@@ -361,3 +361,14 @@ def test_order_that_makes_no_sense_is_refused(trio, depths, tmp_path):
     write_ply(path, replace(read_ply(trio.ply), comments=(f"gs_codec order {depths}",)))
     with pytest.raises(InvalidInput, match=r"odd\.ply: .*expected six depths"):
         compare_files(trio.ply, path)
+
+
+def test_opacity_without_a_logit_is_compared_as_it_is_seen():
+    first = random_scene(50, 0, seed=3)
+    second = replace(first, opacity=first.opacity.copy())
+    first.opacity[0, :2] = np.inf, -np.inf
+    second.opacity[0, :3] += np.float32(0.5)
+    errors = {(g.name, g.unit): g.max for g in compare_scenes(first, second).groups}
+    assert errors["opacity", "logit"] == pytest.approx(0.5, abs=1e-5)
+    seen = 1 / (1 + np.exp(-second.opacity[0, :2].astype(float)))
+    assert errors["opacity", "0-1"] == pytest.approx(max(1 - seen[0], seen[1]), abs=0.13)

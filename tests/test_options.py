@@ -10,8 +10,7 @@ from test_cameras import inria_entry, write_json
 from test_cli import Folder
 from typer.main import get_command
 
-from gs_codec.cli.bench import _OPTIONS, _USED
-from gs_codec.cli.main import app
+from gs_codec.cli.bench import _OPTIONS, _USED, app
 
 #: A value for each option that a command may ignore.
 VALUES = {
@@ -81,6 +80,6 @@ def test_option_without_effect_is_refused(folder, command, option):
 
 def test_every_option_of_bench_is_used_by_some_mode_or_is_one():
     """So that an option which is new is not ignored by the modes."""
-    options = {p.name for p in get_command(app).commands["bench"].params}  # type: ignore[attr-defined]
+    options = {parameter.name for parameter in get_command(app).params}
     assert set(_OPTIONS) == {name for used in _USED.values() for name in used}
     assert options - set(_OPTIONS) - set(_USED) == {"scenes", "threads"}

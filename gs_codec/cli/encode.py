@@ -10,6 +10,7 @@ import typer
 
 from gs_codec import paper
 from gs_codec.cli import coding, goal, steps
+from gs_codec.cli.given import refuse_given
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -49,6 +50,9 @@ def command(
     max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print bytes and entropy of each stream, too.")
+    ] = False,
     prune_geometry: steps.PruneGeometry = 0.0,
     prune_importance: steps.PruneImportance = 0.0,
     prune_loo: steps.PruneLoo = 0.0,
@@ -66,6 +70,8 @@ def command(
     checkpoint: steps.Checkpoint = None,
 ) -> None:
     """Encode a scene to an .egs file, prepared or as it is."""
+    if json:
+        refuse_given(ctx, ["verbose"], "has no effect: --json has it anyway")
     plan, config = steps.plan_of(ctx, locals()), coding.config_of(ctx, locals())
     wanted = goal.goal_of(target_size, target_ratio, target_bpg, max_psnr_drop, allow_prune)
     from gs_codec.files import comes_compressed, encode_file, source_bytes
@@ -76,7 +82,7 @@ def command(
                 file, out, config, progress, plan, report, wanted, parse_memory(max_memory),
                 overwrite, max_bytes,
             )  # fmt: skip
-        _say_what_changed(done)
+        _say_what_changed(done, profile in LATTICE_PROFILES)
         size, compressed = source_bytes(file), comes_compressed(file)
         if json:
             print_json(
@@ -85,19 +91,21 @@ def command(
                 | {"input_bytes": size, "file_bytes": done.file_bytes}
             )
         else:
-            _print_report(size, compressed, target, done, profile in LATTICE_PROFILES)
+            _print_report(size, compressed, target, done)
+            if verbose:
+                _print_streams(done, profile in LATTICE_PROFILES)
 
 
-def _say_what_changed(report: EncodeReport) -> None:
+def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
     if report.dropped:
         print_status(f"dropped {report.dropped:,} Gaussians with NaN or infinity")
     if report.zero_quaternions:
         print_status(f"replaced {report.zero_quaternions:,} zero quaternions by the identity")
+    if lattices and report.rectified:
+        print_status(f"values beyond 400, moved to 400: {report.rectified:,}")
 
 
-def _print_report(
-    size: int, compressed: bool, target: Path, report: EncodeReport, lattices: bool
-) -> None:
+def _print_report(size: int, compressed: bool, target: Path, report: EncodeReport) -> None:
     count = max(report.count, 1)
     beside = " than the floats" if compressed else ""
     ratio = (report.raw_bytes if compressed else size) / report.file_bytes
@@ -109,9 +117,13 @@ def _print_report(
     )
     if report.rate is not None:
         goal.print_rate(report.rate)
+
+
+def _print_streams(report: EncodeReport, lattices: bool) -> None:
     if lattices:
         _print_lattices(report)
         return
+    count = max(report.count, 1)
     print_table(
         ["stream", "bytes", "bits/Gaussian", "entropy", "parametric", "paper", "models"],
         [_stream_row(name, size, report) for name, size in report.section_bytes.items()],
@@ -141,8 +153,6 @@ def _print_lattices(report: EncodeReport) -> None:
         f"entropy-coded streams with states and tables: {report.entropy_overhead:.3%} over "
         "Shannon entropy"
     )
-    if report.rectified:
-        print_text(f"values beyond 400, moved to 400: {report.rectified:,}")
 
 
 def _stream_row(name: str, size: int, report: EncodeReport) -> list[str]:

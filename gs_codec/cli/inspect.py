@@ -4,39 +4,83 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gs_codec.cli.given import refuse_given
-from gs_codec.cli.output import print_json, print_table, print_text, size_text
+from gs_codec.cli.output import SCENES_PIPED, print_json, print_table, print_text, size_text
+from gs_codec.cli.resources import MaxBytes
+from gs_codec.cli.streams import piped_source
+
+if TYPE_CHECKING:
+    from gs_codec.inspection import Info
+    from gs_codec.overview import Overview
 
 
 def command(
     ctx: typer.Context,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
     channels: Annotated[
         bool, typer.Option("--channels", help="List every channel's quantiser and model.")
     ] = False,
+    max_bytes: MaxBytes = None,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Show what an .egs file holds, from its header alone."""
+    """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
     if json:
         refuse_given(ctx, ["channels"], "has no effect: --json has them anyway")
-    from gs_codec.files import inspect_file
+    from gs_codec.files import inspect_file, is_egs
 
-    info = inspect_file(file)
+    with piped_source(file) as path:
+        if not is_egs(path):
+            refuse_given(ctx, ["channels"], f"has no effect on {file}, expected an .egs")
+            _show_other(file, path, max_bytes, json)
+            return
+        refuse_given(ctx, ["max_bytes"], "has no effect on an .egs, of which the header is read")
+        info = inspect_file(path)
     if json:
         print_json({"file": str(file), **info.as_dict()})
         return
-    low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in info.bounds)
+    _print_info(file, info)
+    if channels:
+        _print_channels(info)
+
+
+def _show_other(file: Path, path: Path, max_bytes: int | None, json: bool) -> None:
+    """What a scene at `path`, called `file`, holds that is no .egs."""
+    from gs_codec.overview import overview_of
+
+    found = overview_of(path, max_bytes)
+    if json:
+        print_json({"file": str(file), **found.as_dict()})
+        return
+    print_text(
+        f"{file}: {found.format}, {found.count:,} Gaussians, SH degree {found.sh_degree}",
+        f"{size_text(found.file_bytes)}, floats {size_text(found.raw_bytes)}",
+        _where(found),
+    )
+    if found.extra:
+        print_text(f"other properties: {', '.join(found.extra)}")
+
+
+def _where(info: Info | Overview) -> str:
+    """Bounds, and how the scene is to be drawn."""
+    text = "no bounds"
+    if info.bounds is not None:
+        low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in info.bounds)
+        text = f"bounds {low} to {high}"
+    antialiased = ", antialiased" if info.antialiased else ""
+    return f"{text}, coordinates {info.coordinates or 'not stated'}{antialiased}"
+
+
+def _print_info(file: Path, info: Info) -> None:
     print_text(
         f"{file}: version {info.version}, profile {info.profile}, {info.count:,} Gaussians, "
         f"SH degree {info.sh_degree}, {info.blocks} blocks of at most {info.block_size:,}",
         f"{size_text(info.file_bytes)}, {info.ratio:.2f} times smaller than the floats, "
         f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian",
-        f"bounds {low} to {high}, coordinates {info.coordinates or 'not stated'}"
-        f"{', antialiased' if info.antialiased else ''}",
+        _where(info),
     )
     if info.tool is not None:
         print_text(f"geometry and SH-DC: G-PCC, by '{info.tool}'")
@@ -46,7 +90,10 @@ def command(
     )
     if info.skipped:
         print_text("skipped:", *(f"  {line}" for line in info.skipped))
-    if channels and info.passes:
+
+
+def _print_channels(info: Info) -> None:
+    if info.passes:
         print_table(
             ["symbols", "stream", "tables", "finest step", "coarsest step"],
             [
@@ -54,7 +101,7 @@ def command(
                 for p in info.passes
             ],
         )
-    elif channels:
+    else:
         print_table(
             ["channel", "quantiser", "depth", "origin", "step", "model", "parameters"],
             [_channel_row(channel) for channel in info.as_dict()["channels"]],

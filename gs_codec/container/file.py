@@ -148,6 +148,7 @@ class EgsFile:
     header_size: int
     table: dict[tuple[int, int], Entry]
     sections: dict[tuple[int, int], memoryview]
+    version: int
 
     @property
     def sizes(self) -> dict[tuple[int, int], int]:
@@ -274,7 +275,7 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     normals, ordered = bool(flags & _NORMALS_FLAG), bool(flags & _ORDER_FLAG)
     header = Header(count, degree, PROFILE_NAMES[profile], block_size, normals, ordered)
     entries = _locate(reader.position, len(view), header, table)
-    return EgsFile(header, view, reader.position, entries, {}).read(wanted)
+    return EgsFile(header, view, reader.position, entries, {}, version).read(wanted)
 
 
 def _available(reader: ByteReader, view: memoryview, entries: int) -> int:

@@ -36,7 +36,8 @@ def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float
     """Logits ``(1, N)`` of opacities in 255ths ``(N,)``; those of 0 and 1 are made finite."""
     ends = int(np.count_nonzero((alpha == 0) | (alpha == 255)))
     if ends:
-        log.warning(
+        # No loss: less than a step of the format.
+        log.info(
             "%s: opacity of 0 or 1 in %d Gaussians, which has no logit: moved by %.2g",
             *(path, ends, _END / 255),
         )

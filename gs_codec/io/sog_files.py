@@ -46,8 +46,7 @@ def sog_files(path: Path, is_zip: bool) -> Iterator[Files]:
         if len(entries) > _ENTRIES:
             raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
         # Some bundles have all in one folder.
-        folder = min((e.filename for e in entries if _base(e) == "meta.json"), key=len, default="")
-        folder = folder[: -len("meta.json")]
+        folder = _folder_of({e.filename for e in entries})
         yield lambda name, limit: _read_entry(archive, folder + name, limit)
 
 
@@ -57,8 +56,16 @@ def stored_bytes(meta: Path, files: Mapping[str, Iterable[str]]) -> int:
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 
-def _base(entry: zipfile.ZipInfo) -> str:
-    return entry.filename.rpartition("/")[2]
+def _folder_of(names: Iterable[str]) -> str:
+    """Where in a zip the scene is."""
+    by_base: dict[str, list[str]] = {}
+    for name in names:
+        by_base.setdefault(name.rpartition("/")[2], []).append(name)
+    if "data.pkl" in by_base:
+        raise InvalidInput("a checkpoint of PyTorch, expected a scene: export it as .ply")
+    if "meta.json" not in by_base:
+        raise InvalidInput("a zip without meta.json, expected a SOG scene")
+    return min(by_base["meta.json"], key=len).removesuffix("meta.json")
 
 
 def _read_beside(meta: Path, name: str, limit: int) -> bytes:

@@ -62,7 +62,8 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
 
     Positions, f_dc, f_rest, log-scales, opacity (logit) and rotation components are compared
     as stored; opacity also after the sigmoid, rotation also as the angle in degrees between the
-    normalised quaternions. Missing SH bands count as zero.
+    normalised quaternions. Missing SH bands count as zero. Opacities of 0 and 1, whose logit is
+    infinite, are compared after the sigmoid alone.
 
     Raises
     ------
@@ -71,7 +72,8 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
     """
     if first.count != second.count:
         raise InvalidInput(
-            f"{first.count} and {second.count} Gaussians: cannot tell which belong together"
+            f"{first.count} and {second.count} Gaussians: cannot tell which belong together; "
+            "compare what cameras see (--cameras auto)"
         )
     coefficients = max(len(first.f_rest), len(second.f_rest)) // 3
     with np.errstate(over="ignore"):
@@ -79,7 +81,7 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
             _group("positions", "scene units", first.positions, second.positions),
             _group("f_dc", "SH", first.f_dc, second.f_dc),
             _group("f_rest", "SH", _padded(first, coefficients), _padded(second, coefficients)),
-            _group("opacity", "logit", first.opacity, second.opacity),
+            _group("opacity", "logit", *_finite(first.opacity, second.opacity)),
             _group("opacity", "0-1", _sigmoid(first.opacity), _sigmoid(second.opacity)),
             _group("scaling", "log", first.log_scale, second.log_scale),
             _group("rotation", "stored", first.rot, second.rot),
@@ -98,6 +100,12 @@ def _group(name: str, unit: str, first: NDArray, second: NDArray) -> GroupError:
         largest = float(np.maximum(largest, error.max(initial=0.0)))
         total += float(error @ error)
     return GroupError(name, unit, largest, float(np.sqrt(total / max(first.size, 1))))
+
+
+def _finite(first: NDArray, second: NDArray) -> tuple[NDArray, NDArray]:
+    """Columns of both in which neither is infinite."""
+    there = ~(np.isinf(first) | np.isinf(second)).any(axis=0)
+    return first[:, there], second[:, there]
 
 
 def _padded(scene: Scene, coefficients: int) -> NDArray[np.float32]:

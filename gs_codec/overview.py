@@ -1,0 +1,81 @@
+"""What `inspect` tells of scenes of other formats than `.egs`, once they are read."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gs_codec.container.box import Box
+from gs_codec.io.formats import is_compressed, read_foreign, stored_bytes, tell_format
+from gs_codec.scene import Scene
+
+
+@dataclass(frozen=True)
+class Overview:
+    """A scene in short.
+
+    Attributes
+    ----------
+    format : str
+        ``ply``, ``compressed ply``, ``splat``, ``spz`` or ``sog``.
+    count : int
+        Number of Gaussians.
+    sh_degree : int
+        0-3.
+    bounds : tuple of two tuples of float, or None
+        Lowest and highest x, y, z of the centres that are finite; None where none is.
+    coordinates : str or None
+        Where x, y and z point, if the file or its format says: three letters, as in ``RUB``.
+    antialiased : bool
+        Whether it asks for opacity compensation.
+    extra : tuple of str
+        Properties beyond the Gaussians'.
+    file_bytes, raw_bytes : int
+        Of all its files, and of the Gaussians' attributes as float32.
+    """
+
+    format: str
+    count: int
+    sh_degree: int
+    bounds: Box | None
+    coordinates: str | None
+    antialiased: bool
+    extra: tuple[str, ...]
+    file_bytes: int
+    raw_bytes: int
+
+    def as_dict(self) -> dict:
+        """The same as plain types, for JSON."""
+        return asdict(self)
+
+
+def overview_of(path: str | Path, max_bytes: int | None = None) -> Overview:
+    """Read a scene of any format but `.egs`, and say what it is; of `max_bytes` see `read_ply`.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a sound file of a format that is read.
+    """
+    scene, name = read_foreign(path, "keep", max_bytes), tell_format(path)
+    return Overview(
+        "compressed ply" if name == "ply" and is_compressed(path) else name,
+        scene.count,
+        scene.sh_degree,
+        _bounds_of(scene),
+        scene.coordinates,
+        scene.antialiased,
+        tuple(scene.extra),
+        stored_bytes(path),
+        scene.float_bytes,
+    )
+
+
+def _bounds_of(scene: Scene) -> Box | None:
+    finite = scene.positions[:, np.isfinite(scene.positions).all(axis=0)]
+    if not finite.size:
+        return None
+    low, high = finite.min(axis=1).tolist(), finite.max(axis=1).tolist()
+    return tuple(low), tuple(high)

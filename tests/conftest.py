@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from pathlib import Path
 from typing import NamedTuple
@@ -10,6 +11,7 @@ import hypothesis
 import pytest
 from scenes import random_scene
 
+from gs_codec.cli import output
 from gs_codec.config import Config
 from gs_codec.files import decode_file, encode_file
 from gs_codec.io.ply import write_ply
@@ -49,6 +51,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     for mark in metafunc.definition.iter_markers("rounds"):
         seeds = mark.args[0] * metafunc.config.getoption("rounds")
         metafunc.parametrize("seed", range(seeds))
+
+
+@pytest.fixture(autouse=True)
+def _no_progress_by_the_clock(monkeypatch):
+    """However slow the machine is, or kernels to compile: stderr has the same lines."""
+    monkeypatch.setattr(output, "SECONDS_A_LINE", math.inf)
 
 
 class Trio(NamedTuple):

@@ -795,7 +795,8 @@ def test_numpy_starts_no_threads_either(folder):
     assert (status, err) == (0, "1\n")
 
 
-def test_progress_in_a_pipe_is_a_line_every_ten_seconds(capsys):
+def test_progress_in_a_pipe_is_a_line_every_ten_seconds(capsys, monkeypatch):
+    monkeypatch.setattr(output, "SECONDS_A_LINE", 10)
     seconds = iter([100, 104, 109.9, 110, 119.9, 131.5, 141])
     update = progress_lines(lambda: next(seconds))
     for done in range(1, 4):
@@ -814,9 +815,16 @@ def test_commands_tell_their_progress_in_a_pipe(folder, command, json):
     folder.monkeypatch.setattr(output, "SECONDS_A_LINE", 0)
     status, out, err = folder.run(*command.split(), *json)
     assert status == 0
-    assert re.search(r"^(de)?code: 1 of \d+ after 0 s$", err, re.MULTILINE)
+    assert re.search(r"^(de)?code: 1 of \d+ after \d+ s$", err, re.MULTILINE)
     if json:
         assert strict_json(out)["count"] == 1500
+
+
+def test_a_batch_tells_the_progress_of_its_scenes_in_a_pipe(folder):
+    folder.monkeypatch.setattr(output, "SECONDS_A_LINE", 0)
+    status, _, err = folder.run("batch", "scene.ply", "out")
+    assert status == 0
+    assert re.search(r"^scene.ply: code: 1 of \d+ after \d+ s$", err, re.MULTILINE)
 
 
 LOADED = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -16,7 +17,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from gs_codec.cli.output import size_text
+from gs_codec.cli.output import progress_lines, size_text
 from gs_codec.errors import printable
 
 
@@ -33,10 +34,11 @@ def watching() -> Iterator[Any]:
 
 
 class _Lines:
-    """A line for each scene that is done."""
+    """A line for each scene that is done, and for what is being done where that takes long."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._total, self._count = console, 0, 0
+        self._told = progress_lines(time.monotonic)
 
     def begun(self, total: int, skipped: int, report: str) -> None:
         """See `Watcher.begun`."""
@@ -49,6 +51,7 @@ class _Lines:
 
     def stage(self, task: Any, stage: str, done: int, total: int) -> None:
         """See `Watcher.stage`."""
+        self._told(f"{task.name}: {stage}", done, total)
 
     def ended(self, task: Any, record: Any) -> None:
         """See `Watcher.ended`."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import logging
 import os
+import random
+import string
 import subprocess
 import sys
 import threading
@@ -12,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import quote, quote_plus, urlsplit
 
 import pytest
 from scenes import random_scene
@@ -211,6 +213,7 @@ def test_what_a_url_is_called(url, shown):
         "sIg+n/a==tUre",
         "no user:pAss/w rd! known",
         "no pAss%2fw+rd! known",
+        "no pAss%252Fw%2520rd%2521 known",
         f"{{'Authorization': 'Basic {TRACES[-1]}'}}",
         "see https://elsewhere/a?token='tOkEnOfRedirect'b (twice https://tOkEnOfRedirect@h).",
         "GET /a.ply?sig=tOkEnOfRedirect",
@@ -220,6 +223,22 @@ def test_what_a_url_is_called(url, shown):
 def test_spellings_of_a_secret_are_hidden(text):
     found = redacted(text, SIGNED.format(host="host", name="a%20b.ply"))
     assert [trace for trace in TRACES if trace in found] == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_secret_is_hidden_in_any_spelling(seed):
+    rng = random.Random(seed)
+    signs = string.ascii_letters + string.digits + string.punctuation + " éß"
+    ways = (str, quote, quote_plus, lambda text: quote(quote(text, safe=""), safe=""))
+    for scheme in ("http", "sftp", "simplecache::https"):
+        secret = "".join(rng.choices(signs, k=rng.randrange(8, 20)))
+        query = "/a.ply?x=1&sig=" if "http" in scheme else ""
+        for put in (quote_plus, lambda text: quote(text, safe="")):
+            for url in (f"{scheme}://me:{put(secret)}@h/a", f"{scheme}://h{query}{put(secret)}"):
+                found = [redacted(f"of {way(secret)} in '{url}'", url) for way in ways]
+                shown = without_secrets(url)
+                if "@" in url or query:
+                    assert found == [f"of *** in '{shown}'"] * len(ways)
 
 
 def test_text_that_means_harm_takes_no_time():

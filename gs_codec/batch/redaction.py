@@ -45,7 +45,7 @@ def without_secrets(url: str) -> str:
 
     Accounts of the web go too. What is no URL is returned as it is.
     """
-    return "::".join(_parted(part)[0] for part in _CHAIN.split(url))
+    return "::".join(_parted(part)[0] for part in _links(url))
 
 
 def redacted(text: str, *urls: str) -> str:
@@ -98,6 +98,15 @@ def _write_traceback(
     sys.stderr.write(redacted("".join(traceback.format_exception(kind, error, trace))))
 
 
+def _links(url: str) -> list[str]:
+    """The URLs of a chain; one of the web is its end, whatever stands in its query."""
+    web = re.search("(?i)(?:^|::)https?://", url)
+    if web is None:
+        return _CHAIN.split(url)
+    start = web.start() + 2 * web[0].startswith("::")
+    return [*(_CHAIN.split(url[: web.start()]) if start else []), url[start:]]
+
+
 def _parted(url: str) -> tuple[str, list[str]]:
     """A URL as it is shown, and the secrets that are left out of it."""
     if (match := _URL.fullmatch(url)) is None:
@@ -113,7 +122,8 @@ def _parted(url: str) -> tuple[str, list[str]]:
         # The second is what the header of a request has.
         secrets += [pair, base64.b64encode(unquote(pair).encode()).decode()]
     rest, query = _without_query(scheme, rest)
-    values = [part.partition("=")[2] or part for part in re.split("[?#&;]|::", query)]
+    parts = [*re.split("[?#&]", query), *re.split("[?#&;]|::", query)]
+    values = [part.partition("=")[2] or part for part in parts]
     secrets += [value for value in values if len(value) >= _SIGNATURE]
     shown = match[1] + (f"{user}@" if user else "") + rest
     return shown, [secret for secret in secrets if secret]
@@ -145,17 +155,17 @@ def _without_query(scheme: str, rest: str) -> tuple[str, str]:
 @lru_cache
 def _spellings(url: str) -> list[re.Pattern[str]]:
     """What finds each secret of a URL, however its signs are escaped; the longest first."""
-    secrets = {unquote(one) for part in _CHAIN.split(url) for one in _parted(part)[1]}
+    secrets = {unquote(one) for part in _links(url) for one in _parted(part)[1]}
     return [_spelling(secret) for secret in sorted(secrets, key=len, reverse=True)]
 
 
 def _spelling(secret: str) -> re.Pattern[str]:
     signs = []
     for sign in secret:
-        # An escape may be escaped once more.
-        escaped = "".join(f"%(?:25){{0,3}}(?i:{byte:02x})" for byte in sign.encode())
-        plain = re.escape(sign) + (r"|\+" if sign == " " else "")
-        signs.append(rf"(?:\\{{0,4}}{plain}|{escaped})")
+        # A plus may stand for a space, and an escape be escaped once more.
+        meant = "+ " if sign in "+ " else sign
+        escaped = ["".join(f"%(?:25){{0,3}}(?i:{b:02x})" for b in one.encode()) for one in meant]
+        signs.append(rf"(?:\\{{0,4}}(?:{'|'.join(map(re.escape, meant))})|{'|'.join(escaped)})")
     word = "".join(signs)
     if len(secret) < _SHORT:
         word = rf"(?:(?<![A-Za-z0-9])|(?<=%[0-9A-Fa-f]{{2}})){word}(?![A-Za-z0-9])"

@@ -21,7 +21,7 @@ from gs_codec.io.sog_files import read_pixels as read_sog_pixels
 from gs_codec.rendering.images import read_image
 
 #: Packages, and what opens images there.
-PACKAGES = ("gs_codec",)
+PACKAGES = ("gs_codec", "viewer")
 READER = "gs_codec/io/images.py"
 
 

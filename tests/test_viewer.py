@@ -346,6 +346,28 @@ def test_screenshots_need_no_display(files, tmp_path):
     assert os.listdir(tmp_path) == ["out.png"]
 
 
+def test_photographs_that_are_programs_are_not_run(files, tmp_path):
+    """PostScript by the name of a picture: Pillow would give it to Ghostscript."""
+    for name in ("bin", "images"):
+        (tmp_path / name).mkdir()
+    program, ran = tmp_path / "bin" / "gs", tmp_path / "ran"
+    program.write_text(f"#!/bin/sh\ntouch {ran}\n")
+    program.chmod(0o755)
+    script = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n"
+    (tmp_path / "images" / "view.png").write_bytes(script)
+    poses = [STRAIGHT.camera(40, 30) | {"img_name": "view"}]
+    (tmp_path / "cameras.json").write_text(json.dumps(poses))
+    result = viewer(
+        files / "a.ply", "--cameras", tmp_path / "cameras.json", "--images", tmp_path / "images",
+        "--screenshot", tmp_path / "out.png",
+        PATH=f"{program.parent}{os.pathsep}{os.environ['PATH']}",
+    )  # fmt: skip
+    assert not ran.exists()
+    assert result.returncode == 2
+    assert "view.png: not an image" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -6,11 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-import gs_codec
-
-_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
+from gs_codec.rendering.images import find_image, read_image
 
 
 def find_photograph(folder: Path, name: str) -> NDArray[np.uint8]:
@@ -21,14 +18,4 @@ def find_photograph(folder: Path, name: str) -> NDArray[np.uint8]:
     gs_codec.GsCodecError
         If there is none, or it is broken.
     """
-    stem = Path(name).name
-    for candidate in (stem, Path(stem).stem):
-        for suffix in _SUFFIXES:
-            path = Path(folder) / (candidate + suffix)
-            if path.is_file():
-                try:
-                    with Image.open(path) as image:
-                        return np.asarray(image.convert("RGB"))
-                except (OSError, Image.DecompressionBombError) as error:
-                    raise gs_codec.GsCodecError(f"{path}: {error}") from error
-    raise gs_codec.GsCodecError(f"{folder}: no image of camera '{name}'")
+    return np.round(255 * read_image(find_image(folder, name))).astype(np.uint8)

@@ -39,7 +39,7 @@ def tell(found: dict) -> NoReturn:
 
 
 class Driver:
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, images: Path | None = None) -> None:
         self.folder = folder
         self.app = gui.Application.instance
         self.app.initialize()
@@ -47,6 +47,7 @@ class Driver:
             folder / "a.ply",
             folder / "b.egs",
             cameras=str(folder / "cameras.json"),
+            images=images,
             pruned=folder / "report",
             layers=("splats",),
             size=(760, 480),

@@ -43,7 +43,7 @@ def display():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Two versions of a scene, places to look from, and a report."""
+    """Two versions of a scene, places to look from, one photograph, and a report."""
     folder = tmp_path_factory.mktemp("window")
     scene = generate(3000, 1, 31)
     write_ply(folder / "a.ply", scene)
@@ -55,6 +55,8 @@ def folder(tmp_path_factory) -> Path:
     ]
     entries = [pose.camera(400, 300) | {"img_name": f"view{k}"} for k, pose in enumerate(poses)]
     (folder / "cameras.json").write_text(json.dumps(entries))
+    (folder / "images").mkdir()
+    Image.new("RGB", (40, 30), "red").save(folder / "images" / "view0.png")
     (folder / "report").mkdir()
     np.save(folder / "report" / "labels.npy", (np.arange(3000) % 3 == 0).astype(np.uint8))
     (folder / "report" / "report.json").write_text('{"removed": {"geometry": 1000}}')
@@ -160,6 +162,15 @@ def test_a_broken_file_is_told_and_the_window_lives(found):
 
 def test_loading_is_stopped(found):
     assert found["stopped"] == 2 * ["loading a.ply ...", "", "b.egs"]
+
+
+@pytest.fixture(scope="module")
+def keyed(display, folder) -> dict:
+    return drive("drive_keys.py", display, folder)
+
+
+def test_the_window_lives_through_many_keys(keyed):
+    assert keyed["pressed"] == 340
 
 
 def test_the_plugin_opens_shows_what_was_pruned_and_compares(display, folder):

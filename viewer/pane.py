@@ -19,6 +19,11 @@ _BACKGROUND = (*BACKGROUND, 1.0)
 #: Nearest and farthest that is drawn, by the distance of what is farthest.
 _NEAR, _BEYOND = 1e-4, 1.1
 
+#: Size of a picture that is not to be seen, pixels. Were it taken away instead, Open3D would abort
+#: now and then: it keeps what drew a picture more in the last frame, if it skipped that one, and
+#: draws with it again although the texture is gone as soon as another picture changes its size.
+HIDDEN = 1, 1
+
 #: Open3D's splat shader has no third degree.
 _MAX_DEGREE = 2
 

@@ -72,8 +72,11 @@ class Panel:
         self._camera = gui.Label("")
         self._cameras.add_child(self._camera)
         self.widget.add_child(self._cameras)
-        bar = np.rint(255 * heat_bar(int(14 * em), int(0.7 * em))).astype(np.uint8)
-        self._bar = gui.ImageWidget(picture_of(bar))
+        bar = np.full((int(0.7 * em), int(14 * em), 4), 255, np.uint8)
+        bar[..., :3] = np.rint(255 * heat_bar(bar.shape[1], bar.shape[0]))
+        # Unseen rather than taken away: see HIDDEN in pane.py.
+        self._bars = [picture_of(bar * np.uint8(seen)) for seen in (False, True)]
+        self._bar = gui.ImageWidget(self._bars[False])
         self.widget.add_child(self._bar)
         self._legend = gui.Label("")
         self.widget.add_child(self._legend)
@@ -119,7 +122,8 @@ class Panel:
             name = viewer.cameras[viewer.number].name
             self._camera.text = f"{viewer.number} of {len(viewer.cameras)}: {name}"
         legends = [*stage.legends, *([stage.error_legend] if stage.error_legend else [])]
-        self._bar.visible = self._legend.visible = bool(legends)
+        self._bar.update_image(self._bars[bool(legends)])
+        self._legend.visible = bool(legends)
         self._legend.text = "\n".join(f"{e.title}: {e.low} to {e.high}" for e in legends)
         counts = list(stage.pruned.counts.items()) if stage.pruned is not None else []
         for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):

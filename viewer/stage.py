@@ -16,7 +16,7 @@ from viewer.layers import Legend, centres, error_image, pruned_centres
 from viewer.navigation import Navigator, distance_ahead
 from viewer.numbers import quality_text
 from viewer.opened import Opened, Pruned
-from viewer.pane import Pane
+from viewer.pane import HIDDEN, Pane
 from viewer.picture import Shown, splats
 from viewer.pose import Pose
 from viewer.worker import Stale, Worker
@@ -196,7 +196,8 @@ class Stage:
         """Put the panes into a part of the window."""
         visible = self.visible
         for pane in self.panes:
-            pane.widget.visible = pane in visible
+            if pane not in visible:
+                pane.widget.frame = gui.Rect(left + width - 1, top, *HIDDEN)
         for pane, (start, stop, _, _) in zip(visible, self._places(width), strict=True):
             pane.widget.frame = gui.Rect(left + start, top, max(stop - start, 1), height)
         self.size = (width, height)

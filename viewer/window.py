@@ -13,7 +13,7 @@ import gs_codec
 from viewer import dialogs
 from viewer.choice import MODES, Choice
 from viewer.opened import Opened, Pruned, open_scene
-from viewer.pane import picture_of
+from viewer.pane import HIDDEN, picture_of
 from viewer.panel import Panel, monospace
 from viewer.photograph import find_photograph
 from viewer.pose import of_camera, overview, up_of
@@ -46,6 +46,8 @@ class Viewer:
         Places to look from.
     number : int
         Of the one that was gone to last.
+    photographed : bool
+        Whether a photograph is beside the scenes.
     message : tuple of str or None
         Title and text of the dialog that is open.
     """
@@ -65,9 +67,9 @@ class Viewer:
         self.stage = Stage(self.window, self.worker, self.choice, device, self._pictured, self.fail)
         self.panel = Panel(self, font)
         self.photograph = gui.ImageWidget()
-        self.photograph.visible = False
-        self.window.add_child(self.panel.widget)
+        self.photograph.visible = self.photographed = False
         self.window.add_child(self.photograph)
+        self.window.add_child(self.panel.widget)
         self.window.set_on_layout(self._lay_out)
         self.window.set_on_tick_event(self.stage.tick)
         self.window.set_on_key(self._key)
@@ -220,7 +222,7 @@ class Viewer:
         return self.worker.busy or not self.stage.resting
 
     def _show_photograph(self) -> None:
-        self.photograph.visible = False
+        self.photographed = False
         if self.request.images is not None and self.cameras:
             try:
                 image = find_photograph(self.request.images, self.cameras[self.number].name)
@@ -228,7 +230,7 @@ class Viewer:
                 self.panel.say(str(error))
             else:
                 self.photograph.update_image(picture_of(image))
-                self.photograph.visible = True
+                self.photograph.visible = self.photographed = True
                 self.panel.say("")
         self.window.set_needs_layout()
 
@@ -238,7 +240,9 @@ class Viewer:
         wide = min(wide, rect.width // 2)
         self.panel.widget.frame = gui.Rect(rect.get_right() - wide, rect.y, wide, rect.height)
         width = rest = rect.width - wide
-        if self.photograph.visible:
+        # Behind the panel, as Open3D makes it larger than that.
+        self.photograph.frame = gui.Rect(rect.get_right() - wide // 2, rect.y, *HIDDEN)
+        if self.photographed:
             panes = 1 if self.choice.mode == "wipe" else max(len(self.stage.visible), 1)
             width -= width // (panes + 1)
             self.photograph.frame = gui.Rect(rect.x + width, rect.y, rest - width, rect.height)

@@ -497,7 +497,7 @@ def resized(name: str, height: int, width: int):
 BAD_SOG = {
     "no zip": (b"PK\x03\x04" + bytes(100), "zip: "),
     "truncated": (bad_sog()[:-30], "zip: "),
-    "no meta.json": (zip_of(b"{}").replace(b"meta.json", b"nota.json"), "entry 'meta.json'"),
+    "no meta.json": (zip_of(b"{}").replace(b"meta.json", b"nota.json"), "zip without meta.json"),
     "encrypted": (encrypted(), "encrypted"),
     "bzip2": (zip_of(b"{}", compression=zipfile.ZIP_BZIP2), "otherwise than by deflate"),
     "lying size": (with_lying_size(), "entry 'meta.json'"),

@@ -149,7 +149,7 @@ def _noise(deviations: NDArray[np.float64], count: int, seed: int) -> NDArray[np
 
 def _views(scene: Scene, cameras: Sequence[Camera]) -> list[NDArray[np.float32]]:
     def draw(camera: Camera) -> NDArray[np.float32]:
-        return np.clip(render(scene, camera, threads=1, device="cpu").colour, 0.0, 1.0)
+        return np.clip(render(scene, camera, device="cpu").colour, 0.0, 1.0)
 
     return run_all(draw, cameras)
 

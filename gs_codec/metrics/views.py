@@ -128,8 +128,6 @@ def compare_views(
     paths = [find_image(truth, camera.name) for camera in cameras] if truth else []
     folder = make_folder(images) if images else None
     advance = step_counter(progress, "views", len(cameras))
-    # A thread for each view costs less than several for one.
-    threads = 1 if len(cameras) > 1 else None
 
     def compare_view(i: int) -> View:
         camera = cameras[i]
@@ -137,8 +135,7 @@ def compare_views(
         if target is not None:
             camera = fitted(camera, target, paths[i])
         a, b = (
-            render(scene, camera, background, threads=threads, device=device).colour
-            for scene in (first, second)
+            render(scene, camera, background, device=device).colour for scene in (first, second)
         )
         if folder is not None:
             _write_images(folder / names[i], a, b)

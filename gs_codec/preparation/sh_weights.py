@@ -43,9 +43,7 @@ def squared_weights(
 
     def weigh(view: int) -> None:
         # A thread for each view costs less than several for one.
-        drawn = render(
-            scene, cameras[view], antialiased=antialiased, accumulate=True, threads=1, device="cpu"
-        )
+        drawn = render(scene, cameras[view], antialiased=antialiased, accumulate=True, device="cpu")
         weights[view] = drawn.accumulations.squared_weight  # type: ignore[union-attr]
 
     run_all(weigh, range(len(cameras)), threads, advance)

@@ -46,7 +46,7 @@ class Targets:
         """Mean over the views of PSNR and SSIM of a scene's images against them."""
 
         def compare(i: int) -> Quality:
-            drawn = render(scene, self.cameras[i], self.background, threads=1, device="cpu")
+            drawn = render(scene, self.cameras[i], self.background, device="cpu")
             return compare_images(drawn.colour, self.images[i])
 
         return mean_quality(self._of_each(compare, progress))
@@ -61,7 +61,7 @@ class Targets:
             return np.zeros(len(self.cameras))
 
         def measure(i: int) -> float:
-            drawn = render(scene, self.cameras[i], self.background, threads=1, device="cpu")
+            drawn = render(scene, self.cameras[i], self.background, device="cpu")
             return float(np.mean((drawn.colour - self.images[i]) ** 2, dtype=np.float64))
 
         return np.array(self._of_each(measure, progress))
@@ -137,7 +137,7 @@ def draw_targets(
 ) -> Targets:
     """A scene's own views."""
     images = run_all(
-        lambda camera: render(scene, camera, background, threads=1, device="cpu").colour,
+        lambda camera: render(scene, camera, background, device="cpu").colour,
         cameras,
         advance=step_counter(progress, "draw", len(cameras)),
     )

@@ -189,7 +189,7 @@ def _look(position: NDArray, target: NDArray, up: NDArray, zoom: float = 1.0) ->
 
 def _judge(scene: Scene, view: Camera) -> tuple[float, NDArray[np.float32]]:
     """Score of a view, higher is better, and each Gaussian's weight in it ``(N,)``."""
-    rendering = render(scene, view, accumulate=True, threads=1)
+    rendering = render(scene, view, accumulate=True)
     assert rendering.accumulations is not None
     weight = rendering.accumulations.weight
     seen = weight > 0

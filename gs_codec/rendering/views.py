@@ -33,11 +33,10 @@ def write_views(
     """
     paths = [make_folder(folder) / f"{name}.png" for name in output_names(cameras)]
     advance = step_counter(progress, "views", len(cameras))
-    threads = 1 if len(cameras) > 1 else None
 
     def write(item: tuple[Camera, Path]) -> None:
         camera, path = item
-        drawn = render(scene, camera, background, antialiased, threads=threads, device=device)
+        drawn = render(scene, camera, background, antialiased, device=device)
         write_png(path, drawn.colour)
 
     run_all(write, zip(cameras, paths, strict=True), advance=advance)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scenes import shared_scene_path
 
-from gs_codec.errors import InvalidInput
+from gs_codec.errors import InvalidInput, printable
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.camera_files import read_cameras
 
@@ -834,5 +834,5 @@ def test_path_without_cameras_is_refused_in_one_line(name, message, tmp_path):
         os.mkfifo(tmp_path / "pipe.json")
     with pytest.raises(InvalidInput, match=message) as caught:
         read_cameras(tmp_path / name)
-    assert str(caught.value).startswith(f"{tmp_path / name}: ")
+    assert str(caught.value).startswith(f"{printable(str(tmp_path / name))}: ")
     assert len(str(caught.value).splitlines()) == 1

@@ -192,6 +192,13 @@ def test_encode_prints_one_line(folder):
         assert len(out.splitlines()) == 1
 
 
+def test_encode_of_what_comes_compressed_counts_from_the_floats(folder):
+    write_scene("a.splat", read_ply("scene.ply"), Config())
+    out = folder.run("encode", "a.splat", "out.egs").out
+    size = Path("out.egs").stat().st_size
+    assert f" 48.00 kB -> {size / 1e3:.2f} kB, {1500 * 56 / size:.2f} times smaller than the" in out
+
+
 @pytest.mark.parametrize("suffix", ["ply", "splat", "egs"])
 def test_inspect_tells_of_every_scene(folder, suffix):
     scene = replace(

@@ -118,7 +118,18 @@ def test_options_are_those_of_encode(folder):
 
 def test_batch_has_the_options_of_encode_but_those_of_one_scene():
     missing = signature(encode.command).parameters.keys() - signature(batch.command).parameters
-    assert missing == {"checkpoint", "max_memory"}
+    assert missing == {"checkpoint", "max_memory", "verbose"}
+
+
+def test_ratios_count_from_raw_floats_though_scenes_come_compressed(folder):
+    Path("packed").mkdir()
+    write_scene("packed/a.splat", read_ply("in/a.ply"), Config())
+    assert folder.run("batch", "packed", "out", "--target-ratio", "3").status == 0
+    (record,) = records()
+    raw = encode_file("packed/a.splat", "one.egs").raw_bytes
+    assert raw / record["output_bytes"] >= 3
+    # Which counts from the file itself would be far smaller.
+    assert record["input_bytes"] / record["output_bytes"] < 3
 
 
 def test_folder_has_scenes_of_every_format(folder):

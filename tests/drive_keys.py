@@ -5,10 +5,15 @@ Run by test_viewer_window.py, in a process of its own, on a display of its own.
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 
 from drive_viewer import Driver, tell
+from open3d.visualization import gui
+
+from viewer.dialogs import inside
 
 
 def many(driver: Driver) -> int:
@@ -23,7 +28,45 @@ def many(driver: Driver) -> int:
     return pressed
 
 
+def dialogs(driver: Driver) -> dict:
+    """What keys do while a dialog is open, and after it."""
+    viewer, found = driver.viewer, {}
+    for end in ("Escape", "Return"):
+        for key in ("h", "n", "m", "1", "q"):
+            driver.key(key)
+        found[f"before {end}"] = state(driver)
+        driver.key(end)
+        found[end] = state(driver)
+    for name, end in (("quiet mnn", "Return"), ("q", "Escape")):
+        driver.key("s")
+        driver.tick(5)
+        field = next(w for w in inside(viewer.modal.dialog) if isinstance(w, gui.TextEdit))
+        driver.click(field)
+        driver.xdotool("type", name)
+        driver.tick(5)
+        found[f"typed {name}"] = state(driver), field.text_value
+        driver.xdotool("keydown", end)  # as by a hand, which takes more than a frame
+        driver.xdotool("keyup", end)
+        driver.tick(5)
+        found[f"{end} after {name}"] = state(driver)
+    driver.rest()
+    subprocess.run(["xdotool", "key", "Escape"], check=True)
+    found["closes"] = any(not driver.app.run_one_tick() for _ in range(100))
+    return found
+
+
+def state(driver: Driver) -> list:
+    """Whether a dialog is open; what keys change that are not for it."""
+    choice = driver.viewer.choice
+    is_open = driver.viewer.modal.dialog is not None
+    return [is_open, driver.viewer.number, choice.mode, sorted(choice.layers)]
+
+
 if __name__ == "__main__":
+    os.chdir(sys.argv[1])  # where pictures are saved
     driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images")
     driver.rest()
-    tell({"pressed": many(driver)})
+    found = {"pressed": many(driver)}
+    driver.rest()
+    found["first"] = state(driver)
+    tell(found | dialogs(driver))

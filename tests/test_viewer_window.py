@@ -173,6 +173,28 @@ def test_the_window_lives_through_many_keys(keyed):
     assert keyed["pressed"] == 340
 
 
+def test_keys_are_for_the_dialog_alone(keyed):
+    still = keyed["first"][1:]
+    for end in ("Escape", "Return"):
+        assert keyed[f"before {end}"] == [True, *still]
+        assert keyed[end] == [False, *still]
+
+
+def test_names_are_typed_and_enter_saves(keyed, folder):
+    still = keyed["first"][1:]
+    assert keyed["typed quiet mnn"] == [[True, *still], "quiet mnn"]
+    assert keyed["Return after quiet mnn"] == [False, *still]
+    with Image.open(folder / "quiet mnn.png") as image:
+        assert image.width > 100
+    assert keyed["typed q"] == [[True, *still], "q"]
+    assert keyed["Escape after q"] == [False, *still]
+    assert not (folder / "q.png").exists()
+
+
+def test_without_a_dialog_escape_closes(keyed):
+    assert keyed["closes"]
+
+
 def test_the_plugin_opens_shows_what_was_pruned_and_compares(display, folder):
     found = drive("drive_plugin.py", display, folder)
     assert found["count"] == 3000

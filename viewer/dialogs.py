@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from open3d.visualization import gui
@@ -27,13 +28,71 @@ _KEYS = (
     ("S", "save a picture"),
     ("Backspace", "stop loading"),
     ("H", "this help"),
-    ("Q, Esc", "quit"),
+    ("Q, Esc", "quit; Esc in a dialog closes it, Enter is OK"),
 )
 
 HELP = "\n".join(f"{keys}: {what}" for keys, what in _KEYS)
 
 
-def show_message(window: gui.Window, title: str, text: str, closed: Callable[[], None]) -> None:
+class Modal:
+    """The dialog of a window: while there is one, keys are for it alone.
+
+    Open3D closes a window whenever Esc goes down, repeats or goes up, before it tells the key.
+
+    Attributes
+    ----------
+    dialog : gui.Dialog or None
+    theme : gui.Theme
+    """
+
+    def __init__(self, window: gui.Window) -> None:
+        self._window = window
+        self.dialog: gui.Dialog | None = None
+        self._enter: Callable[[], None] | None = None
+        self._escape: Callable[[], None] = self.close_dialog
+        self._escaping = False
+        self.theme = window.theme
+
+    def show_dialog(
+        self,
+        dialog: gui.Dialog,
+        enter: Callable[[], None] | None = None,
+        escape: Callable[[], None] | None = None,
+    ) -> None:
+        """Show a dialog, and what Enter and Esc do in it: without `escape`, Esc closes it."""
+        self.dialog, self._enter, self._escape = dialog, enter, escape or self.close_dialog
+        self._window.show_dialog(dialog)
+
+    def close_dialog(self) -> None:
+        """Close the dialog."""
+        self.dialog = None
+        self._window.close_dialog()
+
+    def key(self, event: Any) -> bool:
+        """Whether a key is for the dialog."""
+        down = event.type == gui.KeyEvent.Type.DOWN
+        if event.key == gui.KeyName.ESCAPE:
+            self._escaping = down
+        if self.dialog is None:
+            return False
+        # What goes down while a text is edited is not told, only that it goes up.
+        if event.key == gui.KeyName.ENTER and not down and self._enter is not None:
+            self._enter()
+        return True
+
+    def close(self) -> bool:
+        """Whether the window may close, now that somebody wants it to; if not, its dialog does."""
+        if self.dialog is not None:
+            self._escape()
+            self._escaping = True
+            return False
+        if self._escaping:
+            self._escaping = False
+            return False
+        return True
+
+
+def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:
     """Show a text with a button that is to close it."""
     em = window.theme.font_size
     dialog = gui.Dialog(title)
@@ -48,23 +107,23 @@ def show_message(window: gui.Window, title: str, text: str, closed: Callable[[],
     row.add_stretch()
     box.add_child(row)
     dialog.add_child(box)
-    window.show_dialog(dialog)
+    window.show_dialog(dialog, closed, closed)
 
 
-def ask_open(window: gui.Window, then: Callable[[str], None]) -> None:
+def ask_open(window: Modal, then: Callable[[str], None]) -> None:
     """Ask for a scene's file."""
     kind = (".ply .egs .splat .spz .sog", "3DGS scenes")
     _ask(window, gui.FileDialog.OPEN, "Open a scene", kind, then)
 
 
-def ask_save(window: gui.Window, then: Callable[[str], None]) -> None:
+def ask_save(window: Modal, then: Callable[[str], None]) -> None:
     """Ask where to write a picture."""
     kind = (".png", "PNG images (.png)")
     _ask(window, gui.FileDialog.SAVE, "Save a picture", kind, then)
 
 
 def _ask(
-    window: gui.Window,
+    window: Modal,
     purpose: Any,
     title: str,
     kind: tuple[str, str],
@@ -80,4 +139,29 @@ def _ask(
         then(path)
 
     dialog.set_on_done(done)
-    window.show_dialog(dialog)
+
+    def enter() -> None:
+        path = _typed(dialog)
+        if path is not None:
+            done(path)
+
+    window.show_dialog(dialog, enter)
+
+
+def _typed(dialog: gui.FileDialog) -> str | None:
+    """The path of the name that was typed; None without one, as where files are opened."""
+    widgets = list(inside(dialog))
+    names = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
+    if not any(names):
+        return None
+    folders = next(w for w in widgets if isinstance(w, gui.Combobox))
+    parts = [folders.get_item(k) for k in range(folders.selected_index + 1)]
+    path = Path(*parts, names[0])
+    return str(path if path.suffix else path.with_suffix(".png"))
+
+
+def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
+    """All that is in a widget."""
+    for child in widget.get_children():
+        yield child
+        yield from inside(child)

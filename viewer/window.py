@@ -48,6 +48,8 @@ class Viewer:
         Of the one that was gone to last.
     photographed : bool
         Whether a photograph is beside the scenes.
+    modal : Modal
+        The dialog that is open, if one is.
     message : tuple of str or None
         Title and text of the dialog that is open.
     """
@@ -61,6 +63,7 @@ class Viewer:
         self._without_cameras = False
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
+        self.modal = dialogs.Modal(self.window)
         self.worker = Worker(
             lambda call: gui.Application.instance.post_to_main_thread(self.window, call)
         )
@@ -168,12 +171,12 @@ class Viewer:
     def tell(self, title: str, text: str) -> None:
         """Open a dialog."""
         self.message = (title, text)
-        dialogs.show_message(self.window, title, text, self.dismiss)
+        dialogs.show_message(self.modal, title, text, self.dismiss)
 
     def dismiss(self) -> None:
         """Close the dialog."""
         self.message = None
-        self.window.close_dialog()
+        self.modal.close_dialog()
 
     # What is shown
 
@@ -251,6 +254,8 @@ class Viewer:
     # Keys and files
 
     def _key(self, event: Any) -> bool:
+        if self.modal.key(event):
+            return True
         return event.type == gui.KeyEvent.Type.DOWN and self.press(event.key)
 
     def press(self, key: int) -> bool:
@@ -284,11 +289,11 @@ class Viewer:
 
     def ask_open(self) -> None:
         """Ask for a scene's file, and open it."""
-        dialogs.ask_open(self.window, self.open)
+        dialogs.ask_open(self.modal, self.open)
 
     def ask_save(self) -> None:
         """Ask where to write a picture, and write it."""
-        dialogs.ask_save(self.window, self.save)
+        dialogs.ask_save(self.modal, self.save)
 
     def save(self, path: str) -> None:
         """Write a picture of what is shown, drawn in software."""
@@ -308,6 +313,8 @@ class Viewer:
         self.worker.submit("save", draw, done, self.fail)
 
     def _close(self) -> bool:
+        if not self.modal.close():
+            return False
         self.worker.end()
         return True
 

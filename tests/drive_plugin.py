@@ -43,11 +43,29 @@ def run(folder: Path) -> dict:
     ):
         action()
         pictures.append(shown())
+    count, titles = actions.scene.count, [visualizer.title]
+    named = ["centres", "pruned"]
+    left = [name for name in named if visualizer.scene.has_geometry(f"gs_codec {name}")]
+    actions.detach()
+    pictures.append(shown())
+    titles.append(visualizer.title)
+    try:
+        actions.open(folder / "a.ply")
+    except gs_codec.GsCodecError as error:
+        detached = str(error)
+    left.append([name for name in named if visualizer.scene.has_geometry(f"gs_codec {name}")])
     changed = [
         int((np.abs(after - before).max(axis=2) > 12).sum())
         for before, after in zip(pictures, pictures[1:], strict=False)
     ]
-    return {"changed": changed, "refused": refused, "count": actions.scene.count}
+    return {
+        "changed": changed,
+        "refused": refused,
+        "count": count,
+        "titles": titles,
+        "left": left,
+        "detached": detached,
+    }
 
 
 if __name__ == "__main__":

@@ -204,7 +204,7 @@ def stop_loading(driver: Driver) -> list[str]:
 
         viewer.worker.submit("save", wait, print, print)  # what is to be stopped waits behind it
         started.wait(60)
-        viewer.open(str(driver.folder / "a.ply"))
+        viewer.open(str(driver.folder / "a.ply"), 1)
         driver.tick(5)
         scenes.append(viewer.panel.status.text)
         stop()
@@ -215,6 +215,18 @@ def stop_loading(driver: Driver) -> list[str]:
     return scenes
 
 
+def slide(driver: Driver) -> float:
+    """Where a wipe is after its line was dragged 60 pixels to the right."""
+    frame, corner = driver.viewer.stage.divider.widget.frame, driver.viewer.window.os_frame
+    x, y = corner.x + frame.get_left() + frame.width // 2, corner.y + frame.get_bottom() - 20
+    driver.xdotool("mousemove", x, y, "mousedown", 1)
+    for step in (20, 40, 60):
+        driver.xdotool("mousemove", x + step, y)
+    driver.xdotool("mouseup", 1)
+    driver.rest()
+    return driver.viewer.choice.place
+
+
 def run(folder: Path) -> dict:
     driver = Driver(folder)
     viewer = driver.viewer
@@ -222,12 +234,18 @@ def run(folder: Path) -> dict:
     first = driver.rest()
     found["drawn"] = float(driver.scenes(first).std())
     found["quality"] = viewer.stage.quality
+    found["captions"] = [label.text for label in viewer.stage.captions]
+    found["where"] = [viewer.where]
     found["layers"] = layers(driver, first)
     found["at_first"] = driver.models()
     driver.drag(viewer.stage.panes[0], back=False)
     moved = driver.rest()
     found["after_drag"] = driver.models()
     found["drag_changed"] = int((np.abs(driver.scenes(moved) - driver.scenes(first)) > 12).sum())
+    found["where"].append(viewer.where)
+    driver.key("r")
+    driver.rest()
+    found["where"].append(viewer.where)
     found["drags"] = drags(driver)
     found["wheel"] = wheel(driver)
     found["near"] = [p.widget.scene.camera.get_near() for p in viewer.stage.panes]
@@ -237,22 +255,35 @@ def run(folder: Path) -> dict:
     driver.key("p")
     driver.rest()
     found["back"] = driver.models()
-    driver.toggle("error")
+    driver.key("Home")
+    driver.rest()
+    found["where"].append(viewer.where)
+    driver.key("n")
+    driver.rest()
     driver.key("f")
     a = driver.rest()
+    found["flipped"] = [viewer.stage.captions[0].text]
     found["front_first"] = viewer.choice.front
     driver.key("f")
     b = driver.rest()
+    found["flipped"].append(viewer.stage.captions[0].text)
     found["flip_changed"] = int((np.abs(driver.scenes(a) - driver.scenes(b)) > 12).sum())
     viewer.set_mode("wipe")
     half = driver.scenes(driver.rest())
+    found["wiped_quality"] = viewer.stage.quality
+    found["dragged"], found["wide"] = slide(driver), viewer.stage.size[0]
     viewer.set_place(0.2)
     fifth = driver.scenes(driver.rest())
     columns = np.flatnonzero((np.abs(half - fifth) > 12).any(axis=(0, 2))) / half.shape[1]
     found["wipe_changed"] = [float(columns.min()), float(columns.max())]
     viewer.save(str(folder / "saved.png"))
     driver.rest()
-    viewer.open(str(folder / "report" / "report.json"))
+    found["asked"] = [[scene.name for scene in viewer.stage.scenes]]
+    viewer.open(str(folder / "a.ply"))
+    driver.rest()
+    found["asked"].append([scene.name for scene in viewer.stage.scenes])
+    viewer.window.close_dialog()
+    viewer.open(str(folder / "report" / "report.json"), 1)
     driver.rest()
     found["message"] = viewer.message
     viewer.dismiss()

@@ -25,11 +25,24 @@ from gs_codec.cloud import to_cloud
 from gs_codec.codec import encode_scene
 from gs_codec.config import Config
 from gs_codec.io.ply import write_ply
-from viewer.layers import Points, box_lines, centres, error_image, heat, pruned_centres, thinned
+from viewer import screenshot
+from viewer.layers import (
+    Points,
+    box_lines,
+    centres,
+    error_image,
+    error_legend,
+    heat,
+    heat_bar,
+    pruned_centres,
+    thinned,
+)
 from viewer.main import app
+from viewer.numbers import quality_text
 from viewer.opened import Opened, open_scene, read_pruned
-from viewer.picture import Shown, draw_points, draw_scene, wiped
-from viewer.pose import Pose, look_at, of_camera, overview
+from viewer.picture import Shown, draw_points, draw_scene, measure, outlined, wipe_line, wiped
+from viewer.places import find_places, known_ups
+from viewer.pose import UPS, Pose, look_at, of_camera, overview, up_of
 from viewer.request import Request, parse_layers
 from viewer.screenshot import draw_request
 from viewer.worker import Worker
@@ -44,6 +57,8 @@ def files(tmp_path_factory) -> Path:
     scene = random_scene(900, 1, seed=300)
     write_ply(folder / "a.ply", scene)
     (folder / "b.egs").write_bytes(encode_scene(scene, Config("m"))[0])
+    blocks = random_scene(2000, 1, seed=302)
+    (folder / "blocks.egs").write_bytes(encode_scene(blocks, Config("m", block_size=1024))[0])
     labels = (np.arange(900) % 3).astype(np.uint8)
     write_ply(folder / "kept.ply", scene.take(np.flatnonzero(labels == 0)))
     report = folder / "report"
@@ -75,9 +90,20 @@ def test_a_scene_tells_what_it_is(files):
     assert scene.raw_bytes == 900 * 4 * 23
     assert coded.info.profile == "m"
     assert not len(scene.blocks)
-    np.testing.assert_array_equal(coded.blocks.min(axis=(0, 1)), coded.positions.min(axis=0))
-    np.testing.assert_array_equal(coded.blocks.max(axis=(0, 1)), coded.positions.max(axis=0))
+    assert not len(coded.blocks)
     assert ((scene.opacities > 0) & (scene.opacities < 1)).all()
+
+
+def test_boxes_hold_most_of_their_blocks(tmp_path):
+    scene = random_scene(3000, 0, seed=301)
+    scene.positions[:, ::100] *= 50
+    (tmp_path / "c.egs").write_bytes(encode_scene(scene, Config("m", block_size=1024))[0])
+    coded = open_scene(tmp_path / "c.egs")
+    assert len(coded.blocks) == 3
+    for k, (low, high) in enumerate(coded.blocks):
+        block = coded.positions[k * coded.info.block_size :][: coded.info.block_size]
+        assert 0.8 < np.mean((block >= low).all(axis=1) & (block <= high).all(axis=1)) < 1
+        assert (high - low < np.ptp(block, axis=0)).all()
 
 
 def test_reports_are_of_their_scene(files):
@@ -118,20 +144,33 @@ def test_errors_are_those_of_the_nearest(files):
     f_dc = changed.point["f_dc"].numpy().copy()
     f_dc[5] = -f_dc[5] + 0.5
     changed.point["f_dc"] = type(changed.point["f_dc"])(f_dc)
-    points = centres(Opened("changed", changed), "error", scene)
-    assert points.legend.title.startswith("colour error")
-    brightness = points.colours.sum(axis=1)
-    assert brightness.argmax() == 5
-    assert (brightness[np.arange(900) != 5] == brightness.min()).all()
-    own = centres(scene, "error", scene)
-    np.testing.assert_array_equal(own.colours, scene.colours)
-    assert own.legend is None
+    other = Opened("changed", changed)
+    for each in (other, scene):
+        points = centres(each, "error", [scene, other])
+        assert points.legend == error_legend("colour error")
+        brightness = points.colours.sum(axis=1)
+        assert brightness.argmax() == 5
+        assert (brightness[np.arange(900) != 5] == brightness.min()).all()
+    alone = centres(scene, "error", [scene])
+    np.testing.assert_array_equal(alone.colours, scene.colours)
+    assert alone.legend is None
+
+
+def test_two_scenes_share_one_range_of_sizes(files):
+    scene = open_scene(files / "a.ply")
+    larger = scene.cloud.clone()
+    log_scale = larger.point["log_scale"].numpy() + np.float32(2)
+    larger.point["log_scale"] = type(larger.point["log_scale"])(log_scale)
+    other = Opened("larger", larger)
+    first, second = (centres(each, "scale", [scene, other]) for each in (scene, other))
+    assert first.legend == second.legend
+    assert second.colours.sum() > 1.2 * first.colours.sum()
 
 
 @pytest.mark.parametrize("colouring", ["colour", "opacity", "scale", "error"])
 def test_centres_of_nothing(colouring):
     empty = Opened("empty", to_cloud(random_scene(3, 0, seed=1).take(np.arange(0))))
-    assert centres(empty, colouring, None).positions.shape == (0, 3)
+    assert centres(empty, colouring, [empty]).positions.shape == (0, 3)
     assert overview(empty.positions, empty.opacities).position.shape == (3,)
 
 
@@ -143,13 +182,17 @@ def test_boxes_have_twelve_edges_along_axes():
     assert sorted(lengths[:12].sum(axis=1)) == [1] * 4 + [2] * 4 + [3] * 4
 
 
-def test_error_images_tell_how_far_apart():
+def test_the_scale_of_errors_never_changes():
     first = np.full((20, 20, 3), 0.5)
-    second = first.copy()
-    second[:10] += 0.1
-    image, legend = error_image(first, second)
-    assert image[:10].sum() > 2 * image[10:].sum()
-    assert legend.high == "25.5"
+    near, far = (first + error / 255 for error in (1, 16))
+    far[:10] = near[:10]
+    image = error_image(first, far)
+    np.testing.assert_array_equal(error_image(first, near)[:10], image[:10])
+    legend = error_legend("error")
+    assert legend.marks == ("0.25", "1", "4", "16", "64")
+    bar = heat_bar(5, 1)[0]
+    np.testing.assert_allclose(image[0, 0], bar[legend.marks.index("1")], atol=1e-6)
+    np.testing.assert_allclose(image[-1, 0], bar[legend.marks.index("16")], atol=1e-6)
 
 
 # Poses
@@ -173,6 +216,35 @@ def test_poses_draw_what_their_cameras_draw(files):
     drawn = views.draw(again.camera(60, 40))
     np.testing.assert_array_equal(drawn.colour, views.draw(camera).colour)
     assert drawn.colour.max() > 0.05
+
+
+@pytest.mark.parametrize("up", UPS)
+def test_the_overview_is_upright_and_the_first_place(files, up):
+    scene = open_scene(files / "a.ply")
+    cameras = gs_codec.render(scene.cloud, "auto").cameras[:4]
+    places = find_places(scene, cameras, True, up)
+    assert [place.name for place in places] == ["overview", *(camera.name for camera in cameras)]
+    for place in places:
+        right, down, _ = place.pose.rotation
+        assert right @ UPS[up] == pytest.approx(0, abs=1e-9)
+        assert down @ UPS[up] <= 0
+        assert np.linalg.det(place.pose.rotation) == pytest.approx(1)
+    np.testing.assert_allclose(places[1].pose.rotation[2], cameras[0].rotation[2], atol=1e-9)
+    inside = places[0].pose.project(np.median(scene.positions, axis=0)[None], 60, 40)[0]
+    np.testing.assert_allclose(inside, [[30, 20]], atol=1)
+
+
+def test_cameras_of_a_file_say_what_is_up(files):
+    up = np.array([0.36, -0.48, 0.8])
+    looks = np.random.default_rng(303).normal(size=(20, 3))
+    cameras = [replace(look_at(np.zeros(3), look, up), frame=(60, 40)) for look in looks]
+    np.testing.assert_allclose(up_of([camera.rotation for camera in cameras]), up, atol=1e-6)
+    given = gs_codec.render(files / "a.ply", [camera.camera(60, 40) for camera in cameras]).cameras
+    assert known_ups(given, chosen=False)[0] == "cameras"
+    assert known_ups(given, chosen=True)[0] == "-y"
+    places = find_places(open_scene(files / "a.ply"), given, False, "cameras")
+    assert places[0].pose.rotation[1] @ up < -0.5
+    np.testing.assert_array_equal(places[3].pose.rotation, given[2].rotation)
 
 
 # Pictures
@@ -210,28 +282,73 @@ def test_points_half_outside_are_cut():
 
 @pytest.mark.parametrize("layer", ["splats", "centres", "pruned", "boxes", "error"])
 def test_every_layer_is_seen(files, layer):
-    a, b = open_scene(files / "a.ply"), open_scene(files / "b.egs")
-    shown = Shown((layer,), reference=a, pruned=read_pruned(files / "report", a), pruned_of=a)
-    images = [
-        draw_scene(b, STRAIGHT, 90, 60, replace(shown, layers=x), {})[0] for x in ((), (layer,))
-    ]
-    assert np.any(np.abs(images[1] - images[0]) > 0.05)
-    assert images[1].shape == (60, 90, 3)
+    a, b = open_scene(files / "a.ply"), open_scene(files / "blocks.egs")
+    shown = Shown((layer,), scenes=(a, b), pruned=read_pruned(files / "report", a))
+    changed = {}
+    for scene in (a, b):
+        images = [
+            draw_scene(scene, STRAIGHT, 90, 60, replace(shown, layers=x), {})[0]
+            for x in ((), (layer,))
+        ]
+        changed[scene] = np.any(np.abs(images[1] - images[0]) > 0.05)
+        assert images[1].shape == (60, 90, 3)
+    assert changed[b] == (layer != "pruned")
+    assert changed[a] == (layer != "boxes")
 
 
 def test_wipes_show_both():
-    image = wiped(np.zeros((10, 20, 3)), np.full((10, 20, 3), 0.5), 0.25)
-    assert not image[:, :4].any()
-    assert (image[:, 4:6] == 1).all()
-    assert (image[:, 6:] == 0.5).all()
+    image = wiped(np.zeros((10, 80, 3)), np.full((10, 80, 3), 0.5), 0.25)
+    assert not image[:, :16].any()
+    assert (image[:, 16:24] == image[0, 16]).all()
+    assert image[0, 16].min() > 0.8
+    assert (image[:, 24:] == 0.5).all()
+
+
+@pytest.mark.parametrize("place", [0.0, 0.5, 1.0])
+def test_a_wipe_leaves_some_of_both(place):
+    start, stop = wipe_line(place, 40)
+    assert 0 < start < stop < 40
+
+
+def test_what_is_measured_is_the_frame_of_the_camera(files):
+    camera = gs_codec.render(files / "a.ply", [STRAIGHT.camera(60, 40)]).cameras[0]
+    camera = replace(camera, cx=25.0, cy=22.0)
+    scenes = [open_scene(files / name) for name in ("a.ply", "b.egs")]
+    pose = of_camera(camera)
+    expected = gs_codec.compare(files / "a.ply", files / "b.egs", [camera]).mean.between
+    assert measure({}, scenes, pose) == quality_text(expected)
+    assert pose.measured == (60, 40)
+    assert replace(pose, frame=(6400, 4000)).measured == (1600, 1000)
+    assert measure({}, scenes, replace(pose, frame=(8, 8))) == "frame of 8x8: too small"
+
+
+def test_the_frame_is_outlined_and_measured_whatever_the_layout(files, monkeypatch):
+    captions = []
+    labelled = screenshot.labelled
+    monkeypatch.setattr(
+        screenshot, "labelled", lambda *given: captions.append(given[1][-1][1]) or labelled(*given)
+    )
+    poses = [STRAIGHT.camera(60, 40) | {"img_name": "view"}]
+    (files / "one.json").write_text(json.dumps(poses))
+    request = Request(files / "a.ply", files / "b.egs", cameras=str(files / "one.json"))
+    for mode, size in (("side", (300, 120)), ("wipe", (300, 120)), ("flip", (90, 300))):
+        draw_request(replace(request, mode=mode, size=size))
+    lines = {caption.partition("\n")[2] for caption in captions if caption.startswith("B")}
+    assert len(lines) == 1
+    assert lines.pop().endswith("in the frame, 60x40")
+    image = outlined(
+        np.zeros((100, 90, 3)), of_camera(gs_codec.render(files / "a.ply", poses).cameras[0])
+    )
+    rows = np.flatnonzero(image.any(axis=(1, 2)))
+    assert (rows[0], rows[-1]) == (20, 79)
 
 
 def test_pictures_are_of_the_size_asked_for(files):
     for mode in ("side", "wipe", "flip"):
         request = Request(files / "a.ply", files / "b.egs", mode=mode, size=(300, 120))
-        assert draw_request(request).size == (300, 120)
+        assert draw_request(request)[0].size == (300, 120)
     side, flip = (
-        draw_request(Request(files / "a.ply", files / "b.egs", mode=mode, size=(300, 120)))
+        draw_request(Request(files / "a.ply", files / "b.egs", mode=mode, size=(300, 120)))[0]
         for mode in ("side", "flip")
     )
     assert np.any(np.asarray(side) != np.asarray(flip))
@@ -324,7 +441,10 @@ def test_layers_of_a_list():
         ({"mode": "both"}, "mode 'both'"),
         ({"size": (10, 100)}, "size 10x100"),
         ({"view": 3}, "view: needs cameras"),
-        ({"images": Path("x")}, "images: need cameras"),
+        ({"images": Path("x")}, "images: need cameras of a file"),
+        ({"images": Path("x"), "cameras": "auto"}, "images: need cameras of a file"),
+        ({"images": Path("/none"), "cameras": "c.json"}, "/none: no such folder"),
+        ({"up": "w"}, "up 'w': expected -y, y, -z"),
         ({"a": None, "cameras": "auto"}, "no scene"),
     ],
 )
@@ -344,6 +464,27 @@ def test_screenshots_need_no_display(files, tmp_path):
     with Image.open(out) as image:
         assert image.size == (400, 200)
     assert os.listdir(tmp_path) == ["out.png"]
+
+
+def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path):
+    poses = [STRAIGHT.camera(40, 30) | {"img_name": f"view{k}"} for k in range(2)]
+    (tmp_path / "cameras.json").write_text(json.dumps(poses))
+    (tmp_path / "images").mkdir()
+    Image.new("RGB", (40, 30), (200, 0, 0)).save(tmp_path / "images" / "view1.png")
+    asked = [files / "a.ply", "--cameras", tmp_path / "cameras.json", "--images",
+             tmp_path / "images", "--width", "200", "--height", "80"]  # fmt: skip
+    result = viewer(*asked, "--screenshot", tmp_path / "0.png")
+    assert result.returncode == 0
+    assert result.stderr.startswith("gs-viewer: without a photograph: ")
+    assert "no image 'view0'" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    result = viewer(*asked, "--view", "1", "--screenshot", tmp_path / "1.png")
+    assert (result.returncode, result.stderr) == (0, "")
+    reds = [
+        np.sum(np.asarray(Image.open(tmp_path / f"{k}.png"))[..., 0].astype(int) > 190)
+        for k in range(2)
+    ]
+    assert reds[1] > reds[0] + 1000
 
 
 def test_photographs_that_are_programs_are_not_run(files, tmp_path):

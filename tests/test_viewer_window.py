@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import gs_codec
 from gs_codec.codec import encode_scene
 from gs_codec.config import Config
 from gs_codec.io.ply import write_ply
 from samples.generate import generate
+from viewer.numbers import quality_text
 from viewer.pose import look_at
 
 pytestmark = pytest.mark.skipif(
@@ -47,7 +49,7 @@ def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("window")
     scene = generate(3000, 1, 31)
     write_ply(folder / "a.ply", scene)
-    (folder / "b.egs").write_bytes(encode_scene(scene, Config("s"))[0])
+    (folder / "b.egs").write_bytes(encode_scene(scene, Config("s", block_size=1024))[0])
     centre = np.median(scene.positions, axis=1).astype(np.float64)
     size = float(np.quantile(np.abs(scene.positions.T - centre), 0.8))
     poses = [
@@ -90,7 +92,7 @@ def test_it_draws_both_scenes(found):
     assert "dB, SSIM" in found["quality"]
 
 
-@pytest.mark.parametrize("layer", ["splats", "centres", "pruned"])
+@pytest.mark.parametrize("layer", ["splats", "centres"])
 def test_layers_are_switched_by_clicks_in_both_panes(found, layer):
     left, right, apart = found["layers"][layer]
     assert left > 100
@@ -98,12 +100,37 @@ def test_layers_are_switched_by_clicks_in_both_panes(found, layer):
     assert apart <= 4
 
 
-@pytest.mark.parametrize("layer", ["boxes", "error"])
-def test_what_is_of_the_second_alone_shows_there(found, layer):
-    left, right, apart = found["layers"][layer]
-    assert left < right / 10
-    assert right > 100
+@pytest.mark.parametrize(("layer", "owner"), [("pruned", 0), ("boxes", 1), ("error", 1)])
+def test_what_is_of_one_scene_alone_shows_there(found, layer, owner):
+    *halves, apart = found["layers"][layer]
+    assert halves[1 - owner] < halves[owner] / 10
+    assert halves[owner] > 100
     assert apart <= 4
+
+
+def test_the_quality_is_of_the_frame_whatever_the_layout(found, folder):
+    scenes = folder / "a.ply", folder / "b.egs"
+    expected = gs_codec.compare(*scenes, str(folder / "cameras.json")).views[0].between
+    assert found["quality"] == found["wiped_quality"] == quality_text(expected)
+
+
+def test_panes_are_named_and_the_panel_says_where_one_is(found):
+    assert found["captions"] == [" A: a.ply", " B: b.egs"]
+    assert found["flipped"] == [" A: a.ply", " B: b.egs"]
+    assert found["where"] == [
+        "view 0 of 2: view0",
+        "moved away from view 0 of 2: view0 (R goes back)",
+        "view 0 of 2: view0",
+        "overview; 2 views",
+    ]
+
+
+def test_the_line_of_a_wipe_is_dragged(found):
+    assert found["dragged"] == pytest.approx(0.5 + 60 / found["wide"], abs=0.02)
+
+
+def test_a_third_scene_replaces_neither_unasked(found):
+    assert found["asked"] == [["a.ply", "b.egs"], ["a.ply", "b.egs"]]
 
 
 def test_both_cameras_follow_one(found):
@@ -135,7 +162,7 @@ def test_what_is_near_is_drawn_after_a_layout(found):
 
 
 def test_keys_go_through_the_cameras(found):
-    assert found["number"] == 1
+    assert found["number"] == 2
     np.testing.assert_allclose(found["back"][0], found["at_first"][0], atol=1e-5)
 
 
@@ -199,8 +226,11 @@ def test_the_plugin_opens_shows_what_was_pruned_and_compares(display, folder):
     found = drive("drive_plugin.py", display, folder)
     assert found["count"] == 3000
     assert found["refused"] == "no scene is open"
-    opened, pruned, compared = found["changed"]
-    assert min(opened, pruned, compared) > 1000
+    opened, pruned, compared, detached = found["changed"]
+    assert min(opened, pruned, compared, detached) > 1000
+    assert found["left"] == ["centres", []]
+    assert found["titles"] == ["plugin - colour error, of 255: 0.25 dark, 64 yellow", "plugin"]
+    assert found["detached"] == "detached from the visualizer"
 
 
 def test_without_a_driver_it_says_so(display, folder):

@@ -24,6 +24,8 @@ class Choice:
         Which scene ``flip`` shows.
     place : float, 0-1
         Where ``wipe`` divides the view.
+    up : str
+        Which axis is up, of `UPS`.
     """
 
     layers: set[str]
@@ -31,3 +33,4 @@ class Choice:
     mode: str
     front: int = 1
     place: float = 0.5
+    up: str = "-y"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,13 @@ _KEYS = (
     ("drag", "turn"),
     ("ctrl + drag, right drag", "shift"),
     ("wheel up, down", "come nearer, go away"),
-    ("N, P", "next, previous camera"),
+    ("N, P", "next, previous view"),
+    ("R", "back to the view, after moving away"),
+    ("Home", "overview"),
+    ("U", "which axis is up"),
     ("M", "side by side, wipe, flip"),
     ("F", "in one view: A or B"),
-    ("left, right", "move the wipe"),
+    ("left, right", "move the wipe; its line can be dragged"),
     ("1 ... 5", ", ".join(LAYERS)),
     ("C", "what centres are coloured by"),
     ("O", "open a scene"),
@@ -94,25 +97,50 @@ class Modal:
 
 def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:
     """Show a text with a button that is to close it."""
+    dialog, box = _box(window, title, text)
+    _add_button(box, "OK", closed)
+    window.show_dialog(dialog, closed, closed)
+
+
+def _box(window: Modal, title: str, text: str) -> tuple[gui.Dialog, gui.Vert]:
+    """A dialog with a title and a text, and what holds them."""
     em = window.theme.font_size
     dialog = gui.Dialog(title)
     box = gui.Vert(0.5 * em, gui.Margins(em, em, em, em))
     for line in [title, *folded(text, _WIDTH)]:
         box.add_child(gui.Label(line))
-    button = gui.Button("OK")
-    button.set_on_clicked(closed)
+    dialog.add_child(box)
+    return dialog, box
+
+
+def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
+    """Add a button in the middle of a row."""
+    button = gui.Button(text)
+    button.set_on_clicked(action)
     row = gui.Horiz()
     row.add_stretch()
     row.add_child(button)
     row.add_stretch()
     box.add_child(row)
-    dialog.add_child(box)
-    window.show_dialog(dialog, closed, closed)
+
+
+def ask_place(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
+    """Ask which of two scenes another one is to replace."""
+    dialog, box = _box(window, "Open", f"Show {name} in place of")
+    for place, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
+
+        def chosen(place: int = place) -> None:
+            window.close_dialog()
+            then(place)
+
+        _add_button(box, f"{letter}: {scene}", chosen)
+    _add_button(box, "Cancel", window.close_dialog)
+    window.show_dialog(dialog)
 
 
 def ask_open(window: Modal, then: Callable[[str], None]) -> None:
     """Ask for a scene's file."""
-    kind = (".ply .egs .splat .spz .sog", "3DGS scenes")
+    kind = (".ply .egs .splat .spz .sog .json", "3DGS scenes")
     _ask(window, gui.FileDialog.OPEN, "Open a scene", kind, then)
 
 

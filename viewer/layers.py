@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import colorsys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,20 +29,25 @@ _VIRIDIS = np.array(
 #: Of the reasons for pruning, in their order.
 _REASONS = np.array([(0, 220, 255), (255, 160, 0), (255, 40, 80), (190, 90, 255)]) / 255.0
 
-#: Of the boxes of blocks.
-BOX_COLOUR = (0.45, 0.85, 0.35)
+#: Of a box.
+EDGES = 12
 
-#: Quantile of what is coloured that has the last colour.
-_HIGHEST = 0.99
+#: Hues of the boxes of blocks are so far apart, turns: neighbours never look alike.
+_HUE_STEP = 0.381966
+
+#: Quantiles of the sizes that have the first and the last colour.
+_SIZES = (0.01, 0.99)
+
+#: Errors from a quarter of a level of 255 to 64 levels; each of the eight steps doubles them.
+_LEAST_ERROR, _DOUBLINGS = 0.25 / 255, 8
 
 
 @dataclass(frozen=True)
 class Legend:
-    """What the colours of a heat map mean."""
+    """What the colours of a heat map mean: five values, of its first colour to its last."""
 
     title: str
-    low: str
-    high: str
+    marks: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +68,18 @@ def heat(values: NDArray, low: float, high: float) -> NDArray[np.float32]:
     return np.stack(channels, axis=-1).astype(np.float32)
 
 
+def error_heat(errors: NDArray) -> NDArray[np.float32]:
+    """Colours ``(..., 3)`` of errors, 0-1, on a scale that never changes."""
+    steps = np.log2(np.maximum(errors, _LEAST_ERROR) / _LEAST_ERROR)
+    return heat(steps, 0, _DOUBLINGS)
+
+
+def error_legend(title: str) -> Legend:
+    """The legend of `error_heat`."""
+    marks = 255 * _LEAST_ERROR * 2.0 ** np.arange(0, _DOUBLINGS + 1, 2)
+    return Legend(f"{title}, of 255", tuple(f"{mark:g}" for mark in marks))
+
+
 def heat_bar(width: int, height: int) -> NDArray[np.float32]:
     """The colours of `heat` from its lowest value to its highest, ``(height, width, 3)``."""
     return np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
@@ -77,8 +96,13 @@ def thinned(count: int, most: int) -> slice:
     return slice(None, None, max(1, -(-count // max(most, 1))))
 
 
+def block_colour(place: int) -> tuple[float, float, float]:
+    """The colour of the block at a place."""
+    return colorsys.hsv_to_rgb(place * _HUE_STEP % 1, 0.65, 0.95)
+
+
 def centres(
-    scene: Opened, colouring: str, reference: Opened | None, most: int | None = None
+    scene: Opened, colouring: str, scenes: Sequence[Opened], most: int | None = None
 ) -> Points:
     """Centres of a scene, at most so many, and their colours.
 
@@ -87,28 +111,28 @@ def centres(
     scene : Opened
     colouring : {"colour", "opacity", "scale", "error"}
         SH-DC; opacity; the longest axis; the distance in colour from the nearest centre of the
-        reference.
-    reference : Opened or None
-        Of it, and without one, errors are not known: its own colours are shown.
+        other scene.
+    scenes : sequence of Opened
+        All that are shown: the first has the range of sizes. With one alone errors are not known,
+        and its own colours are shown.
     most : int, optional
     """
     some = thinned(scene.count, most or scene.count)
     positions = scene.positions[some]
-    if colouring == "colour" or (colouring == "error" and reference in (None, scene)):
-        return Points(positions, scene.colours[some])
+    others = [other for other in scenes if other is not scene]
     if colouring == "opacity":
-        legend = Legend("opacity", "0", "1")
+        legend = Legend("opacity", ("0", "0.25", "0.5", "0.75", "1"))
         return Points(positions, heat(scene.opacities[some], 0, 1), legend)
     if colouring == "scale":
-        sizes = scene.sizes[some]
-        low, high = (float(np.quantile(sizes, q)) if sizes.size else 0.0 for q in (0.01, _HIGHEST))
-        legend = Legend("longest axis, scene units", f"{10**low:.2g}", f"{10**high:.2g}")
-        return Points(positions, heat(sizes, low, high), legend)
-    assert reference is not None
-    errors = colour_errors(scene, reference, some)
-    high = float(np.quantile(errors, _HIGHEST)) if errors.size else 0.0
-    legend = Legend("colour error, of 255", "0", f"{255 * high:.3g}")
-    return Points(positions, heat(errors, 0, high), legend)
+        sizes = scenes[0].sizes
+        low, high = (float(np.quantile(sizes, q)) if sizes.size else 0.0 for q in _SIZES)
+        marks = tuple(f"{10**size:.2g}" for size in np.linspace(low, high, 5))
+        legend = Legend("longest axis, scene units", marks)
+        return Points(positions, heat(scene.sizes[some], low, high), legend)
+    if colouring == "error" and others:
+        errors = colour_errors(scene, others[0], some)
+        return Points(positions, error_heat(errors), error_legend("colour error"))
+    return Points(positions, scene.colours[some])
 
 
 def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.float32]:
@@ -143,8 +167,11 @@ def box_lines(boxes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     return points.reshape(-1, 3), lines.reshape(-1, 2).astype(np.int32)
 
 
-def error_image(first: NDArray, second: NDArray) -> tuple[NDArray[np.float32], Legend]:
-    """Heat map of how far two images ``(H, W, 3)`` are apart, and its legend."""
+def error_image(first: NDArray, second: NDArray) -> NDArray[np.float32]:
+    """Heat map of how far two images ``(H, W, 3)`` are apart."""
     errors = np.sqrt(np.mean((np.clip(first, 0, 1) - np.clip(second, 0, 1)) ** 2, axis=2))
-    high = max(float(np.quantile(errors, _HIGHEST)), 1 / 255)
-    return heat(errors, 0, high), Legend("error of a pixel, of 255", "0", f"{255 * high:.3g}")
+    return error_heat(errors)
+
+
+#: Of `error_image`.
+PIXEL_LEGEND = error_legend("error of a pixel")

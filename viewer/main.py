@@ -11,6 +11,7 @@ import typer
 import gs_codec
 from gs_codec.cli.output import log_to_stderr, print_status, print_text
 from viewer.layers import COLOURINGS, LAYERS
+from viewer.pose import UPS
 
 app = typer.Typer(
     add_completion=False,
@@ -56,6 +57,14 @@ def command(
     view: Annotated[
         int | None, typer.Option(help="Camera to begin with, from 0.", show_default=False)
     ] = None,
+    up: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AXIS",
+            help=f"Which axis is up, where no camera says it: {', '.join(UPS)}; -y if not given.",
+            show_default=False,
+        ),
+    ] = None,
     screenshot: Annotated[
         Path | None,
         typer.Option(metavar="PNG", help="Write a picture, without a display, and end."),
@@ -88,12 +97,15 @@ def command(
         view,
         (width, height),
         max_bytes,
+        up,
     )
     request.check()
     if screenshot is not None:
         from viewer.screenshot import write_screenshot
 
-        write_screenshot(request, screenshot)
+        missing = write_screenshot(request, screenshot)
+        if missing:
+            print_status(f"gs-viewer: without a photograph: {missing}")
         return
     from viewer.device import find_device
 

@@ -31,6 +31,9 @@ _DAMAGE = (
     OverflowError, tokenize.TokenError,
 )  # fmt: skip
 
+#: Quantiles of the centres along each axis between which a block's box is.
+_BOX = (0.02, 0.98)
+
 #: SH degree by coefficients beyond the first.
 _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 
@@ -92,17 +95,17 @@ class Opened:
 
     @cached_property
     def blocks(self) -> NDArray[np.float32]:
-        """Boxes of the blocks that an ``.egs`` file decodes apart, ``(blocks, 2, 3)``.
+        """Where most of each block's centres are, ``(blocks, 2, 3)``; blocks decode apart.
 
-        None where the Gaussians were put back into another order than the file's.
+        Far ones are left out: they are few, and would make every box as large as the scene. None
+        where a file is not ``.egs``, has one block alone, or another order than its blocks'.
         """
         info = self.info
-        if info is None or info.keeps_order or not self.count:
+        if info is None or info.keeps_order or self.count <= info.block_size:
             return np.zeros((0, 2, 3), np.float32)
-        starts = np.arange(0, self.count, info.block_size)
-        low = np.minimum.reduceat(self.positions, starts)
-        high = np.maximum.reduceat(self.positions, starts)
-        return np.stack([low, high], axis=1)
+        starts = range(0, self.count, info.block_size)
+        blocks = [self.positions[start : start + info.block_size] for start in starts]
+        return np.stack([np.quantile(block, _BOX, axis=0) for block in blocks]).astype(np.float32)
 
     def _array(self, name: str) -> NDArray[np.float32]:
         return np.ascontiguousarray(self.cloud.point[name].numpy())

@@ -9,9 +9,9 @@ import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
-from viewer.layers import BOX_COLOUR, Points, box_lines
+from viewer.layers import EDGES, Points, block_colour, box_lines
 from viewer.opened import Opened
-from viewer.picture import BACKGROUND, POINT_SIZE, PRUNED_SIZE
+from viewer.picture import BACKGROUND, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
 from viewer.pose import Pose
 
 _BACKGROUND = (*BACKGROUND, 1.0)
@@ -23,6 +23,9 @@ _NEAR, _BEYOND = 1e-4, 1.1
 #: now and then: it keeps what drew a picture more in the last frame, if it skipped that one, and
 #: draws with it again although the texture is gone as soon as another picture changes its size.
 HIDDEN = 1, 1
+
+#: Where the outline of the frame is, by the nearest distance that is drawn; its width, pixels.
+_BEFORE, _OUTLINE = 1.5, 1.5
 
 #: Open3D's splat shader has no third degree.
 _MAX_DEGREE = 2
@@ -53,6 +56,7 @@ class Pane:
         # Colours as they are, and frames in half the time.
         view.set_post_processing(False)
         view.set_antialiasing(False)
+        self._outlined: list | None = None
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
         self._corners = np.asarray(self._box.get_box_points())
@@ -69,6 +73,24 @@ class Pane:
         camera = self.widget.scene.camera
         camera.set_projection(intrinsics, _NEAR * far, far, frame.width, frame.height)
         self.widget.force_redraw()
+
+    def outline(self, pose: Pose, width: int, height: int) -> None:
+        """Draw a line around the camera's frame, in front of all; arguments as for `look`."""
+        fx, fy, cx, cy = pose.lens(width, height)
+        left, top, right, bottom = pose.framed(width, height)
+        corners = [
+            ((x - cx) / fx, (y - cy) / fy, 1.0)
+            for inset in (0, _OUTLINE)
+            for x in (left + inset, right - inset)
+            for y in (top + inset, bottom - inset)
+        ]
+        if self._outlined != corners:
+            self._outlined = corners
+            self._replace("outline", *_ring(corners))
+        near = self.widget.scene.camera.get_near()
+        nearby = np.diag([_BEFORE * near] * 3 + [1.0])
+        place = np.linalg.inv(pose.extrinsics) @ nearby
+        self.widget.scene.set_geometry_transform("outline", place)
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Put a picture of the pane's size behind everything, or take it away."""
@@ -94,10 +116,11 @@ class Pane:
             self._replace("boxes", None, None)
             return
         corners, edges = box_lines(boxes)
+        colours = np.array([block_colour(k) for k in range(len(boxes))]).repeat(EDGES, axis=0)
         lines = o3d.geometry.LineSet(
             o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(edges)
         )
-        lines.paint_uniform_color(BOX_COLOUR)
+        lines.colors = o3d.utility.Vector3dVector(colours)
         material = rendering.MaterialRecord()
         material.shader = "unlitLine"
         material.line_width = 1.5
@@ -133,6 +156,24 @@ def point_geometry(
     material = rendering.MaterialRecord()
     material.shader = "defaultUnlit"
     return cloud, material
+
+
+def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
+    """What is between four outer corners and four inner ones, of one colour from both sides.
+
+    Lines would not do: Open3D draws none that is level.
+    """
+    around = [0, 2, 3, 1]
+    sides = [(around[k], around[(k + 1) % 4]) for k in range(4)]
+    triangles = [t for a, b in sides for t in ((a, b, a + 4), (b, b + 4, a + 4))]
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.array(corners)),
+        o3d.utility.Vector3iVector(np.array(triangles + [t[::-1] for t in triangles], np.int32)),
+    )
+    mesh.paint_uniform_color(LINE_COLOUR)
+    material = rendering.MaterialRecord()
+    material.shader = "defaultUnlit"
+    return mesh, material
 
 
 def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:

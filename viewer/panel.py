@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import textwrap
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from open3d.visualization import gui
 
 from viewer.choice import MODES
-from viewer.layers import COLOURINGS, LAYERS, heat_bar, reason_colour
+from viewer.layers import COLOURINGS, LAYERS, Legend, heat_bar, reason_colour
 from viewer.numbers import between, facts
 from viewer.pane import picture_of
+from viewer.pose import UPS
 
 if TYPE_CHECKING:
     from viewer.window import Viewer
@@ -62,24 +64,24 @@ class Panel:
         self.mode = self._choice(
             "two scenes", _MODE_NAMES, lambda place: viewer.set_mode(MODES[place])
         )
-        self.wipe = gui.Slider(gui.Slider.DOUBLE)
-        self.wipe.set_limits(0, 1)
-        self.wipe.set_on_value_changed(lambda place: viewer.set_place(float(place)))
-        self.widget.add_child(self.wipe)
-        self._cameras = gui.Horiz(0.3 * em)
-        self._cameras.add_child(self._button("<", lambda: viewer.go(-1)))
-        self._cameras.add_child(self._button(">", lambda: viewer.go(1)))
-        self._camera = gui.Label("")
-        self._cameras.add_child(self._camera)
-        self.widget.add_child(self._cameras)
-        bar = np.full((int(0.7 * em), int(14 * em), 4), 255, np.uint8)
+        self.up = self._choice("up axis", UPS, lambda place: viewer.set_up(viewer.ups[place]))
+        self._views = gui.Horiz(0.3 * em)
+        self._views.add_child(self._button("<", lambda: viewer.go(-1)))
+        self._views.add_child(self._button(">", lambda: viewer.go(1)))
+        self._views.add_child(self._button("Reset", viewer.reset))
+        self.widget.add_child(self._views)
+        self._view = gui.Label("")
+        self.widget.add_child(self._view)
+        self._legends = [_LegendRow(em), _LegendRow(em)]
+        bar = np.full((int(0.7 * em), 256, 4), 255, np.uint8)
         bar[..., :3] = np.rint(255 * heat_bar(bar.shape[1], bar.shape[0]))
         # Unseen rather than taken away: see HIDDEN in pane.py.
         self._bars = [picture_of(bar * np.uint8(seen)) for seen in (False, True)]
         self._bar = gui.ImageWidget(self._bars[False])
+        self._bar.ui_image.scaling = gui.UIImage.Scaling.ANY
         self.widget.add_child(self._bar)
-        self._legend = gui.Label("")
-        self.widget.add_child(self._legend)
+        for row in self._legends:
+            self.widget.add_child(row.widget)
         self._reasons = [gui.Label("") for _ in range(4)]
         for place, label in enumerate(self._reasons):
             label.text_color = gui.Color(*reason_colour(place))
@@ -105,6 +107,11 @@ class Panel:
         place = (COLOURINGS.index(self.viewer.choice.colouring) + 1) % len(COLOURINGS)
         self.viewer.set_colouring(COLOURINGS[place])
 
+    def next_up(self) -> None:
+        """Take the next axis for up."""
+        names = self.viewer.ups
+        self.viewer.set_up(names[(names.index(self.viewer.choice.up) + 1) % len(names)])
+
     def refresh(self) -> None:
         """Show what the viewer shows."""
         viewer, choice, stage = self.viewer, self.viewer.choice, self.viewer.stage
@@ -115,16 +122,16 @@ class Panel:
         self.boxes["error"].enabled = self.mode.enabled = two
         self.colouring.selected_index = COLOURINGS.index(choice.colouring)
         self.mode.selected_index = MODES.index(choice.mode)
-        self.wipe.visible = two and choice.mode == "wipe"
-        self.wipe.double_value = choice.place
-        self._cameras.visible = bool(viewer.cameras)
-        if viewer.cameras:
-            name = viewer.cameras[viewer.number].name
-            self._camera.text = f"{viewer.number} of {len(viewer.cameras)}: {name}"
-        legends = [*stage.legends, *([stage.error_legend] if stage.error_legend else [])]
-        self._bar.update_image(self._bars[bool(legends)])
-        self._legend.visible = bool(legends)
-        self._legend.text = "\n".join(f"{e.title}: {e.low} to {e.high}" for e in legends)
+        if self.up.number_of_items != len(viewer.ups):
+            self.up.clear_items()
+            for name in viewer.ups:
+                self.up.add_item(name)
+        self.up.selected_index = viewer.ups.index(choice.up)
+        self._views.visible = self._view.visible = bool(viewer.places)
+        self._view.text = "\n".join(folded(viewer.where, 34))
+        self._bar.update_image(self._bars[bool(stage.legends)])
+        for row, legend in zip_longest(self._legends, stage.legends):
+            row.show(legend)
         counts = list(stage.pruned.counts.items()) if stage.pruned is not None else []
         for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
             label.visible = bool(n)
@@ -136,7 +143,12 @@ class Panel:
         stage = self.viewer.stage
         lines = [_DRAWN_BY[stage.device]] if stage.scenes else []
         if len(stage.scenes) > 1:
-            lines += ["", "this view, B against A:", f"  {stage.quality or '...'}"]
+            wide, high = stage.pose.measured if stage.pose is not None else (0, 0)
+            lines += [
+                "",
+                f"B against A in the frame, {wide}x{high}:",
+                f"  {stage.quality or '...'}",
+            ]
             lines += [f"{name}: {value}" for name, value in between(*stage.scenes)]
         for letter, scene in zip("AB", stage.scenes, strict=False):
             lines += ["", f"{letter}: {scene.name}"]
@@ -164,6 +176,30 @@ class Panel:
         row.add_child(box)
         self.widget.add_child(row)
         return box
+
+
+class _LegendRow:
+    """A legend below the bar of colours: its values and its title."""
+
+    def __init__(self, em: float) -> None:
+        self.widget = gui.Vert(0.1 * em)
+        self._title = gui.Label("")
+        self._marks = [gui.Label("") for _ in range(5)]
+        row = gui.Horiz()
+        for k, mark in enumerate(self._marks):
+            if k:
+                row.add_stretch()
+            row.add_child(mark)
+        self.widget.add_child(row)
+        self.widget.add_child(self._title)
+
+    def show(self, legend: Legend | None) -> None:
+        """Show a legend, or none."""
+        self.widget.visible = legend is not None
+        if legend is not None:
+            self._title.text = legend.title
+            for label, mark in zip(self._marks, legend.marks, strict=True):
+                label.text = mark
 
 
 def monospace() -> int:

@@ -12,9 +12,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 import gs_codec
 from viewer.layers import (
-    BOX_COLOUR,
+    EDGES,
+    PIXEL_LEGEND,
     Legend,
     Points,
+    block_colour,
     box_lines,
     centres,
     error_image,
@@ -22,6 +24,7 @@ from viewer.layers import (
     pruned_centres,
     reason_colour,
 )
+from viewer.numbers import quality_text
 from viewer.opened import Opened, Pruned
 from viewer.pose import Pose
 
@@ -32,9 +35,20 @@ PRUNED_SIZE = 3
 #: What is nearer than this to the camera is not drawn, scene units.
 _NEAR = 1e-3
 
+#: Pictures of a scene that are kept: of a pane, and of the frame.
+_KEPT = 2
+
+#: Smaller pictures have no SSIM, pixels.
+_LEAST_SIDE = 11
+
+#: Thickness of the line of a wipe, pixels, and RGB of it and of the outlines of frames.
+WIPE_LINE = 8
+LINE_COLOUR = (0.85, 0.85, 0.85)
+
 #: RGB where nothing is.
 BACKGROUND = (0.07, 0.07, 0.08)
-_TEXT = 13
+#: Height of text and length of the bar of a legend, pixels.
+_TEXT, _BAR = 13, 200
 
 
 @dataclass(frozen=True)
@@ -47,18 +61,28 @@ class Shown:
         Of `LAYERS`.
     colouring : str
         Of `COLOURINGS`.
-    reference : Opened or None
-        What errors are measured against.
+    scenes : tuple of Opened
+        One or two; errors are those of the second against the first.
     pruned : Pruned or None
-    pruned_of : Opened or None
-        The scene that the pruned ones were in.
+        What is gone from the first.
     """
 
     layers: Collection[str]
     colouring: str = "colour"
-    reference: Opened | None = None
+    scenes: tuple[Opened, ...] = ()
     pruned: Pruned | None = None
-    pruned_of: Opened | None = None
+
+    def shows_error(self, scene: Opened) -> bool:
+        """Whether the errors of a scene's pixels are to be seen in place of it."""
+        return "error" in self.layers and scene in self.scenes[1:]
+
+    @property
+    def captions(self) -> list[str]:
+        """What each scene's pane is called."""
+        return [
+            f"{letter}: {scene.name}{', error against A' if self.shows_error(scene) else ''}"
+            for letter, scene in zip("AB", self.scenes, strict=False)
+        ]
 
 
 def draw_scene(
@@ -73,37 +97,54 @@ def draw_scene(
     legends = []
     image = np.empty((height, width, 3), np.float32)
     image[:] = BACKGROUND
-    reference = shown.reference
-    if "error" in shown.layers and reference is not None and reference is not scene:
-        known, own = (splats(views, each, pose, width, height) for each in (reference, scene))
-        image, legend = error_image(known, own)
-        legends.append(legend)
-    elif "splats" in shown.layers or "error" in shown.layers:
-        image = np.clip(splats(views, scene, pose, width, height), 0, 1)
+    if {"splats", "error"} & set(shown.layers):
+        image = picture(views, scene, pose, width, height, shown)
+    if shown.shows_error(scene):
+        legends.append(PIXEL_LEGEND)
     if "centres" in shown.layers:
-        points = centres(scene, shown.colouring, shown.reference)
+        points = centres(scene, shown.colouring, shown.scenes)
         draw_points(image, points, pose, POINT_SIZE)
         if points.legend is not None:
             legends.append(points.legend)
-    if "pruned" in shown.layers and shown.pruned is not None and shown.pruned_of is not None:
-        points = pruned_centres(shown.pruned_of, shown.pruned)
-        draw_points(image, points, pose, PRUNED_SIZE)
+    if "pruned" in shown.layers and shown.pruned is not None and scene is shown.scenes[0]:
+        draw_points(image, pruned_centres(scene, shown.pruned), pose, PRUNED_SIZE)
     if "boxes" in shown.layers:
         image = draw_boxes(image, scene.blocks, pose)
     return image, legends
 
 
+def picture(
+    views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int, shown: Shown
+) -> NDArray[np.float32]:
+    """A scene's splats ``(H, W, 3)``, 0-1, or where that is chosen the errors of their pixels."""
+    if shown.shows_error(scene):
+        return error_image(*(splats(views, each, pose, width, height) for each in shown.scenes))
+    return np.clip(splats(views, scene, pose, width, height), 0, 1)
+
+
 def splats(
     views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
 ) -> NDArray[np.float32]:
-    """What the rasteriser draws of a scene; `views` keeps how, and the last picture of each."""
+    """What the rasteriser draws of a scene; `views` keeps how, and its last pictures."""
     camera = pose.camera(width, height)
-    renderer, drawn, image = views.get(scene, (None, None, None))
-    if drawn != camera:
-        renderer = renderer or gs_codec.render(scene.cloud, [camera])
-        image = renderer.draw(camera).colour
-        views[scene] = renderer, camera, image
-    return image
+    if scene not in views:
+        views[scene] = gs_codec.render(scene.cloud, [camera]), {}
+    renderer, pictures = views[scene]
+    key = pose, width, height
+    if key not in pictures:
+        pictures[key] = renderer.draw(camera).colour
+        for old in list(pictures)[:-_KEPT]:
+            del pictures[old]
+    return pictures[key]
+
+
+def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> str:
+    """PSNR and SSIM of the second scene against the first, in the camera's own frame."""
+    width, height = pose.measured
+    if min(width, height) < _LEAST_SIDE:
+        return f"frame of {width}x{height}: too small"
+    images = [splats(views, scene, pose, width, height) for scene in scenes]
+    return quality_text(gs_codec.compare(*images))
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
@@ -130,12 +171,13 @@ def draw_boxes(image: NDArray, boxes: NDArray, pose: Pose) -> NDArray[np.float32
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
     before = pose.rotation @ (corners - pose.position).T
-    for a, b in lines:
+    for edge, (a, b) in enumerate(lines):
         ends = _clipped(before[:, a], before[:, b])
         if ends is not None:
             world = np.stack(ends) @ pose.rotation + pose.position
             places, _ = pose.project(world, width, height)
-            pen.line([tuple(np.clip(p, -1e6, 1e6)) for p in places], fill=_bytes(BOX_COLOUR))
+            colour = _bytes(block_colour(edge // EDGES))
+            pen.line([tuple(np.clip(p, -1e6, 1e6)) for p in places], fill=colour)
     return from_pillow(canvas)
 
 
@@ -161,23 +203,46 @@ def side_by_side(images: Sequence[NDArray]) -> NDArray[np.float32]:
 
 def wiped(first: NDArray, second: NDArray, place: float) -> NDArray[np.float32]:
     """The first image left of a place (0-1), the second right of it, and a line between."""
-    column = round(place * first.shape[1])
-    image = np.concatenate([first[:, :column], second[:, column:]], axis=1)
-    image[:, max(column - 1, 0) : column + 1] = 1.0
+    start, stop = wipe_line(place, first.shape[1])
+    image = np.concatenate([first[:, :start], second[:, start:]], axis=1)
+    image[:, start:stop] = LINE_COLOUR
     return image
 
 
-def labelled(image: NDArray, caption: str, legends: Sequence[Legend]) -> Image.Image:
-    """The image with a caption in its upper left corner, and legends in its lower one."""
+def wipe_line(place: float, width: int) -> tuple[int, int]:
+    """Where the line of a wipe at a place (0-1) starts and stops in a picture so wide, pixels."""
+    line = min(WIPE_LINE, width - 2)
+    start = min(max(round(place * width) - line // 2, 1), width - line - 1)
+    return start, start + line
+
+
+def outlined(image: NDArray, pose: Pose) -> NDArray[np.float32]:
+    """The image with a line around the camera's frame."""
+    canvas = to_pillow(image)
+    left, top, right, bottom = map(round, pose.framed(canvas.width, canvas.height))
+    ImageDraw.Draw(canvas).rectangle(
+        (left, top, right - 1, bottom - 1), outline=_bytes(LINE_COLOUR)
+    )
+    return from_pillow(canvas)
+
+
+def labelled(
+    image: NDArray, captions: Sequence[tuple[int, str]], legends: Sequence[Legend]
+) -> Image.Image:
+    """The image with captions at its top, each so many pixels in, and legends at its bottom."""
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
     font = ImageFont.load_default(_TEXT)
-    _write(pen, (8, 6), caption, font)
-    bottom = canvas.height - 10
-    for legend in reversed(legends):
-        canvas.paste(to_pillow(heat_bar(160, 10)), (8, bottom - 10))
-        _write(pen, (174, bottom - 14), f"{legend.low} to {legend.high}: {legend.title}", font)
-        bottom -= 22
+    for left, caption in captions:
+        _write(pen, (left + 8, 6), caption, font)
+    bar = to_pillow(heat_bar(_BAR, 10))
+    for row, legend in enumerate(reversed(legends)):
+        top = canvas.height - 52 * (row + 1)
+        _write(pen, (12, top), legend.title, font)
+        canvas.paste(bar, (12, top + 20))
+        places = np.linspace(12, 12 + _BAR, len(legend.marks))
+        for place, mark in zip(places, legend.marks, strict=True):
+            _write(pen, (round(place), top + 32), mark, font, "ma")
     return canvas
 
 
@@ -196,8 +261,11 @@ def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
         _write(pen, (24, top), text, font)
 
 
-def _write(pen: ImageDraw.ImageDraw, place: tuple[int, int], text: str, font: Any) -> None:
-    pen.text(place, text, (255, 255, 255), font, stroke_width=2, stroke_fill=(0, 0, 0))
+def _write(
+    pen: ImageDraw.ImageDraw, place: tuple[int, int], text: str, font: Any, anchor: str = "la"
+) -> None:
+    edge = (0, 0, 0)
+    pen.text(place, text, (255, 255, 255), font, anchor, stroke_width=2, stroke_fill=edge)
 
 
 def _bytes(colour: tuple[float, float, float]) -> tuple[int, ...]:

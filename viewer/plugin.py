@@ -92,6 +92,7 @@ def attach(visualizer: Any) -> Actions:
     >>> actions = viewer.attach(visualizer)
     >>> actions.open("scene.ply")
     >>> actions.compare("scene.egs")
+    >>> actions.detach()
     """
     actions = Actions(visualizer)
     for title, ask in (
@@ -114,13 +115,13 @@ class Actions:
 
     def __init__(self, visualizer: Any) -> None:
         self._visualizer = visualizer
+        self._title, self._attached = visualizer.title, True
         self.scene: Opened | None = None
 
     def open(self, path: str | Path) -> None:
         """Show a scene's centres, in place of the one before."""
         scene = open_scene(path)
-        self._show("centres", centres(scene, "colour", None))
-        self._drop("pruned")
+        self._show(centres=centres(scene, "colour", [scene]))
         self.scene = scene
         pose = overview(scene.positions, scene.opacities)
         _, down, forward = pose.rotation
@@ -133,13 +134,24 @@ class Actions:
         scene = self._needed()
         pruned = read_pruned(folder, scene)
         left = pruned.labels == 0
-        self._show("centres", Points(scene.positions[left], scene.colours[left]))
-        self._show("pruned", pruned_centres(scene, pruned))
+        kept = Points(scene.positions[left], scene.colours[left])
+        self._show(centres=kept, pruned=pruned_centres(scene, pruned))
 
     def compare(self, path: str | Path) -> None:
-        """Show another version, coloured by its error against the scene."""
-        other = open_scene(path)
-        self._show("centres", centres(other, "error", self._needed()))
+        """Show another version alone, coloured by its error against the scene.
+
+        The window's title says what the colours mean.
+        """
+        scene, other = self._needed(), open_scene(path)
+        self._show(centres=centres(other, "error", [scene, other]))
+
+    def detach(self) -> None:
+        """Take away what was shown; the menu, which cannot lose items, keeps ours without effect.
+
+        The other methods raise `gs_codec.GsCodecError` from then on.
+        """
+        self._show()
+        self.scene, self._attached = None, False
 
     def ask_open(self) -> None:
         """`open` what a dialog is told."""
@@ -158,18 +170,28 @@ class Actions:
             raise gs_codec.GsCodecError("no scene is open")
         return self.scene
 
-    def _show(self, name: str, points: Points) -> None:
+    def _show(self, **points: Points) -> None:
+        """Show points by name, and nothing else; the title tells their legend."""
         from viewer.pane import point_geometry
 
-        self._drop(name)
-        self._visualizer.add_geometry(f"gs_codec {name}", *point_geometry(points))
-
-    def _drop(self, name: str) -> None:
-        self._visualizer.remove_geometry(f"gs_codec {name}")
+        if not self._attached:
+            raise gs_codec.GsCodecError("detached from the visualizer")
+        for name in ("centres", "pruned"):
+            self._visualizer.remove_geometry(f"gs_codec {name}")
+        for name, each in points.items():
+            self._visualizer.add_geometry(f"gs_codec {name}", *point_geometry(each))
+        legends = [each.legend for each in points.values() if each.legend is not None]
+        said = [
+            f"{legend.title}: {legend.marks[0]} dark, {legend.marks[-1]} yellow"
+            for legend in legends
+        ]
+        self._visualizer.title = " - ".join([self._title, *said])
 
     def _ask(self, title: str, then: Any) -> None:
         from open3d.visualization import gui
 
+        if not self._attached:
+            return
         # O3DVisualizer does not tell its theme, which a file dialog needs.
         window = gui.Application.instance.create_window(title, 720, 480)
         dialog = gui.FileDialog(gui.FileDialog.OPEN, title, window.theme)

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: Focal length of a camera that nobody gave, picture heights: 60 degrees.
-_FOCAL = 0.866
+#: Focal length and frame of a camera that nobody gave: 60 degrees high, in heights; pixels.
+_FOCAL, _FRAME = 0.866, (600, 400)
+
+#: Larger frames are measured at this width, pixels, as the trainer shrinks larger photographs.
+_MEASURED_WIDTH = 1600
+
+#: Shorter cross products of unit vectors say nothing about a direction.
+_LEVEL = 1e-6
+
+#: Directions that may be up, by name; down is y where nobody says, as trainers have it.
+UPS = {
+    sign + axis: np.eye(3)[k] * (-1 if sign else 1)
+    for k, axis in ((1, "y"), (2, "z"), (0, "x"))
+    for sign in ("-", "")
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A camera without its picture.
+    """A camera, for pictures of any size: they show its frame and what is around that.
 
     Attributes
     ----------
@@ -23,38 +36,56 @@ class Pose:
         World to camera, whose axes are right, down, forward.
     position : ndarray, shape (3,)
     focal : tuple of two float
-        Focal lengths, in picture heights.
-    aspect : float
-        Width by height of what is to be seen; a narrower picture shows more above and below.
+        Focal lengths, in heights of the frame.
+    frame : tuple of two int
+        Width and height of the camera's own picture, pixels.
+    shift : tuple of two float
+        From the middle of the frame to the principal point, in heights of the frame.
     """
 
     rotation: NDArray[np.float64]
     position: NDArray[np.float64]
     focal: tuple[float, float] = (_FOCAL, _FOCAL)
-    aspect: float = 0.0
+    frame: tuple[int, int] = _FRAME
+    shift: tuple[float, float] = (0.0, 0.0)
 
-    def focal_lengths(self, width: int, height: int) -> tuple[float, float]:
-        """In pixels, for a picture of this size."""
-        size = min(height, width / self.aspect) if self.aspect else height
-        return self.focal[0] * size, self.focal[1] * size
+    @property
+    def measured(self) -> tuple[int, int]:
+        """Size at which the frame is measured, pixels: its own, at most 1,600 wide."""
+        width, height = self.frame
+        scale = min(1.0, _MEASURED_WIDTH / width)
+        return round(scale * width), max(round(scale * height), 1)
+
+    def framed(self, width: int, height: int) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom of the frame in a picture of this size, pixels."""
+        high = min(height, width * self.frame[1] / self.frame[0])
+        wide = high * self.frame[0] / self.frame[1]
+        left, top = (width - wide) / 2, (height - high) / 2
+        return left, top, left + wide, top + high
+
+    def lens(self, width: int, height: int) -> tuple[float, float, float, float]:
+        """Focal lengths and principal point for a picture of this size, pixels."""
+        _, top, _, bottom = self.framed(width, height)
+        size = bottom - top
+        centre = width / 2 + self.shift[0] * size, height / 2 + self.shift[1] * size
+        return self.focal[0] * size, self.focal[1] * size, *centre
 
     def camera(self, width: int, height: int) -> dict[str, Any]:
         """An entry of ``cameras.json`` for a picture of this size."""
-        fx, fy = self.focal_lengths(width, height)
+        lens = dict(zip(("fx", "fy", "cx", "cy"), self.lens(width, height), strict=True))
         return {
             "img_name": "view",
             "width": width,
             "height": height,
-            "fx": fx,
-            "fy": fy,
+            **lens,
             "rotation": self.rotation.T.tolist(),
             "position": self.position.tolist(),
         }
 
     def intrinsics(self, width: int, height: int, left: float = 0.0) -> NDArray[np.float64]:
         """Matrix for a pane that begins `left` pixels into a picture of this size."""
-        fx, fy = self.focal_lengths(width, height)
-        return np.array([[fx, 0, width / 2 - left], [0, fy, height / 2], [0, 0, 1.0]])
+        fx, fy, cx, cy = self.lens(width, height)
+        return np.array([[fx, 0, cx - left], [0, fy, cy], [0, 0, 1.0]])
 
     @property
     def extrinsics(self) -> NDArray[np.float64]:
@@ -68,40 +99,60 @@ class Pose:
         self, points: NDArray, width: int, height: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixels ``(n, 2)`` and depths ``(n,)`` of points ``(n, 3)``."""
-        fx, fy = self.focal_lengths(width, height)
+        fx, fy, cx, cy = self.lens(width, height)
         x, y, depth = self.rotation @ (np.asarray(points, np.float64) - self.position).T
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = fx * x / depth + width / 2
-            v = fy * y / depth + height / 2
+            u = fx * x / depth + cx
+            v = fy * y / depth + cy
         return np.stack([u, v], axis=1), depth
 
 
 def of_camera(camera: Any) -> Pose:
     """The pose of one of gs_codec's cameras."""
-    focal = camera.fx / camera.height, camera.fy / camera.height
-    return Pose(camera.rotation, camera.position, focal, camera.width / camera.height)
+    size, high = (camera.width, camera.height), camera.height
+    focal = camera.fx / high, camera.fy / high
+    shift = (camera.cx - camera.width / 2) / high, (camera.cy - high / 2) / high
+    return Pose(camera.rotation, camera.position, focal, size, shift)
 
 
-def overview(positions: NDArray, opacities: NDArray) -> Pose:
-    """A look at most of a scene from above its front; down is y, as trainers have it."""
+def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) -> Pose:
+    """A look at most of a scene from above its front; `up` is a unit vector ``(3,)``."""
     seen = positions[opacities > 0.3] if np.any(opacities > 0.3) else positions
     if not len(seen):
         return Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
     centre = np.median(seen, axis=0).astype(np.float64)
     reach = float(np.quantile(np.linalg.norm(seen - centre, axis=1), 0.8)) or 1.0
-    return look_at(centre + 2.0 * reach * np.array([0.35, -0.45, -0.82]), centre)
+    # At -z where -y is up, as trainers' cameras stand; at z where y is; at -y where z is.
+    front = np.cross(_other_than(up), up)
+    front /= np.linalg.norm(front)
+    away = 0.35 * np.cross(up, front) + 0.45 * up + 0.82 * front
+    return look_at(centre + 2.0 * reach * away, centre, up)
 
 
-def look_at(position: NDArray, target: NDArray) -> Pose:
-    """From a position to a target, upright; down is y."""
+def look_at(position: NDArray, target: NDArray, up: NDArray = UPS["-y"]) -> Pose:
+    """From a position to a target, upright; `up` is a unit vector ``(3,)``."""
     forward = np.subtract(target, position)
     forward = forward / np.linalg.norm(forward)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    right = right / (np.linalg.norm(right) or 1.0)
+    right = np.cross(forward, up)
+    if not np.linalg.norm(right) > _LEVEL:
+        right = np.cross(forward, _other_than(up))
+    right = right / np.linalg.norm(right)
     return Pose(np.stack([right, np.cross(forward, right), forward]), np.asarray(position))
 
 
+def _other_than(up: NDArray) -> NDArray[np.float64]:
+    """The x axis, or y where x is up."""
+    return np.eye(3)[int(abs(up[0]) > 1 - _LEVEL)]
+
+
+def upright(pose: Pose, up: NDArray) -> Pose:
+    """The same look, rolled so that `up` is up in it."""
+    turned = look_at(pose.position, pose.position + pose.rotation[2], up)
+    return replace(pose, rotation=turned.rotation)
+
+
 def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:
-    """What is up for cameras of these rotations: the mean of what is up in their pictures."""
-    up = -np.mean([rotation[1] for rotation in rotations], axis=0)
-    return up / (np.linalg.norm(up) or 1.0)
+    """What is up for upright cameras of these rotations: square to what is right for them."""
+    right, down, _ = np.moveaxis(np.array(rotations), 1, 0)
+    up = np.linalg.eigh(right.T @ right)[1][:, 0]
+    return -up if np.sum(down @ up) > 0 else up

@@ -10,6 +10,7 @@ import gs_codec
 from viewer.choice import MODES
 from viewer.layers import COLOURINGS, LAYERS
 from viewer.opened import Opened, Progress, Pruned, open_scene, read_pruned
+from viewer.pose import UPS
 
 #: Largest side of a picture, pixels.
 _MAX_SIDE = 1 << 14
@@ -35,6 +36,8 @@ class Request:
         Width and height, pixels.
     max_bytes : int or None
         As for `gs_codec.read`.
+    up : str or None
+        Which axis of the scene is up, of `UPS`.
     """
 
     a: Any = None
@@ -48,6 +51,7 @@ class Request:
     view: int | None = None
     size: tuple[int, int] = (1280, 800)
     max_bytes: int | None = None
+    up: str | None = None
 
     def check(self) -> None:
         """Check what can be checked without opening anything.
@@ -59,16 +63,24 @@ class Request:
         _check_among("layers", self.layers, LAYERS)
         _check_among("colour", [self.colouring], COLOURINGS)
         _check_among("mode", [self.mode], MODES)
+        _check_among("up", [self.up or "-y"], tuple(UPS))
         if not all(64 <= side <= _MAX_SIDE for side in self.size):
             raise gs_codec.GsCodecError(
                 f"size {self.size[0]}x{self.size[1]}: expected 64 to {_MAX_SIDE} pixels each way"
             )
         if self.view is not None and self.cameras is None:
             raise gs_codec.GsCodecError("view: needs cameras")
-        if self.images is not None and self.cameras is None:
-            raise gs_codec.GsCodecError("images: need cameras")
+        if self.images is not None and self.chosen:
+            raise gs_codec.GsCodecError("images: need cameras of a file")
+        if self.images is not None and not self.images.is_dir():
+            raise gs_codec.GsCodecError(f"{self.images}: no such folder, expected images")
         if self.a is None and (self.pruned is not None or self.cameras is not None):
             raise gs_codec.GsCodecError("no scene to show")
+
+    @property
+    def chosen(self) -> bool:
+        """Whether cameras are chosen from the scene, as nobody gave any."""
+        return self.cameras is None or (isinstance(self.cameras, str) and self.cameras == "auto")
 
     def scenes(self, progress: Progress | None = None) -> list[Opened]:
         """Open what is to be shown."""
@@ -114,6 +126,13 @@ def find_views(request: Request, scene: Opened) -> list[Any]:
     if request.view is not None and not 0 <= request.view < len(cameras):
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {len(cameras) - 1}")
     return cameras
+
+
+def first_place(request: Request, cameras: list[Any]) -> int:
+    """Which place of `find_places` to begin with: the camera asked for, the first, the overview."""
+    if request.view is not None:
+        return 1 + request.view
+    return 1 if cameras and not request.chosen else 0
 
 
 def find_pruned(request: Request, scene: Opened) -> Pruned | None:

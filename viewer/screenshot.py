@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,33 +11,37 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import gs_codec
+from gs_codec.rendering.images import find_image, read_image
 from viewer.layers import Legend
-from viewer.numbers import quality_text
 from viewer.opened import Opened
-from viewer.photograph import find_photograph
 from viewer.picture import (
     Shown,
     draw_scene,
     from_pillow,
     labelled,
+    measure,
+    outlined,
     side_by_side,
-    splats,
     to_pillow,
+    wipe_line,
     wiped,
     write_reasons,
 )
-from viewer.pose import Pose, of_camera
-from viewer.request import Request, find_pruned, find_views
+from viewer.places import find_places, known_ups
+from viewer.pose import Pose
+from viewer.request import Request, find_pruned, find_views, first_place
 
 
-def write_screenshot(request: Request, path: Path) -> None:
-    """Draw what is asked for and write it.
+def write_screenshot(request: Request, path: Path) -> str:
+    """Draw what is asked for and write it; what is missing in it, or nothing.
 
     Raises
     ------
     gs_codec.GsCodecError
     """
-    save_picture(draw_request(request), path)
+    picture, missing = draw_request(request)
+    save_picture(picture, path)
+    return missing
 
 
 def save_picture(picture: Image.Image, path: Path) -> None:
@@ -54,43 +56,41 @@ def save_picture(picture: Image.Image, path: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
-def draw_request(request: Request) -> Image.Image:
-    """The picture that is asked for."""
+def draw_request(request: Request) -> tuple[Image.Image, str]:
+    """The picture that is asked for, and which photograph is missing in it, if one is."""
     scenes = request.scenes()
     if not scenes:
         raise gs_codec.GsCodecError("screenshot: no scene to draw")
-    first = scenes[0]
-    cameras = find_views(replace(request, cameras=request.cameras or "auto"), first)
-    number = request.view or 0
-    pose = of_camera(cameras[number])
-    pruned = find_pruned(request, first)
-    shown = Shown(
-        request.layers,
-        request.colouring,
-        first if len(scenes) > 1 else None,
-        pruned,
-        first if pruned is not None else None,
-    )
-    photograph = None
+    cameras = find_views(request, scenes[0])
+    up = request.up or known_ups(cameras, request.chosen)[0]
+    places = find_places(scenes[0], cameras, request.chosen, up)
+    place = places[first_place(request, cameras)]
+    pruned = find_pruned(request, scenes[0])
+    shown = Shown(request.layers, request.colouring, tuple(scenes), pruned)
+    photograph, missing = None, ""
     if request.images is not None:
-        photograph = find_photograph(request.images, cameras[number].name)
-    return compose(scenes, pose, shown, request.mode, 0.5, request.size, photograph)
+        try:
+            path = find_image(request.images, place.name)
+        except gs_codec.GsCodecError as error:
+            missing = str(error)
+        else:
+            photograph = read_image(path)
+    return compose(place.pose, shown, request.mode, 0.5, request.size, photograph), missing
 
 
 def compose(
-    scenes: Sequence[Opened],
     pose: Pose,
     shown: Shown,
     mode: str,
     place: float,
     size: tuple[int, int],
-    photograph: NDArray[np.uint8] | None = None,
+    photograph: NDArray[np.float32] | None = None,
+    front: int = 1,
 ) -> Image.Image:
     """One or two scenes, labelled, with the photograph beside them.
 
     Parameters
     ----------
-    scenes : sequence of Opened
     pose : Pose
     shown : Shown
     mode : {"side", "wipe", "flip"}
@@ -98,38 +98,48 @@ def compose(
         Where a wipe is.
     size : tuple of two int
         Width and height of it all, pixels.
-    photograph : ndarray, shape (H, W, 3), uint8, optional
+    photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
+    front : {0, 1}
+        Which of two scenes ``flip`` shows.
     """
     width, height = size
+    scenes = shown.scenes
     panes = 1 if mode != "side" else len(scenes)
     panes += photograph is not None
     width = (width - 2 * (panes - 1)) // panes
     views: dict[Opened, Any] = {}
     drawn = [draw_scene(scene, pose, width, height, shown, views) for scene in scenes]
-    captions = [scene.name for scene in scenes]
+    labels = shown.captions
     if len(scenes) > 1:
-        own = [splats(views, scene, pose, width, height) for scene in scenes]
-        captions[1] += f": {quality_text(gs_codec.compare(*own))} against {captions[0]}"
-    parts = _arrange(drawn, captions, mode, place)
-    if shown.pruned is not None and "pruned" in shown.layers:
+        drawn = [(outlined(image, pose), legends) for image, legends in drawn]
+        wide, high = pose.measured
+        labels[1] += f"\n{measure(views, scenes, pose)} in the frame, {wide}x{high}"
+    parts = _arrange(drawn, labels, mode, place, front)
+    has_first = mode != "flip" or len(scenes) < 2 or front == 0
+    if shown.pruned is not None and "pruned" in shown.layers and has_first:
         write_reasons(parts[0], shown.pruned)
     if photograph is not None:
-        parts.append(labelled(_fitted(photograph, width, height), "photograph", []))
+        parts.append(labelled(_fitted(photograph, width, height), [(0, "photograph")], []))
     return to_pillow(side_by_side([from_pillow(part) for part in parts]))
 
 
 def _arrange(
-    drawn: list[tuple[NDArray, list[Legend]]], captions: list[str], mode: str, place: float
+    drawn: list[tuple[NDArray, list[Legend]]],
+    labels: list[str],
+    mode: str,
+    place: float,
+    front: int,
 ) -> list[Image.Image]:
     """Each pane, labelled."""
     if len(drawn) > 1 and mode == "wipe":
         image = wiped(drawn[0][0], drawn[1][0], place)
-        return [labelled(image, f"{captions[0]} | {captions[1]}", drawn[1][1])]
+        _, right = wipe_line(place, image.shape[1])
+        return [labelled(image, [(0, labels[0]), (right, labels[1])], drawn[1][1])]
     if len(drawn) > 1 and mode == "flip":
-        drawn, captions = drawn[1:], captions[1:]
+        drawn, labels = [drawn[front]], [labels[front]]
     return [
-        labelled(image, caption, legends)
-        for (image, legends), caption in zip(drawn, captions, strict=True)
+        labelled(image, [(0, label)], legends)
+        for (image, legends), label in zip(drawn, labels, strict=True)
     ]
 
 
@@ -137,7 +147,7 @@ def _fitted(image: NDArray, width: int, height: int) -> NDArray[np.float32]:
     """An image as large as fits, in the middle of a picture of this size."""
     scale = min(width / image.shape[1], height / image.shape[0])
     size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
-    resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
+    resized = to_pillow(image).resize(size, Image.Resampling.LANCZOS)
     canvas = Image.new("RGB", (width, height))
     canvas.paste(resized, ((width - size[0]) // 2, (height - size[1]) // 2))
     return from_pillow(canvas)

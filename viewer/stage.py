@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-import gs_codec
 from viewer.choice import Choice
-from viewer.layers import Legend, centres, error_image, pruned_centres
+from viewer.divider import Divider
+from viewer.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
 from viewer.navigation import Navigator, distance_ahead
-from viewer.numbers import quality_text
 from viewer.opened import Opened, Pruned
 from viewer.pane import HIDDEN, Pane
-from viewer.picture import Shown, splats
+from viewer.picture import Shown, measure, picture, wipe_line
 from viewer.pose import Pose
 from viewer.worker import Stale, Worker
 
@@ -27,8 +26,9 @@ _MOST = {"gpu": 5_000_000, "cpu": 250_000}
 #: Seconds without a move after which pictures are drawn in full; before, by one pixel of so many.
 _REST, _COARSE = 0.25, 4
 
-#: Smaller pictures have no SSIM, pixels.
-_LEAST_SIDE = 11
+
+#: Height of the line above the panes, in heights of text.
+_CAPTION_EMS = 1.5
 
 
 class Stage:
@@ -52,11 +52,9 @@ class Stage:
     pruned : Pruned or None
     pose : Pose or None
     navigator : Navigator
-    legends : list of Legend
-        Of what centres are coloured by.
-    error_legend : Legend or None
-    quality : str
-        PSNR and SSIM of the present view.
+    captions : list of gui.Label
+        What is above each of the panes.
+    divider : Divider
     """
 
     def __init__(
@@ -75,10 +73,12 @@ class Stage:
         self.pruned: Pruned | None = None
         self.pose: Pose | None = None
         self.navigator = Navigator()
-        self.legends: list[Legend] = []
-        self.error_legend: Legend | None = None
-        self.quality = ""
-        self.size = (1, 1)
+        self.captions = [gui.Label("") for _ in range(2)]
+        for label in self.captions:
+            window.add_child(label)
+        self.divider = Divider(window, self._slide)
+        self.size, self._left = (1, 1), 0
+        self._measured: tuple[Pose | None, str] = (None, "")
         self._views: dict[Opened, Any] = {}
         self._coloured: Any = None
         self._moved_at = 0.0
@@ -90,33 +90,45 @@ class Stage:
         """Show other scenes."""
         self.worker.cancel("picture")
         self.worker.cancel("centres")
+        self.worker.cancel("measure")
         for pane in self.panes:
             pane.widget.visible = False
             pane.widget.scene.clear_geometry()
         self.scenes, self.pruned = scenes, pruned
         self._views.clear()
         self._coloured = self._coming = None
-        self.legends, self.error_legend, self.quality = [], None, ""
+        self._measured = (None, "")
         self.panes = [Pane(self.window, scene) for scene in scenes]
-        known = {}
         if pruned is not None:
-            known["pruned"] = pruned_centres(scenes[0], pruned, self._most)
+            self.panes[0].points["pruned"] = pruned_centres(scenes[0], pruned, self._most)
         for pane in self.panes:
             self.window.add_child(pane.widget)
             pane.widget.set_on_mouse(self._mouse)
-            pane.points.update(known)
             if self.by_hand:
                 # Something to see until the first picture is drawn.
-                pane.show_points("draft", centres(pane.scene, "colour", None, self._most))
+                pane.show_points("draft", centres(pane.scene, "colour", scenes, self._most))
 
     @property
     def shown(self) -> Shown:
         """What is to be seen."""
-        first = self.scenes[0] if self.scenes else None
-        reference = first if len(self.scenes) > 1 else None
-        return Shown(
-            tuple(self.choice.layers), self.choice.colouring, reference, self.pruned, first
-        )
+        choice = self.choice
+        return Shown(tuple(choice.layers), choice.colouring, tuple(self.scenes), self.pruned)
+
+    @property
+    def quality(self) -> str:
+        """PSNR and SSIM of B against A in the frame of the present view, once measured."""
+        pose, text = self._measured
+        return text if pose is self.pose else ""
+
+    @property
+    def legends(self) -> list[Legend]:
+        """Of what is shown."""
+        layers, known = self.choice.layers, []
+        if "centres" in layers and self._coloured == self.choice.colouring:
+            known = [p.points["centres"].legend for p in self.panes[:1]]
+        if "error" in layers and len(self.scenes) > 1:
+            known.append(PIXEL_LEGEND)
+        return [legend for legend in known if legend is not None]
 
     @property
     def by_hand(self) -> bool:
@@ -149,7 +161,6 @@ class Stage:
             pane.show_boxes(pane.scene.blocks if "boxes" in layers else None)
             for name in ("pruned", "centres"):
                 pane.show_points(name, pane.points.get(name) if name in layers else None)
-        self.legends = []
         if "centres" in layers:
             self._colour_centres()
         self.arrange()
@@ -158,25 +169,19 @@ class Stage:
         """Have centres coloured, unless they are already."""
         shown, panes, most = self.shown, list(self.panes), self._most
         if self._coloured == shown.colouring:
-            self._show_legends()
             return
 
         def colour(stale: Stale) -> Any:
-            return [centres(p.scene, shown.colouring, shown.reference, most) for p in panes]
+            return [centres(p.scene, shown.colouring, shown.scenes, most) for p in panes]
 
         def done(points: Any) -> None:
             self._coloured = shown.colouring
             for pane, each in zip(panes, points, strict=True):
                 pane.points["centres"] = each
                 pane.show_points("centres", each if "centres" in self.choice.layers else None)
-            self._show_legends()
             self._changed()
 
         self.worker.submit("centres", colour, done, self._failed)
-
-    def _show_legends(self) -> None:
-        known = [pane.points["centres"].legend for pane in self.panes]
-        self.legends = [legend for legend in known if legend is not None][-1:]
 
     # Layout and cameras
 
@@ -193,23 +198,49 @@ class Stage:
         self.window.post_redraw()
 
     def lay_out(self, left: int, top: int, width: int, height: int) -> None:
-        """Put the panes into a part of the window."""
-        visible = self.visible
+        """Put the panes into a part of the window, each below what it is called."""
+        visible, places = self.visible, self._places(width)
+        line = self.caption_height
+        below, high = top + line, max(height - line, 1)
         for pane in self.panes:
             if pane not in visible:
                 pane.widget.frame = gui.Rect(left + width - 1, top, *HIDDEN)
-        for pane, (start, stop, _, _) in zip(visible, self._places(width), strict=True):
-            pane.widget.frame = gui.Rect(left + start, top, max(stop - start, 1), height)
-        self.size = (width, height)
+        for pane, (start, stop, _, _) in zip(visible, places, strict=True):
+            pane.widget.frame = gui.Rect(left + start, below, max(stop - start, 1), high)
+        names = dict(zip(self.panes, self.shown.captions, strict=True))
+        for k, label in enumerate(self.captions):
+            label.visible = k < len(visible)
+            if label.visible:
+                label.text = f" {names[visible[k]]}"
+                label.frame = gui.Rect(left + places[k][0], top, places[k][1] - places[k][0], line)
+        gap = gui.Rect(left + width - 1, top, *HIDDEN)
+        if len(visible) == 2 and self.choice.mode == "wipe":
+            gap = gui.Rect(left + places[0][1], below, places[1][0] - places[0][1], high)
+        self.divider.place(gap)
+        self.size, self._left = (width, high), left
         self._look()
         self._laid_out = True
+
+    @property
+    def caption_height(self) -> int:
+        """Of the line above the panes, pixels."""
+        return int(_CAPTION_EMS * self.window.theme.font_size)
+
+    def _slide(self, x: int) -> None:
+        """Move the line of a wipe to a column of the window."""
+        self.wipe_to((x - self._left) / self.size[0])
+
+    def wipe_to(self, place: float) -> None:
+        """Move the line of a wipe, 0-1."""
+        self.choice.place = min(max(place, 0.0), 1.0)
+        self.arrange()
 
     def _places(self, width: int) -> list[tuple[int, int, int, int]]:
         """For each visible pane: where it starts and stops, the picture's width, and its left."""
         count = len(self.visible)
         if count == 2 and self.choice.mode == "wipe":
-            split = min(max(round(self.choice.place * width), 2), width - 1)
-            return [(0, split - 1, width, 0), (split, width, width, split)]
+            stop, start = wipe_line(self.choice.place, width)
+            return [(0, stop, width, 0), (start, width, width, start)]
         each = width // max(count, 1)
         return [(k * each, (k + 1) * each - (k < count - 1), each, 0) for k in range(count)]
 
@@ -219,6 +250,8 @@ class Stage:
         width, height = self.size
         for pane, (_, _, wide, left) in zip(self.visible, self._places(width), strict=True):
             pane.look(self.pose, wide, height, left)
+            if len(self.scenes) > 1:
+                pane.outline(self.pose, wide, height)
 
     def _mouse(self, event: Any) -> Any:
         """Turn by dragging; shift with ctrl or another button; come nearer by the wheel.
@@ -268,48 +301,29 @@ class Stage:
     # Pictures
 
     def _draw(self, coarse: int) -> None:
-        """Have the pictures of all visible panes drawn; in full, with the quality of B."""
-        visible, scenes, by_hand = list(self.visible), self.scenes, self.by_hand
-        wants_error = "error" in self.choice.layers and len(scenes) > 1
-        if not (by_hand or wants_error):
-            self.error_legend = None
-            for pane in visible:
-                pane.show_picture(None)
-            if coarse > 1 or len(scenes) < 2:
-                return
-        pose, views = self.pose, self._views
-        width, height = self.size
+        """Have the pictures of all visible panes drawn; after full ones B is measured."""
+        visible, shown, by_hand = list(self.visible), self.shown, self.by_hand
+        views, pose, (width, height) = self._views, self.pose, self.size
         places = self._places(width)
         assert pose is not None
+        wanted = [by_hand or shown.shows_error(pane.scene) for pane in visible]
 
         def draw(stale: Stale) -> Any:
             wide, high = max(places[0][2] // coarse, 1), max(height // coarse, 1)
-            images: dict[Opened, NDArray] = {}
-            needed = scenes if coarse == 1 or wants_error else [p.scene for p in visible]
-            for scene in needed:
+            pictures: list[NDArray | None] = []
+            for pane, place, want in zip(visible, places, wanted, strict=True):
                 if stale():
                     return None
-                images[scene] = splats(views, scene, pose, wide, high)
-            quality, legend = "", None
-            if coarse == 1 and len(images) == 2 and min(wide, high) >= _LEAST_SIDE:
-                quality = quality_text(gs_codec.compare(*images.values()))
-            if wants_error:
-                images[scenes[1]], legend = error_image(images[scenes[0]], images[scenes[1]])
-            pictures = [
-                _cut(images[pane.scene], place, coarse)
-                for pane, place in zip(visible, places, strict=True)
-            ]
-            return pictures, quality, legend
+                image = picture(views, pane.scene, pose, wide, high, shown) if want else None
+                pictures.append(None if image is None else _cut(image, place, coarse))
+            return pictures
 
-        def done(found: Any) -> None:
+        def done(pictures: Any) -> None:
             self._coming = None
-            if found is None:
+            if pictures is None:
                 return
-            pictures, self.quality, self.error_legend = found
-            if by_hand or wants_error:
-                for pane, picture in zip(visible, pictures, strict=True):
-                    keep = by_hand or pane.scene is not scenes[0]
-                    pane.show_picture(picture if keep else None)
+            for pane, image in zip(visible, pictures, strict=True):
+                pane.show_picture(image)
             self._changed()
             self.window.post_redraw()
 
@@ -319,11 +333,27 @@ class Stage:
 
         self._coming = self._drawn
         self.worker.submit("picture", draw, done, failed)
+        if coarse == 1:
+            self._measure()
+
+    def _measure(self) -> None:
+        """Have B measured in the frame of the present view, unless it was."""
+        views, scenes, pose = self._views, list(self.scenes), self.pose
+        if len(scenes) < 2 or pose is None or self._measured[0] is pose:
+            return
+
+        def done(text: str) -> None:
+            self._measured = pose, text
+            self._changed()
+
+        def work(stale: Stale) -> str:
+            return measure(views, scenes, pose)
+
+        self.worker.submit("measure", work, done, self._failed)
 
 
 def _cut(image: NDArray, place: tuple[int, int, int, int], coarse: int) -> NDArray[np.float32]:
     """A pane's part of its picture."""
     start, stop, _, left = place
-    first = left // coarse
-    part = image[:, first : max(first + (stop - start) // coarse, first + 1)]
-    return np.clip(part, 0, 1)
+    first = min(left // coarse, image.shape[1] - 1)
+    return image[:, first : first + max((stop - start) // coarse, 1)]

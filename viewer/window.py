@@ -7,17 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from open3d.visualization import gui
 
 import gs_codec
+from gs_codec.rendering.images import find_image, read_image
 from viewer import dialogs
 from viewer.choice import MODES, Choice
 from viewer.opened import Opened, Pruned, open_scene
 from viewer.pane import HIDDEN, picture_of
 from viewer.panel import Panel, monospace
-from viewer.photograph import find_photograph
-from viewer.pose import of_camera, overview, up_of
-from viewer.request import Request, find_pruned, find_views
+from viewer.places import Place, find_places, known_ups, up_axis
+from viewer.request import Request, find_pruned, find_views, first_place
 from viewer.screenshot import compose, save_picture
 from viewer.stage import Stage
 from viewer.worker import Stale, Worker
@@ -42,8 +43,8 @@ class Viewer:
     ----------
     choice : Choice
     stage : Stage
-    cameras : list
-        Places to look from.
+    places : list of Place
+        To look from: the overview, and cameras.
     number : int
         Of the one that was gone to last.
     photographed : bool
@@ -58,7 +59,9 @@ class Viewer:
         self.request = request
         self.choice = Choice(set(request.layers), request.colouring, request.mode)
         self.cameras: list[Any] = []
-        self.number = request.view or 0
+        self.places: list[Place] = []
+        self.number = 0
+        self._moved = False
         self.message: tuple[str, str] | None = None
         self._without_cameras = False
         font = monospace()
@@ -73,8 +76,10 @@ class Viewer:
         self.photograph.visible = self.photographed = False
         self.window.add_child(self.photograph)
         self.window.add_child(self.panel.widget)
+        self._caption = gui.Label("")
+        self.window.add_child(self._caption)
         self.window.set_on_layout(self._lay_out)
-        self.window.set_on_tick_event(self.stage.tick)
+        self.window.set_on_tick_event(self._tick)
         self.window.set_on_key(self._key)
         self.window.set_on_close(self._close)
         self.panel.refresh()
@@ -93,16 +98,29 @@ class Viewer:
         self.panel.say("loading ...", progress=0)
         self.worker.submit("load", read, lambda found: self.show(*found), self.fail)
 
-    def open(self, path: str) -> None:
-        """Open a file: as the first scene, or as the second if there is one already."""
-        before = self.stage.scenes[:1]
+    def open(self, path: str, place: int | None = None) -> None:
+        """Open a file: as the first scene, as the second, or in place of one of two (0 or 1).
+
+        Which one is asked for where two are there already.
+        """
+        before = list(self.stage.scenes)
+        if len(before) > 1 and place is None:
+            names = [scene.name for scene in before]
+            dialogs.ask_place(self.modal, Path(path).name, names, partial(self.open, path))
+            return
+        place = len(before) if place is None else place
 
         def read(stale: Stale) -> list[Opened]:
             progress = self.worker.progress(stale, self.panel.show_progress)
-            return [*before, open_scene(Path(path), progress=progress)]
+            return [
+                *before[:place],
+                open_scene(Path(path), progress=progress),
+                *before[place + 1 :],
+            ]
 
         def done(scenes: list[Opened]) -> None:
-            self.show(scenes, self.cameras, self.stage.pruned)
+            cameras = [] if self.request.chosen else self.cameras
+            self.show(scenes, cameras, self.stage.pruned if place else None)
 
         self.panel.say(f"loading {Path(path).name} ...", progress=0)
         self.worker.submit("load", read, done, self.fail)
@@ -114,48 +132,53 @@ class Viewer:
 
     def show(self, scenes: list[Opened], cameras: list[Any], pruned: Pruned | None) -> None:
         """Show opened scenes in place of those that are there."""
+        same = self.stage.scenes[:1] == scenes[:1]
+        self.stage.put(scenes, pruned)
+        self.panel.say("")
+        if same:  # it is looked at from where one is
+            self.refresh()
+            return
         self.worker.cancel("cameras")
         self.cameras = cameras
-        self.number = min(self.number, max(len(cameras) - 1, 0))
-        first = scenes[0]
-        self.stage.put(scenes, pruned)
-        if cameras:
-            self.stage.navigator.up = up_of([camera.rotation for camera in cameras])
-        self.stage.look_from(
-            of_camera(cameras[self.number])
-            if cameras
-            else overview(first.positions, first.opacities)
-        )
-        self.panel.say("")
+        self.choice.up = self.request.up or self.ups[0]
+        self._find_places()
         self.refresh()
-        self._show_photograph()
+        self.go_to(first_place(self.request, cameras))
         # Places to look from take seconds to choose: after the first picture, where one is drawn.
         self._without_cameras = not cameras
         if not self.stage.by_hand:
             self._choose_cameras()
+
+    @property
+    def ups(self) -> list[str]:
+        """What may be up, by name."""
+        return known_ups(self.cameras, self.request.chosen)
+
+    def _find_places(self) -> None:
+        scene, chosen = self.stage.scenes[0], self.request.chosen
+        self.places = find_places(scene, self.cameras, chosen, self.choice.up)
+        self.stage.navigator.up = up_axis(self.choice.up, self.cameras)
 
     def _pictured(self) -> None:
         self.panel.refresh()
         self._choose_cameras()
 
     def _choose_cameras(self) -> None:
-        """Choose places to look from where there are none, and go to the first.
-
-        If nobody has moved meanwhile.
-        """
+        """Choose places to look from where there are none; the overview stays the first."""
         if not self._without_cameras:
             return
         self._without_cameras = False
-        scene, pose = self.stage.scenes[0], self.stage.pose
+        scene = self.stage.scenes[0]
 
         def choose(stale: Stale) -> list[Any]:
             return gs_codec.render(scene.cloud, "auto").cameras
 
         def done(cameras: list[Any]) -> None:
             self.panel.say("")
-            self.cameras, self.number = cameras, 0
-            if self.stage.pose is pose:
-                self.stage.look_from(of_camera(cameras[0]))
+            here = self.places[0]
+            self.cameras = cameras
+            self._find_places()
+            self.places[0] = here
             self.panel.refresh()
 
         self.panel.say("choosing views ...")
@@ -202,8 +225,7 @@ class Viewer:
 
     def set_place(self, place: float) -> None:
         """Move the wipe."""
-        self.choice.place = min(max(place, 0.0), 1.0)
-        self.stage.arrange()
+        self.stage.wipe_to(place)
 
     def flip(self) -> None:
         """Show the other scene in the one view."""
@@ -211,13 +233,55 @@ class Viewer:
         choice.mode, choice.front = "flip", 1 - choice.front if choice.mode == "flip" else 0
         self.refresh()
 
+    def set_up(self, up: str) -> None:
+        """Take another axis for up: in the overview, and in views that nobody gave."""
+        self.choice.up = up
+        if self.places:
+            self._find_places()
+            self.go_to(self.number if self.request.chosen else 0)
+
     def go(self, step: int) -> None:
-        """Go to the next camera or the one before."""
-        if self.cameras:
-            self.number = (self.number + step) % len(self.cameras)
-            self._show_photograph()
-            self.stage.look_from(of_camera(self.cameras[self.number]))
+        """Go to the next place or the one before."""
+        if self.places:
+            self.go_to((self.number + step) % len(self.places))
+
+    def reset(self) -> None:
+        """Go back to the place that was gone to last."""
+        if self.places:
+            self.go_to(self.number)
+
+    def overview(self) -> None:
+        """Go to the overview."""
+        if self.places:
+            self.go_to(0)
+
+    def go_to(self, number: int) -> None:
+        """Go to one of the places."""
+        self.number = number
+        self._show_photograph()
+        self.stage.look_from(self.places[number].pose)
+        self.panel.refresh()
+
+    @property
+    def moved(self) -> bool:
+        """Whether somebody has moved since a place was gone to."""
+        return bool(self.places) and self.stage.pose is not self.places[self.number].pose
+
+    @property
+    def where(self) -> str:
+        """Where one looks from."""
+        count = len(self.places) - 1
+        text = f"overview; {count} views"
+        if self.number:
+            text = f"view {self.number - 1} of {count}: {self.places[self.number].name}"
+        return f"moved away from {text} (R goes back)" if self.moved else text
+
+    def _tick(self) -> bool:
+        drawn = self.stage.tick()
+        if self.moved != self._moved:
+            self._moved = self.moved
             self.panel.refresh()
+        return drawn
 
     @property
     def busy(self) -> bool:
@@ -226,13 +290,15 @@ class Viewer:
 
     def _show_photograph(self) -> None:
         self.photographed = False
-        if self.request.images is not None and self.cameras:
+        if self.request.images is not None and self.number:
             try:
-                image = find_photograph(self.request.images, self.cameras[self.number].name)
+                name = self.places[self.number].name
+                image = read_image(find_image(self.request.images, name))
             except gs_codec.GsCodecError as error:
                 self.panel.say(str(error))
             else:
-                self.photograph.update_image(picture_of(image))
+                pixels = np.rint(255 * image).astype(np.uint8)
+                self.photograph.update_image(picture_of(pixels))
                 self.photograph.visible = self.photographed = True
                 self.panel.say("")
         self.window.set_needs_layout()
@@ -245,10 +311,16 @@ class Viewer:
         width = rest = rect.width - wide
         # Behind the panel, as Open3D makes it larger than that.
         self.photograph.frame = gui.Rect(rect.get_right() - wide // 2, rect.y, *HIDDEN)
+        self._caption.visible = self.photographed
         if self.photographed:
             panes = 1 if self.choice.mode == "wipe" else max(len(self.stage.visible), 1)
             width -= width // (panes + 1)
-            self.photograph.frame = gui.Rect(rect.x + width, rect.y, rest - width, rect.height)
+            left, line = rect.x + width, self.stage.caption_height
+            below = gui.Rect(left, rect.y + line, rest - width, rect.height - line)
+            self.photograph.frame = below
+            self._caption.frame = gui.Rect(left, rect.y, rest - width, line)
+            photograph = f" photograph of {self.places[self.number].name}"
+            self._caption.text = photograph + (" (you have moved away)" if self.moved else "")
         self.stage.lay_out(rect.x, rect.y, width, rect.height)
 
     # Keys and files
@@ -268,6 +340,9 @@ class Viewer:
             ord("m"): lambda: self.set_mode(modes[MODES.index(self.choice.mode)]),
             ord("f"): self.flip,
             ord("c"): self.panel.next_colouring,
+            ord("r"): self.reset,
+            ord("u"): self.panel.next_up,
+            int(gui.KeyName.HOME): self.overview,
             ord("o"): self.ask_open,
             ord("s"): self.ask_save,
             ord("h"): self.help,
@@ -300,12 +375,11 @@ class Viewer:
         stage, mode, place = self.stage, self.choice.mode, self.choice.place
         if stage.pose is None:
             return
-        scenes, pose, shown, size = stage.scenes, stage.pose, stage.shown, stage.size
-        if mode == "flip" and len(scenes) > 1:
-            scenes, mode = [scenes[self.choice.front]], "side"
+        pose, shown, size, front = stage.pose, stage.shown, stage.size, self.choice.front
 
         def draw(stale: Stale) -> None:
-            save_picture(compose(scenes, pose, shown, mode, place, size), Path(path))
+            picture = compose(pose, shown, mode, place, size, front=front)
+            save_picture(picture, Path(path))
 
         def done(_: None) -> None:
             self.panel.say(f"{Path(path).name} is written")

@@ -238,9 +238,9 @@ def labelled(
     bar = to_pillow(heat_bar(_BAR, 10))
     for row, legend in enumerate(reversed(legends)):
         top = canvas.height - 52 * (row + 1)
-        _write(pen, (12, top), legend.title, font)
-        canvas.paste(bar, (12, top + 20))
-        places = np.linspace(12, 12 + _BAR, len(legend.marks))
+        _write(pen, (20, top), legend.title, font)
+        canvas.paste(bar, (20, top + 20))
+        places = np.linspace(20, 20 + _BAR, len(legend.marks))
         for place, mark in zip(places, legend.marks, strict=True):
             _write(pen, (round(place), top + 32), mark, font, "ma")
     return canvas

@@ -227,6 +227,46 @@ def slide(driver: Driver) -> float:
     return driver.viewer.choice.place
 
 
+def views(driver: Driver, found: dict) -> None:
+    """Go through views, and flip two scenes."""
+    viewer = driver.viewer
+    driver.key("n")
+    driver.rest()
+    found["number"] = viewer.number
+    driver.key("p")
+    driver.rest()
+    found["back"] = driver.models()
+    driver.key("Home")
+    driver.rest()
+    found["where"].append(viewer.where)
+    driver.key("n")
+    driver.rest()
+    driver.toggle("error")
+    driver.key("f")
+    a = driver.rest()
+    found["flipped"] = [viewer.stage.captions[0].text]
+    found["front_first"] = viewer.choice.front
+    driver.key("f")
+    b = driver.rest()
+    found["flipped"].append(viewer.stage.captions[0].text)
+    found["flip_changed"] = int((np.abs(driver.scenes(a) - driver.scenes(b)) > 12).sum())
+
+
+def wipes(driver: Driver, found: dict) -> None:
+    """Wipe between two scenes, and save a picture."""
+    viewer, folder = driver.viewer, driver.folder
+    viewer.set_mode("wipe")
+    half = driver.scenes(driver.rest())
+    found["wiped_quality"] = viewer.stage.quality
+    found["dragged"], found["wide"] = slide(driver), viewer.stage.size[0]
+    viewer.set_place(0.2)
+    fifth = driver.scenes(driver.rest())
+    columns = np.flatnonzero((np.abs(half - fifth) > 12).any(axis=(0, 2))) / half.shape[1]
+    found["wipe_changed"] = [float(columns.min()), float(columns.max())]
+    viewer.save(str(folder / "saved.png"))
+    driver.rest()
+
+
 def run(folder: Path) -> dict:
     driver = Driver(folder)
     viewer = driver.viewer
@@ -249,35 +289,8 @@ def run(folder: Path) -> dict:
     found["drags"] = drags(driver)
     found["wheel"] = wheel(driver)
     found["near"] = [p.widget.scene.camera.get_near() for p in viewer.stage.panes]
-    driver.key("n")
-    driver.rest()
-    found["number"] = viewer.number
-    driver.key("p")
-    driver.rest()
-    found["back"] = driver.models()
-    driver.key("Home")
-    driver.rest()
-    found["where"].append(viewer.where)
-    driver.key("n")
-    driver.rest()
-    driver.key("f")
-    a = driver.rest()
-    found["flipped"] = [viewer.stage.captions[0].text]
-    found["front_first"] = viewer.choice.front
-    driver.key("f")
-    b = driver.rest()
-    found["flipped"].append(viewer.stage.captions[0].text)
-    found["flip_changed"] = int((np.abs(driver.scenes(a) - driver.scenes(b)) > 12).sum())
-    viewer.set_mode("wipe")
-    half = driver.scenes(driver.rest())
-    found["wiped_quality"] = viewer.stage.quality
-    found["dragged"], found["wide"] = slide(driver), viewer.stage.size[0]
-    viewer.set_place(0.2)
-    fifth = driver.scenes(driver.rest())
-    columns = np.flatnonzero((np.abs(half - fifth) > 12).any(axis=(0, 2))) / half.shape[1]
-    found["wipe_changed"] = [float(columns.min()), float(columns.max())]
-    viewer.save(str(folder / "saved.png"))
-    driver.rest()
+    views(driver, found)
+    wipes(driver, found)
     found["asked"] = [[scene.name for scene in viewer.stage.scenes]]
     viewer.open(str(folder / "a.ply"))
     driver.rest()

@@ -24,7 +24,8 @@ import gs_codec
 from gs_codec.cloud import to_cloud
 from gs_codec.codec import encode_scene
 from gs_codec.config import Config
-from gs_codec.io.ply import write_ply
+from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.transform.coordinates import turn_axes
 from viewer import screenshot
 from viewer.layers import (
     Points,
@@ -39,7 +40,7 @@ from viewer.layers import (
 )
 from viewer.main import app
 from viewer.numbers import quality_text
-from viewer.opened import Opened, open_scene, read_pruned
+from viewer.opened import Opened, open_scene, read_pruned, turned
 from viewer.picture import Shown, draw_points, draw_scene, measure, outlined, wipe_line, wiped
 from viewer.places import find_places, known_ups
 from viewer.pose import UPS, Pose, look_at, of_camera, overview, up_of
@@ -104,6 +105,29 @@ def test_boxes_hold_most_of_their_blocks(tmp_path):
         block = coded.positions[k * coded.info.block_size :][: coded.info.block_size]
         assert 0.8 < np.mean((block >= low).all(axis=1) & (block <= high).all(axis=1)) < 1
         assert (high - low < np.ptp(block, axis=0)).all()
+
+
+def test_scenes_of_another_system_are_turned_and_say_so(files, tmp_path):
+    scene = read_ply(files / "a.ply")
+    other = turn_axes(scene, "RUB")
+    write_ply(tmp_path / "said.ply", other)
+    write_ply(tmp_path / "unsaid.ply", replace(other, comments=()))
+    first, said, unsaid = (
+        open_scene(path)
+        for path in (files / "a.ply", tmp_path / "said.ply", tmp_path / "unsaid.ply")
+    )
+    assert Shown((), scenes=(first, said)).captions == ["A: a.ply", "B: said.ply, turned from RUB"]
+    assert first.title == "a.ply"
+    np.testing.assert_array_equal(said.positions, first.positions)
+    assert np.any(unsaid.positions != first.positions)
+    by_hand = turned(unsaid)
+    np.testing.assert_array_equal(by_hand.positions, first.positions)
+    assert by_hand.title == "unsaid.ply, turned from RUB"
+    pose = replace(STRAIGHT, frame=(60, 40))
+    assert measure({}, (first, by_hand), pose) == "the same"
+    again = turned(by_hand)
+    np.testing.assert_array_equal(again.positions, unsaid.positions)
+    assert again.title == "unsaid.ply"
 
 
 def test_reports_are_of_their_scene(files):

@@ -116,7 +116,7 @@ def test_the_quality_is_of_the_frame_whatever_the_layout(found, folder):
 
 def test_panes_are_named_and_the_panel_says_where_one_is(found):
     assert found["captions"] == [" A: a.ply", " B: b.egs"]
-    assert found["flipped"] == [" A: a.ply", " B: b.egs"]
+    assert found["flipped"] == [" A: a.ply", " B: b.egs, error against A"]
     assert found["where"] == [
         "view 0 of 2: view0",
         "moved away from view 0 of 2: view0 (R goes back)",

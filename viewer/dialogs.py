@@ -22,6 +22,7 @@ _KEYS = (
     ("R", "back to the view, after moving away"),
     ("Home", "overview"),
     ("U", "which axis is up"),
+    ("T", "turn B: y and z point the other way"),
     ("M", "side by side, wipe, flip"),
     ("F", "in one view: A or B"),
     ("left, right", "move the wipe; its line can be dragged"),

@@ -6,7 +6,7 @@ import json
 import os
 import tokenize
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
+from gs_codec.cloud import to_cloud, turn_cloud
+from gs_codec.files import read_scene, turn_scene
+from gs_codec.transform.coordinates import CONVENTION, system_of
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -34,6 +37,9 @@ _DAMAGE = (
 #: Quantiles of the centres along each axis between which a block's box is.
 _BOX = (0.02, 0.98)
 
+#: The system that scenes are in most often which do not say theirs and are not as PLY files are.
+_OTHER = "RUB"
+
 #: SH degree by coefficients beyond the first.
 _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 
@@ -47,16 +53,24 @@ class Opened:
     name : str
         The file's, or what a cloud was called.
     cloud : open3d.t.geometry.PointCloud
-        With the attributes that `gs_codec.read` gives.
+        With the attributes that `gs_codec.read` gives: right, down, forward.
     file_bytes : int or None
     info : gs_codec's Info or None
         Of an ``.egs`` file.
+    system : str
+        The coordinate system that the file is in.
     """
 
     name: str
     cloud: PointCloud
     file_bytes: int | None = None
     info: Any = None
+    system: str = CONVENTION
+
+    @property
+    def title(self) -> str:
+        """The name, and which coordinate system it was turned from, if it was."""
+        return self.name if self.system == CONVENTION else f"{self.name}, turned from {self.system}"
 
     @property
     def count(self) -> int:
@@ -125,12 +139,24 @@ def open_scene(
     """
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
-    cloud = gs_codec.read(source, "drop", progress, max_bytes)
+    scene = read_scene(source, "drop", progress, None, max_bytes)
+    cloud = to_cloud(turn_scene(scene, CONVENTION))
     try:
         info = gs_codec.inspect(source)
     except gs_codec.GsCodecError:  # a scene, but no .egs
         info = None
-    return Opened(Path(source).name, cloud, os.path.getsize(source), info)
+    return Opened(Path(source).name, cloud, os.path.getsize(source), info, system_of(scene))
+
+
+def turned(scene: Opened) -> Opened:
+    """A scene turned as from up and back to down and forward; again, as it was.
+
+    For a file that is in another coordinate system and does not say so.
+    """
+    was = scene.system == _OTHER
+    return replace(
+        scene, cloud=turn_cloud(scene.cloud, _OTHER), system=CONVENTION if was else _OTHER
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from open3d.visualization import gui
 
+from gs_codec.transform.coordinates import CONVENTION
 from viewer.choice import MODES
 from viewer.layers import COLOURINGS, LAYERS, Legend, heat_bar, reason_colour
 from viewer.numbers import between, facts
@@ -65,6 +66,9 @@ class Panel:
             "two scenes", _MODE_NAMES, lambda place: viewer.set_mode(MODES[place])
         )
         self.up = self._choice("up axis", UPS, lambda place: viewer.set_up(viewer.ups[place]))
+        self.turned = gui.Checkbox("B's y and z the other way (T)")
+        self.turned.set_on_checked(lambda _: viewer.turn())
+        self.widget.add_child(self.turned)
         self._views = gui.Horiz(0.3 * em)
         self._views.add_child(self._button("<", lambda: viewer.go(-1)))
         self._views.add_child(self._button(">", lambda: viewer.go(1)))
@@ -122,6 +126,8 @@ class Panel:
         self.boxes["error"].enabled = self.mode.enabled = two
         self.colouring.selected_index = COLOURINGS.index(choice.colouring)
         self.mode.selected_index = MODES.index(choice.mode)
+        self.turned.visible = two
+        self.turned.checked = two and stage.scenes[1].system != CONVENTION
         if self.up.number_of_items != len(viewer.ups):
             self.up.clear_items()
             for name in viewer.ups:

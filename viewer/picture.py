@@ -80,7 +80,7 @@ class Shown:
     def captions(self) -> list[str]:
         """What each scene's pane is called."""
         return [
-            f"{letter}: {scene.name}{', error against A' if self.shows_error(scene) else ''}"
+            f"{letter}: {scene.title}{', error against A' if self.shows_error(scene) else ''}"
             for letter, scene in zip("AB", self.scenes, strict=False)
         ]
 

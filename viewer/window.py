@@ -14,7 +14,7 @@ import gs_codec
 from gs_codec.rendering.images import find_image, read_image
 from viewer import dialogs
 from viewer.choice import MODES, Choice
-from viewer.opened import Opened, Pruned, open_scene
+from viewer.opened import Opened, Pruned, open_scene, turned
 from viewer.pane import HIDDEN, picture_of
 from viewer.panel import Panel, monospace
 from viewer.places import Place, find_places, known_ups, up_axis
@@ -240,6 +240,17 @@ class Viewer:
             self._find_places()
             self.go_to(self.number if self.request.chosen else 0)
 
+    def turn(self) -> None:
+        """Turn B as from another coordinate system, or back: for files that do not say theirs."""
+        if len(self.stage.scenes) < 2:
+            return
+        first, second = self.stage.scenes
+
+        def done(scene: Opened) -> None:
+            self.show([first, scene], self.cameras, self.stage.pruned)
+
+        self.worker.submit("load", lambda stale: turned(second), done, self.fail)
+
     def go(self, step: int) -> None:
         """Go to the next place or the one before."""
         if self.places:
@@ -342,6 +353,7 @@ class Viewer:
             ord("c"): self.panel.next_colouring,
             ord("r"): self.reset,
             ord("u"): self.panel.next_up,
+            ord("t"): self.turn,
             int(gui.KeyName.HOME): self.overview,
             ord("o"): self.ask_open,
             ord("s"): self.ask_save,

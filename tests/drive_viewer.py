@@ -261,6 +261,7 @@ def wipes(driver: Driver, found: dict) -> None:
     found["dragged"], found["wide"] = slide(driver), viewer.stage.size[0]
     viewer.set_place(0.2)
     fifth = driver.scenes(driver.rest())
+    found["line"] = int(fifth[-20:, viewer.stage.divider.widget.frame.x + 1].min())
     columns = np.flatnonzero((np.abs(half - fifth) > 12).any(axis=(0, 2))) / half.shape[1]
     found["wipe_changed"] = [float(columns.min()), float(columns.max())]
     viewer.save(str(folder / "saved.png"))

@@ -125,7 +125,8 @@ def test_panes_are_named_and_the_panel_says_where_one_is(found):
     ]
 
 
-def test_the_line_of_a_wipe_is_dragged(found):
+def test_the_line_of_a_wipe_is_seen_and_dragged(found):
+    assert found["line"] > 200
     assert found["dragged"] == pytest.approx(0.5 + 60 / found["wide"], abs=0.02)
 
 

@@ -126,7 +126,7 @@ def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) ->
     front = np.cross(_other_than(up), up)
     front /= np.linalg.norm(front)
     away = 0.35 * np.cross(up, front) + 0.45 * up + 0.82 * front
-    return look_at(centre + 2.0 * reach * away, centre, up)
+    return look_at(centre + 2.5 * reach * away, centre, up)
 
 
 def look_at(position: NDArray, target: NDArray, up: NDArray = UPS["-y"]) -> Pose:

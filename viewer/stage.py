@@ -211,8 +211,10 @@ class Stage:
         for k, label in enumerate(self.captions):
             label.visible = k < len(visible)
             if label.visible:
-                label.text = f" {names[visible[k]]}"
-                label.frame = gui.Rect(left + places[k][0], top, places[k][1] - places[k][0], line)
+                start, stop = places[k][:2]
+                most = (stop - start) // (line // 3)  # characters; a longer text would be folded
+                label.text = f" {names[visible[k]]}"[:most]
+                label.frame = gui.Rect(left + start, top, stop - start, line)
         gap = gui.Rect(left + width - 1, top, *HIDDEN)
         if len(visible) == 2 and self.choice.mode == "wipe":
             gap = gui.Rect(left + places[0][1], below, places[1][0] - places[0][1], high)

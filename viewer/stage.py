@@ -27,8 +27,8 @@ _MOST = {"gpu": 5_000_000, "cpu": 250_000}
 _REST, _COARSE = 0.25, 4
 
 
-#: Height of the line above the panes, in heights of text.
-_CAPTION_EMS = 1.5
+#: Height of the line above the panes, pixels: what Open3D draws a label's ground over at least.
+_CAPTION = 32
 
 
 class Stage:
@@ -212,7 +212,8 @@ class Stage:
             label.visible = k < len(visible)
             if label.visible:
                 start, stop = places[k][:2]
-                most = (stop - start) // (line // 3)  # characters; a longer text would be folded
+                # Characters; a longer text would be folded.
+                most = 2 * (stop - start) // self.window.theme.font_size
                 label.text = f" {names[visible[k]]}"[:most]
                 label.frame = gui.Rect(left + start, top, stop - start, line)
         gap = gui.Rect(left + width - 1, top, *HIDDEN)
@@ -226,7 +227,7 @@ class Stage:
     @property
     def caption_height(self) -> int:
         """Of the line above the panes, pixels."""
-        return int(_CAPTION_EMS * self.window.theme.font_size)
+        return max(_CAPTION, int(1.5 * self.window.theme.font_size))
 
     def _slide(self, x: int) -> None:
         """Move the line of a wipe to a column of the window."""

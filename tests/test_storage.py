@@ -214,9 +214,13 @@ def files(tmp_path) -> tuple[Path, Path]:
 
 @pytest.mark.parametrize("command", ["encode", "decode", "verify"])
 def test_too_little_memory_is_refused_with_what_is_enough(command, files, monkeypatch, capsys):
-    other = files[0].parent / "out"
-    paths = {"encode": (files[0], other), "decode": (files[1], other), "verify": (files[1],)}
-    arguments = [command, *map(str, paths[command]), "--threads", "2"]
+    source, coded = files
+    words = {
+        "encode": (source, source.parent / "out.egs", "--overwrite"),
+        "decode": (coded, source.parent / "out.ply", "--overwrite"),
+        "verify": (coded,),
+    }
+    arguments = [command, *map(str, words[command]), "--threads", "2"]
     status, out, err = run(monkeypatch, capsys, *arguments, "--max-memory", "100MB")
     assert (status, out) == (2, "")
     assert "max-memory: 100,000,000 bytes, " in err

@@ -77,8 +77,9 @@ class Driver:
         raise SystemExit("the window never rests")
 
     def scenes(self, image: np.ndarray) -> np.ndarray:
-        """The part of the window that is not the panel."""
-        return image[:, : self.viewer.panel.widget.frame.x - 4]  # its corners are round
+        """The part of the window that is not the panel, nor captions."""
+        right = self.viewer.panel.widget.frame.x - 4  # its corners are round
+        return image[self.viewer.stage.caption_height :, :right]
 
     def xdotool(self, *arguments: object) -> None:
         subprocess.run(["xdotool", *map(str, arguments)], check=True)

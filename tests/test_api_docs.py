@@ -110,7 +110,7 @@ def test_examples_run(example, folder, monkeypatch):
     example.globs |= {
         "gs_codec": gs_codec,
         "viewer": viewer,
-        "visualizer": Mock(spec=O3DVisualizer),
+        "visualizer": Mock(spec=O3DVisualizer, title="Open3D"),
     }
     said: list[str] = []
     result = doctest.DocTestRunner().run(example, out=said.append)

@@ -69,14 +69,21 @@ def drive(script: str, display: str, folder: Path) -> dict:
     """What came of driving a window by a script of this folder."""
     here = Path(__file__).parent
     environment = os.environ | {"DISPLAY": display, "PYTHONPATH": str(here.parent)}
-    result = subprocess.run(
-        [sys.executable, here / script, folder],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment,
-        timeout=600,
-    )
+    # Mesa's software driver stays in one frame for many minutes now and then.
+    for attempt in range(3):
+        try:
+            result = subprocess.run(
+                [sys.executable, here / script, folder],
+                capture_output=True,
+                text=True,
+                check=False,
+                env=environment,
+                timeout=300,
+            )
+            break
+        except subprocess.TimeoutExpired:
+            if attempt == 2:
+                raise
     lines = [line for line in result.stdout.splitlines() if line.startswith("RESULT ")]
     assert lines, result.stdout + result.stderr
     return json.loads(lines[0].removeprefix("RESULT "))

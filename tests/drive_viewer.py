@@ -135,6 +135,21 @@ class Driver:
         ]
 
 
+def outlined(driver: Driver, image: np.ndarray) -> list[float]:
+    """How much of the upper side of the frame's outline is seen in each picture."""
+    stage, shares = driver.viewer.stage, []
+    if driver.viewer.choice.mode == "side":
+        frames = [pane.widget.frame for pane in stage.visible]
+    else:
+        pane = stage.visible[0].widget.frame
+        frames = [gui.Rect(pane.x, pane.y, *stage.size)]
+    for frame in frames:
+        left, top, right, _ = map(round, stage.pose.framed(frame.width, frame.height))
+        rows = image[frame.y + top - 2 : frame.y + top + 3, frame.x + left : frame.x + right]
+        shares.append(float((rows.min(axis=2).max(axis=0) > 200).mean()))
+    return shares
+
+
 def layers(driver: Driver, first: np.ndarray) -> dict:
     """How many pixels of each half of the panes a layer changes; how far it is back without it."""
     found, before = {}, first
@@ -249,6 +264,7 @@ def views(driver: Driver, found: dict) -> None:
     found["front_first"] = viewer.choice.front
     driver.key("f")
     b = driver.rest()
+    found["outlined"] += outlined(driver, a) + outlined(driver, b)
     found["flipped"].append(viewer.stage.captions[0].text)
     found["flip_changed"] = int((np.abs(driver.scenes(a) - driver.scenes(b)) > 12).sum())
 
@@ -257,7 +273,9 @@ def wipes(driver: Driver, found: dict) -> None:
     """Wipe between two scenes, and save a picture."""
     viewer, folder = driver.viewer, driver.folder
     viewer.set_mode("wipe")
-    half = driver.scenes(driver.rest())
+    wiped = driver.rest()
+    found["outlined"] += outlined(driver, wiped)
+    half = driver.scenes(wiped)
     found["wiped_quality"] = viewer.stage.quality
     found["dragged"], found["wide"] = slide(driver), viewer.stage.size[0]
     viewer.set_place(0.2)
@@ -278,6 +296,7 @@ def run(folder: Path) -> dict:
     found["quality"] = viewer.stage.quality
     found["captions"] = [label.text for label in viewer.stage.captions]
     found["where"] = [viewer.where]
+    found["outlined"] = outlined(driver, first)
     found["layers"] = layers(driver, first)
     found["at_first"] = driver.models()
     driver.drag(viewer.stage.panes[0], back=False)

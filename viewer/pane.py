@@ -161,7 +161,8 @@ def point_geometry(
 def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
     """What is between four outer corners and four inner ones, of one colour from both sides.
 
-    Lines would not do: Open3D draws none that is level.
+    Lines would not do: Open3D draws none that is level. Nor would its other shaders, which look up
+    a texture: in slivers, Mesa's software driver looks up so many texels that it stands still.
     """
     around = [0, 2, 3, 1]
     sides = [(around[k], around[(k + 1) % 4]) for k in range(4)]
@@ -170,9 +171,10 @@ def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialR
         o3d.utility.Vector3dVector(np.array(corners)),
         o3d.utility.Vector3iVector(np.array(triangles + [t[::-1] for t in triangles], np.int32)),
     )
-    mesh.paint_uniform_color(LINE_COLOUR)
     material = rendering.MaterialRecord()
-    material.shader = "defaultUnlit"
+    material.shader = "unlitSolidColor"
+    # Open3D takes this one for sRGB, and what is drawn without post-processing stays linear.
+    material.base_color = (*np.power(LINE_COLOUR, 1 / 2.2), 1.0)
     return mesh, material
 
 

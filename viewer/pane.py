@@ -161,8 +161,8 @@ def point_geometry(
 def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
     """What is between four outer corners and four inner ones, of one colour from both sides.
 
-    Lines would not do: Open3D draws none that is level. Nor would its other shaders, which look up
-    a texture: in slivers, Mesa's software driver looks up so many texels that it stands still.
+    Lines would not do: Open3D draws none that is level. Nor would a shader that looks up a
+    texture: with one, Mesa's software driver stays in these slivers for seconds or minutes.
     """
     around = [0, 2, 3, 1]
     sides = [(around[k], around[(k + 1) % 4]) for k in range(4)]

@@ -75,7 +75,7 @@ def drive(script: str, display: str, folder: Path) -> dict:
         text=True,
         check=False,
         env=environment,
-        timeout=300,
+        timeout=600,
     )
     lines = [line for line in result.stdout.splitlines() if line.startswith("RESULT ")]
     assert lines, result.stdout + result.stderr

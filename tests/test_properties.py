@@ -6,12 +6,12 @@ import json
 from dataclasses import replace
 
 import numpy as np
+from bounds import error_over_bound
 from hypothesis import given
 from hypothesis import strategies as st
 from reference_decoder import decode as reference_decode
 from scenes import random_scene
 
-from gs_codec.bench.bounds import error_over_bound
 from gs_codec.codec import decode_part, decode_scene, encode_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import LOSSLESS, PROFILE_CHOICES, Config

@@ -1,59 +1,20 @@
-"""Scenes that try the numbers: what each profile makes of them, error beside the bound it has."""
+"""Scenes with ugly numbers: constant, huge, denormal, heavy-tailed, degenerate in space."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.bench.bounds import error_over_bound
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import Config
-from gs_codec.errors import InvalidInput
 from gs_codec.scene import GROUPS, Scene
 
 Planes = dict[str, NDArray]
 
 
-def measure_stress(
-    profiles: list[str], count: int = 2000, copies: int = 1_000_000, threads: int | None = None
-) -> Iterator[dict[str, Any]]:
-    """A result line of each case and profile.
-
-    ``refused`` is why the scene is, or None; then ``error_over_bound`` is the largest error over
-    what the steps of the file allow, and ``moved`` how many values were moved to the edge of what
-    the profile keeps, which that does not count.
-    """
-    for name, scene in stress_scenes(count, copies):
-        for profile in profiles:
-            line = {"kind": "stress", "case": name, "profile": profile, "gaussians": scene.count}
-            yield {**line, **_measure(scene, Config(profile, threads=threads))}
-
-
-def _measure(scene: Scene, config: Config) -> dict[str, Any]:
-    start = time.perf_counter()
-    try:
-        data, report = encode_scene(scene, config)
-    except InvalidInput as error:
-        return {"refused": str(error)}
-    decoded = decode_scene(data, config.threads)
-    seconds = time.perf_counter() - start
-    largest, where = error_over_bound(scene, decoded, data, config)
-    return {
-        "refused": None,
-        "error_over_bound": largest,
-        "where": where,
-        "moved": report.rectified,
-        "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
-        "seconds": seconds,
-    }
-
-
 def stress_scenes(count: int, copies: int) -> Iterator[tuple[str, Scene]]:
-    """Cases of `count` Gaussians of SH degree 1, but for those of few and of `copies`."""
+    """Cases by name, of SH degree 1: most have `count` Gaussians, the last `copies` of one."""
     for few in range(6):
         yield f"{few} Gaussians", _scene(_usual(few))
     for name, planes in _values(count):
@@ -66,7 +27,7 @@ def stress_scenes(count: int, copies: int) -> Iterator[tuple[str, Scene]]:
 
 
 def _usual(count: int) -> Planes:
-    """What is like a scene."""
+    """Planes like those of a scene."""
     rng = np.random.default_rng(count)
     return {
         "positions": rng.normal(size=(3, count)),
@@ -84,7 +45,7 @@ def _scene(planes: Planes) -> Scene:
 
 
 def _values(count: int) -> Iterator[tuple[str, Planes]]:
-    """Ways values may be distributed, those of every channel."""
+    """Distributions of values, in every channel alike."""
     rng = np.random.default_rng([count, 1])
     usual = _usual(count)
 
@@ -122,7 +83,7 @@ def _in_one_bin(plane: NDArray) -> NDArray:
 
 
 def _places(count: int) -> Iterator[tuple[str, Planes]]:
-    """Ways points may lie."""
+    """Arrangements of points."""
     usual = _usual(count)
     x, y, z = usual["positions"]
     flat = np.zeros_like(x)
@@ -138,7 +99,7 @@ def _places(count: int) -> Iterator[tuple[str, Planes]]:
 
 
 def _shapes(count: int) -> Iterator[tuple[str, Planes]]:
-    """Opacities, scales and quaternions at the ends of what there is."""
+    """Opacities, scales and quaternions at the ends of their ranges."""
     usual = _usual(count)
     rot, sign = usual["rot"], np.sign(usual["log_scale"] + 5.0)
     infinite = np.where(usual["opacity"] > 0, np.inf, -np.inf)

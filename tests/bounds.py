@@ -1,4 +1,4 @@
-"""How far values may be from where they were, as the steps of a file have it."""
+"""Errors of decoded values beside the bounds that the steps of a file imply."""
 
 from __future__ import annotations
 

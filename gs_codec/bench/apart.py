@@ -1,31 +1,41 @@
-"""A command of the command line in a process of its own, and what it took.
+"""A command of the command line in a process of its own: its time and memory.
 
-As a module this runs the command and prints that: ``wait4`` would count, for a process, the
-memory of the parent it was forked from.
+A small process runs it and reads what it took: a process counts at least the memory of the parent
+that it was forked from.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import resource
 import subprocess
 import sys
-import time
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
-from gs_codec.cli.main import main
 from gs_codec.errors import GsCodecError
+
+_RUN_AND_TELL = """
+import json, resource, subprocess, sys, time
+start = time.perf_counter()
+status = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+seconds = time.perf_counter() - start
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps([seconds, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss]))
+sys.exit(status != 0)
+"""
 
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process took: time from its first line to its last, processors, memory at most.
+    """What a process took, its start included.
 
-    ``peak_bytes`` is the largest resident size (Linux), mapped files included, or 0 where the
-    system does not tell.
+    Attributes
+    ----------
+    seconds : float
+        By the clock.
+    cpu_seconds : float
+        Of processors.
+    peak_bytes : int
+        The largest resident size (Linux), mapped files included.
     """
 
     seconds: float
@@ -39,37 +49,12 @@ def run_apart(arguments: list[str]) -> Usage:
     Raises
     ------
     GsCodecError
-        If it fails; with its own words.
+        If it fails; with the command's own message.
     """
-    command = [sys.executable, "-m", "gs_codec.bench.apart", *arguments]
+    between = [sys.executable, "-I", "-S", "-c", _RUN_AND_TELL]
+    command = [*between, sys.executable, "-m", "gs_codec", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         lines = done.stderr.strip().splitlines() or [f"status {done.returncode}"]
         raise GsCodecError(lines[-1].removeprefix("gs-codec: error: "))
-    return Usage(**json.loads(done.stdout))
-
-
-def peak_bytes() -> int:
-    """Largest resident size of this process so far; 0 where the system does not tell."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return 1024 * int(line.split()[1])
-    return 0
-
-
-def _run() -> Usage:
-    start = time.perf_counter()
-    with open(os.devnull, "w") as sink, contextlib.redirect_stdout(sink):
-        try:
-            main()
-        except SystemExit as stopped:
-            if stopped.code:
-                raise
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    seconds = time.perf_counter() - start
-    return Usage(seconds, used.ru_utime + used.ru_stime, peak_bytes())
-
-
-if __name__ == "__main__":
-    print(json.dumps(asdict(_run())))
+    return Usage(*json.loads(done.stdout))

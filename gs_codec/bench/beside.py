@@ -5,82 +5,90 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gs_codec import __version__
-from gs_codec.bench.measure import spread
-from gs_codec.bench.peers import AbsentPeer, Peer, find_peers
+from gs_codec.bench.measure import sizes, spread
+from gs_codec.bench.peers import AbsentPeer, Peer
 from gs_codec.bench.rendered import rendered_quality
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import ToolFailed
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
 from gs_codec.planned import guide_of
-from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.pipeline import Plan, prepare_scene
+from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
-#: What follows the profile's name where a codec goes by views.
-_BY_VIEWS = ", by views"
+#: Follows the profile's name if it is camera-guided.
+GUIDED = ", camera-guided"
+
+#: Most views to prune and to encode by.
+_PRUNING_VIEWS = 128
+
+
+def our_codecs(
+    configs: Sequence[Config], plan: Plan | None = None, pruned: Sequence[float] = ()
+) -> list[Peer]:
+    """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided too, and `m` pruned.
+
+    `pruned` are percentages of Gaussians removed by leave-one-out error.
+    """
+    codecs = [_camera_free(config) for config in configs]
+    if plan is not None:
+        guided = [config for config in configs if config.profile in LATTICE_PROFILES]
+        codecs += [_guided(config, plan, 0.0) for config in guided]
+        codecs += [
+            _guided(c, plan, percent) for c in guided if c.profile == "m" for percent in pruned
+        ]
+    return codecs
+
+
+def is_ours(codec: str) -> bool:
+    """Whether a result line's codec is one of `our_codecs`."""
+    return codec.partition(",")[0] in PROFILE_CHOICES
 
 
 def measure_beside(
     scene: Scene,
     name: str,
-    configs: Sequence[Config],
+    codecs: Sequence[Peer | AbsentPeer],
     repeats: int,
     cameras: Sequence[Camera] = (),
     truth: Path | None = None,
-    plan: Plan | None = None,
-    others: Sequence[Peer | AbsentPeer] | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """A result line for each of our configurations and each peer: `others`, or all there are.
+    """A result line for each codec.
 
-    All begin with the same (cached) PLY, read by the same reader, and end with its floats in
-    memory. In each of the `repeats` after the first, which compiles, every codec has its turn;
-    with a `plan`, profiles that can go by its views do that too, once, and before that on a few
-    Gaussians, which compiles. A peer that fails, or does not end in its time, has a line that says
-    so, as one has that is absent.
+    All start from the same (cached) PLY, read by the same reader, and end with its floats in
+    memory. In each of the `repeats` after the first, which compiles, every codec has its turn; slow
+    ones have one. A codec that is absent, fails or exceeds its time has a line with the reason.
     """
-    present = [our_codec(config) for config in configs]
-    if plan is not None:
-        by_views = [config for config in configs if config.profile in LATTICE_PROFILES]
-        present += [_by_views(config, plan) for config in by_views]
-        for config in by_views[:1]:
-            few = few_of(scene)
-            encode_scene(few, config, guide=guide_of(few, plan, config))
+    present = [codec for codec in codecs if isinstance(codec, Peer)]
     with tempfile.TemporaryDirectory() as folder:
         ply = Path(folder) / "scene.ply"
+        _compile(scene, ply, present)
         write_ply(ply, scene)
-        if others is None:
-            others = find_peers(configs[0].extra, configs[0].threads)
-        present += [peer for peer in others if isinstance(peer, Peer)]
-        for peer, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
+        ply_bytes = ply.stat().st_size
+        for codec, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
             try:
-                line = result_line(scene, name, peer, turns, ply.stat().st_size)
-                if cameras:
-                    decoded = peer.scene(peer.decode(turns.data))
-                    line |= rendered_quality(scene, decoded, cameras, truth)
+                yield _line(scene, name, codec, turns, ply_bytes) | (
+                    _quality(scene, codec, turns.data, cameras, truth) if cameras else {}
+                )
             except ToolFailed as error:
-                line = _absent(name, peer.name, f"{peer.name} of {name}: {error}")
-            yield line
-    for other in others:
+                yield _absent(name, codec.name, f"{codec.name} of {name}: {error}")
+    for other in codecs:
         if isinstance(other, AbsentPeer):
             yield _absent(name, other.name, other.absent)
 
 
-def is_ours(codec: str) -> bool:
-    """Whether a result line's codec is one of our profiles."""
-    return codec.removesuffix(_BY_VIEWS) in PROFILE_CHOICES
-
-
 @dataclass
-class Turns:
-    """What a codec made of a scene, and the seconds of each of its turns."""
+class _Turns:
+    """Encoding of a scene by a codec, and the seconds of each of its turns."""
 
     data: bytes = b""
     encode: list[float] = field(default_factory=list)
@@ -88,14 +96,7 @@ class Turns:
     failed: ToolFailed | None = None
 
 
-def few_of(scene: Scene) -> Scene:
-    """A thousand of the Gaussians, evenly spaced: enough to compile what a scene needs."""
-    return scene.take(np.linspace(0, scene.count - 1, min(scene.count, 1000)).astype(np.int64))
-
-
-def our_codec(config: Config) -> Peer:
-    """One of our profiles, called as the others are."""
-
+def _camera_free(config: Config) -> Peer:
     def encode(ply: Path) -> bytes:
         return encode_scene(read_ply(ply, config.extra), config)[0]
 
@@ -107,29 +108,42 @@ def our_codec(config: Config) -> Peer:
     return Peer(config.profile, __version__, encode, decode, lambda scene: scene)
 
 
-def _by_views(config: Config, plan: Plan) -> Peer:
-    """One of our profiles that goes by the views of a plan."""
+def _guided(config: Config, plan: Plan, percent: float) -> Peer:
+    """A profile that uses the views of a plan, after so many percent were pruned."""
 
     def encode(ply: Path) -> bytes:
-        scene = read_ply(ply, config.extra)
-        return encode_scene(scene, config, guide=guide_of(scene, plan, config))[0]
+        scene, chosen, targets = read_ply(ply, config.extra), plan, None
+        if percent:
+            chosen = replace(plan, steps=Steps(prune_loo=percent), views=_PRUNING_VIEWS)
+            scene, report = prepare_scene(scene, chosen)
+            targets = report.views.renders
+        guide = guide_of(scene, chosen, config, targets=targets)
+        return encode_scene(scene, config, guide=guide)[0]
 
-    blind = our_codec(config)
-    name = f"{config.profile}{_BY_VIEWS}"
-    return Peer(name, __version__, encode, blind.decode, blind.scene, once=True)
+    how = f", {percent:g} % pruned" if percent else GUIDED
+    return replace(_camera_free(config), name=config.profile + how, encode=encode, once=True)
 
 
-def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[Turns]:
-    all_turns = [Turns() for _ in peers]
+def _compile(scene: Scene, ply: Path, codecs: Sequence[Peer]) -> None:
+    """Encode a thousand Gaussians with those codecs of ours whose only turn counts."""
+    few = np.linspace(0, scene.count - 1, min(scene.count, 1000)).astype(np.int64)
+    write_ply(ply, scene.take(few))
+    for codec in codecs:
+        if codec.once and not codec.own_process:
+            codec.encode(ply)
+
+
+def _take_turns(ply: Path, codecs: Sequence[Peer], repeats: int) -> list[_Turns]:
+    all_turns = [_Turns() for _ in codecs]
     for turn in range(repeats + 1):
-        for peer, turns in zip(peers, all_turns, strict=True):
-            if turns.failed or (peer.once and turn != 1):
+        for codec, turns in zip(codecs, all_turns, strict=True):
+            if turns.failed or (codec.once and turn != 1):
                 continue
             start = time.perf_counter()
             try:
-                turns.data = peer.encode(ply)
+                turns.data = codec.encode(ply)
                 encoded = time.perf_counter()
-                peer.decode(turns.data)
+                codec.decode(turns.data)
             except ToolFailed as error:
                 turns.failed = error
                 continue
@@ -140,27 +154,25 @@ def _take_turns(ply: Path, peers: Sequence[Peer], repeats: int) -> list[Turns]:
     return all_turns
 
 
-def result_line(
-    scene: Scene, name: str, peer: Peer, turns: Turns, ply_bytes: int
-) -> dict[str, Any]:
-    """Size and seconds of a codec; bits are those of a Gaussian of the input."""
+def _line(scene: Scene, name: str, codec: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
     if turns.failed:
         raise turns.failed
-    size = len(turns.data)
     return {
         "kind": "beside",
         "scene": name,
-        "codec": peer.name,
-        "version": peer.version,
-        "own_process": peer.own_process,
-        "gaussians": scene.count,
-        "ply_bytes": ply_bytes,
-        "file_bytes": size,
-        "ratio": ply_bytes / size,
-        "bits_per_gaussian": 8 * size / max(scene.count, 1),
+        "codec": codec.name,
+        "version": codec.version,
+        "own_process": codec.own_process,
+        **sizes(scene, turns.data, ply_bytes),
         "encode_seconds": spread(turns.encode),
         "decode_seconds": spread(turns.decode),
     }
+
+
+def _quality(
+    scene: Scene, codec: Peer, data: bytes, cameras: Sequence[Camera], truth: Path | None
+) -> dict[str, Any]:
+    return rendered_quality(scene, codec.scene(codec.decode(data)), cameras, truth)
 
 
 def _absent(scene: str, codec: str, why: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Curves of rate over quality, and what one saves over another at equal quality."""
+"""Curves of rate over quality, and their difference at equal quality."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class Curve:
 
     @classmethod
     def through_lines(cls, lines: Iterable[dict[str, Any]]) -> Curve:
-        """Through result lines, but for those of equal views, which have no PSNR."""
+        """Through result lines; those of equal views, which have no PSNR, are left out."""
         points = [(line["mean"]["psnr"], line["bits_per_gaussian"]) for line in lines]
         return cls.through((psnr, bits) for psnr, bits in points if psnr is not None)
 
     @property
     def range(self) -> tuple[float, float]:
-        """Lowest and highest PSNR; (inf, -inf) where there are no points."""
+        """Lowest and highest PSNR; (inf, -inf) without points."""
         return float(self.psnr.min(initial=np.inf)), float(self.psnr.max(initial=-np.inf))
 
     def bits_at(self, psnr: float) -> float | None:
@@ -64,19 +64,23 @@ class Curve:
         return PchipInterpolator(self.psnr, self.log_bits)
 
 
-def common_range(first: Curve, second: Curve) -> tuple[float, float] | None:
-    """Lowest and highest PSNR that both curves have, or None where they do not overlap."""
-    low = max(first.range[0], second.range[0])
-    high = min(first.range[1], second.range[1])
-    return (low, high) if low < high else None
+@dataclass(frozen=True)
+class Rate:
+    """Percent of bits over a reference, mean over the PSNR from `low` to `high` dB."""
+
+    percent: float
+    low: float
+    high: float
 
 
-def bd_rate(reference: Curve, tested: Curve) -> float | None:
-    """Percent of bits that `tested` takes over `reference`, mean over the PSNR both have.
+def bd_rate(reference: Curve, tested: Curve) -> Rate | None:
+    """Bits that `tested` takes over `reference`, over the PSNR that both have; None without any.
 
-    Bjontegaard's measure (VCEG-M33); negative where bits are saved, None without overlap.
+    Bjontegaard's measure (VCEG-M33); negative where bits are saved.
     """
-    common = common_range(reference, tested)
-    if common is None:
+    low = max(reference.range[0], tested.range[0])
+    high = min(reference.range[1], tested.range[1])
+    if low >= high:
         return None
-    return 100 * (2 ** (tested.mean_log_bits(*common) - reference.mean_log_bits(*common)) - 1)
+    factor = 2 ** (tested.mean_log_bits(low, high) - reference.mean_log_bits(low, high))
+    return Rate(100 * (factor - 1), low, high)

@@ -8,16 +8,34 @@ import subprocess
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
-#: Packages that what is measured uses, ours and others'.
+from gs_codec import __version__
+from gs_codec.workers import available_threads
+
+#: Packages that measured codecs use, ours and others'.
 _PACKAGES = (
-    "numpy", "numba", "scipy", "scikit-image", "plyfile", "pcodec", "crc32c", "zstandard",
-    "constriction", "torch", "torchac", "spz",
+    "numpy", "numba", "scipy", "scikit-image", "plyfile", "pcodec", "crc32c", "zstandard", "spz",
 )  # fmt: skip
 
 
+def machine() -> dict[str, Any]:
+    """The result line of what the numbers were measured on and with."""
+    return {
+        "kind": "machine",
+        "gs_codec": __version__,
+        "python": platform.python_version(),
+        "processor": processor_name(),
+        "cores": os.cpu_count(),
+        "threads": available_threads(),
+        "system": platform.platform(),
+        "commit": commit(),
+        "packages": package_versions(),
+    }
+
+
 def processor_name() -> str:
-    """The processor's model, or what architecture it is of where the system does not tell."""
+    """The processor's model, or its architecture if the system does not tell."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             key, _, value = line.partition(":")
@@ -26,36 +44,19 @@ def processor_name() -> str:
     return platform.processor() or platform.machine()
 
 
-def memory_bytes() -> int | None:
-    """Memory of the machine, where the system tells."""
-    with suppress(OSError, ValueError, AttributeError):
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return None
-
-
 def commit() -> str | None:
-    """The commit of the checkout this package is in, with "+changes" if it has any; else None."""
+    """The commit of the checkout this package is in, with "-dirty" if it has changes; else None."""
     root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
-    head, changes = _git(root, "rev-parse", "HEAD"), _git(root, "status", "--porcelain")
-    if head is None or changes is None:
-        return None
-    return f"{head}+changes" if changes else head
-
-
-def _git(root: Path, *arguments: str) -> str | None:
-    """What git says of a checkout, or None where it cannot."""
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
     with suppress(OSError):
-        command = ["git", "-C", str(root), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode == 0:
+        if done.returncode == 0 and (root / ".git").exists():
             return done.stdout.strip()
     return None
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of those packages that are there."""
+    """Versions of those packages that are installed."""
     found = {}
     for package in _PACKAGES:
         with suppress(PackageNotFoundError):

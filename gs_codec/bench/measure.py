@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import statistics
 import tempfile
 import time
@@ -12,54 +10,31 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gs_codec import __version__
 from gs_codec.analysis.tables import entropy_by_group
-from gs_codec.bench import host
 from gs_codec.bench.apart import run_apart
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
-from gs_codec.files import compare_files, decode_file, encode_file
+from gs_codec.files import compare_files
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
 from gs_codec.scene import Scene
-from gs_codec.workers import available_threads
-
-
-def machine() -> dict[str, Any]:
-    """What the numbers were measured on and with."""
-    import numba
-    import numpy
-
-    return {
-        "kind": "machine",
-        "gs_codec": __version__,
-        "python": platform.python_version(),
-        "numpy": numpy.__version__,
-        "numba": numba.__version__,
-        "processor": host.processor_name(),
-        "cores": os.cpu_count(),
-        "threads": available_threads(),
-        "memory_bytes": host.memory_bytes(),
-        "system": platform.platform(),
-        "commit": host.commit(),
-        "packages": host.package_versions(),
-    }
 
 
 def measure_scene(
     scene: Scene, name: str, config: Config, repeats: int
 ) -> Iterator[dict[str, Any]]:
-    """Result lines of one scene under one configuration.
+    """Result lines of one scene under one configuration: codec, error, memory.
 
     The scene is written as PLY to a temporary folder first; encoding is timed from that
     (cached) file to the stream in memory, decoding from the stream to the rows of a PLY.
     """
     with tempfile.TemporaryDirectory() as folder:
-        ply = Path(folder) / "scene.ply"
+        ply, back = Path(folder) / "scene.ply", Path(folder) / "back.ply"
         write_ply(ply, scene)
         identity = {"scene": name, "profile": config.profile, "gaussians": scene.count}
         yield {"kind": "codec", **identity, **_codec(ply, config, repeats)}
-        yield {"kind": "error", **identity, **_error(ply, config)}
-        yield {"kind": "memory", **identity, **_memory(ply, config, scene.float_bytes)}
+        memory = measure_memory(scene, name, config, ply, back)
+        yield {"kind": "error", **identity, **asdict(compare_files(ply, back))}
+        yield memory
 
 
 def _codec(ply: Path, config: Config, repeats: int) -> dict[str, Any]:
@@ -79,10 +54,7 @@ def _codec(ply: Path, config: Config, repeats: int) -> dict[str, Any]:
         decoding = {"decode": arranged - encoded, "rows": end - arranged}
         stages.append({"read": read - start, **report.seconds, **decoding})
     return {
-        "ply_bytes": ply.stat().st_size,
-        "file_bytes": len(data),
-        "ratio": ply.stat().st_size / len(data),
-        "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
+        **sizes(scene, data, ply.stat().st_size),
         "encode_seconds": spread(encode_seconds[1:]),
         "decode_seconds": spread(decode_seconds[1:]),
         "stages": {name: spread([s[name] for s in stages[1:]])["median"] for name in stages[0]},
@@ -92,29 +64,40 @@ def _codec(ply: Path, config: Config, repeats: int) -> dict[str, Any]:
     }
 
 
+def sizes(scene: Scene, data: bytes, ply_bytes: int) -> dict[str, Any]:
+    """Sizes of a scene and of its encoding; bits for each Gaussian of the input."""
+    return {
+        "gaussians": scene.count,
+        "ply_bytes": ply_bytes,
+        "file_bytes": len(data),
+        "ratio": ply_bytes / len(data),
+        "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
+    }
+
+
 def spread(values: list[float]) -> dict[str, float]:
     """Median, least and largest value."""
     return {"median": statistics.median(values), "min": min(values), "max": max(values)}
 
 
-def _error(ply: Path, config: Config) -> dict[str, Any]:
-    stream, back = ply.with_suffix(".egs"), ply.with_name("back.ply")
-    encode_file(ply, stream, config)
-    decode_file(stream, back, config.threads)
-    return asdict(compare_files(ply, back))
-
-
-def _memory(ply: Path, config: Config, float_bytes: int) -> dict[str, Any]:
-    """Peak resident memory of whole processes; 0 where the system does not tell."""
-    stream, back = ply.with_suffix(".egs"), ply.with_name("back.ply")
+def measure_memory(
+    scene: Scene, name: str, config: Config, ply: Path, back: Path
+) -> dict[str, Any]:
+    """The result line of the largest resident memory of whole processes, from `ply` to `back`."""
     depths = [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
-    command = ["encode", str(ply), str(stream), "-p", config.profile, *depths, "--overwrite"]
-    encode = run_apart(command).peak_bytes
-    decode = run_apart(["decode", str(stream), str(back), "--overwrite"]).peak_bytes
+    threads = [] if config.threads is None else ["--threads", str(config.threads)]
+    options = ["-p", config.profile, "--extra", config.extra, *depths, *threads]
+    stream = str(back.with_suffix(".egs"))
+    encode = run_apart(["encode", str(ply), stream, *options, "--overwrite"]).peak_bytes
+    decode = run_apart(["decode", stream, str(back), *threads, "--overwrite"]).peak_bytes
     return {
+        "kind": "memory",
+        "scene": name,
+        "profile": config.profile,
+        "gaussians": scene.count,
         "encode_peak_bytes": encode,
         "decode_peak_bytes": decode,
-        "float_bytes": float_bytes,
-        "encode_ratio": encode / max(float_bytes, 1),
-        "decode_ratio": decode / max(float_bytes, 1),
+        "float_bytes": scene.float_bytes,
+        "encode_ratio": encode / max(scene.float_bytes, 1),
+        "decode_ratio": decode / max(scene.float_bytes, 1),
     }

@@ -1,4 +1,4 @@
-"""What coding costs in rendered views, and how long drawing them takes."""
+"""Quality of rendered views after coding."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gs_codec.bench.measure import spread
+from gs_codec.bench.measure import sizes
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.io.ply import vertex_rows
@@ -16,7 +16,6 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.planned import guide_of
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 
 
@@ -31,7 +30,7 @@ def measure_quality(
     """PSNR and SSIM of the decoded scene's views against the scene's own, and the paper's deltas.
 
     `truth` is the folder of the ground-truth images, without which there are no deltas. With a
-    `plan`, the scene is encoded by its views.
+    `plan`, encoding is guided by its views.
     """
     start = time.perf_counter()
     guide = guide_of(scene, plan, config) if plan is not None else None
@@ -41,11 +40,9 @@ def measure_quality(
         "kind": "rendered",
         "scene": name,
         "profile": config.profile,
-        "by_views": plan is not None,
+        "camera_guided": plan is not None,
         "encode_seconds": seconds,
-        "gaussians": scene.count,
-        "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
-        "ratio": vertex_rows(scene).nbytes / len(data),
+        **sizes(scene, data, vertex_rows(scene).nbytes),
         **rendered_quality(scene, decode_scene(data), cameras, truth),
     }
 
@@ -53,7 +50,7 @@ def measure_quality(
 def rendered_quality(
     scene: Scene, decoded: Scene, cameras: Sequence[Camera], truth: Path | None
 ) -> dict[str, Any]:
-    """What a result line says of the decoded scene's views; PSNR of equal ones is None."""
+    """Fields of a result line on the decoded scene's views; PSNR of equal ones is None."""
     comparison = compare_views(scene, decoded, cameras, truth, device="cpu")
     mean = comparison.mean
     result: dict[str, Any] = {
@@ -64,29 +61,3 @@ def rendered_quality(
     if mean.first and mean.delta:
         result |= {"truth": asdict(mean.first), "delta": asdict(mean.delta)}
     return result
-
-
-def measure_speed(
-    scene: Scene, name: str, cameras: Sequence[Camera], threads: int | None, repeats: int
-) -> dict[str, Any]:
-    """Seconds to draw a view on the CPU: the median of each view's `repeats`, over the views."""
-    render(scene, cameras[0], threads=threads, device="cpu")  # compiles
-    medians, pairs = [], []
-    for camera in cameras:
-        seconds = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            drawn = render(scene, camera, threads=threads, device="cpu")
-            seconds.append(time.perf_counter() - start)
-        medians.append(spread(seconds)["median"])
-        pairs.append(float(drawn.pairs))
-    return {
-        "kind": "render",
-        "scene": name,
-        "gaussians": scene.count,
-        "views": len(cameras),
-        "width": cameras[0].width,
-        "height": cameras[0].height,
-        "seconds": spread(medians),
-        "pairs": spread(pairs),
-    }

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from gs_codec.bench.peers.columns import columns_peer
+from gs_codec.bench.peers.exact import columns_peer, zstd_peer
 from gs_codec.bench.peers.peer import AbsentPeer, Extra, Peer
 from gs_codec.bench.peers.splat_transform import splat_transform_peers
 from gs_codec.bench.peers.spz import spz_peer
-from gs_codec.bench.peers.zstd import zstd_peers
 
 __all__ = ["AbsentPeer", "Peer", "find_peers"]
 
@@ -17,5 +16,5 @@ def find_peers(extra: Extra, threads: int | None = None) -> list[Peer | AbsentPe
         spz_peer(extra),
         *splat_transform_peers(threads),
         columns_peer(extra, threads),
-        *zstd_peers(extra, threads),
+        zstd_peer(extra, threads),
     ]

@@ -1,218 +1,221 @@
-"""Plots of quality: at equal quality, against bits, and against time."""
+"""The plots of the suite: rate, time, pruning, scaling."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from textwrap import fill
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable, Sequence
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
 
 from gs_codec.analysis.figure import new_figure
-from gs_codec.bench.suite.labels import Drawn, Label, place_labels
-from gs_codec.bench.suite.looks import CURVE_LOOKS, Look, plain, point_name
-from gs_codec.bench.suite.quality import QualityAxis
-from gs_codec.bench.suite.results import CURVES, Line, Results, is_exact, psnr_of
-from gs_codec.bench.suite.tables import STARTED, equal_rows, front_of, is_started, timed_codecs
+from gs_codec.bench.beside import GUIDED, is_ours
+from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
+from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
+from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Inches that all figures are wide.
-WIDTH = 8.4
+Number = Callable[[Line], "float | None"]
+
+#: Curve of what remains after pruning.
+_PRUNED = "pruned"
+
+#: Label, colour, mark, and the colour inside it, of each curve; the colour-blind can tell them.
+_CURVES = {
+    PAPER: ("EntropyGS (paper-*)", "#5b5b5b", "^", "#5b5b5b"),
+    FREE: ("ours, camera-free", "#0a6ebd", "o", "#0a6ebd"),
+    CAMERA_GUIDED: ("ours, camera-guided", "#d1580b", "s", "#d1580b"),
+    _PRUNED: ("m, camera-guided, after pruning", "#d1580b", "s", "white"),
+}
+_COLOURS = ("#12858a", "#a3468f", "#8a6d00", "#b3203a", "#5a4fb0", "#3d7a1f")
+_MARKS = ("*", "P", "X", "v", "D", "<", ">")
+
+_AXES = {"spines.top": False, "spines.right": False, "axisbelow": True, "grid": True}
+STYLE: dict[Any, Any] = {f"axes.{name}": value for name, value in _AXES.items()} | {
+    "font.size": 9.5,
+    "grid.color": "#e2e2e2",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "savefig.dpi": 150,
+}
+
+#: Ticks of the axis of losses, which is logarithmic beyond the first.
+_LOSSES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
-def plot_equal(results: Results, scene: str, looks: dict[str, Look], title: str) -> Figure:
-    """Bits of each codec, and ours at its quality, on a line for each."""
-    rows = [row for row in equal_rows(results, scene) if any(row.ours.values())]
-    figure = new_figure(WIDTH, 1.5 + 0.42 * len(rows))
-    axis = figure.add_subplot()
-    for place, row in enumerate(rows):
-        own = [bits.bits for bits in row.ours.values() if bits]
-        axis.plot([min(own), row.bits], [place, place], color="#b9b9b9", lw=2.2, zorder=1)
-        look = looks.get(row.codec, CURVE_LOOKS["paper"])
-        axis.plot(row.bits, place, look.mark, color=look.colour, ms=8, mfc=look.face)
-        axis.annotate(
-            f"{row.bits:.0f}", (row.bits, place), (8, 0), textcoords="offset points",
-            va="center", fontsize=8.5, color=look.colour,
-        )  # fmt: skip
-        for curve, there in row.ours.items():
-            if there:
-                known = CURVE_LOOKS[curve]
-                face = "white" if there.at_most else known.colour
-                axis.plot(there.bits, place, known.mark, color=known.colour, ms=7, mfc=face)
-        best = min((bits for bits in row.ours.values() if bits), key=lambda bits: bits.bits)
-        axis.annotate(
-            best.words(row.bits), (1.02, place), xycoords=("axes fraction", "data"),
-            va="center", fontsize=8.5,
-        )  # fmt: skip
-    names = [f"{plain(row.codec, 34)}, {row.psnr:.1f} dB" for row in rows]
-    axis.set_yticks(range(len(rows)), names)
-    axis.set_ylim(len(rows) - 0.4, -0.6)
-    axis.set_xlim(0, 1.12 * max(row.bits for row in rows))
-    axis.set_xlabel("bits a Gaussian")
-    axis.text(1.02, 1.0, "ours, at best", transform=axis.transAxes, fontsize=8.5, weight="bold")
-    axis.grid(axis="y", visible=False)
-    return titled(figure, title, [(_curve_title(curve), CURVE_LOOKS[curve]) for curve in CURVES])
+def plot_rate(results: Results, scene: str) -> Figure:
+    """PSNR and, of scenes with photographs, delta-PSNR against bits for each Gaussian."""
+    qualities = [psnr_of, delta_of] if results.has_photographs(scene) else [psnr_of]
+    figure = new_figure(9.5, 0.4 + 4.2 * len(qualities))
+    axes = figure.subplots(len(qualities), 1, sharex=True, squeeze=False)[:, 0]
+    lines = results.of("beside", scene)
+    for axis, quality in zip(axes, qualities, strict=True):
+        for curve in _CURVES:
+            drawn = results.points(scene, curve) or _profiles(lines, curve)
+            _draw_profiles(axis, drawn, curve, _bits, quality)
+        _draw_others(axis, lines, _bits, quality)
+        _dress_quality(axis, quality)
+    axes[-1].margins(x=0.1)
+    axes[-1].set_xlabel("bits / Gaussian")
+    _make_logarithmic(axes[-1], "x")
+    return _with_legend(figure, axes[0])
 
 
-def plot_rate(results: Results, scene: str, looks: dict[str, Look], title: str) -> Figure:
-    """Quality against bits a Gaussian: curves of ours and the paper's, peers as marks."""
-    kinds = [False, True] if results.by_photographs(scene) else [False]
-    figure = new_figure(WIDTH, 0.7 + 4.5 * len(kinds))
-    axes = [figure.add_subplot(len(kinds), 1, i + 1) for i in range(len(kinds))]
-    drawn = [
-        _draw_rate(axis, results, scene, looks, QualityAxis(photographs))
-        for axis, photographs in zip(axes, kinds, strict=True)
-    ]
-    axes[-1].set_xlabel("bits a Gaussian (logarithmic)")
-    curves = [curve for curve in CURVE_LOOKS if results.points(scene, curve)]
-    titled(figure, title, [(_curve_title(curve), CURVE_LOOKS[curve]) for curve in curves])
-    for axis, (labels, lines) in zip(axes, drawn, strict=True):
-        place_labels(axis, labels, lines)
+def plot_time(results: Results, scene: str) -> Figure:
+    """Quality against seconds to encode and to decode; bars from the least to the largest."""
+    quality = delta_of if results.has_photographs(scene) else psnr_of
+    lines = results.of("beside", scene)
+    figure = new_figure(12, 4.8)
+    axes = figure.subplots(1, 2, sharey=True)
+    for axis, way in zip(axes, ("encode", "decode"), strict=True):
+        seconds = {line["codec"]: line[f"{way}_seconds"] for line in lines}
+
+        def median(line: Line, seconds: dict[str, Any] = seconds) -> float:
+            return seconds[line["codec"]]["median"]
+
+        for curve in _CURVES:
+            _draw_profiles(axis, _profiles(lines, curve), curve, median, quality, ls="")
+        _draw_others(axis, lines, median, quality)
+        for line in lines:
+            if (value := quality(line)) is not None:
+                known = seconds[line["codec"]]
+                axis.plot([known["min"], known["max"]], [value] * 2, color="#999999", zorder=1)
+        axis.set_xlabel(f"seconds to {way}")
+        _make_logarithmic(axis, "x")
+    _dress_quality(axes[0], quality)
+    return _with_legend(figure, axes[1])
+
+
+def plot_pruning(results: Results, scene: str) -> Figure:
+    """Quality against the ratio: `m` after pruning beside the steps of `l`, `m`, `s`."""
+    quality = delta_of if results.has_photographs(scene) else psnr_of
+    lines = results.of("beside", scene)
+    figure = new_figure(9.5, 4.6)
+    axis = figure.subplots()
+    for curve in _CURVES:
+        _draw_profiles(axis, _profiles(lines, curve), curve, lambda line: line["ratio"], quality)
+    axis.set_xlabel("times smaller than the PLY")
+    _dress_quality(axis, quality)
+    return _with_legend(figure, axis)
+
+
+def plot_scaling(results: Results) -> Figure:
+    """Processor seconds and peak memory of processes against Gaussians."""
+    lines = sorted(results.of("scaling"), key=lambda line: line["gaussians"])
+    figure = new_figure(11, 4.4)
+    times, memory = figure.subplots(1, 2)
+    for profile, colour in zip(
+        dict.fromkeys(line["profile"] for line in lines),
+        cycle(("#0a6ebd", "#5b5b5b")),
+        strict=False,
+    ):
+        here = [line for line in lines if line["profile"] == profile]
+        counts = [line["gaussians"] for line in here]
+        for way, style in (("encode", "o-"), ("decode", "v--")):
+            look: dict[str, Any] = {"color": colour, "label": f"{profile}, {way}", "ms": 5}
+            times.plot(counts, [line[way]["cpu_seconds"] for line in here], style, **look)
+            memory.plot(counts, [line[way]["peak_bytes"] / 1e6 for line in here], style, **look)
+    floats = [line["float_bytes"] / 1e6 for line in lines]
+    memory.plot([line["gaussians"] for line in lines], floats, "k:", label="the scene's floats")
+    times.set_ylabel("processor seconds")
+    memory.set_ylabel("peak memory, MB")
+    for axis in (times, memory):
+        axis.set_xlabel("Gaussians")
+        _make_logarithmic(axis, "x")
+        _make_logarithmic(axis, "y")
+        axis.legend()
+    figure.tight_layout()
     return figure
 
 
-def has_rate(results: Results, scene: str) -> bool:
-    """Whether a scene has lossy codecs, or points of curves, with a PSNR."""
-    return any(psnr_of(x) is not None for x in results.codecs(scene) + results.of("point", scene))
+def _bits(line: Line) -> float | None:
+    return None if is_exact(line) else line["bits_per_gaussian"]
 
 
-def _curve_title(curve: str) -> str:
-    return "EntropyGS (paper-*)" if curve == "paper" else f"ours, {curve}"
-
-
-def _draw_rate(
-    axis: Axes, results: Results, scene: str, looks: dict[str, Look], scale: QualityAxis
-) -> tuple[list[Label], list[Drawn]]:
-    """Marks of a panel; labels and lines to be told apart once its layout is final."""
-    labels: list[Label] = []
-    lines: list[Drawn] = []
-    for curve, look in CURVE_LOOKS.items():
-        points = [p for p in results.points(scene, curve) if scale.value(p) is not None]
-        x = [point["bits_per_gaussian"] for point in points]
-        y = [scale.place(scale.value(point) or 0.0) for point in points]
-        axis.plot(x, y, look.mark + "-", color=look.colour, ms=5.5, lw=1.6)
-        lines.append((x, y))
-        names = [plain(point_name(point["point"])) for point in points]
-        labels += [Label(*at, look.colour) for at in zip(x, y, names, strict=True)]
-    for line in results.codecs(scene):
-        look = looks[line["codec"]]
-        value = scale.value(line)
-        shown = look.kind in ("peer", "pruned") or not results.points(scene, look.kind)
-        if value is None or is_exact(line) or not shown:
-            continue
-        label = Label(line["bits_per_gaussian"], scale.place(value), look.name, look.colour)
-        axis.plot(label.x, label.y, look.mark, color=look.colour, mfc=look.face, ms=7.5)
-        labels.append(label)
-    axis.set_xscale("log")
-    ticks_of_logs(axis, [label.x for label in labels], "x")
-    scale.dress(axis, [label.y for label in labels], exact=False)
-    return labels, lines
-
-
-def plot_time(results: Results, scene: str, looks: dict[str, Look], title: str) -> Figure:
-    """Quality against seconds of encoding, and of decoding, with the front of lossy codecs."""
-    scale = QualityAxis(results.by_photographs(scene))
-    codecs = timed_codecs(results, scene)
-    places = dict(zip([c["codec"] for c in codecs], scale.places(codecs), strict=True))
-    figure = new_figure(WIDTH, 9.4)
-    axes = [figure.add_subplot(2, 1, i + 1) for i in range(2)]
-    drawn = [
-        _draw_time(axis, codecs, places, looks, scale, way, front_of(results, scene, way))
-        for axis, way in zip(axes, ("encode", "decode"), strict=True)
-    ]
-    titled(figure, title)
-    for axis, (labels, lines) in zip(axes, drawn, strict=True):
-        place_labels(axis, labels, lines)
-    return figure
-
-
-def _draw_time(
-    axis: Axes,
-    codecs: Sequence[Line],
-    places: dict[str, float | None],
-    looks: dict[str, Look],
-    scale: QualityAxis,
-    way: str,
-    front: Sequence[str],
-) -> tuple[list[Label], list[Drawn]]:
-    spot = {
-        line["codec"]: (line[f"{way}_seconds"]["median"], places[line["codec"]] or 0.0)
-        for line in codecs
+def _profiles(lines: Sequence[Line], curve: str) -> list[Line]:
+    """Codecs that are points of a curve; the pruned one starts at `m` without pruning."""
+    found = {
+        PAPER: lambda codec: codec in PROFILES,
+        FREE: lambda codec: codec in LATTICE_PROFILES,
+        CAMERA_GUIDED: lambda codec: codec.endswith(GUIDED),
+        _PRUNED: lambda codec: codec == f"m{GUIDED}" or codec.endswith("pruned"),
     }
-    labels: list[Label] = []
-    lines: list[Drawn] = []
-    for line in codecs:
-        look, (x, y) = looks[line["codec"]], spot[line["codec"]]
-        known = line[f"{way}_seconds"]
-        lines.append(([known["min"], known["max"]], [y, y]))
-        axis.plot(*lines[-1], color=look.colour, lw=1.4, alpha=0.55)
-        size = 8.5 if line["codec"] in front else 6.5
-        axis.plot(x, y, look.mark, color=look.colour, mfc=look.face, ms=size)
-        text = f"{look.name}{STARTED * is_started(line)}: {line['bits_per_gaussian']:.0f} bits"
-        labels.append(Label(x, y, text, look.colour, line["codec"] in front))
-    lines.append(_stairs(sorted(spot[name] for name in front)))
-    axis.plot(*lines[-1], color="#222222", lw=1.1, ls=(0, (4, 2)), zorder=1)
-    axis.set_xscale("log")
-    ticks_of_logs(axis, [end for x, _ in lines for end in x], "x")
-    axis.set_xlabel(f"seconds to {way} (logarithmic)")
-    scale.dress(axis, [label.y for label in labels], any(is_exact(line) for line in codecs))
-    return labels, lines
+    chosen = [line for line in lines if found[curve](line["codec"])]
+    return chosen if curve != _PRUNED or len(chosen) > 1 else []
 
 
-def _stairs(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """The edge of what points of a front are better than."""
-    x: list[float] = []
-    y: list[float] = []
-    for number, (across, up) in enumerate(points):
-        if number:
-            x.append(across)
-            y.append(y[-1])
-        x.append(across)
-        y.append(up)
-    return x, y
+def _draw_profiles(
+    axis: Axes, lines: Sequence[Line], curve: str, across: Number, quality: Number, **look: Any
+) -> None:
+    """Points of a curve, each named beside its mark, on a line if `look` does not say else."""
+    label, colour, mark, face = _CURVES[curve]
+    points = [(across(line), quality(line), _short_name(line)) for line in lines]
+    points = [point for point in points if None not in point]
+    if not points:
+        return
+    x, y, _ = zip(*points, strict=True)
+    order = 2 if face == colour else 1.5
+    axis.plot(x, y, color=colour, marker=mark, mfc=face, ms=6, label=label, zorder=order, **look)
+    # Beside the mark, below a line that rises and above one that falls; pruned ones above.
+    rises = bool(look) or (y[-1] > y[0]) == (x[-1] > x[0])
+    for a, b, name in points:
+        place, align = ((5, -11) if rises else (5, 5)), "left"
+        if curve == _PRUNED and rises:
+            place, align = (-5, 5), "right"
+        if curve != _PRUNED or name != "m":
+            axis.annotate(
+                name, (a, b), place, textcoords="offset points", ha=align, fontsize=8, color=colour
+            )
 
 
-def ticks_of_logs(axis: Axes, values: Sequence[float], which: Literal["x", "y"]) -> None:
-    """Limits and plain numbers at 1, 2, 5 of every decade of a logarithmic axis."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+def _short_name(line: Line) -> str:
+    """``paper-l + 1 bits`` is ``l + 1``, ``m, 39 % pruned`` is ``39 %``."""
+    name = str(line.get("point", line.get("codec")))
+    name = name.removeprefix("paper-").removesuffix(" bits").removesuffix(GUIDED)
+    return name.removeprefix("m, ").removesuffix(" pruned").replace(", steps", "")
 
-    drawn = [value for value in values if value > 0] or [1.0, 10.0]
-    low, high = min(drawn), max(drawn)
-    ratio = max((high / low) ** 0.08, 1.12)
+
+def _draw_others(axis: Axes, lines: Sequence[Line], across: Number, quality: Number) -> None:
+    """Marks of the codecs that are on no curve."""
+    looks = zip(cycle(_COLOURS), cycle(_MARKS), strict=True)
+    others = [x for x in lines if x["codec"] == LOSSLESS or not is_ours(x["codec"])]
+    for line, (colour, mark) in zip(others, looks, strict=False):
+        x, y = across(line), quality(line)
+        if x is not None and y is not None:
+            axis.plot(x, y, ls="", ms=7.5, color=colour, marker=mark, label=line["codec"])
+
+
+def _dress_quality(axis: Axes, quality: Number) -> None:
+    """Title of the axis; losses against photographs on a logarithmic one."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter
+
+    if quality is psnr_of:
+        axis.set_ylabel("PSNR against own views, dB")
+        return
+    axis.set_ylabel("delta-PSNR against photographs, dB")
+    axis.set_yscale("symlog", linthresh=_LOSSES[0], linscale=0.4)
+    low, high = axis.dataLim.intervaly
+    axis.set_ylim(min(1.3 * low, -_LOSSES[0]), max(1.3 * high, _LOSSES[0] / 4))
+    axis.yaxis.set_major_locator(FixedLocator([*(-loss for loss in _LOSSES), 0, *_LOSSES]))
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:+g}" if value else "0"))
+
+
+def _make_logarithmic(axis: Axes, which: str) -> None:
+    """A logarithmic axis with plain numbers at 1, 2 and 5 of each decade."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    (axis.set_xscale if which == "x" else axis.set_yscale)("log")
     side = axis.xaxis if which == "x" else axis.yaxis
-    (axis.set_xlim if which == "x" else axis.set_ylim)(low / ratio, high * ratio)
-    dense: tuple[float, ...] = (1, 2, 5) if high / low < 3000 else (1,)
-    if high / low < 8:
-        dense = (1, 1.5, 2, 3, 4, 5, 6, 8)
-    side.set_major_locator(FixedLocator([m * 10.0**e for e in range(-6, 9) for m in dense]))
+    side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     side.set_minor_locator(NullLocator())
-    side.set_major_formatter(FuncFormatter(lambda value, _: _short(value)))
+    side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
 
 
-def _short(value: float) -> str:
-    """A number of an axis without noughts by the thousand."""
-    for power, letter in ((1e6, " M"), (1e3, " k")):
-        if value >= power and value >= 1e4:
-            return f"{value / power:g}{letter}"
-    return f"{value:g}"
-
-
-def titled(figure: Figure, title: str, legend: Sequence[tuple[str, Look]] = ()) -> Figure:
-    """Write what was found above the plot, what colours mean below it, and lay out."""
-    from matplotlib.lines import Line2D
-
-    height = figure.get_figheight()
-    text = fill(title, 86)
-    figure.text(0.012, 1 - 0.1 / height, text, fontsize=11.5, weight="bold", va="top")
-    down = 0.22 + 0.2 * (text.count("\n") + 1)
-    if legend:
-        handles = [
-            Line2D([], [], color=look.colour, marker=look.mark, mfc=look.face, label=name)
-            for name, look in legend
-        ]
-        at = (0.005, 1 - (down - 0.06) / height)
-        figure.legend(handles=handles, loc="upper left", ncols=4, bbox_to_anchor=at, fontsize=9)
-        down += 0.22
-    figure.tight_layout(rect=(0, 0, 1, 1 - (down - 0.04) / height))
+def _with_legend(figure: Figure, axis: Axes) -> Figure:
+    """Lay out with the legend on the right of the figure."""
+    handles, labels = axis.get_legend_handles_labels()
+    if handles:
+        axis.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    figure.tight_layout()
     return figure

@@ -1,70 +1,38 @@
-"""The report of the suite: a page, its plots, and the table of the README."""
+"""The report of the suite: one Markdown file, its plots beside it, and the README's table."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.analysis.figure import new_figure
-from gs_codec.analysis.page import contents, heading, page, paragraph, picture
-from gs_codec.bench.suite.headline import headline
-from gs_codec.bench.suite.looks import STYLE, Look, looks_of
+from gs_codec.bench.beside import is_ours
+from gs_codec.bench.suite import plots, tables
 from gs_codec.bench.suite.results import Results
-from gs_codec.bench.suite.sections import SECTIONS
 from gs_codec.io.atomic import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Pixels an inch of plots: sharp on paper, too.
-_DPI = 150
-
 _INTRODUCTION = (
-    "Codecs beside each other on the same scenes, in one process, taking turns. Ratios alone say "
-    "little, as codecs lose different things: sizes are compared at equal quality of rendered "
-    "views that no codec has seen. PSNR is that against the scene's own views before coding; "
-    "delta-PSNR is what is lost against photographs. Times are those of this machine."
+    "All codecs were measured on the same scenes in one process, taking turns. PSNR and delta-PSNR "
+    "are those of views that no codec has seen: PSNR against the scene's own views before coding, "
+    "delta-PSNR the loss against photographs. Times are medians, of one run for camera-guided and "
+    "pruned; a \\* marks a program whose start is timed with it. Memory is the peak of the whole "
+    'process. "Ours at that PSNR" is read off the curves of `l`, `m`, `s`; ≤ means that even '
+    "their coarsest point is better. Pruned scenes have the bits of the input's Gaussians."
 )
 
-
-@dataclass
-class Drawing:
-    """What sections are made of, and the pictures they have made.
-
-    Attributes
-    ----------
-    results : Results
-    looks : dict of str to Look
-        Of codecs, by name.
-    pictures : dict of str to bytes
-        PNG files by name.
-    """
-
-    results: Results
-    looks: dict[str, Look]
-    pictures: dict[str, bytes] = field(default_factory=dict)
-
-    def draw(self, name: str, figure: Figure, caption: str, instead: str) -> str:
-        """Keep a figure under this name, and give what shows it in the page."""
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png", dpi=_DPI)
-        plain = re.sub(r"[^A-Za-z0-9]+", "-", name)[:60].strip("-")
-        number, unique = 1, f"{plain}.png"
-        while unique in self.pictures:
-            number += 1
-            unique = f"{plain}-{number}.png"
-        self.pictures[unique] = buffer.getvalue()
-        return picture(buffer.getvalue(), caption, instead)
+_GROWTH = "The largest scene, tiled; every measurement is a process of its own, its start included."
 
 
 def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
-    """Write ``report.html``, its plots as PNG files, and ``headline.md`` into a folder.
+    """Write ``report.md``, its plots as PNG files, and ``headline.md`` into a folder.
 
-    `lines` are result lines of the suite, all or some: what there are none of is left out.
+    `lines` are result lines of the suite, all or some; sections without lines are left out.
 
     Raises
     ------
@@ -74,26 +42,56 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
         If a file cannot be written.
     """
     new_figure(1, 1)  # without matplotlib nothing is begun
-    text, pictures = _draw_page(Results(lines))
-    files = pictures | {
-        "headline.md": ("\n".join(headline(lines)) + "\n").encode(),
-        "report.html": text.encode(),
-    }
-    write_files(folder, files)
-
-
-def _draw_page(results: Results) -> tuple[str, dict[str, bytes]]:
-    """The page, and PNG files by name."""
     from matplotlib import rc_context
 
-    drawing = Drawing(results, looks_of(results))
-    with rc_context(STYLE):
-        made = {title: list(section(drawing)) for title, section in SECTIONS.items()}
-    found = {title: parts for title, parts in made.items() if parts}
-    missing = [title for title, parts in made.items() if not parts]
-    body = [paragraph(_INTRODUCTION), contents(list(found))]
-    for title, parts in found.items():
-        body += [heading(title), *parts]
-    if missing:
-        body.append(paragraph(f"Without results: {', '.join(missing)}."))
-    return page("Benchmarks of gs_codec", body), drawing.pictures
+    results, pictures = Results(lines), dict[str, bytes]()
+
+    def draw(name: str, figure: Figure, shown: str) -> str:
+        buffer = BytesIO()
+        figure.savefig(buffer, format="png")
+        plain = re.sub(r"[^A-Za-z0-9]+", "-", name)[:60].strip("-")
+        file = f"{plain}.png" if f"{plain}.png" not in pictures else f"{plain}-{len(pictures)}.png"
+        pictures[file] = buffer.getvalue()
+        return f"![{shown}]({file})"
+
+    with rc_context(plots.STYLE):
+        parts = ["# Benchmarks of gs_codec", _INTRODUCTION]
+        for scene in results.scenes:
+            parts += _scene_parts(results, scene, draw)
+        if results.of("scaling"):
+            picture = draw("scaling", plots.plot_scaling(results), "Time and memory by Gaussians")
+            parts += ["## Scaling", _GROWTH, picture]
+    parts += _circumstances(results)
+    table = "\n".join(tables.headline(lines)) + "\n"
+    text = "\n\n".join(part for part in parts if part) + "\n"
+    write_files(folder, {**pictures, "headline.md": table.encode(), "report.md": text.encode()})
+
+
+def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
+    """Tables and pictures of a scene."""
+    codecs = results.of("beside", scene)
+    parts = [f"## {tables.scene_title(results, scene)}", tables.views(results, scene)]
+    parts += ["\n".join(tables.codec_table(results, scene)), tables.rates(results, scene)]
+    rate = plots.plot_rate(results, scene)
+    parts.append(draw(f"rate-{scene}", rate, "Quality against bits for each Gaussian"))
+    if codecs:
+        time = plots.plot_time(results, scene)
+        parts.append(draw(f"time-{scene}", time, "Quality against seconds"))
+    if any(line["codec"].endswith("pruned") for line in codecs):
+        pruning = plots.plot_pruning(results, scene)
+        parts.append(draw(f"pruning-{scene}", pruning, "Quality against times smaller"))
+    return parts
+
+
+def _circumstances(results: Results) -> list[str]:
+    """Machine, versions, and what was not measured."""
+    machine, facts = results.first("machine"), []
+    for name in ("command", "date", "commit", "processor", "threads", "system", "python"):
+        if machine.get(name) is not None:
+            facts.append(f"- {name}: {machine[name]}")
+    known = {x["codec"]: x["version"] for x in results.of("beside") if not is_ours(x["codec"])}
+    versions = [f"{name} ({v})" for name, v in (machine.get("packages", {}) | known).items()]
+    facts += [f"- versions: {', '.join(versions)}"] if versions else []
+    facts += [f"- not measured: {tables.escaped(reason)}" for reason in results.absent]
+    facts += [f"- left out with --skip: {group}" for group in machine.get("skipped", ())]
+    return ["## Circumstances", "\n".join(facts)] if facts else []

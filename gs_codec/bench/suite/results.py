@@ -1,4 +1,4 @@
-"""Result lines of the suite, found by kind and scene."""
+"""Result lines of the suite: found by kind and scene, and compared at equal quality."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from gs_codec.bench.beside import is_ours
 from gs_codec.bench.curves import Curve
+from gs_codec.config import LOSSLESS, PROFILES
 
 Line = dict[str, Any]
-
-#: Curves of ours, in the order they are shown in.
-CURVES = ("by attributes", "by views")
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,7 @@ class Results:
     lines: Sequence[Line]
 
     def of(self, kind: str, scene: str | None = None) -> list[Line]:
-        """Lines of a kind, of one scene or of all; without those of what is absent."""
+        """Lines of a kind, of one scene or of all; without absent codecs."""
         return [
             line
             for line in self.lines
@@ -37,55 +36,59 @@ class Results:
 
     @property
     def scenes(self) -> list[str]:
-        """Names of the scenes in the order of the lines; scaling has scenes of its own."""
-        kinds = ("scaling", "growth", "machine", "paper", "skipped")
-        found = [line for line in self.lines if line.get("kind") not in kinds]
-        return list(dict.fromkeys(line["scene"] for line in found if "scene" in line))
+        """Names of the scenes, those with photographs first."""
+        found = dict.fromkeys(line["scene"] for line in self.of("beside") + self.of("point"))
+        return sorted(found, key=lambda scene: not self.has_photographs(scene))
 
     @property
     def absent(self) -> list[str]:
-        """What could not be measured, and why; each once."""
+        """Reasons why codecs could not be measured; each once."""
         found = [str(line["absent"]) for line in self.lines if "absent" in line]
         return list(dict.fromkeys(found))
 
-    def codecs(self, scene: str) -> list[Line]:
-        """What was measured beside each other, pruned scenes after the others."""
-        return self.of("beside", scene) + self.of("pruned", scene)
-
-    def codec(self, scene: str, name: str) -> Line:
-        """The line of one of these; empty if there is none."""
-        return next((line for line in self.codecs(scene) if line["codec"] == name), {})
-
-    def title(self, scene: str) -> str:
-        """Name, size and SH degree of a scene."""
-        line = self.first("scene", scene)
-        if not line:
-            return scene
-        return f"{scene}: {line['gaussians']:,} Gaussians, SH degree {line['sh_degree']}"
-
-    def by_photographs(self, scene: str) -> bool:
+    def has_photographs(self, scene: str) -> bool:
         """Whether codecs of a scene have a delta-PSNR."""
-        return any(delta_of(line) is not None for line in self.codecs(scene))
+        return any(delta_of(line) is not None for line in self.of("beside", scene))
 
     def points(self, scene: str, curve: str) -> list[Line]:
         """Points of a curve, fewest bits first."""
         found = [line for line in self.of("point", scene) if line["curve"] == curve]
         return sorted(found, key=lambda line: line["bits_per_gaussian"])
 
-    def bits_at_most(self, scene: str, curve: str, psnr: float) -> float | None:
-        """Bits of a curve's point that is better than this quality, where it has one."""
-        points = Curve.through_lines(self.points(scene, curve))
-        low, _ = points.range
-        return points.bits_at(low) if psnr < low < math.inf else None
+    def curve(self, scene: str, name: str) -> Curve:
+        """The curve through such points."""
+        return Curve.through_lines(self.points(scene, name))
+
+    def bits_at_quality(self, line: Line, curve: str) -> str:
+        """Bits of a curve at a codec's PSNR; at most so many if even its coarsest point is better.
+
+        Empty for our own profiles but the paper's, and where the curve ends below that PSNR.
+        """
+        codec, psnr = line["codec"], psnr_of(line)
+        if psnr is None or (is_ours(codec) and codec not in PROFILES):
+            return ""
+        drawn = self.curve(line["scene"], curve)
+        low, _ = drawn.range
+        bits = drawn.bits_at(psnr)
+        if bits is None and psnr < low < math.inf:
+            return f"≤ {drawn.bits_at(low):.1f}"
+        return "" if bits is None else f"{bits:.1f}"
+
+    def lossless_bits(self, line: Line) -> str:
+        """Bits of our lossless profile beside another codec that is exact; else empty."""
+        ours = [x for x in self.of("beside", line["scene"]) if x["codec"] == LOSSLESS]
+        if not ours or not is_exact(line) or line["codec"] == LOSSLESS:
+            return ""
+        return f"{ours[0]['bits_per_gaussian']:.1f} (`{LOSSLESS}`)"
 
 
 def finite(value: Any) -> float | None:
-    """A number, or None for what is none: missing, infinite or not a number."""
+    """A finite number, else None."""
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def psnr_of(line: Line) -> float | None:
-    """PSNR against the scene's own views; None where there is none or views are equal."""
+    """PSNR against the scene's own views; None if there is none or views are equal."""
     return finite(line.get("mean", {}).get("psnr"))
 
 
@@ -95,10 +98,5 @@ def is_exact(line: Line) -> bool:
 
 
 def delta_of(line: Line) -> float | None:
-    """Delta-PSNR against photographs, where there are any."""
+    """Delta-PSNR against photographs, if there are any."""
     return finite(line.get("delta", {}).get("psnr"))
-
-
-def median_of(spread: Any) -> float | None:
-    """The median of repeated measurements."""
-    return finite(spread.get("median")) if isinstance(spread, dict) else finite(spread)

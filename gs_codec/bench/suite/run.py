@@ -3,22 +3,79 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from gs_codec import paper
-from gs_codec.bench.measure import machine
-from gs_codec.bench.suite.options import GROUPS, Options
-from gs_codec.bench.suite.scenes import describe_scenes, open_scene
-from gs_codec.bench.suite.stages import STAGES, STAGES_OF_LARGEST
+from gs_codec.bench.beside import measure_beside, our_codecs
+from gs_codec.bench.host import machine
+from gs_codec.bench.measure import measure_memory
+from gs_codec.bench.peers import AbsentPeer, find_peers
+from gs_codec.bench.scaling import measure_scaling
+from gs_codec.bench.suite.points import measure_points
+from gs_codec.bench.suite.scenes import MeasuredScene, describe_scenes, open_scene
+from gs_codec.config import PROFILE_CHOICES, Config, check_threads
+from gs_codec.errors import InvalidInput
+
+Lines = Iterator[dict[str, Any]]
+
+#: Percentages of Gaussians that are pruned before `m` codes the rest.
+PRUNED = (39.0, 58.8)
+
+#: Gaussians of the tiled scenes of the scaling.
+SIZES = (100_000, 300_000, 1_000_000, 3_000_000)
 
 
-def run_suite(
-    options: Options, command: str, tell: Callable[[str], None]
-) -> Iterator[dict[str, Any]]:
-    """Result lines as they are measured; numbers that are none or infinite are None.
+@dataclass(frozen=True)
+class Options:
+    """Scenes, and how they are measured.
+
+    Parameters
+    ----------
+    scenes : tuple of Path
+        PLY files; cameras are ``cameras.json`` beside one, else chosen for it, and photographs of
+        these are in the folder ``images`` there, if it exists.
+    repeats : int
+        Timed runs, 1 and up.
+    threads : int, optional
+        Of encoding and decoding; all processors if None.
+    width : int, optional
+        Of the views, pixels; those compared with photographs have these' width.
+    skip : frozenset of str
+        `GROUPS` to leave out.
+
+    Raises
+    ------
+    InvalidInput
+        If there are no scenes, a group is unknown, or a number is out of range.
+    """
+
+    scenes: tuple[Path, ...]
+    repeats: int = 3
+    threads: int | None = None
+    width: int | None = None
+    skip: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        if not self.scenes:
+            raise InvalidInput(
+                "no scenes given, expected .ply files, each beside its cameras.json; "
+                "`make suite` makes two and measures them"
+            )
+        check_threads(self.threads)
+        for group in sorted(self.skip - set(GROUPS)):
+            raise InvalidInput(f"--skip {group}: expected one of {', '.join(GROUPS)}")
+
+    def config(self, profile: str) -> Config:
+        """A profile as it is measured."""
+        return Config(profile, threads=self.threads)
+
+
+def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Lines:
+    """Result lines as they are measured; NaN and infinity are None.
 
     Parameters
     ----------
@@ -39,47 +96,70 @@ def run_suite(
 
 def _measure(
     options: Options, command: str, tell: Callable[[str], None], scenes: dict[Path, dict[str, Any]]
-) -> Iterator[dict[str, Any]]:
+) -> Lines:
+    date = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    skipped = sorted(options.skip)
     yield machine() | {
-        "seed": options.seed,
-        "repeats": options.repeats,
-        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "command": command,
-    }
-    yield from paper_lines()
-    for group in GROUPS:
-        if group in options.skip:
-            yield {"kind": "skipped", "group": group}
+        "repeats": options.repeats, "skipped": skipped, "date": date, "command": command,
+    }  # fmt: skip
     yield from scenes.values()
-    # The smallest first: what does not end there need not be tried on the others.
-    *others, largest = sorted(scenes, key=lambda path: scenes[path]["gaussians"])
+    ordered = sorted(scenes, key=lambda path: scenes[path]["gaussians"])
     found: list[dict[str, Any]] = []
-    for path in (*others, largest):
+    for path in ordered:
         measured = open_scene(path, options.width)
-        for stage in STAGES + (STAGES_OF_LARGEST if path == largest else ()):
-            if not options.wants(*stage.groups) or (stage.photographs and measured.truth is None):
+        for group, (title, measure) in STAGES.items():
+            if group in options.skip or (group == "scaling" and path != ordered[-1]):
                 continue
-            tell(f"{measured.name}: {stage.title}")
-            for line in stage.measure(measured, options, found):
+            tell(f"{measured.name}: {title}")
+            for line in measure(measured, options, found):
                 found.append(line)
                 yield line
 
 
-def paper_lines() -> Iterator[dict[str, Any]]:
-    """What the paper publishes: run times by device, entropies by group, the ablation by step."""
-    for device, seconds in paper.SECONDS.items():
-        yield {"kind": "paper", "gaussians": paper.MEAN_GAUSSIANS, "device": device, **seconds}
-    for group, percent in paper.OVERHEAD_PERCENT.items():
-        entropy = paper.ENTROPY_BITS[group]
-        yield {
-            "kind": "paper", "group": group, "overhead_percent": percent, "entropy_bits": entropy,
-        }  # fmt: skip
-    for step, (psnr, megabytes) in paper.ABLATION.items():
-        yield {"kind": "paper", "step": step, "psnr": psnr, "megabytes": megabytes}
+def _memory(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
+    with tempfile.TemporaryDirectory() as folder:
+        back = Path(folder) / "back.ply"
+        for config in map(options.config, PROFILE_CHOICES):
+            yield measure_memory(measured.scene, measured.name, config, measured.path, back)
+
+
+def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
+    ours = our_codecs(
+        [*map(options.config, PROFILE_CHOICES)],
+        measured.plan if "guided" not in options.skip else None,
+        PRUNED if "pruned" not in options.skip else (),
+    )
+    others = find_peers("error", options.threads) if "peers" not in options.skip else []
+    # Those that take minutes are for `bench peers`.
+    codecs = [*ours, *(x for x in others if isinstance(x, AbsentPeer) or not x.once)]
+    views = (measured.cameras, measured.truth)
+    return measure_beside(measured.scene, measured.name, codecs, options.repeats, *views)
+
+
+def _curves(measured: MeasuredScene, options: Options, found: Sequence[dict[str, Any]]) -> Lines:
+    beside = [x for x in found if x["kind"] == "beside" and x["scene"] == measured.name]
+    return measure_points(measured, options.config("m"), "guided" not in options.skip, beside)
+
+
+def _scaling(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
+    profiles = ("m", "paper-m")
+    return measure_scaling(measured.scene, measured.name, SIZES, profiles, options.threads)
+
+
+#: What is measured of each scene, of the largest alone for scaling, by the group it is skipped by.
+STAGES = {
+    "memory": ("memory of each profile", _memory),
+    "codecs": ("codecs beside each other", _codecs),
+    "curves": ("rate-quality curves", _curves),
+    "scaling": ("growing scenes", _scaling),
+}
+
+#: What can be left out: stages; and of codecs, others', camera-guided ones, pruned scenes.
+GROUPS = (*STAGES, "peers", "guided", "pruned")
 
 
 def _finite(value: Any) -> Any:
-    """A result as JSON can hold it, which knows neither infinity nor NaN."""
+    """A result as JSON can hold it, which has neither infinity nor NaN."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

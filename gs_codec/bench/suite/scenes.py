@@ -1,4 +1,4 @@
-"""The scenes of the suite: files, and what views they are measured in."""
+"""The scenes of the suite: files, and the views they are measured in."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gs_codec.bench.held_out import held_out_views
-from gs_codec.bench.sources import load_scene, scene_name
+from gs_codec.bench.sources import held_out_views, load_scene, scene_name
 from gs_codec.errors import InvalidInput
 from gs_codec.io.mapped import located
 from gs_codec.metrics.views import fitted
@@ -19,7 +18,7 @@ from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.images import read_image
 from gs_codec.scene import Scene
 
-#: Where a file does not say which cameras are held out: every so-manieth is.
+#: If a file does not mark held-out cameras, every third is held out.
 _HELD_OUT = 3
 
 
@@ -77,7 +76,7 @@ def open_scene(path: Path, width: int | None) -> MeasuredScene:
     Raises
     ------
     InvalidInput
-        If a file cannot be used, or photographs are there of none of the views to measure in.
+        If a file cannot be used, or none of the views to measure in has a photograph.
     """
     name, scene = load_scene(path, "error")
     beside, images = path.with_name("cameras.json"), path.with_name("images")
@@ -93,7 +92,7 @@ def open_scene(path: Path, width: int | None) -> MeasuredScene:
 
 
 def _marked(cameras: list[Camera]) -> Sequence[Camera]:
-    """Cameras marked by use; where they are not, some are held out, as no codec may see them."""
+    """Cameras marked by use; if they are not, every third is held out."""
     if any(camera.split == "test" for camera in cameras):
         return cameras
     marks = ("test", *["train"] * (_HELD_OUT - 1))
@@ -104,18 +103,18 @@ def _marked(cameras: list[Camera]) -> Sequence[Camera]:
 
 
 def describe_scenes(paths: Sequence[Path], width: int | None) -> dict[Path, dict[str, Any]]:
-    """The line of each scene; all are read, so that what cannot be used is refused at once.
+    """The line of each scene; all are read, so that errors come before the work.
 
     Raises
     ------
     InvalidInput
-        As `open_scene` does, and if two would be called the same.
+        As `open_scene` does, and if two scenes have the same name.
     """
     names: dict[str, Path] = {}
     lines = {}
     for path in paths:
         other = names.setdefault(scene_name(path), path)
         if other is not path:
-            raise InvalidInput(f"{path}: called '{scene_name(path)}', as {other} is")
+            raise InvalidInput(f"{path}: named '{scene_name(path)}', as {other} is")
         lines[path] = open_scene(path, width).line
     return lines

@@ -1,249 +1,165 @@
-"""What codecs take at equal quality, and the table of all of them."""
+"""Markdown tables of the suite's results: of a report, and of the README's first screen."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Any
 
-from gs_codec.analysis.page import number
-from gs_codec.bench.suite.quality import QualityAxis, beats, on_front
-from gs_codec.bench.suite.results import (
-    CURVES,
-    Line,
-    Results,
-    delta_of,
-    finite,
-    is_exact,
-    median_of,
-    psnr_of,
-)
-from gs_codec.config import LOSSLESS, PROFILES
+from gs_codec import paper
+from gs_codec.bench.beside import GUIDED, is_ours
+from gs_codec.bench.curves import bd_rate
+from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
+from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
+from gs_codec.config import LOSSLESS
 
-Cells = list[list[str]]
+_OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 
-#: Follows the name of a codec whose times are those of a program, its start included.
-STARTED = " *"
+#: Codecs that the README leaves out, and those it has of scenes after the first.
+_LEFT_OUT = {"l", "s", "paper-l", "paper-s", "splat-transform, spz", "zstd, PLY"}
+_SHORT = ("m", f"m{GUIDED}")
 
 
-@dataclass(frozen=True)
-class There:
-    """Bits a Gaussian of a curve at a quality; at most so many where it is better even so."""
+def headline(lines: Sequence[Line]) -> list[str]:
+    """Lines of the README's table: the first scene with photographs in full, others in short.
 
-    bits: float
-    at_most: bool = False
-
-    def change(self, of: float) -> float:
-        """Percent that these bits are fewer than others."""
-        return 100 * (1 - self.bits / of)
-
-    def words(self, of: float) -> str:
-        """How many fewer these bits are than others."""
-        fewer = self.change(of)
-        if fewer < 0:
-            return f"{'at most ' * self.at_most}{-fewer:.0f} % more"
-        return f"{'at least ' * self.at_most}{fewer:.0f} % fewer"
-
-    def cell(self, of: float) -> str:
-        """The bits, and how many fewer they are."""
-        return f"{'≤ ' * self.at_most}{self.bits:.1f}, {self.words(of)}"
-
-
-@dataclass(frozen=True)
-class EqualRow:
-    """A codec, and what curves take at its quality; None where they do not reach it."""
-
-    codec: str
-    bits: float
-    psnr: float
-    ours: dict[str, There | None]
-    paper: There | None
-
-
-def equal_rows(results: Results, scene: str) -> list[EqualRow]:
-    """Peers and the paper's profiles of a scene at equal PSNR against its own views."""
-    found: dict[str, dict[str, Line]] = {}
-    for line in results.of("equal", scene):
-        if finite(line["psnr"]) is not None:
-            found.setdefault(line["codec"], {})[line["curve"]] = line
+    Quality is delta-PSNR, or PSNR against the scene's own views, which the cell says.
+    """
+    results = Results(lines)
+    photographs = any(results.has_photographs(scene) for scene in results.scenes)
+    quality = "delta-PSNR" if photographs else "PSNR"
+    columns = ["scene (Gaussians, SH degree)", "codec", "times smaller", "bits / Gaussian", quality]
     rows = []
-    for codec, curves in found.items():
-        line = next(iter(curves.values()))
-        there = {
-            curve: _there(results, scene, curve, known["psnr"], known["curve_bits_per_gaussian"])
-            for curve, known in curves.items()
-        }
-        ours = {curve: there.get(curve) for curve in CURVES}
-        known = (codec, line["bits_per_gaussian"], line["psnr"])
-        rows.append(EqualRow(*known, ours, there.get("paper")))
-    return rows + _paper_rows(results, scene)
+    for number, scene in enumerate(results.scenes):
+        shown = [x for x in in_order(results, scene) if _is_shown(x["codec"], in_full=not number)]
+        for place, line in enumerate(shown):
+            name = "" if place else scene_title(results, scene)
+            cells = [*_size(line), _quality(line, photographs), *_times(line)]
+            rows.append([name, *cells, *_ours(results, line)])
+    return markdown([*columns, "encode", "decode", *_OURS], [*rows, _paper_row(photographs)])
 
 
-def _paper_rows(results: Results, scene: str) -> list[EqualRow]:
-    rows: dict[str, EqualRow] = {}
-    for line in results.of("gain", scene):
-        bits = finite(line["paper_bits_per_gaussian"])
-        if line["at"] in PROFILES and bits is not None:
-            empty = EqualRow(line["at"], bits, line["psnr"], dict.fromkeys(CURVES), None)
-            row = rows.setdefault(line["at"], empty)
-            at = (line["curve"], line["psnr"], line["bits_per_gaussian"])
-            row.ours[line["curve"]] = _there(results, scene, *at)
-    return list(rows.values())
+def codec_table(results: Results, scene: str) -> list[str]:
+    """All codecs of a scene: size, quality, times, memory, and ours at equal PSNR."""
+    peaks = {line["profile"]: line for line in results.of("memory", scene)}
+    columns = ["codec", "times smaller", "bits / Gaussian", "PSNR dB", "worst view", "delta-PSNR"]
+    columns += ["encode", "decode", "encode MB", "decode MB"]
+    rows = []
+    for line in in_order(results, scene):
+        worst, known = line.get("worst_psnr"), peaks.get(line["codec"], {})
+        psnr = "equal" if is_exact(line) else _number(psnr_of(line), ".2f")
+        cells = [*_size(line), psnr, _number(worst, ".2f"), _number(delta_of(line), "+.3f")]
+        memory = [known.get(f"{way}_peak_bytes") for way in ("encode", "decode")]
+        megabytes = [_number(x and x / 1e6, ".0f") for x in memory]
+        rows.append([*cells, *_times(line), *megabytes, *_ours(results, line)])
+    return markdown([*columns, *_OURS], rows)
 
 
-def _there(
-    results: Results, scene: str, curve: str, psnr: float, bits: float | None
-) -> There | None:
-    if finite(bits) is not None:
-        return There(float(bits or 0.0))
-    most = results.bits_at_most(scene, curve, psnr)
-    return None if most is None else There(most, at_most=True)
-
-
-def equal_table(results: Results, scene: str) -> tuple[list[str], Cells]:
-    """Titles and cells: each codec's bits, and ours at its quality."""
-    columns = ["codec", "bits / Gaussian", "PSNR dB", "paper-* there", "ours, by attributes"]
-    cells = [
-        [row.codec, f"{row.bits:.1f}", f"{row.psnr:.2f}"]
-        + ["" if row.codec in PROFILES else _cell(row.paper, row)]
-        + [_cell(row.ours[curve], row) for curve in CURVES]
-        for row in equal_rows(results, scene)
-    ]
-    cells += exact_cells(results, scene)
-    return [*columns, "ours, by views"], cells
-
-
-def _cell(there: There | None, row: EqualRow) -> str:
-    return "out of range" if there is None else there.cell(row.bits)
-
-
-def exact_cells(results: Results, scene: str) -> Cells:
-    """Rows of peers whose views are equal, beside our lossless profile."""
-    ours = results.codec(scene, LOSSLESS)
-    exact = [line for line in results.codecs(scene) if is_exact(line) and line is not ours]
-    if not ours:
-        return []
-    lossless = There(ours["bits_per_gaussian"])
-    cells = []
-    for line in exact:
-        bits = line["bits_per_gaussian"]
-        ours_there = f"lossless: {lossless.cell(bits)}"
-        cells.append([line["codec"], f"{bits:.1f}", "equal", "", ours_there, ""])
-    return cells
-
-
-def bd_cells(results: Results, scene: str) -> Cells:
-    """Curve, range and BD-rate over the paper's profiles."""
-    cells = []
-    for line in results.of("bd-rate", scene):
-        known = line["range"]
-        shown = f"{known[0]:.1f} to {known[1]:.1f} dB" if known else ""
-        percent = finite(line["percent"])
-        cells.append(
-            [line["curve"], shown, "no overlap" if percent is None else f"{percent:+.1f} %"]
-        )
-    return cells
-
-
-def codec_table(results: Results, scene: str) -> tuple[list[str], Cells]:
-    """All codecs of a scene: size, quality, times with their spread, and what none beats."""
-    lines = results.codecs(scene)
-    fronts = {way: front_of(results, scene, way) for way in ("encode", "decode")}
-    photographs = results.by_photographs(scene)
-    columns = ["codec", "times smaller", "bits / Gaussian", "PSNR dB", "worst view"]
-    columns += ["delta-PSNR dB"] * photographs
-    cells = []
-    for line in lines:
-        cells.append(
-            [line["codec"] + STARTED * is_started(line), number(finite(line.get("ratio")), 2)]
-            + [number(finite(line["bits_per_gaussian"]), 1), decibels(line)]
-            + [number(finite(line.get("worst_psnr")), 2)]
-            + [signed(delta_of(line))] * photographs
-            + [spread(line.get(f"{way}_seconds")) for way in ("encode", "decode")]
-            + [_way([way for way, front in fronts.items() if line["codec"] in front])]
-        )
-    return [*columns, "encode s", "decode s", "on the front"], cells
-
-
-def _way(ways: list[str]) -> str:
-    """On which fronts a codec is."""
-    return "both" if len(ways) > 1 else "".join(ways)
-
-
-def timed_codecs(results: Results, scene: str) -> list[Line]:
-    """Codecs that both times and quality are known of, by the quality they are compared by."""
-    scale = QualityAxis(results.by_photographs(scene))
-    return [
-        line
-        for line in results.codecs(scene)
-        if (scale.value(line) is not None or is_exact(line))
-        and all(median_of(line.get(f"{way}_seconds")) for way in ("encode", "decode"))
-    ]
-
-
-def front_of(results: Results, scene: str, way: str) -> list[str]:
-    """Lossy codecs that no other is both faster and better than, fastest first."""
-    scale = QualityAxis(results.by_photographs(scene))
-    lossy = [line for line in timed_codecs(results, scene) if not is_exact(line)]
-    points = [(line[f"{way}_seconds"]["median"], -(scale.value(line) or 0.0)) for line in lossy]
-    found = zip(points, lossy, on_front(points), strict=True)
-    chosen = sorted(((p, line["codec"]) for p, line, best in found if best), key=lambda x: x[0])
-    return [codec for _, codec in chosen]
-
-
-def beaten_codecs(results: Results, scene: str) -> list[str]:
-    """Codecs that another beats in all alike, size, quality and both times, and by which."""
-    scale = QualityAxis(results.by_photographs(scene))
-    points = {
-        line["codec"]: (
-            line["bits_per_gaussian"],
-            -(float("inf") if is_exact(line) else scale.value(line) or 0.0),
-            line["encode_seconds"]["median"],
-            line["decode_seconds"]["median"],
-        )
-        for line in timed_codecs(results, scene)
-    }
+def rates(results: Results, scene: str) -> str:
+    """A sentence on the BD-rate of our curves over the paper's profiles; empty without any."""
     told = []
-    for codec, point in points.items():
-        by = [other for other, better in points.items() if beats(better, point)]
-        if by:
-            told.append(f"{codec} (by {by[0]})")
-    return told
+    for name in (FREE, CAMERA_GUIDED):
+        rate = bd_rate(results.curve(scene, PAPER), results.curve(scene, name))
+        if rate is not None:
+            over = f"{rate.low:.1f} to {rate.high:.1f} dB"
+            told.append(f"{name} {rate.percent:+.1f} % ({over})")
+    return f"BD-rate over EntropyGS (`paper-*`): {', '.join(told)}." if told else ""
 
 
-def is_started(line: Line) -> bool:
-    """Whether a codec is a program that is started for each encoding and decoding."""
-    return bool(line.get("own_process"))
+def views(results: Results, scene: str) -> str:
+    """A sentence on the views of a scene; empty if they are not known."""
+    line = results.first("scene", scene)
+    if not line:
+        return ""
+    photographs = ", compared with photographs" if line["photographs"] else ""
+    return (
+        f"PLY: {line['ply_bytes'] / 1e6:.1f} MB. Cameras: {line['cameras']}; "
+        f"{line['measured_views']} views of {line['width']} x {line['height']} are measured in"
+        f"{photographs}, {line['encoded_by_views']} others guide the encoder."
+    )
 
 
-def decibels(line: Line) -> str:
-    """PSNR against the scene's own views."""
-    return "equal" if is_exact(line) else number(psnr_of(line), 2)
+def scene_title(results: Results, scene: str) -> str:
+    """Name, Gaussians and SH degree of a scene."""
+    line = results.first("scene", scene)
+    return escaped(scene) + (f" ({line['gaussians']:,}, {line['sh_degree']})" if line else "")
 
 
-def signed(value: float | None, digits: int = 3) -> str:
-    """A difference; a dash where there is none."""
-    return "-" if value is None else f"{value:+.{digits}f}" if value else "0"
+def in_order(results: Results, scene: str) -> list[Line]:
+    """Codecs of a scene: our profiles, camera-guided, pruned, lossless, the paper's, others."""
+
+    def kind(line: Line) -> int:
+        codec = line["codec"]
+        if not is_ours(codec):
+            return 5
+        if codec.startswith("paper-") or codec == LOSSLESS:
+            return 4 if codec != LOSSLESS else 3
+        return 2 if codec.endswith("pruned") else int(codec.endswith(GUIDED))
+
+    return sorted(results.of("beside", scene), key=kind)
 
 
-def spread(known: object) -> str:
-    """Median, and in brackets the least and the largest, where there is more than one."""
-    if not isinstance(known, dict):
-        return seconds(median_of(known))
-    ends = [seconds(finite(known.get(end))) for end in ("min", "max")]
-    if known.get("min") == known.get("max"):
-        return seconds(median_of(known))
-    return f"{seconds(median_of(known))} ({ends[0]}–{ends[1]})"
+def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table; none without rows."""
+    lines = [columns, ["---"] * len(columns), *rows] if rows else []
+    return ["| " + " | ".join(line) + " |" for line in lines]
 
 
-def seconds(value: float | None) -> str:
-    """Seconds of three digits or so."""
-    if value is None:
-        return "-"
-    digits = 3 if value < 0.1 else 2 if value < 10 else 1 if value < 100 else 0
-    return f"{value:.{digits}f}"
+def escaped(text: str) -> str:
+    """Text from elsewhere, such that it is no markup and stays in its cell."""
+    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
+    return "".join(f"\\{letter}" if letter in "\\|`*_[]" else letter for letter in plain)
 
 
-def exact_note(results: Results, scene: str) -> str:
-    """What plots of quality leave out: codecs whose views are equal, with their bits."""
-    exact = [line for line in results.codecs(scene) if is_exact(line)]
-    told = [f"{line['codec']}: {line['bits_per_gaussian']:.0f}" for line in exact]
-    return f"Not drawn, as nothing is lost, bits of {'; '.join(told)}." if told else ""
+def _is_shown(codec: str, in_full: bool) -> bool:
+    return codec not in _LEFT_OUT if in_full else codec in _SHORT
+
+
+def _size(line: Line) -> list[str]:
+    """Codec, ratio and bits; a codec whose times are those of a program has a ``*``."""
+    codec, ratio = line["codec"], line["ratio"]
+    profile, comma, how = codec.partition(",")
+    name = f"`{profile}`{comma}{how}" if is_ours(codec) else escaped(codec)
+    name += ": EntropyGS" * codec.startswith("paper-") + r" \*" * bool(line.get("own_process"))
+    shown = f"{ratio:.1f}x" if ratio >= 10 else f"{ratio:.2f}x"
+    return [name, shown, f"{line['bits_per_gaussian']:.1f}"]
+
+
+def _quality(line: Line, photographs: bool) -> str:
+    delta, psnr = delta_of(line), psnr_of(line)
+    if is_exact(line):
+        return "0" if photographs else "equal"
+    if photographs and delta is not None:
+        return f"{round(delta, 2) or 0.0:+.2f} dB".replace("+0.00", "0.00")
+    return "" if psnr is None else f"{psnr:.1f} dB" + " PSNR" * photographs
+
+
+def _times(line: Line) -> list[str]:
+    return [_seconds(line[f"{way}_seconds"]["median"]) for way in ("encode", "decode")]
+
+
+def _ours(results: Results, line: Line) -> list[str]:
+    """Bits of our curves at a codec's quality; of our lossless profile if it is exact."""
+    if exact := results.lossless_bits(line):
+        return [exact, ""]
+    return [results.bits_at_quality(line, curve) for curve in (FREE, CAMERA_GUIDED)]
+
+
+def _paper_row(photographs: bool) -> list[str]:
+    known, million = paper.SECONDS["CPU"], paper.MEAN_GAUSSIANS / 1e6
+    loss = paper.ABLATION["quantisation"][0] - paper.ABLATION["optimisation"][0]
+    cells = [f"the paper, its mean scene ({million:.2f} M), CPU", "", "", ""]
+    cells += [f"{loss:+.2f} dB" if photographs else ""]
+    cells += [f"{known[way]:g} s" for way in ("encode", "decode")]
+    return [f"*{cell}*" if cell else "" for cell in [*cells, "", ""]]
+
+
+def _seconds(value: float) -> str:
+    if value >= 100:
+        return f"{value / 60:.1f} min"
+    if value < 0.0095:
+        return f"{1000 * value:.1g} ms"
+    return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
+
+
+def _number(value: Any, how: str) -> str:
+    return "" if value is None else format(value, how)

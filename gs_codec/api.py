@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, overload
 
 from gs_codec import files, planned
 from gs_codec.cloud import from_cloud, to_cloud
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec import decode_scene
 from gs_codec.config import Config, Target, as_target
 from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.ply import vertex_rows
@@ -201,8 +201,7 @@ def encode(
         plan = Plan(Steps(), cameras)
     with using_threads(config.threads):
         if target is None:
-            guide = None if plan is None else planned.guide_of(scene, plan, config)
-            return encode_scene(scene, config, guide=guide)[0]
+            return planned.encode_planned(scene, config, plan)[0]
         ply_bytes = vertex_rows(scene).nbytes
         data, report = planned.encode_goal(scene, scene, ply_bytes, config, as_target(target), plan)
     assert report.rate is not None

@@ -36,7 +36,7 @@ from gs_codec.matching import (
     without_order,
 )
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.planned import encode_goal, guide_of
+from gs_codec.planned import encode_goal, encode_planned
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 from gs_codec.slabs import opened_slabs
@@ -214,8 +214,7 @@ def _encode_by_plan(
         data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
     else:
         targets = None if views is None else views.renders
-        guide = None if plan is None else guide_of(scene, plan, config, progress, targets)
-        data, report = encode_scene(scene, config, progress, guide)
+        data, report = encode_planned(scene, config, plan, progress, targets)
     if prepared is not None and report_folder is not None:
         _finish_report(prepared, scene, config, data, report, report_folder)
     return data, report
@@ -248,9 +247,9 @@ def prepare_file(
     config = replace(config or Config(), extra="keep")
     with located(source):
         scene, prepared = _prepare(scene, plan, config, report_folder, progress)
-        coded = suffix == ".egs"
-        guide = guide_of(scene, plan, config, progress, prepared.views.renders) if coded else None
-        data, report = encode_scene(scene, config, guide=guide)
+        views = prepared.views.renders
+        coded_by = plan if suffix == ".egs" else None
+        data, report = encode_planned(scene, config, coded_by, progress, views)
         prepared = _finish_report(prepared, scene, config, data, report, report_folder)
     if suffix == ".egs":
         with atomic_writer(target) as file:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from gs_codec.codec.clean import clean_scene
+from gs_codec.codec.encode import encode_scene
+from gs_codec.codec.lattice_encode import encode_shaped, shape_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
-from gs_codec.report import EncodeReport, Progress
+from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.scene import Scene
+from gs_codec.workers import using_threads
 
 if TYPE_CHECKING:
-    from gs_codec.codec.guidance import Guidance
     from gs_codec.preparation.pipeline import Plan
     from gs_codec.preparation.targets import Targets, Views
 
@@ -54,30 +57,55 @@ def encode_goal(
 
         views = views or choose_views(original, plan, progress)
         seen = Seen(views, views.held_out.errors(original, progress), progress)
-    targets = views.renders if views is not None else None
-    guide = guide_of(scene, plan, config, progress, targets)
-    return encode_to_target(scene, config, goal, limit, guide, seen, progress)
+    targets = wanted_of(scene, plan, progress, views.renders if views is not None else None)
+    return encode_to_target(scene, config, goal, limit, targets, seen, progress)
 
 
-def guide_of(
+def encode_planned(
     scene: Scene,
-    plan: Plan,
     config: Config,
+    plan: Plan | None,
     progress: Progress | None = None,
     targets: Targets | None = None,
-) -> Callable[[Scene], Guidance] | None:
-    """What tells `encode_scene` what a plan's views see; None for profiles that do not ask.
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene by what a plan's views see, if there is a plan and the profile has steps.
 
-    `targets` are what these look like, where that is known. Where the scene was optimised, it is
-    itself what its views should look like, else the scene it was made from.
+    `targets` are what these look like, where that is known.
     """
-    if config.profile not in LATTICE_PROFILES or not scene.count:
-        return None
+    if plan is None or config.profile not in LATTICE_PROFILES or not scene.count:
+        return encode_scene(scene, config, progress)
     from gs_codec.preparation.guide import guide
+
+    targets = wanted_of(scene, plan, progress, targets)
+    times = StageTimes()
+    with using_threads(config.threads):
+        with times.stage("check"):
+            clean, changed = clean_scene(scene, config)
+        if not clean.count:
+            return encode_scene(scene, config, progress)
+        with times.stage("views"):
+            guidance = guide(clean, targets, config.threads, progress)
+        profile = config.resolved_lattice()
+        shaped = shape_scene(clean, config, guidance.steps(clean, profile), times)
+        with times.stage("recolour"):
+            shaped = guidance.recolour(shaped, profile)
+        del guidance  # It holds what views see of each Gaussian.
+        parts, report = encode_shaped(shaped, times, progress)
+    return b"".join(parts), replace(report, **changed)
+
+
+def wanted_of(
+    scene: Scene, plan: Plan, progress: Progress | None = None, targets: Targets | None = None
+) -> Targets:
+    """What a plan's views should look like, by which a scene is encoded.
+
+    Where the scene was optimised, it is itself what they should look like, else the scene it was
+    made from.
+    """
     from gs_codec.preparation.pipeline import draw_views
     from gs_codec.preparation.targets import draw_targets
 
     targets = targets or draw_views(scene, plan, progress)
     if plan.steps.optimise:
         targets = draw_targets(scene, targets.cameras, targets.background, progress)
-    return lambda clean: guide(clean, targets, config.threads, progress)
+    return targets

@@ -9,8 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gs_codec.codec.guidance import Guidance
+from gs_codec.codec import encode_scene
+from gs_codec.codec.clean import clean_scene
+from gs_codec.config import Config
+from gs_codec.lattice.fit import Steps
 from gs_codec.lattice.sensitivity import Sensitivity
+from gs_codec.preparation.guide import guided_steps
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
@@ -72,25 +76,44 @@ def edge_scenes() -> dict[str, Scene]:
     }
 
 
-def made_up_guide(seed: int = 0, spread: float = 3.0) -> Callable[[Scene], Guidance]:
-    """What views could say of a scene, drawn by chance; colours stay as they are.
+#: Step sizes of a scene for a profile.
+Guide = Callable[[Scene, Config], Steps]
+
+
+def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sensitivity:
+    """What views could say of a scene, drawn by chance.
 
     Sensitivities of a Gaussian go up and down together by ``exp(spread)``, so that there are
     classes.
     """
 
-    def guide(scene: Scene) -> Guidance:
-        rng = np.random.default_rng(seed)
-        level = rng.normal(0.0, spread, scene.count)
+    rng = np.random.default_rng(seed)
+    level = rng.normal(0.0, spread, scene.count)
 
-        def draw(*shape: int) -> np.ndarray:
-            return np.exp(level + rng.normal(0.0, 0.5, (*shape, scene.count)))
+    def draw(*shape: int) -> np.ndarray:
+        return np.exp(level + rng.normal(0.0, 0.5, (*shape, scene.count)))
 
-        colour = 100.0 * np.exp(rng.normal(0.0, spread, scene.count))
-        drawn = Sensitivity(100.0 * draw(), draw(3), draw(), draw(), colour)
-        return Guidance(drawn, 0.0, 1000 * scene.count)
+    colour = 100.0 * np.exp(rng.normal(0.0, spread, scene.count))
+    return Sensitivity(100.0 * draw(), draw(3), draw(), draw(), colour)
 
-    return guide
+
+def steps_for(scene: Scene, config: Config, sensitivity: Sensitivity, loss: float = 0.0) -> Steps:
+    """Step sizes that follow from a sensitivity, to views of a thousand pixels a Gaussian."""
+    profile = config.resolved_lattice()
+    return guided_steps(scene, profile, sensitivity, loss, 1000 * scene.count)
+
+
+def made_up_guide(seed: int = 0, spread: float = 3.0) -> Guide:
+    """Step sizes by what views could say of a scene; see `made_up_sensitivity`."""
+    return lambda scene, config: steps_for(scene, config, made_up_sensitivity(scene, seed, spread))
+
+
+def encode_by(scene: Scene, config: Config, guide: Guide | None = None) -> bytes:
+    """A scene encoded by a guide, if there is one and there is something to guide."""
+    steps = None
+    if guide is not None and scene.count:
+        steps = guide(clean_scene(scene, config)[0], config)
+    return encode_scene(scene, config, steps=steps)[0]
 
 
 def shared_scene_path(name: str) -> Path:

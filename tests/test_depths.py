@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import made_up_guide, random_scene
+from scenes import encode_by, made_up_guide, random_scene
 from test_lattice_codec import Shaped, assert_on_lattices
 
 from gs_codec.codec import encode_scene
@@ -92,7 +92,7 @@ def test_a_bit_more_halves_the_steps_of_one_group(scene, group, guided):
     guide = made_up_guide(seed=222) if guided else None
     depth = 12 if group == "geometry" else 6
     of = [
-        finest_steps(encode_scene(scene, Config("m", {group: bits}), guide=guide)[0])
+        finest_steps(encode_by(scene, Config("m", {group: bits}), guide))
         for bits in (depth, depth + 1)
     ]
     for name, step in of[0].items():
@@ -115,7 +115,7 @@ def test_coarseness_leaves_asked_depths(scene):
 def test_values_are_on_the_lattices_asked_for(scene, guided):
     guide = made_up_guide(seed=223) if guided else None
     depths = {"sh-ac": 5, "rotation": 6, "scaling": 9, "sh-dc": 4}
-    data, _ = encode_scene(scene, Config("s", depths), guide=guide)
+    data = encode_by(scene, Config("s", depths), guide)
     assert_on_lattices(Shaped.of(scene, "s", guide, depths), data, 0.5001 if guided else 1.5001)
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from golden.make import GUIDES, golden_scenes
-from scenes import made_up_guide, random_scene
+from scenes import encode_by, made_up_guide, random_scene
 
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec import decode_scene
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.scene import GROUPS, Scene
 
@@ -32,7 +32,7 @@ def digests(threads: int | None) -> dict[str, str]:
         config = Config(profile, threads=threads, block_size=1024)
         guides = [None, made_up_guide(seed=90)] if profile in LATTICE_PROFILES else [None]
         for guide in guides:
-            data, _ = encode_scene(scene, config, guide=guide)
+            data = encode_by(scene, config, guide)
             name = f"{profile}, {'guided' if guide else 'blind'}"
             found[name] = hashlib.sha256(data + floats(decode_scene(data, threads))).hexdigest()
     return found
@@ -69,7 +69,7 @@ def test_golden_files_are_written_and_read_by_any_threads(name, threads):
     options = {**vars(config), "threads": threads}
     golden = (ROOT / "tests" / "golden" / f"v1-{name}").with_suffix(".egs")
     data = golden.read_bytes()
-    assert encode_scene(scene, Config(**options), guide=GUIDES.get(name))[0] == data
+    assert encode_by(scene, Config(**options), GUIDES.get(name)) == data
     decoded = decode_scene(data, threads)
     with np.load(golden.with_suffix(".npz")) as expected:
         for group in GROUPS:

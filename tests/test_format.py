@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from reference_decoder import Channel, Reader, decode, read_header, read_model, set_frequencies
 from reference_lattice import read_lattice
-from scenes import edge_scenes, made_up_guide, random_scene
+from scenes import edge_scenes, encode_by, made_up_guide, random_scene
 
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, Config
@@ -215,7 +215,7 @@ LATTICE_CASES = {
 def test_reference_decoder_gives_the_same_bits_of_lattices(case, profile, guided):
     make, arguments = LATTICE_CASES[case]
     guide = made_up_guide(seed=arguments[0]) if guided else None
-    data, _ = encode_scene(make(*arguments), lattice_config(profile), guide=guide)
+    data = encode_by(make(*arguments), lattice_config(profile), guide)
     assert assert_same(data)["count"] == arguments[1]
 
 
@@ -232,7 +232,7 @@ def test_extra_of_lattices_is_carried_seed15():
 def test_lattice_cases_have_classes_shifts_and_shared_tables():
     """What the text says of these is only tested where they differ."""
     scene, guide = scene_of(5, 1500), made_up_guide(seed=5)
-    data, _ = encode_scene(scene, lattice_config("m"), guide=guide)
+    data = encode_by(scene, lattice_config("m"), guide)
     _, _, degree, _, _, sections = read_header(data)
     lattice = read_lattice(sections[13, 0], degree)
     assert min(lattice.classes) > 4

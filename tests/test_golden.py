@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from golden.make import GUIDES, golden_scenes
 from reference_decoder import decode as reference_decode
+from scenes import encode_by
 
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec import decode_scene
 from gs_codec.container.file import VERSION
 from gs_codec.scene import GROUPS
 
@@ -43,4 +44,4 @@ def test_reference_decoder_agrees_on_golden_files(path):
 def test_encoder_still_writes_the_same_bytes(name):
     scene, config = golden_scenes()[name]
     golden = Path(__file__).parent / "golden" / f"v{VERSION}-{name}.egs"
-    assert encode_scene(scene, config, guide=GUIDES.get(name))[0] == golden.read_bytes()
+    assert encode_by(scene, config, GUIDES.get(name)) == golden.read_bytes()

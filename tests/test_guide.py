@@ -12,14 +12,13 @@ from typer.testing import CliRunner
 import gs_codec
 from gs_codec.cli.main import app
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.codec.guidance import Guidance
 from gs_codec.config import LATTICE_PROFILES, Config, LatticeProfile
 from gs_codec.errors import InvalidInput
 from gs_codec.files import encode_file, read_scene
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import write_ply
-from gs_codec.planned import guide_of
-from gs_codec.preparation.guide import guide
+from gs_codec.planned import encode_planned
+from gs_codec.preparation.guide import Guidance, guide
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.preparation.steps import Steps
 from gs_codec.preparation.targets import Targets, draw_targets
@@ -43,7 +42,8 @@ def compacting(strength: float) -> LatticeProfile:
 
 
 def recolour(found: Guidance, decoded: Scene, steps: np.ndarray, profile) -> Scene:
-    return found.refit(found.compact(decoded, np.arange(decoded.count), steps, profile))
+    colours = found.colours
+    return colours.refit(colours.compact(decoded, np.arange(decoded.count), steps, profile))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def quality(original: Scene, decoded: Scene, views: list[Camera]) -> float:
 def test_by_views_the_same_bytes_show_more(scene, plan):
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
     blind = {p: encode_scene(scene, Config(p))[0] for p in LATTICE_PROFILES}
-    guided = encode_scene(scene, Config("m"), guide=guide_of(scene, plan, Config("m")))[0]
+    guided = encode_planned(scene, Config("m"), plan)[0]
     shown = quality(scene, decode_scene(guided), held_out)
     for profile, data in blind.items():
         if quality(scene, decode_scene(data), held_out) >= shown:
@@ -76,7 +76,7 @@ def test_profiles_are_in_order(scene, plan):
     sizes, shown = [], []
     for profile in ("l", "m", "s"):
         config = Config(profile)
-        data, _ = encode_scene(scene, config, guide=guide_of(scene, plan, config))
+        data, _ = encode_planned(scene, config, plan)
         sizes.append(len(data))
         shown.append(quality(scene, decode_scene(data), held_out))
     assert sizes == sorted(sizes, reverse=True)
@@ -87,7 +87,7 @@ def test_threads_do_not_change_the_bytes(scene, plan):
     streams = set()
     for threads in (1, 2, 5):
         config = Config("m", threads=threads)
-        streams.add(encode_scene(scene, config, guide=guide_of(scene, plan, config))[0])
+        streams.add(encode_planned(scene, config, plan)[0])
     assert len(streams) == 1
 
 
@@ -143,11 +143,8 @@ def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
     assert guide(pruned, whole).loss == pytest.approx(whole.error(pruned))
 
     def opacity_bytes(targets: Targets) -> int:
-        found = guide(pruned, targets)
-        unchanged = Guidance(found.sensitivity, found.loss, found.pixels)
-        return encode_scene(pruned, Config("m"), guide=lambda _: unchanged)[1].section_bytes[
-            "opacity"
-        ]
+        steps = guide(pruned, targets).steps(pruned, LATTICE_PROFILES["m"])
+        return encode_scene(pruned, Config("m"), steps=steps)[1].section_bytes["opacity"]
 
     own = draw_targets(pruned, plan.cameras, (0.0, 0.0, 0.0))
     assert opacity_bytes(whole) < opacity_bytes(own)
@@ -157,7 +154,7 @@ def test_carried_properties_follow_their_gaussians(scene, plan):
     extra = {"x0": scene.positions[0].copy(), "label": np.arange(scene.count, dtype="<i4")}
     carrying = replace(scene, extra=extra, comments=("made by a test",))
     config = Config("m", extra="keep")
-    data, _ = encode_scene(carrying, config, guide=guide_of(carrying, plan, config))
+    data, _ = encode_planned(carrying, config, plan)
     decoded = decode_scene(data)
     assert decoded.comments == carrying.comments
     assert sorted(decoded.extra["label"]) == list(range(scene.count))
@@ -166,9 +163,23 @@ def test_carried_properties_follow_their_gaussians(scene, plan):
 
 
 def test_only_profiles_that_ask_are_guided(scene, plan):
-    assert guide_of(scene, plan, Config("paper-m")) is None
-    assert guide_of(scene, plan, Config("lossless")) is None
-    assert guide_of(scene.take(np.arange(0)), plan, Config("m")) is None
+    none = scene.take(np.arange(0))
+    for chosen, profile in ((scene, "paper-m"), (scene, "lossless"), (none, "m")):
+        config = Config(profile)
+        data, report = encode_planned(chosen, config, plan)
+        assert data == encode_scene(chosen, config)[0]
+        assert "views" not in report.seconds
+
+
+def test_what_the_encoder_changes_is_told_with_views_too(scene, plan):
+    broken = replace(scene, opacity=scene.opacity.copy(), rot=scene.rot.copy())
+    broken.opacity[0, :3] = np.nan
+    broken.rot[:, 10:12] = 0
+    _, report = encode_planned(broken, Config("m", nonfinite="drop"), plan)
+    assert (report.count, report.dropped, report.zero_quaternions) == (scene.count - 3, 3, 2)
+    assert list(report.seconds) == [
+        "check", "views", "order", "quantise", "recolour", "model", "code", "container",
+    ]  # fmt: skip
 
 
 def test_files_api_and_command_line_agree(scene, plan, tmp_path, monkeypatch):
@@ -207,10 +218,10 @@ def test_photographs_without_a_step_are_refused(tmp_path):
 
 
 def test_colours_do_not_depend_on_the_order(scene, plan):
-    found = guide(scene, draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0)))
+    colours = guide(scene, draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))).colours
     steps = np.linspace(0.05, 0.3, scene.count, dtype=np.float32)
     order = np.random.default_rng(93).permutation(scene.count)
-    as_given = found.compact(scene, np.arange(scene.count), steps, compacting(1e-3))
-    shuffled = found.compact(scene.take(order), order, steps[order], compacting(1e-3))
+    as_given = colours.compact(scene, np.arange(scene.count), steps, compacting(1e-3))
+    shuffled = colours.compact(scene.take(order), order, steps[order], compacting(1e-3))
     assert np.count_nonzero(as_given.f_rest == 0) > np.count_nonzero(scene.f_rest == 0)
     np.testing.assert_array_equal(shuffled.f_rest, as_given.f_rest[:, order])

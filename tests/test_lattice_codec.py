@@ -9,12 +9,19 @@ from functools import cache
 import numpy as np
 import pytest
 from damage import survive, with_checksums
-from scenes import edge_scenes, made_up_guide, random_scene
+from scenes import (
+    edge_scenes,
+    encode_by,
+    made_up_guide,
+    made_up_sensitivity,
+    random_scene,
+    steps_for,
+)
 
 from gs_codec.codec import decode_part, decode_scene, encode_scene
 from gs_codec.codec.clean import identity_for_zero
-from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
+from gs_codec.codec.lattice_encode import encode_shaped, shape_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
 from gs_codec.container.file import Section, SectionId, read_file, write_file
@@ -25,8 +32,11 @@ from gs_codec.files import compare_files, decode_file, encode_file
 from gs_codec.geometry.count_tree import encode_tree
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.lattice.fit import Steps
 from gs_codec.lattice.fixed import LARGEST, to_float
+from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
+from gs_codec.report import StageTimes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from gs_codec.transform.axes import quaternions, sort_axes
 from gs_codec.transform.morton import bit_layout
@@ -49,8 +59,9 @@ class Shaped:
     def of(cls, scene: Scene, profile: str, guide=None, depths=None) -> Shaped:
         """What the encoder makes of a scene before it codes."""
         clean, _ = identity_for_zero(scene)
-        guidance = guide(clean) if guide is not None and clean.count else None
-        arranged = arrange_scene(clean, Config(profile, depths or {}), guidance)
+        config = Config(profile, depths or {})
+        steps = guide(clean, config) if guide is not None and clean.count else None
+        arranged = arrange_scene(clean, config, steps)
         ordered = clean.take(arranged.order)
         _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
         quantiser = ShapeQuantiser(arranged.lattice, ordered.opacity[0], scales, vectors)
@@ -145,7 +156,7 @@ def test_edge_scene_is_on_its_lattices(name, profile):
 @pytest.mark.parametrize("name", EDGES)
 def test_guided_edge_scene_is_on_its_lattices(name):
     guide = made_up_guide(seed=30)
-    data, _ = encode_scene(EDGES[name], Config("m"), guide=guide)
+    data = encode_by(EDGES[name], Config("m"), guide)
     assert_on_lattices(Shaped.of(EDGES[name], "m", guide), data, 0.5001)
 
 
@@ -165,7 +176,7 @@ def test_round_gaussians_have_no_rotation():
 def test_blocks_and_degrees_are_on_their_lattices(profile, sh_degree, guided):
     scene = random_scene(2500, sh_degree, seed=sh_degree)
     guide = made_up_guide(seed=31) if guided else None
-    data, _ = encode_scene(scene, Config(profile, block_size=BLOCK), guide=guide)
+    data = encode_by(scene, Config(profile, block_size=BLOCK), guide)
     assert read_file(data).header.block_count == 3
     assert_on_lattices(Shaped.of(scene, profile, guide), data, 0.5001 if guided else 1.5001)
 
@@ -181,17 +192,17 @@ def test_steps_are_finer_where_more_is_seen():
     scene = replace(scene, opacity=np.abs(scene.opacity))
     seen = np.random.default_rng(33).random(scene.count) < 0.5
 
-    def guide(clean: Scene) -> Guidance:
-        even = made_up_guide(seed=33, spread=0.0)(clean)
-        higher = [np.where(seen, 4.0**4 * values, values) for values in even.sensitivity]
-        return replace(even, sensitivity=type(even.sensitivity)(*higher))
+    def guide(clean: Scene, config: Config) -> Steps:
+        even = made_up_sensitivity(clean, seed=33, spread=0.0)
+        higher = [np.where(seen, 4.0**4 * values, values) for values in even]
+        return steps_for(clean, config, Sensitivity(*higher))
 
     shaped = Shaped.of(scene, "m", guide)
     is_seen = seen[np.argsort(shaped_order(scene, shaped))]
     finest = shaped.arranged.classes[:, is_seen]
     coarsest = shaped.arranged.classes[:, ~is_seen]
     assert np.all(coarsest.mean(axis=1) - finest.mean(axis=1) > 3)
-    decoded = decode_scene(encode_scene(scene, Config("m"), guide=guide)[0])
+    decoded = decode_scene(encode_by(scene, Config("m"), guide))
     for group in ("positions", "opacity", "f_dc"):
         error = np.abs(getattr(decoded, group) - getattr(shaped.scene, group))
         rms = [np.sqrt(np.mean(error[:, part] ** 2)) for part in (is_seen, ~is_seen)]
@@ -199,11 +210,12 @@ def test_steps_are_finer_where_more_is_seen():
 
 
 def test_steps_are_coarser_where_pruning_has_lost_more():
-    scene = random_scene(1000, 1, seed=51)
+    scene, config = random_scene(1000, 1, seed=51), Config("m")
+    sensitivity = made_up_sensitivity(scene, seed=51)
     sizes = []
     for loss in (0.0, 1e-4, 1e-2):
-        told = replace(made_up_guide(seed=51)(scene), loss=loss)
-        sizes.append(len(encode_scene(scene, Config("m"), guide=lambda _, told=told: told)[0]))
+        steps = steps_for(scene, config, sensitivity, loss)
+        sizes.append(encode_scene(scene, config, steps=steps)[1].file_bytes)
     assert sizes[0] > sizes[1] > sizes[2]
 
 
@@ -214,38 +226,41 @@ def shaped_order(scene: Scene, shaped: Shaped) -> np.ndarray:
     return np.array([places[value] for value in scene.opacity[0].tolist()])
 
 
-def test_a_guide_is_asked_once_and_its_colours_are_coded():
-    scene, calls = random_scene(300, 2, seed=34), []
-    even = made_up_guide(seed=34)
-
-    def compact(decoded: Scene, order: np.ndarray, steps: np.ndarray, profile) -> Scene:
-        calls.append(decoded)
-        assert profile == LATTICE_PROFILES["m"]
-        np.testing.assert_array_equal(decoded.f_dc, scene.f_dc[:, order])
-        assert steps.shape == (300,)
-        assert steps.dtype == np.float32
-        assert np.all(steps > 0)
-        return replace(decoded, f_dc=np.zeros_like(decoded.f_dc), f_rest=0 * decoded.f_rest)
-
-    data, _ = encode_scene(
-        scene, Config("m"), guide=lambda clean: replace(even(clean), compact=compact)
-    )
-    decoded = decode_scene(data)
-    assert len(calls) == 1
+def test_a_shaped_scene_decodes_as_it_says_with_the_colours_it_is_given():
+    scene, config = random_scene(300, 2, seed=34), Config("m")
+    shaped = shape_scene(scene, config, made_up_guide(seed=34)(scene, config), StageTimes())
+    told, steps = shaped.decoded(), shaped.sh_steps()
+    np.testing.assert_array_equal(told.f_dc, scene.f_dc[:, shaped.order])
+    np.testing.assert_array_equal(told.f_rest, scene.f_rest[:, shaped.order])
+    assert steps.shape == (300,)
+    assert steps.dtype == np.float32
+    assert np.all(steps > 0)
+    plain, _ = encode_shaped(shaped, StageTimes())
+    assert b"".join(plain) == encode_by(scene, config, made_up_guide(seed=34))
+    black = replace(told, f_dc=np.zeros_like(told.f_dc), f_rest=0 * told.f_rest)
+    parts, report = encode_shaped(shaped.with_colours(black), StageTimes())
+    decoded = decode_scene(b"".join(parts))
+    assert report.count == 300
     assert not decoded.f_dc.any()
     assert not decoded.f_rest.any()
     for group in ("positions", "opacity", "log_scale", "rot"):
-        np.testing.assert_array_equal(getattr(calls[0], group), getattr(decoded, group))
-    assert calls[0].f_rest.any()
+        np.testing.assert_array_equal(getattr(told, group), getattr(decoded, group))
+
+
+def test_steps_of_other_gaussians_are_refused():
+    scene, config = random_scene(50, 0, seed=39), Config("m")
+    steps = made_up_guide(seed=39)(scene, config)
+    with pytest.raises(ValueError, match="steps of 50 Gaussians, expected 49"):
+        encode_scene(scene.take(np.arange(49)), config, steps=steps)
 
 
 def test_a_guide_that_sees_nothing_gives_finite_scenes():
-    def guide(clean: Scene) -> Guidance:
-        even = made_up_guide(seed=35)(clean)
-        return replace(even, sensitivity=type(even.sensitivity)(*(0 * s for s in even.sensitivity)))
+    def guide(clean: Scene, config: Config) -> Steps:
+        even = made_up_sensitivity(clean, seed=35)
+        return steps_for(clean, config, Sensitivity(*(0 * values for values in even)))
 
     scene = random_scene(500, 1, seed=35)
-    data, _ = encode_scene(scene, Config("s"), guide=guide)
+    data = encode_by(scene, Config("s"), guide)
     assert_on_lattices(Shaped.of(scene, "s", guide), data, 0.5001)
 
 
@@ -254,8 +269,7 @@ def test_bytes_and_floats_do_not_depend_on_threads(guided):
     scene = random_scene(5000, 3, seed=36)
     guide = made_up_guide(seed=36) if guided else None
     coded = [
-        encode_scene(scene, Config("m", threads=t, block_size=BLOCK), guide=guide)[0]
-        for t in (1, 2, 7, 7)
+        encode_by(scene, Config("m", threads=t, block_size=BLOCK), guide) for t in (1, 2, 7, 7)
     ]
     assert len(set(coded)) == 1
     decoded = [decode_scene(coded[0], threads=t) for t in (1, 2, 7)]
@@ -273,7 +287,8 @@ def test_no_argument_is_changed():
     scene = random_scene(1000, 3, seed=38)
     scene.rot[:, 0] = 0
     before = {group: getattr(scene, group).copy() for group in GROUPS}
-    _, report = encode_scene(scene, Config("m"), guide=made_up_guide(seed=38))
+    steps = made_up_guide(seed=38)(identity_for_zero(scene)[0], Config("m"))
+    _, report = encode_scene(scene, Config("m"), steps=steps)
     assert report.zero_quaternions == 1
     for group in GROUPS:
         np.testing.assert_array_equal(getattr(scene, group), before[group])
@@ -353,7 +368,7 @@ def test_decoded_file_can_be_encoded_again(tmp_path, monkeypatch):
 @cache
 def small(guided: bool) -> bytes:
     scene = random_scene(20, 1, seed=46)
-    return encode_scene(scene, Config("m"), guide=made_up_guide(seed=46) if guided else None)[0]
+    return encode_by(scene, Config("m"), made_up_guide(seed=46) if guided else None)
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
@@ -390,7 +405,7 @@ def damageable(seed: int) -> bytes:
     rng = np.random.default_rng(seed)
     scene = random_scene(int(rng.integers(1, 2500)), int(rng.integers(0, 4)), seed)
     guide = made_up_guide(seed) if seed % 2 else None
-    return encode_scene(scene, Config("lms"[seed % 3], block_size=BLOCK), guide=guide)[0]
+    return encode_by(scene, Config("lms"[seed % 3], block_size=BLOCK), guide)
 
 
 @pytest.mark.parametrize("seed", range(60))

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from PIL import Image
-from scenes import made_up_guide, random_scene
+from scenes import made_up_sensitivity, random_scene
 from test_guide import cameras
 from typer.testing import CliRunner
 
@@ -27,9 +27,10 @@ from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.planned import encode_goal
+from gs_codec.preparation.guide import Guidance
 from gs_codec.preparation.pipeline import Plan, choose_views
 from gs_codec.preparation.steps import Steps
-from gs_codec.preparation.targets import draw_targets
+from gs_codec.preparation.targets import Targets, draw_targets
 from gs_codec.rate import allocate
 from gs_codec.rate.allocate import encode_to_target
 from gs_codec.rate.search import COARSEST, FINEST, search
@@ -42,8 +43,16 @@ def scene() -> Scene:
     return random_scene(3000, 2, seed=200)
 
 
-def to_target(scene, config, target, ply_bytes=1, guide=None):
-    return encode_to_target(scene, config, target, target.limit(scene.count, ply_bytes), guide)
+def to_target(scene, config, target, ply_bytes=1, targets=None):
+    return encode_to_target(scene, config, target, target.limit(scene.count, ply_bytes), targets)
+
+
+def unchanged(decoded, *_):
+    return decoded
+
+
+#: Views that leave colours as they are.
+UNCHANGING = SimpleNamespace(compact=unchanged, sketch=unchanged, refit=unchanged)
 
 
 # Targets
@@ -145,10 +154,12 @@ def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
 @pytest.mark.parametrize("profile", LATTICE_PROFILES)
 @pytest.mark.parametrize("target", [Target(bits=120), Target(bits=200), Target(ratio=12)])
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
-def test_sizes_are_met_from_below(scene, target, profile, guided):
+def test_sizes_are_met_from_below(scene, target, profile, guided, monkeypatch):
     ply_bytes = vertex_rows(scene).nbytes
-    guide = made_up_guide(seed=3) if guided else None
-    data, report = to_target(scene, Config(profile), target, ply_bytes, guide)
+    told = Guidance(made_up_sensitivity(scene, seed=3), 0.0, 1000 * scene.count, UNCHANGING)
+    monkeypatch.setattr(allocate, "guide", lambda *_: told)
+    targets = Targets((), (), False, (0.0, 0.0, 0.0)) if guided else None
+    data, report = to_target(scene, Config(profile), target, ply_bytes, targets)
     limit = target.limit(scene.count, ply_bytes)
     assert 0.98 * limit <= len(data) <= limit
     assert report.file_bytes == report.rate.file_bytes == len(data)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, made_up_guide, random_scene
+from scenes import edge_scenes, encode_by, made_up_guide, random_scene
 from typer.testing import CliRunner
 
 from gs_codec.cli.main import app
@@ -24,7 +24,7 @@ PAPERS = ("paper-l", "paper-m", "paper-s")
 
 def skipped(scene, profile, guide=None, **options):
     """The lines of a scene, that of the classes apart, which is in all that no views see."""
-    lines = inspect_bytes(encode_scene(scene, Config(profile, **options), guide=guide)[0]).skipped
+    lines = inspect_bytes(encode_by(scene, Config(profile, **options), guide)).skipped
     if profile in LATTICES and guide is None and scene.count:
         assert CLASSES in lines
     return [line for line in lines if line != CLASSES]
@@ -123,7 +123,7 @@ def test_classes_are_told_where_there_is_one():
 
 def test_one_table_for_all_contexts_is_told():
     scene, end = random_scene(60, 0, seed=204), ": one table for all contexts"
-    info = inspect_bytes(encode_scene(scene, Config("m"), guide=made_up_guide(seed=204))[0])
+    info = inspect_bytes(encode_by(scene, Config("m"), made_up_guide(seed=204)))
     told = next(line for line in info.skipped if line.endswith(end)).removesuffix(end).split(", ")
     for item in info.passes[1:]:
         assert (item.name in told or item.stream in told) == (item.tables == 1), item.name

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bounds import error_over_bound
-from scenes import made_up_guide, random_scene
+from scenes import encode_by, made_up_guide, random_scene
 from stress import stress_scenes
 
 from gs_codec.codec import decode_scene, encode_scene
@@ -104,7 +104,7 @@ def test_depths_of_ugly_channels_give_files_that_decode(case, depths):
 
 @pytest.mark.parametrize("case", set(CASES) - {"opacity of +-infinity"})
 def test_views_of_ugly_scenes_give_files_that_decode(case):
-    data, _ = encode_scene(CASES[case], Config("m"), guide=made_up_guide(seed=81))
+    data = encode_by(CASES[case], Config("m"), made_up_guide(seed=81))
     decoded = decode_scene(data)
     assert decoded.count == CASES[case].count
     assert all(np.isfinite(getattr(decoded, group)).all() for group in GROUPS)

@@ -19,7 +19,7 @@ from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import ToolFailed
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
-from gs_codec.planned import guide_of
+from gs_codec.planned import encode_planned
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.camera import Camera
@@ -117,8 +117,7 @@ def _guided(config: Config, plan: Plan, percent: float) -> Peer:
             chosen = replace(plan, steps=Steps(prune_loo=percent), views=_PRUNING_VIEWS)
             scene, report = prepare_scene(scene, chosen)
             targets = report.views.renders
-        guide = guide_of(scene, chosen, config, targets=targets)
-        return encode_scene(scene, config, guide=guide)[0]
+        return encode_planned(scene, config, chosen, targets=targets)[0]
 
     how = f", {percent:g} % pruned" if percent else GUIDED
     return replace(_camera_free(config), name=config.profile + how, encode=encode, once=True)

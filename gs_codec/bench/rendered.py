@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.bench.measure import sizes
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec import decode_scene
 from gs_codec.config import Config
 from gs_codec.io.ply import vertex_rows
 from gs_codec.metrics.views import compare_views
-from gs_codec.planned import guide_of
+from gs_codec.planned import encode_planned
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
@@ -33,8 +33,7 @@ def measure_quality(
     `plan`, encoding is guided by its views.
     """
     start = time.perf_counter()
-    guide = guide_of(scene, plan, config) if plan is not None else None
-    data, _ = encode_scene(scene, config, guide=guide)
+    data, _ = encode_planned(scene, config, plan)
     seconds = time.perf_counter() - start
     return {
         "kind": "rendered",

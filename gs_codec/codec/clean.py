@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,19 @@ from gs_codec.quantise import count_nonfinite
 from gs_codec.scene import GROUPS, Scene
 from gs_codec.storage import empty
 from gs_codec.workers import run_all
+
+
+def clean_scene(scene: Scene, config: Config) -> tuple[Scene, dict[str, Any]]:
+    """The scene as it can be coded, and what was changed: fields of `EncodeReport`.
+
+    Raises
+    ------
+    InvalidInput
+        If values are not finite and ``config.nonfinite`` is ``error``.
+    """
+    scene, dropped = drop_nonfinite(scene, config)
+    scene, zero_quaternions = identity_for_zero(scene)
+    return scene, {"dropped": dropped, "zero_quaternions": zero_quaternions}
 
 
 def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
+from gs_codec.codec.clean import clean_scene
 from gs_codec.codec.gpcc import encode_gpcc, tool_of, tool_section
-from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_encode import encode_lattice
 from gs_codec.codec.lossless import encode_lossless
 from gs_codec.codec.order import Ordered, order_scene
@@ -29,6 +27,7 @@ from gs_codec.entropy.rans import TableSet, encode_symbols
 from gs_codec.geometry.colour import encode_colour
 from gs_codec.geometry.count_tree import encode_geometry
 from gs_codec.geometry.tmc3 import Tmc3
+from gs_codec.lattice.fit import Steps
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all, using_threads
@@ -38,7 +37,7 @@ def encode_scene(
     scene: Scene,
     config: Config | None = None,
     progress: Progress | None = None,
-    guide: Callable[[Scene], Guidance] | None = None,
+    steps: Steps | None = None,
 ) -> tuple[bytes, EncodeReport]:
     """Encode a scene as `.egs`.
 
@@ -48,8 +47,9 @@ def encode_scene(
     config : Config, optional
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
-    guide : callable, optional
-        Looks at the scene for profiles ``l``, ``m`` and ``s``; without it they go by attributes.
+    steps : Steps, optional
+        Step sizes for profiles ``l``, ``m`` and ``s``, of each Gaussian; by default they follow
+        from its attributes.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def encode_scene(
         If `config` asks for G-PCC, and its program is not there or fails.
     """
     with using_threads(None if config is None else config.threads):
-        parts, report = encode_parts(scene, config, progress, guide)
+        parts, report = encode_parts(scene, config, progress, steps)
     return b"".join(parts), report
 
 
@@ -72,7 +72,7 @@ def encode_parts(
     scene: Scene,
     config: Config | None = None,
     progress: Progress | None = None,
-    guide: Callable[[Scene], Guidance] | None = None,
+    steps: Steps | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to what follows one another in the file; see `encode_scene`."""
     config = config or Config()
@@ -81,14 +81,10 @@ def encode_parts(
         return encode_lossless(scene, config, progress)
     times = StageTimes()
     with times.stage("check"):
-        scene, dropped = drop_nonfinite(scene, config)
-        scene, zero_quaternions = identity_for_zero(scene)
+        scene, changed = clean_scene(scene, config)
     if config.profile in LATTICE_PROFILES:
-        parts, report = encode_lattice(scene, config, guide, progress)
-        seconds = {**times.seconds, **report.seconds}
-        return parts, replace(
-            report, zero_quaternions=zero_quaternions, dropped=dropped, seconds=seconds
-        )
+        parts, report = encode_lattice(scene, config, steps, times, progress)
+        return parts, replace(report, **changed)
     depths, tool = config.resolved_depths(), tool_of(config)
     with times.stage("order"):
         ordered = order_scene(scene, depths["geometry"], depths["sh-dc"])
@@ -108,9 +104,8 @@ def encode_parts(
         section_bytes=section_sizes(sections),
         costs=coded.costs,
         rectified=coded.rectified,
-        zero_quaternions=zero_quaternions,
-        dropped=dropped,
         seconds=times.seconds,
+        **changed,
     )
 
 

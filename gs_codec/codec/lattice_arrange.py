@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codec.depths import as_deep, mean_octaves
-from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.layout import in_stream_order
-from gs_codec.config import Config, LatticeProfile
+from gs_codec.config import Config
 from gs_codec.lattice.blind import SH_RATIO, blind_coefficients
-from gs_codec.lattice.fit import Steps, features, finest_step, fit_steps, make_rule
+from gs_codec.lattice.fit import Steps, features, finest_step, make_rule
 from gs_codec.lattice.fixed import LARGEST, PLACES
 from gs_codec.lattice.lattice import Lattice, PositionGrid
 from gs_codec.lattice.place import to_grid
@@ -69,16 +68,22 @@ class Arranged:
     classes: NDArray[np.uint8]
 
 
-def arrange_scene(scene: Scene, config: Config, guidance: Guidance | None) -> Arranged:
-    """Choose the lattices and the stream order of a scene."""
-    profile = config.resolved_lattice()
+def arrange_scene(scene: Scene, config: Config, asked: Steps | None) -> Arranged:
+    """Choose the lattices and the stream order of a scene, by its attributes if no steps are asked.
+
+    Raises
+    ------
+    ValueError
+        If the steps are of another number of Gaussians.
+    """
     some = slice(None, None, max(1, scene.count // _SAMPLE))
     _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
-    if guidance is None or not scene.count:
-        none = np.zeros(scene.count, np.uint8)
-        steps = Steps(none, none, blind_coefficients(sampled, profile.fineness), (SH_RATIO,) * 3)
-    else:
-        steps = _guided_steps(scene, profile, guidance)
+    steps = asked
+    if steps is None:
+        none, fineness = np.zeros(scene.count, np.uint8), config.resolved_lattice().fineness
+        steps = Steps(none, none, blind_coefficients(sampled, fineness), (SH_RATIO,) * 3)
+    elif len(steps.shape_class) != scene.count:
+        raise ValueError(f"steps of {len(steps.shape_class)} Gaussians, expected {scene.count}")
     known = features(scene.opacity[0, some], sampled)
     if config.depths and scene.count:
         steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
@@ -88,20 +93,9 @@ def arrange_scene(scene: Scene, config: Config, guidance: Guidance | None) -> Ar
     keep = current().keep
     classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
     codes, narrow = keep(codes[order]), order.astype(np.uint32)
-    if guidance is None:
+    if asked is None:
         scene, narrow = in_stream_order(scene, narrow)
     return Arranged(scene, narrow, lattice, codes, classes)
-
-
-def _guided_steps(scene: Scene, profile: LatticeProfile, guidance: Guidance) -> Steps:
-    axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
-    sorted_axes = np.take_along_axis(guidance.sensitivity.log_scale, axes.astype(np.int64), 0)
-    sensitivity = guidance.sensitivity._replace(log_scale=sorted_axes)
-    # What all may add together, over the parameters that there are.
-    parameters = scene.count * (14 + len(scene.f_rest))
-    total = profile.error + profile.of_loss * guidance.loss
-    error = total * 3 * guidance.pixels / parameters
-    return fit_steps(sensitivity, scene.opacity[0], scales, error)
 
 
 def _codes(scene: Scene, grid: PositionGrid, threads: int | None) -> NDArray[np.int64]:

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.guidance import Guidance
 from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
 from gs_codec.codec.lattice_blocks import Block, ShapedBlock, colour_block, shape_block
-from gs_codec.config import Config, LatticeProfile
+from gs_codec.config import Config
 from gs_codec.container.carried import carried_sections
 from gs_codec.container.file import (
     Header,
@@ -25,6 +24,7 @@ from gs_codec.container.file import (
 from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
 from gs_codec.entropy.bits import BitWriter
 from gs_codec.entropy.passes import PassTables, PassWriter
+from gs_codec.lattice.fit import Steps
 from gs_codec.lattice.fixed import to_float
 from gs_codec.lattice.place import from_grid
 from gs_codec.lattice.plan import Pass, passes
@@ -35,6 +35,56 @@ from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, ste
 from gs_codec.scene import Scene, gather
 from gs_codec.transform.axes import quaternions
 from gs_codec.workers import run_all
+
+
+@dataclass(frozen=True)
+class ShapedScene:
+    """A scene whose colours alone are not rounded yet.
+
+    Attributes
+    ----------
+    header : Header
+    arranged : Arranged
+    blocks : list of ShapedBlock
+    threads : int or None
+    """
+
+    header: Header
+    arranged: Arranged
+    blocks: list[ShapedBlock]
+    threads: int | None
+
+    @property
+    def order(self) -> NDArray[np.uint32]:
+        """Which Gaussian of the source each of the stream is, ``(N,)``."""
+        return self.arranged.order
+
+    def decoded(self) -> Scene:
+        """The scene as it decodes, in stream order, but for its SH, which are the source's."""
+        grid = self.arranged.lattice.grid
+        shapes = [block.shape for block in self.blocks]
+        places = np.concatenate([block.places for block in self.blocks], axis=1)
+        return replace(
+            self.arranged.source.take(self.order),
+            positions=from_grid(places, np.array(grid.origin), grid.step),
+            opacity=np.float32(to_float(np.concatenate([s.opacity for s in shapes])))[None],
+            log_scale=np.float32(to_float(np.concatenate([s.scales for s in shapes], axis=1))),
+            rot=quaternions(to_float(np.concatenate([s.vectors for s in shapes], axis=1))),
+        )
+
+    def sh_steps(self) -> NDArray[np.float32]:
+        """Step sizes that SH-AC will have, the finest of all bands, ``(N,)`` in stream order."""
+        shifts = np.concatenate([block.shifts for block in self.blocks])
+        finest = min(self.arranged.lattice.units[f"sh{band}"] for band in (1, 2, 3))
+        return to_float(finest << shifts).astype(np.float32)
+
+    def with_colours(self, coloured: Scene) -> ShapedScene:
+        """The same with the SH of `coloured`, a scene in stream order."""
+        place = np.empty_like(self.order)
+        place[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
+        f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)
+        source = replace(self.arranged.source, f_dc=f_dc, f_rest=f_rest)
+        return replace(self, arranged=replace(self.arranged, source=source))
 
 
 @dataclass(frozen=True)
@@ -63,16 +113,96 @@ class Modelled:
 def encode_lattice(
     scene: Scene,
     config: Config,
-    guide: Callable[[Scene], Guidance] | None = None,
+    steps: Steps | None,
+    times: StageTimes,
     progress: Progress | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene without values that are not finite; see `encode_parts`."""
-    times = StageTimes()
-    modelled = model_lattice(scene, config, guide, times, progress)
+    """Encode a scene that `clean_scene` gave; see `encode_parts`."""
+    modelled = model_lattice(scene, config, steps, times, progress)
+    return _code(modelled, config.threads, times, progress)
+
+
+def encode_shaped(
+    shaped: ShapedScene, times: StageTimes, progress: Progress | None = None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene that `shape_scene` gave, with the colours that it has now."""
+    return _code(_model_shaped(shaped, times, progress), shaped.threads, times, progress)
+
+
+def shape_scene(scene: Scene, config: Config, steps: Steps, times: StageTimes) -> ShapedScene:
+    """Round all of a scene that `clean_scene` gave but its colours, by finished step sizes."""
+    header, arranged = _arrange(scene, config, steps, times)
+    with times.stage("quantise"):
+        spans = _spans(header)
+        blocks = run_all(lambda span: shape_block(arranged, *span), spans, config.threads)
+    return ShapedScene(header, arranged, blocks, config.threads)
+
+
+def model_lattice(
+    scene: Scene,
+    config: Config,
+    steps: Steps | None,
+    times: StageTimes,
+    progress: Progress | None = None,
+) -> Modelled:
+    """Everything of `encode_lattice` before symbols are coded."""
+    if steps is not None:
+        return _model_shaped(shape_scene(scene, config, steps, times), times, progress)
+    header, arranged = _arrange(scene, config, None, times)
+    advance = step_counter(progress, "quantise", header.block_count)
+
+    def both(span: tuple[int, int]) -> Block:
+        return colour_block(arranged, shape_block(arranged, *span), diffusing=True).kept()
+
+    with times.stage("quantise"):
+        blocks = run_all(both, _spans(header), config.threads, advance)
+    return _model(header, arranged, blocks, config.threads, times)
+
+
+def _model_shaped(shaped: ShapedScene, times: StageTimes, progress: Progress | None) -> Modelled:
+    header, arranged = shaped.header, shaped.arranged
+    advance = step_counter(progress, "quantise", header.block_count)
+
+    def colour(block: ShapedBlock) -> Block:
+        return colour_block(arranged, block, diffusing=False)
+
+    with times.stage("quantise"):
+        blocks = run_all(colour, shaped.blocks, shaped.threads, advance)
+    return _model(header, arranged, blocks, shaped.threads, times)
+
+
+def _arrange(
+    scene: Scene, config: Config, steps: Steps | None, times: StageTimes
+) -> tuple[Header, Arranged]:
+    size = even_block_size(scene.count, config.block_size)
+    header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
+    with times.stage("order"):
+        return header, arrange_scene(scene, config, steps)
+
+
+def _spans(header: Header) -> list[tuple[int, int]]:
+    return [header.block_range(block) for block in range(header.block_count)]
+
+
+def _model(
+    header: Header,
+    arranged: Arranged,
+    blocks: list[Block],
+    threads: int | None,
+    times: StageTimes,
+) -> Modelled:
+    listed = passes(len(arranged.source.f_rest) // 3)
+    with times.stage("model"):
+        models, costs = _models(listed, blocks, threads)
+    return Modelled(header, arranged, blocks, listed, models, costs)
+
+
+def _code(
+    modelled: Modelled, threads: int | None, times: StageTimes, progress: Progress | None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
     blocks, arranged = modelled.blocks, modelled.arranged
     with times.stage("code"):
-        advance = step_counter(progress, "code", len(blocks))
-        coded = code_blocks(modelled, config.threads, advance)
+        coded = code_blocks(modelled, threads, step_counter(progress, "code", len(blocks)))
     with times.stage("container"):
         lattice = write_lattice(arranged.lattice, modelled.models)
         sections = [Section(SectionId.LATTICE, 0, lattice)]
@@ -83,8 +213,8 @@ def encode_lattice(
         sections += carried_sections(arranged.source, arranged.order)
         parts = file_parts(modelled.header, sections)
     return parts, EncodeReport(
-        count=scene.count,
-        raw_bytes=scene.float_bytes,
+        count=arranged.source.count,
+        raw_bytes=arranged.source.float_bytes,
         section_bytes=section_sizes(sections),
         costs=modelled.costs,
         rectified=sum(block.clamped for block in blocks),
@@ -92,82 +222,6 @@ def encode_lattice(
         dropped=0,
         seconds=times.seconds,
     )
-
-
-def model_lattice(
-    scene: Scene,
-    config: Config,
-    guide: Callable[[Scene], Guidance] | None,
-    times: StageTimes,
-    progress: Progress | None = None,
-) -> Modelled:
-    """Everything of `encode_lattice` before symbols are coded."""
-    guidance = None
-    if guide is not None and scene.count:
-        with times.stage("views"):
-            guidance = guide(scene)
-    size = even_block_size(scene.count, config.block_size)
-    header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
-    with times.stage("order"):
-        arranged = arrange_scene(scene, config, guidance)
-    arranged, blocks = _quantise(header, arranged, guidance, config, times, progress)
-    listed = passes(len(scene.f_rest) // 3)
-    with times.stage("model"):
-        models, costs = _models(listed, blocks, config.threads)
-    return Modelled(header, arranged, blocks, listed, models, costs)
-
-
-def _quantise(
-    header: Header,
-    arranged: Arranged,
-    guidance: Guidance | None,
-    config: Config,
-    times: StageTimes,
-    progress: Progress | None,
-) -> tuple[Arranged, list[Block]]:
-    """Blocks on their lattices; with guidance, of the scene that this recolours on the way."""
-    threads = config.threads
-    ranges = [header.block_range(block) for block in range(header.block_count)]
-    advance = step_counter(progress, "quantise", len(ranges))
-    if guidance is None:
-
-        def both(span: tuple[int, int]) -> Block:
-            return colour_block(arranged, shape_block(arranged, *span), diffusing=True).kept()
-
-        with times.stage("quantise"):
-            return arranged, run_all(both, ranges, threads, advance)
-    with times.stage("quantise"):
-        shaped = run_all(lambda span: shape_block(arranged, *span), ranges, threads)
-    with times.stage("recolour"):
-        coloured = _recolour(arranged, shaped, guidance, config.resolved_lattice())
-    with times.stage("quantise"):
-        return coloured, run_all(
-            lambda block: colour_block(coloured, block, diffusing=False), shaped, threads, advance
-        )
-
-
-def _recolour(
-    arranged: Arranged, blocks: list[ShapedBlock], guidance: Guidance, profile: LatticeProfile
-) -> Arranged:
-    """Let views choose colours that make up for what shapes have lost."""
-    source, order, lattice = arranged.source, arranged.order, arranged.lattice
-    shapes = [block.shape for block in blocks]
-    places = np.concatenate([block.places for block in blocks], axis=1)
-    decoded = replace(
-        source.take(order),
-        positions=from_grid(places, np.array(lattice.grid.origin), lattice.grid.step),
-        opacity=np.float32(to_float(np.concatenate([s.opacity for s in shapes])))[None],
-        log_scale=np.float32(to_float(np.concatenate([s.scales for s in shapes], axis=1))),
-        rot=quaternions(to_float(np.concatenate([s.vectors for s in shapes], axis=1))),
-    )
-    shifts = np.concatenate([block.shifts for block in blocks])
-    finest = min(lattice.units[f"sh{band}"] for band in (1, 2, 3))
-    steps = to_float(finest << shifts).astype(np.float32)
-    coloured = guidance.refit(guidance.compact(decoded, order, steps, profile))
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order), dtype=order.dtype)
-    f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)
-    return replace(arranged, source=replace(source, f_dc=f_dc, f_rest=f_rest))
 
 
 def _models(

@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.guidance import Guidance
+from gs_codec.codec.lattice_encode import ShapedScene
 from gs_codec.config import LatticeProfile
+from gs_codec.lattice.fit import Steps, fit_steps
+from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.model.table import shannon_bits
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
@@ -20,6 +22,7 @@ from gs_codec.preparation.sh_weights import coefficients_of
 from gs_codec.preparation.targets import Targets
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
+from gs_codec.transform.axes import sort_axes
 from gs_codec.transform.ycocg import from_ycocg, to_ycocg
 
 #: Conjugate-gradient steps of the refit.
@@ -41,31 +44,72 @@ _EPS = 1e-12
 _LARGEST = 1 << 11
 
 
+@dataclass(frozen=True)
+class Guidance:
+    """What views say of a scene to be encoded.
+
+    Attributes
+    ----------
+    sensitivity : Sensitivity
+    loss : float
+        Mean squared error of an image value that the scene has already, pruned as it may be.
+    pixels : int
+        Of all views together.
+    colours : Colours
+    """
+
+    sensitivity: Sensitivity
+    loss: float
+    pixels: int
+    colours: Colours
+
+    def steps(self, scene: Scene, profile: LatticeProfile) -> Steps:
+        """Step sizes of the scene, or of it with other colours."""
+        return guided_steps(scene, profile, self.sensitivity, self.loss, self.pixels)
+
+    def recolour(self, shaped: ShapedScene, profile: LatticeProfile) -> ShapedScene:
+        """Compact and refit the SH of a scene whose shapes are rounded."""
+        decoded, steps = shaped.decoded(), shaped.sh_steps()
+        decoded = self.colours.compact(decoded, shaped.order, steps, profile)
+        return shaped.with_colours(self.colours.refit(decoded))
+
+
+def guided_steps(
+    scene: Scene, profile: LatticeProfile, sensitivity: Sensitivity, loss: float, pixels: int
+) -> Steps:
+    """Step sizes at which a scene loses what a profile allows; see `Guidance`."""
+    axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
+    sorted_axes = np.take_along_axis(sensitivity.log_scale, axes.astype(np.int64), 0)
+    # What all may add together, over the parameters that there are.
+    parameters = scene.count * (14 + len(scene.f_rest))
+    error = (profile.error + profile.of_loss * loss) * 3 * pixels / parameters
+    return fit_steps(sensitivity._replace(log_scale=sorted_axes), scene.opacity[0], scales, error)
+
+
 def guide(
     scene: Scene,
     views: Targets,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Guidance:
-    """What views say of a scene to be encoded.
-
-    Colours are refitted to the views' images once shapes are rounded and, where views tell enough
-    of them, compacted before: which is found out at the steps that are asked for first, sketches
-    aside.
-    """
+    """What views say of a scene to be encoded."""
     cameras = views.cameras
     loss = views.error(scene, progress)
     found, weights = sensitivity(
         scene, cameras, views.background, None, threads, progress, keep=scene.sh_degree > 0
     )
-    colours = _Colours(views, weights, threads, progress)
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, loss, pixels, colours.compact, colours.sketch, colours.refit)
+    return Guidance(found, loss, pixels, Colours(views, weights, threads, progress))
 
 
 @dataclass
-class _Colours:
-    """Colours that views choose.
+class Colours:
+    """Choice of colours for a scene whose shapes are rounded.
+
+    Scenes are given as they decode, in an order ``(N,)`` of the one that was looked at, but for
+    their SH, which are the original's; `steps` ``(N,)`` are what these will be quantised at. SH
+    are compacted where views tell enough of them, which is found out at the steps that are asked
+    for first, sketches aside.
 
     Attributes
     ----------
@@ -92,7 +136,7 @@ class _Colours:
         steps: NDArray[np.float32],
         profile: LatticeProfile,
     ) -> Scene:
-        """See `Guidance`."""
+        """A scene with fewer SH that are not 0."""
         if decoded.sh_degree and self.compacts is None:
             trial = self._compaction(order, steps, profile)
             self.compacts = trial.pays(decoded, self._operator_of(decoded))
@@ -105,13 +149,13 @@ class _Colours:
         steps: NDArray[np.float32],
         profile: LatticeProfile,
     ) -> Scene:
-        """See `Guidance`."""
+        """As `compact`, without asking whether views tell enough: quick, for sizes."""
         if not decoded.sh_degree or self.compacts is False:
             return decoded
         return self._compaction(order, steps, profile).whole(decoded)
 
     def refit(self, decoded: Scene) -> Scene:
-        """See `Guidance`."""
+        """A scene with SH that make up for what its shape, and compaction, have lost."""
         return refit_colour(
             decoded,
             self.views.cameras,

@@ -10,25 +10,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.codec.clean import drop_nonfinite, identity_for_zero
-from gs_codec.codec.guidance import Guidance
-from gs_codec.codec.lattice_encode import model_lattice
+from gs_codec.codec.clean import clean_scene
+from gs_codec.codec.lattice_encode import shape_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import inspect_bytes
+from gs_codec.preparation.guide import Colours, Guidance, guide
 from gs_codec.preparation.leave_one_out import leave_one_out
 from gs_codec.preparation.prune import keep_highest
-from gs_codec.preparation.targets import Views
+from gs_codec.preparation.targets import Targets, Views
 from gs_codec.rate.search import COARSEST, FINEST, expected, search
 from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes, step_counter
 from gs_codec.scene import Scene
-
-Guide = Callable[[Scene], Guidance]
 
 #: A size is met from below by at most this share.
 _SIZE_TOLERANCE = 0.02
@@ -80,7 +79,7 @@ def encode_to_target(
     config: Config,
     target: Target,
     limit: int | None,
-    guide: Guide | None = None,
+    targets: Targets | None = None,
     seen: Seen | None = None,
     progress: Progress | None = None,
 ) -> tuple[bytes, EncodeReport]:
@@ -94,8 +93,8 @@ def encode_to_target(
     target : Target
     limit : int or None
         Its most bytes, if it is a size.
-    guide : callable, optional
-        As for `encode_scene`.
+    targets : Targets, optional
+        What views should look like; without them steps follow from attributes.
     seen : Seen, optional
         A quality, and pruning, need it.
     progress : callable, optional
@@ -108,13 +107,12 @@ def encode_to_target(
     check_searchable(scene, config)
     if seen is None and (limit is None or target.allow_prune):
         raise InvalidInput("target: a quality, or pruning, needs views")
-    clean, dropped = drop_nonfinite(scene, config)
-    clean, zero_quaternions = identity_for_zero(clean)
+    clean, changed = clean_scene(scene, config)
     times = StageTimes()
     if seen is not None and target.allow_prune:
-        met, encodings = _meet_pruning(clean, config, target, limit, guide, seen, times, progress)
+        met, encodings = _meet_pruning(clean, config, target, limit, targets, seen, times, progress)
     else:
-        met = _meet(_begin(clean, config, guide, times), target, limit, seen, 0.0)
+        met = _meet(_begin(clean, config, targets, times, progress), target, limit, seen, 0.0)
         encodings = met.trials.number
     data, report = met.trials.last
     steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
@@ -130,9 +128,7 @@ def encode_to_target(
         clean.count - met.trials.scene.count,
         met.at_end,
     )
-    return data, replace(
-        report, dropped=dropped, zero_quaternions=zero_quaternions, seconds=times.seconds, rate=rate
-    )
+    return data, replace(report, **changed, seconds=times.seconds, rate=rate)
 
 
 def check_searchable(scene: Scene, config: Config) -> None:
@@ -178,6 +174,8 @@ class _Trials:
         How many there were, those for colours included.
     loss : float or None
         Decibels that views lose by `last`, where that was measured.
+    compacting : bool
+        Whether `refit` compacts SH first.
     """
 
     scene: Scene
@@ -189,6 +187,7 @@ class _Trials:
     last: tuple[bytes, EncodeReport] = field(init=False)
     number: int = 0
     loss: float | None = None
+    compacting: bool = True
 
     def __post_init__(self) -> None:
         self.coloured = self.scene
@@ -198,46 +197,45 @@ class _Trials:
 
     def size(self, place: float) -> int:
         """Encode, colours as they are; the bytes of the file."""
-        guide = self._guide(_measured)
+        config = self.config_at(place)
         with self.times.stage("search"):
-            self.last = encode_scene(self.coloured, self.config_at(place), guide=guide)
+            steps = None
+            if self.guidance is not None:
+                steps = self.guidance.steps(self.coloured, config.resolved_lattice())
+            self.last = encode_scene(self.coloured, config, steps=steps)
         self.place = place
         self.number += 1
         return len(self.last[0])
 
     def compact(self, place: float) -> None:
         """Let views choose which SH are left, for steps as coarse: about, a part of `refit`."""
-        self._recolour(place, lambda known: _measured(known, compact=known.sketch))
+        self._recolour(place, lambda colours, *shaped: colours.sketch(*shaped))
 
     def settle(self, place: float) -> None:
         """As `compact`, once it is asked whether views tell enough for that, which then holds."""
-        self._recolour(place, lambda known: _measured(known, compact=known.compact))
+        self._recolour(place, lambda colours, *shaped: colours.compact(*shaped))
 
     def refit(self, place: float) -> None:
         """Let views choose colours for steps as coarse."""
-        self._recolour(place, lambda known: known)
 
-    def leave_sh(self) -> None:
-        """Let `refit` do without compaction from now on."""
-        if self.guidance is not None:
-            self.guidance = _measured(self.guidance, refit=self.guidance.refit)
+        def both(colours: Colours, decoded: Scene, *steps: Any) -> Scene:
+            if self.compacting:
+                decoded = colours.compact(decoded, *steps)
+            return colours.refit(decoded)
 
-    def _recolour(self, place: float, changed: Callable[[Guidance], Guidance]) -> None:
+        self._recolour(place, both)
+
+    def _recolour(self, place: float, choose: Callable[..., Scene]) -> None:
+        assert self.guidance is not None
+        config = self.config_at(place)
+        profile = config.resolved_lattice()
         with self.times.stage("recolour"):
-            modelled = model_lattice(
-                self.scene, self.config_at(place), self._guide(changed), StageTimes()
-            )
-        self.coloured = modelled.arranged.source
+            steps = self.guidance.steps(self.scene, profile)
+            shaped = shape_scene(self.scene, config, steps, StageTimes())
+            asked = (shaped.decoded(), shaped.order, shaped.sh_steps(), profile)
+            shaped = shaped.with_colours(choose(self.guidance.colours, *asked))
+        self.coloured = shaped.arranged.source
         self.number += 1
-
-    def _guide(self, changed: Callable[[Guidance], Guidance]) -> Guide | None:
-        guidance = self.guidance
-        return None if guidance is None else lambda _: changed(guidance)
-
-
-def _measured(known: Guidance, **colours: Callable[..., Scene]) -> Guidance:
-    """What views measured, and of what they choose of colours this alone."""
-    return Guidance(known.sensitivity, known.loss, known.pixels, **colours)
 
 
 @dataclass(frozen=True)
@@ -258,7 +256,7 @@ def _meet_pruning(
     config: Config,
     target: Target,
     limit: int | None,
-    guide: Guide | None,
+    targets: Targets | None,
     seen: Seen,
     times: StageTimes,
     progress: Progress | None,
@@ -273,7 +271,7 @@ def _meet_pruning(
     refused: _OutOfReach | None = None
     least, place, encodings = math.inf, 0.0, 0
     for part in range(1, _MOST_PARTS + 1):
-        trials = _begin(scene, config, guide, times)
+        trials = _begin(scene, config, targets, times, progress)
         try:
             met = _meet(trials, target, limit, seen, place)
         except _OutOfReach as refusal:
@@ -303,10 +301,18 @@ def _meet_pruning(
     return best, encodings
 
 
-def _begin(scene: Scene, config: Config, guide: Guide | None, times: StageTimes) -> _Trials:
+def _begin(
+    scene: Scene,
+    config: Config,
+    targets: Targets | None,
+    times: StageTimes,
+    progress: Progress | None,
+) -> _Trials:
     """Trials of a scene, of which there were none yet."""
-    with times.stage("views"):
-        guidance = guide(scene) if guide is not None else None
+    guidance = None
+    if targets is not None:
+        with times.stage("views"):
+            guidance = guide(scene, targets, config.threads, progress)
     return _Trials(scene, config, guidance, times)
 
 
@@ -361,7 +367,7 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
         # Compaction may cost the views held out more than that, however weak it is.
-        trials.leave_sh()
+        trials.compacting = False
         found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import foreign
 import numpy as np
 from damage import ENTRY, HEADER, with_checksums
-from scenes import made_up_guide, random_scene
+from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.batch.ledger import Record, open_ledger
 from gs_codec.codec import decode_part, encode_scene
@@ -126,7 +126,7 @@ def _streams() -> list[bytes]:
                 extra = {"label": np.arange(_COUNT, dtype="<i4")}
                 scene = replace(scene, extra=extra, comments=("a comment",))
             streams.append(encode_scene(scene, Config(profile, extra="keep", block_size=1024))[0])
-    streams.append(encode_scene(random_scene(_COUNT, 2), Config("m"), guide=made_up_guide())[0])
+    streams.append(encode_by(random_scene(_COUNT, 2), Config("m"), made_up_guide()))
     return [bytes([first]) + stream for stream in streams for first in (9, 11, 13)]
 
 

@@ -17,9 +17,9 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from scenes import made_up_guide, random_scene  # noqa: E402
+from scenes import encode_by, made_up_guide, random_scene  # noqa: E402
 
-from gs_codec.codec import decode_scene, encode_scene  # noqa: E402
+from gs_codec.codec import decode_scene  # noqa: E402
 from gs_codec.config import Config  # noqa: E402
 from gs_codec.container.file import VERSION  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
@@ -79,7 +79,7 @@ def main() -> None:
         if stem.with_suffix(".egs").exists():
             print(f"{stem.name}: exists already, left as it is")
             continue
-        data, _ = encode_scene(scene, config, guide=GUIDES.get(name))
+        data = encode_by(scene, config, GUIDES.get(name))
         decoded = decode_scene(data)
         stem.with_suffix(".egs").write_bytes(data)
         planes = {group: getattr(decoded, group) for group in GROUPS}

@@ -12,18 +12,10 @@ from typing import TYPE_CHECKING, Literal
 from gs_codec.codec import decode_part, encode_parts, encode_scene
 from gs_codec.codec.part import Part
 from gs_codec.config import Config, Target
-from gs_codec.container.file import MAGIC
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
-from gs_codec.io import formats
 from gs_codec.io.atomic import atomic_writer, check_folder, check_writable, make_folder
-from gs_codec.io.formats import (
-    is_compressed,
-    is_read_in_parts,
-    read_foreign,
-    stored_bytes,
-    tell_format,
-)
+from gs_codec.io.formats import SceneFile, open_scene
 from gs_codec.io.limits import float_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
@@ -40,7 +32,7 @@ from gs_codec.planned import encode_goal, encode_planned
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene
 from gs_codec.slabs import opened_slabs
-from gs_codec.storage import bounded
+from gs_codec.storage import bounded, current
 from gs_codec.transform.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.workers import using_threads
 
@@ -155,13 +147,8 @@ def encode_file(
     check_target(source, target, (".egs",), overwrite)
     if report_folder is not None:
         check_folder(report_folder, overwrite)
-    if max_memory is not None:
-        if plan is not None or goal is not None:
-            raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
-        if is_egs(source) or not is_read_in_parts(source):
-            raise InvalidInput(
-                f"{source}: max-memory: only a binary PLY of floats is read in parts"
-            )
+    if max_memory is not None and (plan is not None or goal is not None):
+        raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
     with using_threads(config.threads), bounded(max_memory):
         return _encode_file(source, target, config, progress, plan, report_folder, goal, max_bytes)
 
@@ -177,16 +164,12 @@ def _encode_file(
     max_bytes: int | None,
 ) -> EncodeReport:
     start = time.perf_counter()
-    # Bits of a PLY or .egs stay as they are, and the comment that names another system.
-    stays = is_egs(source) or tell_format(source) == "ply"
-    system = None if stays else CONVENTION
-    scene = read_scene(source, config.extra, coordinates=system, max_bytes=max_bytes)
+    scene, size = _read_source(source, config.extra, max_bytes)
     read = time.perf_counter() - start
     with located(source):
         if plan is None and goal is None:
             parts, report = encode_parts(scene, config, progress)
         else:
-            size = raw_bytes(source, scene)
             data, report = _encode_by_plan(scene, size, config, plan, goal, report_folder, progress)
             parts = [data]
     start = time.perf_counter()
@@ -194,6 +177,22 @@ def _encode_file(
         file.writelines(parts)
     seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
     return replace(report, seconds=seconds)
+
+
+def _read_source(
+    source: str | Path, extra: Literal["error", "keep", "drop"], max_bytes: int | None
+) -> tuple[Scene, int]:
+    """The scene of a file, and the bytes that a ratio counts from: of a PLY, or of its floats."""
+    with open_scene(source) as file:
+        if current().limit is not None and (file.is_egs or not file.is_read_in_parts):
+            raise InvalidInput(
+                f"{source}: max-memory: only a binary PLY of floats is read in parts"
+            )
+        # Bits of a PLY or .egs stay as they are, and the comment that names another system.
+        stays = file.is_egs or file.format == "ply"
+        scene = _scene_of(file, extra, None, None if stays else CONVENTION, max_bytes)
+        counts = file.is_egs or file.is_compressed
+        return scene, scene.float_bytes if counts else file.stored_bytes
 
 
 def _encode_by_plan(
@@ -429,11 +428,22 @@ def read_scene(
     It is turned to the system `coordinates`; None leaves it in the file's, which
     `Scene.coordinates` names if that is not the convention's.
     """
-    if is_egs(path):
-        scene = _decode_ordered(path, progress, max_bytes)
+    with open_scene(path) as file:
+        return _scene_of(file, extra, progress, coordinates, max_bytes)
+
+
+def _scene_of(
+    file: SceneFile,
+    extra: Literal["error", "keep", "drop"],
+    progress: Progress | None,
+    coordinates: str | None,
+    max_bytes: int | None,
+) -> Scene:
+    if file.is_egs:
+        scene = _decode_ordered(file, progress, max_bytes)
     else:
-        scene = read_foreign(path, extra, max_bytes)
-    with located(path):
+        scene = file.scene(extra, max_bytes)
+    with located(file.path):
         return scene if coordinates is None else turn_scene(scene, coordinates)
 
 
@@ -446,31 +456,30 @@ def turn_scene(scene: Scene, coordinates: str) -> Scene:
 
 def source_bytes(path: str | Path) -> int:
     """Size of a scene in files."""
-    return os.path.getsize(path) if is_egs(path) else stored_bytes(path)
+    with open_scene(path) as file:
+        return len(file.data) if file.is_egs else file.stored_bytes
 
 
 def stated_bytes(path: str | Path) -> int:
     """Bytes of floats that the header of a scene's file says it holds."""
-    if is_egs(path):
-        info = inspect_file(path)
+    with open_scene(path) as file:
+        if not file.is_egs:
+            return file.stated_bytes()
+        with located(path):
+            info = inspect_bytes(file.data)
         return float_bytes(info.count, info.sh_degree)
-    return formats.stated_bytes(path)
-
-
-def raw_bytes(path: str | Path, scene: Scene) -> int:
-    """What a ratio counts from: the size of a PLY; of a compressed file's scene, of its floats."""
-    return scene.float_bytes if comes_compressed(path) else stored_bytes(path)
 
 
 def comes_compressed(path: str | Path) -> bool:
     """Whether a file has anything but plain numbers of a PLY."""
-    return is_egs(path) or is_compressed(path)
+    with open_scene(path) as file:
+        return file.is_egs or file.is_compressed
 
 
 def is_egs(path: str | Path) -> bool:
     """Whether a file is an `.egs` file, sound or not."""
-    with opened(path) as data:
-        return data[: len(MAGIC)] == MAGIC or Path(path).suffix.lower() == ".egs"
+    with open_scene(path) as file:
+        return file.is_egs
 
 
 def inspect_file(path: str | Path) -> Info:
@@ -511,9 +520,9 @@ def check_target(
     return suffix_of(target, known)
 
 
-def _decode_ordered(path: str | Path, progress: Progress | None, max_bytes: int | None) -> Scene:
+def _decode_ordered(file: SceneFile, progress: Progress | None, max_bytes: int | None) -> Scene:
     """A scene that tells its order."""
-    with opened(path) as view, located(path):
-        scene, file = decode_part(view, Part(), max_bytes=max_bytes, progress=progress)
-        order = order_of_file(describe(file))
+    with located(file.path):
+        scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
+        order = order_of_file(describe(read))
         return scene if order is None else with_order(scene, order)

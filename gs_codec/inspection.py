@@ -13,9 +13,9 @@ import numpy as np
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS
 from gs_codec.container.box import Box, read_box
 from gs_codec.container.carried import read_comments
-from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
+from gs_codec.container.channels import RANS_STREAMS, Channel, channels_of
 from gs_codec.container.file import DESCRIPTIONS, EgsFile, SectionId, read_file
-from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
+from gs_codec.container.lattice import PassModels, bounds_of, lattice_of
 from gs_codec.container.tool import read_tool
 from gs_codec.lattice.fixed import PLACES
 from gs_codec.lattice.lattice import Lattice, PositionGrid
@@ -201,7 +201,7 @@ def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
 def _lattice_details(file: EgsFile) -> dict[str, Any]:
     """What `Info` says of profiles `l`, `m` and `s`."""
     coefficients = SH_COEFFICIENTS[file.header.sh_degree]
-    lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
+    lattice, models = lattice_of(file)
     skipped = skipped_by_header(file.header)
     if file.header.count:
         skipped += skipped_by_lattice(lattice, models, coefficients)
@@ -234,7 +234,7 @@ def _bounds_of(file: EgsFile, lattice: Lattice) -> tuple[tuple[float, ...], tupl
     grid = lattice.grid
     low = high = np.array(grid.origin)
     if file.header.count:
-        boxes = read_bounds(file.section(SectionId.BOUNDS), file.header.block_count)
+        boxes = bounds_of(file)
         corners = np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
         low, high = np.array(grid.origin) + corners * (0.5 * grid.step)
     return tuple(low.tolist()), tuple(high.tolist())
@@ -262,8 +262,7 @@ def _channels_and_bounds(file: EgsFile) -> tuple[list[Channel], Box]:
     """The channels, if there are quantisers, and the box of the centres."""
     if file.header.profile == LOSSLESS:
         return [], read_box(file.section(SectionId.BOX))
-    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
-    channels = read_channels(file.section(SectionId.CHANNELS), coefficients)
+    channels = channels_of(file)
     axes = [channel.quantiser for channel in channels[:3]]
     top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
     return channels, (tuple(axis.origin for axis in axes), tuple(top))

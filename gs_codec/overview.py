@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gs_codec.container.box import Box
-from gs_codec.io.formats import is_compressed, read_foreign, stored_bytes, tell_format
+from gs_codec.io.formats import open_scene
 from gs_codec.scene import Scene
 
 
@@ -59,16 +59,18 @@ def overview_of(path: str | Path, max_bytes: int | None = None) -> Overview:
     InvalidInput
         If it is not a sound file of a format that is read.
     """
-    scene, name = read_foreign(path, "keep", max_bytes), tell_format(path)
+    with open_scene(path) as file:
+        scene, file_bytes = file.scene("keep", max_bytes), file.stored_bytes
+        name = "compressed ply" if file.format == "ply" and file.is_compressed else file.format
     return Overview(
-        "compressed ply" if name == "ply" and is_compressed(path) else name,
+        name,
         scene.count,
         scene.sh_degree,
         _bounds_of(scene),
         scene.coordinates,
         scene.antialiased,
         tuple(scene.extra),
-        stored_bytes(path),
+        file_bytes,
         scene.float_bytes,
     )
 

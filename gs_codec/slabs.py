@@ -12,11 +12,10 @@ from pathlib import Path
 from gs_codec.codec.decode import ChosenPart, choose_part
 from gs_codec.codec.part import Part
 from gs_codec.codec.room import slab_within
-from gs_codec.container.file import MAGIC
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.inspection import describe
-from gs_codec.io.formats import tell_format
-from gs_codec.io.mapped import located, opened
+from gs_codec.io.formats import SceneFile, open_scene
+from gs_codec.io.mapped import located
 from gs_codec.matching import Order, order_of_file, with_order
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
@@ -120,21 +119,21 @@ def opened_slabs(
     MissingTool
         If it uses G-PCC, and the program (`tmc3`, or what the environment says) is not there.
     """
-    with using_threads(threads), bounded(max_memory), opened(path) as view:
+    with using_threads(threads), bounded(max_memory), open_scene(path) as file:
         start = time.perf_counter()
-        _check_format(path, view)
+        _check_format(file)
         with located(path):
-            chosen = choose_part(view, part, threads, max_bytes, tmc3)
+            chosen = choose_part(file.data, part, threads, max_bytes, tmc3)
         yield Slabs(Path(path), chosen, progress, time.perf_counter() - start)
 
 
-def _check_format(path: str | Path, view: memoryview) -> None:
+def _check_format(file: SceneFile) -> None:
     """Refuse scenes of other formats, and say what reads them."""
-    if view[: len(MAGIC)] == MAGIC:
-        return
     with suppress(InvalidInput):
-        name = tell_format(path)
-        raise CorruptStream(f"{path}: {name}, not an .egs file; `convert` reads other formats")
+        if file.format != "egs":
+            raise CorruptStream(
+                f"{file.path}: {file.format}, not an .egs file; `convert` reads other formats"
+            )
 
 
 @dataclass(frozen=True)

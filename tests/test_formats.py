@@ -22,7 +22,7 @@ from test_ply import assert_one_line
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files import read_scene, write_scene
-from gs_codec.io.formats import tell_format
+from gs_codec.io.formats import open_scene
 from gs_codec.io.splat import pack_splat
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 
@@ -635,7 +635,8 @@ def test_what_is_no_scene_is_refused_in_one_line(data, tmp_path):
 
 def test_json_is_told_by_its_beginning(tmp_path):
     path = written(tmp_path / "scene", json.dumps({"version": 2}).encode())
-    assert tell_format(path) == "sog"
+    with open_scene(path) as file:
+        assert file.format == "sog"
     with pytest.raises(InvalidInput, match="no 'means'"):
         read_scene(path)
 

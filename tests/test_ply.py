@@ -308,7 +308,7 @@ def test_numbers_too_large_for_a_float_are_infinite(number, tmp_path):
 
 LIST = "property list uchar float "
 BAD_FILES = {
-    "empty": (lambda good: b"", "expected 'ply'"),
+    "empty": (lambda good: b"", "empty file"),
     "text": (lambda good: b"hello\nworld\n", "expected 'ply'"),
     "UTF-8 text": (lambda good: "hällo".encode(), "expected 'ply'"),
     "binary": (lambda good: bytes(range(256)), "PLY"),

@@ -13,8 +13,8 @@ from scenes import encode_by, made_up_guide, random_scene
 from stress import stress_scenes
 
 from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codec.symbols import sent_table_bytes
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
-from gs_codec.container.channels import sent_table_bytes
 from gs_codec.errors import InvalidInput
 from gs_codec.inspection import inspect_bytes
 from gs_codec.model.laplace import LaplaceModel

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codec.gpcc import decode_gpcc, is_gpcc
 from gs_codec.codec.order import triple_depths
-from gs_codec.container.channels import RANS_STREAMS, Channel, read_channels
+from gs_codec.container.channels import RANS_STREAMS, Channel, channels_of
 from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.entropy.rans import TableSet, decode_symbols
 from gs_codec.geometry.colour import decode_colour
@@ -25,12 +25,6 @@ from gs_codec.transform.morton import decode_morton
 from gs_codec.workers import run_all
 
 _POINTS = {SectionId.GEOMETRY, SectionId.SH_DC}
-
-
-def channels_of(file: EgsFile) -> list[Channel]:
-    """The channels of a file, in stream order."""
-    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
-    return read_channels(file.section(SectionId.CHANNELS), coefficients)
 
 
 def channel_sections(file: EgsFile) -> set[SectionId]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.container.file import EgsFile, SectionId
-from gs_codec.container.lattice import PassModels, read_bounds, read_lattice
+from gs_codec.container.lattice import PassModels, bounds_of, lattice_of
 from gs_codec.entropy.bits import BitReader
 from gs_codec.entropy.passes import PassReader, PassTables
 from gs_codec.errors import CorruptStream, TruncatedStream
@@ -56,10 +56,8 @@ def decode_lattice(
 
 def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest x, y, z of the centres of each block, each ``(blocks, 3)``."""
-    lattice, _ = read_lattice(
-        file.section(SectionId.LATTICE), SH_COEFFICIENTS[file.header.sh_degree]
-    )
-    boxes = read_bounds(file.section(SectionId.BOUNDS), file.header.block_count)
+    lattice, _ = lattice_of(file)
+    boxes = bounds_of(file)
     # As positions are: rounded to float32.
     corners = [
         from_grid(part.T, np.array(lattice.grid.origin), lattice.grid.step).T.astype(np.float64)
@@ -89,7 +87,7 @@ class LatticeDecoder:
     def of(cls, file: EgsFile, sh_degree: int, count: int) -> LatticeDecoder:
         """Read how blocks are coded, and make room for `count` Gaussians of a degree."""
         coefficients = SH_COEFFICIENTS[file.header.sh_degree]
-        lattice, models = read_lattice(file.section(SectionId.LATTICE), coefficients)
+        lattice, models = lattice_of(file)
         kept = SH_COEFFICIENTS[sh_degree]
         rows = {
             "positions": 3,
@@ -101,10 +99,7 @@ class LatticeDecoder:
         }
         groups = {g: np.zeros((n, count), np.float32) for g, n in rows.items()}
         tables = PassTables.pack(models.tables())
-        boxes = np.zeros((0, 6), np.int64)
-        if file.header.count:
-            boxes = read_bounds(file.section(SectionId.BOUNDS), file.header.block_count)
-        return cls(file, lattice, models, tables, coefficients, kept, boxes, groups)
+        return cls(file, lattice, models, tables, coefficients, kept, bounds_of(file), groups)
 
     def decode(self, block: int, start: int, stop: int) -> None:
         """Fill the groups of a block."""

@@ -21,15 +21,16 @@ from gs_codec.container.file import (
     file_parts,
     section_sizes,
 )
-from gs_codec.container.lattice import PassModels, fit_weights, write_bounds, write_lattice
+from gs_codec.container.lattice import MANTISSA, PassModels, write_bounds, write_lattice
 from gs_codec.entropy.bits import BitWriter
-from gs_codec.entropy.passes import PassTables, PassWriter
+from gs_codec.entropy.passes import PRECISION, PassTables, PassWriter
 from gs_codec.lattice.fit import Steps
 from gs_codec.lattice.fixed import to_float
 from gs_codec.lattice.place import from_grid
 from gs_codec.lattice.plan import Pass, passes
 from gs_codec.lattice.tokens import ALPHABET
 from gs_codec.model.contexts import ContextTables, share_tables
+from gs_codec.model.sent import SentModel
 from gs_codec.model.table import shannon_bits
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.scene import Scene, gather
@@ -241,7 +242,7 @@ def _models(
     costs = []
     for p, (item, found) in enumerate(zip(listed, shared, strict=True)):
         rows.append(len(weights) + found.table_of)
-        fitted = [fit_weights(histogram) for histogram in found.histograms]
+        fitted = [_fit_weights(histogram) for histogram in found.histograms]
         models = PassModels([], fitted).tables()
         coded = sum(
             table.code_length(histogram[: len(table.frequencies)])
@@ -254,6 +255,12 @@ def _models(
         )
         weights += fitted
     return PassModels(rows, weights), costs
+
+
+def _fit_weights(histogram: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Weights of a table that is sent."""
+    used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
+    return SentModel.fit(used, MANTISSA, PRECISION).weights
 
 
 def code_blocks(

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from gs_codec.codec.order import order_scene
 from gs_codec.config import Config
-from gs_codec.container.channels import RANS_STREAMS, Channel, channel_places, sent_table_bytes
+from gs_codec.container.channels import RANS_STREAMS, Channel, channel_places
+from gs_codec.entropy.tables import encode_tables
 from gs_codec.model.select import Choice, choose_model
+from gs_codec.model.sent import SentModel
 from gs_codec.model.table import FrequencyTable
 from gs_codec.quantise import Quantiser, fit_centred, fit_range, quantise
 from gs_codec.report import ChannelCost, Progress, step_counter
@@ -121,3 +123,8 @@ def _cost(channel: Channel, choice: Choice) -> ChannelCost:
         choice.parametric_bits,
         choice.shannon_bits,
     )
+
+
+def sent_table_bytes(model: SentModel) -> int:
+    """Bytes one sent table takes, if it were alone."""
+    return 1 + len(encode_tables([model.weights], [model.mantissa]))

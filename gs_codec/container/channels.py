@@ -11,6 +11,7 @@ import numpy as np
 
 from gs_codec.config import MAX_DEPTH
 from gs_codec.container.bytes import ByteReader
+from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.entropy.tables import decode_tables, encode_tables
 from gs_codec.errors import CorruptStream
 from gs_codec.model.laplace import LaplaceModel
@@ -19,6 +20,7 @@ from gs_codec.model.select import Model
 from gs_codec.model.sent import MAX_MANTISSA, SentModel
 from gs_codec.model.table import MAX_PRECISION, MIN_PRECISION
 from gs_codec.quantise import CentredQuantiser, ConstantQuantiser, Quantiser, RangeQuantiser
+from gs_codec.scene import SH_COEFFICIENTS
 
 _QUANTISERS = (ConstantQuantiser, RangeQuantiser, CentredQuantiser)
 _MODELS = (LaplaceModel, MixtureModel, SentModel)
@@ -102,9 +104,10 @@ def write_channels(channels: Iterable[Channel]) -> bytes:
     return bytes(out) + encode_tables([m.weights for m in sent], [m.mantissa for m in sent])
 
 
-def sent_table_bytes(model: SentModel) -> int:
-    """Bytes one sent table takes, if it were alone."""
-    return 1 + len(encode_tables([model.weights], [model.mantissa]))
+def channels_of(file: EgsFile) -> list[Channel]:
+    """The channels of a file, in stream order."""
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    return file.parsed(SectionId.CHANNELS, lambda data: read_channels(data, coefficients))
 
 
 def read_channels(data: memoryview, coefficients: int) -> list[Channel]:

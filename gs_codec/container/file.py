@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from crc32c import crc32c
 
@@ -16,6 +16,8 @@ from gs_codec.container.bytes import ByteReader
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import SH_COEFFICIENTS
 from gs_codec.storage import current
+
+Parsed = TypeVar("Parsed")
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
 VERSION = 1
@@ -149,6 +151,13 @@ class EgsFile:
     table: dict[tuple[int, int], Entry]
     sections: dict[tuple[int, int], memoryview]
     version: int
+    _parsed: dict[SectionId, Any] = field(default_factory=dict, repr=False)
+
+    def parsed(self, section_id: SectionId, parse: Callable[[memoryview], Parsed]) -> Parsed:
+        """What a section of the whole scene says, parsed once however often it is asked for."""
+        if section_id not in self._parsed:
+            self._parsed[section_id] = parse(self.section(section_id))
+        return self._parsed[section_id]
 
     @property
     def sizes(self) -> dict[tuple[int, int], int]:

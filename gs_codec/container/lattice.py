@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.container.bytes import ByteReader
+from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.entropy.passes import PRECISION
 from gs_codec.entropy.tables import decode_tables, encode_tables
 from gs_codec.errors import CorruptStream
@@ -20,14 +21,18 @@ from gs_codec.lattice.rules import MAX_SHIFT, StepRule
 from gs_codec.lattice.tokens import ALPHABET
 from gs_codec.model.sent import SentModel
 from gs_codec.model.table import FrequencyTable
+from gs_codec.scene import SH_COEFFICIENTS
 
 _WHERE = "section 'lattice'"
 
 #: Mantissa bits of a sent table's weights.
-_MANTISSA = 3
+MANTISSA = 3
 
 #: A step is below 2 to this, in 1 / 2**20.
 _STEP_BITS = 31
+
+#: Intercept, of opacity, of three scales, limit.
+_RULE = "5iB"
 
 #: What has a rule of its own.
 RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
@@ -46,17 +51,10 @@ class PassModels:
 
     def tables(self) -> list[FrequencyTable]:
         """Frequency tables of precision `PRECISION`."""
-        return [SentModel(w, _MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights]
+        return [SentModel(w, MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights]
 
 
 UNITS = ("opacity", "scaling", "rotation", "sh-dc", "sh1", "sh2", "sh3")
-
-
-def fit_weights(histogram: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Weights of a table that is sent."""
-    last = int(np.flatnonzero(histogram)[-1]) if histogram.any() else 0
-    histogram = histogram[: last + 1] if histogram.any() else np.ones(1, np.int64)
-    return SentModel.fit(histogram, _MANTISSA, PRECISION).weights
 
 
 def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
@@ -66,13 +64,28 @@ def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
     out += struct.pack("<2B2i", *lattice.classes, *lattice.centres)
     out += struct.pack(f"<{len(UNITS)}I", *(lattice.units[name] for name in UNITS))
     for name in RULES:
-        out += lattice.rules[name].pack()
+        rule = lattice.rules[name]
+        out += struct.pack("<" + _RULE, rule.intercept, rule.opacity, *rule.scales, rule.limit)
     for rows in models.rows:
         # Tables of neighbours: whether a context begins the next one.
         out += np.packbits(np.diff(rows, prepend=rows[:1]).astype(bool)).tobytes()
     out += struct.pack("<H", len(models.weights))
     out += struct.pack(f"<{len(models.weights)}H", *(len(w) for w in models.weights))
-    return bytes(out) + encode_tables(models.weights, [_MANTISSA] * len(models.weights))
+    return bytes(out) + encode_tables(models.weights, [MANTISSA] * len(models.weights))
+
+
+def lattice_of(file: EgsFile) -> tuple[Lattice, PassModels]:
+    """Lattices and tables of a file; see `read_lattice`."""
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    return file.parsed(SectionId.LATTICE, lambda data: read_lattice(data, coefficients))
+
+
+def bounds_of(file: EgsFile) -> NDArray[np.int64]:
+    """Bounds of the blocks of a file; see `read_bounds`."""
+    blocks = file.header.block_count
+    if not blocks:
+        return np.zeros((0, 6), np.int64)
+    return file.parsed(SectionId.BOUNDS, lambda data: read_bounds(data, blocks))
 
 
 def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassModels]:
@@ -102,7 +115,7 @@ def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassMode
 
 
 def _read_rule(reader: ByteReader) -> StepRule:
-    intercept, opacity, *scales, limit = reader.unpack(StepRule.FORMAT)
+    intercept, opacity, *scales, limit = reader.unpack(_RULE)
     return StepRule(intercept, opacity, (scales[0], scales[1], scales[2]), limit)
 
 
@@ -137,7 +150,7 @@ def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
     alphabets = list(reader.unpack(f"{number}H"))
     if not all(1 <= size <= ALPHABET for size in alphabets):
         raise CorruptStream(f"{_WHERE}: an alphabet out of range")
-    weights = decode_tables(reader.rest(), alphabets, [_MANTISSA] * number, _WHERE)
+    weights = decode_tables(reader.rest(), alphabets, [MANTISSA] * number, _WHERE)
     return PassModels(rows, weights)
 
 

@@ -1,28 +1,32 @@
-"""Formats of scenes beside `.egs`, told apart by content first and by suffix second."""
+"""Formats of scenes, told apart by content first and by suffix second."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
+from gs_codec.container.file import MAGIC as EGS
 from gs_codec.errors import InvalidInput
 from gs_codec.io import packed_ply, sog, spz
 from gs_codec.io.limits import float_bytes
-from gs_codec.io.mapped import located, opened
+from gs_codec.io.mapped import opened
 from gs_codec.io.packed_ply import is_packed
-from gs_codec.io.ply import read_ply
-from gs_codec.io.ply_header import PlyHeader, read_header
+from gs_codec.io.ply import scene_of
+from gs_codec.io.ply_body import Ply, ply_of
 from gs_codec.io.sog import read_sog, sog_bytes
 from gs_codec.io.sog_files import ZIP
 from gs_codec.io.splat import RECORD, read_splat
 from gs_codec.io.spz import GZIP, MAGIC, read_spz
 from gs_codec.scene import Scene
 
-Format = Literal["ply", "splat", "spz", "sog"]
+Format = Literal["egs", "ply", "splat", "spz", "sog"]
 
 _BY_SUFFIX: dict[str, Format] = {
+    ".egs": "egs",
     ".ply": "ply",
     ".splat": "splat",
     ".spz": "spz",
@@ -31,6 +35,7 @@ _BY_SUFFIX: dict[str, Format] = {
 }
 
 _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
+    (EGS, "egs"),
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
     (MAGIC, "spz"),
@@ -41,81 +46,108 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
 _BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((GZIP, "spz"), (b"{", "sog"))
 
 
-def tell_format(path: str | Path) -> Format:
-    """The format of a file that is no `.egs`.
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene's file, opened once: what it is, and what its first bytes say.
 
-    Raises
-    ------
-    InvalidInput
-        If it cannot be opened, or is none that is read.
+    Attributes
+    ----------
+    path : Path
+    data : memoryview
+        All bytes of the file, mapped.
     """
-    with opened(path) as data:
-        head = bytes(data[:16])
-    suffix = Path(path).suffix.lower()
-    known = _BY_CONTENT if suffix == ".splat" else _BY_CONTENT + _BY_LITTLE
-    for begin, name in known:
-        if head.startswith(begin):
-            return name
-    if suffix not in _BY_SUFFIX:
-        raise InvalidInput(
-            f"{path}: begins with {head[:4]!a}, expected .egs, {', '.join(_BY_SUFFIX)} of a scene"
-        )
-    return _BY_SUFFIX[suffix]
 
+    path: Path
+    data: memoryview
 
-def stored_bytes(path: str | Path) -> int:
-    """Size of a scene: of its file, or of all its files."""
-    return sog_bytes(path) if tell_format(path) == "sog" else Path(path).stat().st_size
+    @cached_property
+    def format(self) -> Format:
+        """The format, told by content and suffix.
 
+        Raises
+        ------
+        InvalidInput
+            If it is none that is read.
+        """
+        head, suffix = bytes(self.data[:16]), self.path.suffix.lower()
+        known = _BY_CONTENT if suffix == ".splat" else _BY_CONTENT + _BY_LITTLE
+        for begin, name in known:
+            if head.startswith(begin):
+                return name
+        if suffix not in _BY_SUFFIX:
+            listed = ", ".join(_BY_SUFFIX)
+            raise InvalidInput(
+                f"{self.path}: begins with {head[:4]!a}, expected {listed} of a scene"
+            )
+        return _BY_SUFFIX[suffix]
 
-def stated_bytes(path: str | Path) -> int:
-    """Bytes of floats that a file that is no `.egs` says it holds; nothing else of it is read.
+    @property
+    def is_egs(self) -> bool:
+        """Whether it is an `.egs` file, sound or not."""
+        return self.data[: len(EGS)] == EGS or self.path.suffix.lower() == ".egs"
 
-    Raises
-    ------
-    InvalidInput
-        If it does not say so.
-    """
-    sizes = {"spz": spz.stated_size, "sog": sog.stated_size}
-    name = tell_format(path)
-    if name in sizes:
-        return float_bytes(*sizes[name](path))
-    with opened(path) as data, located(path):
-        if name == "splat":
-            return float_bytes(len(data) // RECORD, 0)
-        header = read_header(np.frombuffer(data, np.uint8))
+    @cached_property
+    def ply(self) -> Ply:
+        """The file as a PLY."""
+        return ply_of(self.path, self.data)
+
+    @property
+    def is_compressed(self) -> bool:
+        """Whether the file has anything but plain numbers of a PLY."""
+        return self.format != "ply" or is_packed(self.ply.header)
+
+    @property
+    def is_read_in_parts(self) -> bool:
+        """Whether it can be read without all of it being in memory."""
+        return not self.is_compressed and bool(self.ply.header.byte_order)
+
+    @property
+    def stored_bytes(self) -> int:
+        """Size of the scene: of this file, or of all its files."""
+        return sog_bytes(self.path) if self.format == "sog" else len(self.data)
+
+    def stated_bytes(self) -> int:
+        """Bytes of floats that a file that is no `.egs` says it holds; nothing else of it is read.
+
+        Raises
+        ------
+        InvalidInput
+            If it does not say so.
+        """
+        sizes = {"spz": spz.stated_size, "sog": sog.stated_size}
+        if self.format in sizes:
+            return float_bytes(*sizes[self.format](self.path))
+        if self.format == "splat":
+            return float_bytes(len(self.data) // RECORD, 0)
+        header = self.ply.header
         if is_packed(header):
             return float_bytes(*packed_ply.stated_size(header))
         return sum(4 * e.count * len(e.types) for e in header.elements if e.name == "vertex")
 
+    def scene(
+        self, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
+    ) -> Scene:
+        """Read a scene of any format but `.egs`; of `extra` and `max_bytes` see `read_ply`.
 
-def is_read_in_parts(path: str | Path) -> bool:
-    """Whether a file that is no `.egs` can be read without all of it being in memory."""
-    return not is_compressed(path) and bool(_header_of(path).byte_order)
+        Raises
+        ------
+        InvalidInput
+            If it is not a sound file of a format that is read.
+        """
+        if self.format == "ply":
+            return scene_of(self.ply, extra, max_bytes)
+        readers = {"splat": read_splat, "spz": read_spz, "sog": read_sog}
+        return readers[self.format](self.path, max_bytes)
 
 
-def is_compressed(path: str | Path) -> bool:
-    """Whether a file that is no `.egs` has anything but plain numbers of a PLY."""
-    return tell_format(path) != "ply" or is_packed(_header_of(path))
-
-
-def _header_of(path: str | Path) -> PlyHeader:
-    with opened(path) as data, located(path):
-        return read_header(np.frombuffer(data, np.uint8))
-
-
-def read_foreign(
-    path: str | Path,
-    extra: Literal["error", "keep", "drop"] = "error",
-    max_bytes: int | None = None,
-) -> Scene:
-    """Read a scene of any format but `.egs`; of `extra` and `max_bytes` see `read_ply`.
+@contextmanager
+def open_scene(path: str | Path) -> Iterator[SceneFile]:
+    """A scene's file, of any format, while it is open.
 
     Raises
     ------
     InvalidInput
-        If it is not a sound file of a format that is read.
+        If it is missing, empty, a directory, or not readable.
     """
-    readers = {"splat": read_splat, "spz": read_spz, "sog": read_sog}
-    name = tell_format(path)
-    return read_ply(path, extra, max_bytes) if name == "ply" else readers[name](path, max_bytes)
+    with opened(path) as data:
+        yield SceneFile(Path(path), data)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import atomic_writer
 from gs_codec.io.limits import check_bytes
-from gs_codec.io.mapped import located
+from gs_codec.io.mapped import located, opened
 from gs_codec.io.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
-from gs_codec.io.ply_body import Ply, open_ply
+from gs_codec.io.ply_body import Ply, ply_of
 from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene
 from gs_codec.storage import empty
 from gs_codec.transform.planar import to_planes, to_rows
@@ -69,8 +69,17 @@ def read_ply(
     InvalidInput
         If the file is not a PLY, is truncated, or lacks or adds properties.
     """
-    path = Path(path)
-    ply = open_ply(path)
+    with opened(path) as data:
+        return scene_of(ply_of(path, data), extra, max_bytes)
+
+
+def scene_of(
+    ply: Ply, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
+) -> Scene:
+    """The scene of a PLY; see `read_ply`."""
+    path = ply.path
+    if ply.header.obj_info:
+        log.warning("%s: %d obj_info lines not kept", path, ply.header.obj_info)
     with located(path):
         packed = is_packed(ply.header)
         _check_elements(ply, PACKED_ELEMENTS if packed else ("vertex",), extra)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import os
 import warnings
 from dataclasses import dataclass
 from itertools import islice
@@ -17,7 +16,6 @@ from gs_codec.errors import InvalidInput
 from gs_codec.io.limits import refusing
 from gs_codec.io.mapped import located
 from gs_codec.io.ply_header import Element, PlyHeader, read_header
-from gs_codec.storage import current
 
 log = logging.getLogger(__name__)
 
@@ -110,26 +108,15 @@ def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
     return rows
 
 
-def open_ply(path: str | Path) -> Ply:
-    """Map a PLY file and read its header.
+def ply_of(path: str | Path, data: memoryview) -> Ply:
+    """The PLY of a file's bytes, its header read.
 
     Raises
     ------
     InvalidInput
-        If it cannot be opened, or is no PLY file.
+        If it is no PLY file.
     """
-    path = Path(path)
-    if os.path.isdir(path):
-        raise InvalidInput(f"{path}: a directory, expected a PLY file")
-    try:
-        data = np.memmap(path, np.uint8, "r")
-    except ValueError:
-        raise InvalidInput(f"{path}: empty file, expected 'ply'") from None
-    except OSError as error:
-        raise InvalidInput(f"{path}: {error.strerror or error}") from error
-    current().watch(data._mmap)  # type: ignore[attr-defined]
+    array = np.frombuffer(data, np.uint8)
     with located(path):
-        header = read_header(data)
-    if header.obj_info:
-        log.warning("%s: %d obj_info lines not kept", path, header.obj_info)
-    return Ply(path, header, data)
+        header = read_header(array)
+    return Ply(Path(path), header, array)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +30,6 @@ class StepRule:
     scales: tuple[int, int, int] = (0, 0, 0)
     limit: int = MAX_SHIFT
 
-    FORMAT: ClassVar[str] = "5iB"
-
     def shifts(
         self,
         classes: NDArray[np.integer],
@@ -56,12 +52,6 @@ class StepRule:
         out = np.empty(len(classes), np.int64)
         _shifts(numbers, self.limit, weight, classes, opacity, scales, out)
         return out
-
-    def pack(self) -> bytes:
-        """The rule as bytes."""
-        return struct.pack(
-            "<" + self.FORMAT, self.intercept, self.opacity, *self.scales, self.limit
-        )
 
 
 @kernel

@@ -25,12 +25,16 @@ demo: $(VENV)/installed
 	@echo "    $(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json"
 	@echo "Next: samples/TUTORIAL.md, five minutes; or $(BIN)/gs-codec encode YOUR.ply YOUR.egs"
 
+# Tests run on WORKERS processors at once, by default all. A worker that is done takes tests from another.
+WORKERS ?= logical
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
 # Tests of what is not installed are skipped, and say what they miss; `make test-all` installs it.
 test: $(VENV)/installed-test
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 test-all: $(VENV)/installed-all
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 lint: $(VENV)/installed-test
 	$(BIN)/ruff check .
@@ -89,7 +93,7 @@ peers: $(VENV)/installed
 # Every index of every kernel checked; kernels so compiled are kept apart from the others.
 boundscheck: $(VENV)/installed-test
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/boundscheck \
-	    $(BIN)/python -m pytest --ignore tests/test_viewer_window.py $(TESTS)
+	    $(PYTEST) --ignore tests/test_viewer_window.py $(TESTS)
 
 $(VENV)/installed: pyproject.toml .ci/system-packages
 	@echo "Installing gs-codec into $(VENV): a gigabyte, the most of it Open3D, scipy and numba; minutes the first time"
@@ -99,7 +103,7 @@ $(VENV)/installed: pyproject.toml .ci/system-packages
 	@touch $@
 
 $(VENV)/installed-test: $(VENV)/installed
-	@echo "Installing what tests and lint run on: pytest, hypothesis, matplotlib, pdoc, ruff, mypy"
+	@echo "Installing what tests and lint run on: pytest, pytest-xdist, hypothesis, matplotlib, pdoc, ruff, mypy"
 	$(PIP) install -e '.[test]'
 	@touch $@
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import signal
 from pathlib import Path
 from typing import NamedTuple
@@ -76,3 +77,16 @@ def trio(tmp_path_factory: pytest.TempPathFactory) -> Trio:
     encode_file(paths.ply, paths.egs, Config("paper-m"))
     decode_file(paths.egs, paths.decoded)
     return paths
+
+
+@pytest.fixture
+def folder(trio, tmp_path, monkeypatch, capsys):
+    """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
+    from test_cameras import inria_entry, write_json
+    from test_cli import Folder
+
+    for path in trio:
+        shutil.copy(path, tmp_path)
+    write_json(tmp_path / "cameras.json", inria_entry(width=40, height=30, fx=40.0, fy=40.0))
+    monkeypatch.chdir(tmp_path)
+    return Folder(tmp_path, monkeypatch, capsys)

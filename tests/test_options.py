@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import re
-import shutil
 
 import pytest
-from test_cameras import inria_entry, write_json
-from test_cli import Folder
 from typer.main import get_command
 
 from gs_codec.cli.bench import _OPTIONS, _USED, app
@@ -57,16 +54,6 @@ IGNORED |= {
     for mode, used in _USED.items()
     if mode
 }
-
-
-@pytest.fixture
-def folder(trio, tmp_path, monkeypatch, capsys) -> Folder:
-    """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
-    for path in trio:
-        shutil.copy(path, tmp_path)
-    write_json(tmp_path / "cameras.json", inria_entry(width=40, height=30, fx=40.0, fy=40.0))
-    monkeypatch.chdir(tmp_path)
-    return Folder(tmp_path, monkeypatch, capsys)
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from test_cameras import inria_entry, write_json
-from test_cli import ROOT, Folder, assert_one_error_line
+from test_cli import ROOT, assert_one_error_line
 
 import gs_codec
 from gs_codec.conversion import convert_file
@@ -19,16 +17,6 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files import decode_file, encode_file, prepare_file
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.preparation.steps import Steps
-
-
-@pytest.fixture
-def folder(trio, tmp_path, monkeypatch, capsys) -> Folder:
-    """`scene.ply`, `scene.egs`, `decoded.ply`, and a camera."""
-    for path in trio:
-        shutil.copy(path, tmp_path)
-    write_json(tmp_path / "cameras.json", inria_entry(width=40, height=30, fx=40.0, fy=40.0))
-    monkeypatch.chdir(tmp_path)
-    return Folder(tmp_path, monkeypatch, capsys)
 
 
 WRONG_SUFFIX = {
@@ -54,11 +42,11 @@ def test_suffix_that_a_command_does_not_write_is_refused(folder, command):
 VIEWS = "--cameras cameras.json --width 16"
 WRITING = {
     "encode scene.ply out.egs": "out.egs",
-    "encode scene.ply o.egs --rectify --report out": "out/report.json",
+    "encode scene.ply o.egs --rectify --report out --width 16": "out/report.json",
     "decode scene.egs out.ply": "out.ply",
     "convert scene.ply out.splat": "out.splat",
     "prepare scene.ply out.ply --rectify --width 16": "out.ply",
-    "prepare scene.ply o.ply --rectify --report out": "out/report.json",
+    "prepare scene.ply o.ply --rectify --report out --width 16": "out/report.json",
     f"render scene.ply {VIEWS} --out out": "out/a.png",
     f"compare scene.ply scene.egs {VIEWS} --images out": "out/a_a.png",
     "analyze scene.ply --out out": "out/report.html",
@@ -143,7 +131,7 @@ def test_dash_is_stdin_and_stdout(folder, trio):
 
 @pytest.mark.parametrize(
     "command",
-    ["convert - out.splat", "prepare - out.ply --rectify", "verify -", "encode - out.egs"],
+    ["convert - out.splat", "prepare - out.ply --rectify --width 16", "verify -", "encode - out.egs"],
 )
 def test_commands_that_take_a_scene_from_stdin(folder, trio, command):
     data = (trio.egs if command.startswith("verify") else trio.ply).read_bytes()

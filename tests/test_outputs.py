@@ -18,7 +18,6 @@ from gs_codec.files import decode_file, encode_file, prepare_file
 from gs_codec.preparation.pipeline import Plan
 from gs_codec.preparation.steps import Steps
 
-
 WRONG_SUFFIX = {
     "encode scene.ply b.ply": "b.ply: suffix '.ply', expected .egs; `convert` writes that",
     "encode scene.ply b.spz": "b.spz: suffix '.spz', expected .egs",
@@ -131,7 +130,12 @@ def test_dash_is_stdin_and_stdout(folder, trio):
 
 @pytest.mark.parametrize(
     "command",
-    ["convert - out.splat", "prepare - out.ply --rectify --width 16", "verify -", "encode - out.egs"],
+    [
+        "convert - out.splat",
+        "prepare - out.ply --rectify --width 16",
+        "verify -",
+        "encode - out.egs",
+    ],
 )
 def test_commands_that_take_a_scene_from_stdin(folder, trio, command):
     data = (trio.egs if command.startswith("verify") else trio.ply).read_bytes()

@@ -18,8 +18,9 @@ from test_cli import Folder, assert_one_error_line
 
 from gs_codec.batch import cluster, local, memory, run, scenes
 from gs_codec.batch.ledger import Record, parse_record
-from gs_codec.batch.places import Spot, is_url, place_of
+from gs_codec.batch.places import Spot, is_url
 from gs_codec.batch.pool import Pool
+from gs_codec.batch.remote import place_of
 from gs_codec.batch.run import Batch, Summary, run_batch
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.batch.watch import Watcher

@@ -20,7 +20,7 @@ from test_cli import Folder, assert_one_error_line
 
 import gs_codec
 from gs_codec.batch import memory, run
-from gs_codec.batch.places import place_of
+from gs_codec.batch.remote import place_of
 from gs_codec.batch.scenes import Options, find_tasks
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput

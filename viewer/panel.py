@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from open3d.visualization import gui
@@ -16,24 +16,22 @@ from viewer.numbers import between, facts
 from viewer.pane import picture_of
 from viewer.pose import UPS
 
-if TYPE_CHECKING:
-    from viewer.window import Viewer
-
 _MODE_NAMES = ("side by side", "wipe", "one, F flips")
 
 _DRAWN_BY = {"gpu": "splats: Open3D's shader", "cpu": "splats: our rasteriser, on the CPU"}
 
 
 class Panel:
-    """Checkboxes, choices and numbers of a viewer.
+    """Checkboxes, choices and numbers of a viewer, whose methods they call.
 
     Attributes
     ----------
+    viewer : window.Viewer
     boxes : dict of str to gui.Checkbox
         By layer.
     """
 
-    def __init__(self, viewer: Viewer, font: int) -> None:
+    def __init__(self, viewer: Any, font: int) -> None:
         self.viewer = viewer
         em = viewer.window.theme.font_size
         self._em = em

@@ -86,20 +86,6 @@ class Place(Protocol):
         """Remove what a batch with this mark left half-written of these files."""
 
 
-def place_of(text: str) -> Place:
-    """The place that a path or URL is at.
-
-    Raises
-    ------
-    InvalidInput, MissingTool
-        If it is of no known kind, or cannot be reached.
-    """
-    from gs_codec.batch.local import LocalPlace
-    from gs_codec.batch.remote import RemotePlace
-
-    return RemotePlace(text) if is_url(text) else LocalPlace()
-
-
 def is_url(text: str) -> bool:
     """Whether this is anywhere but among this machine's files."""
     return "://" in text and not text.startswith("file://")

@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from gs_codec.batch.local import by_folder, file_sha256, fixed_part
-from gs_codec.batch.places import SUFFIXES, Spot, Stamp
+from gs_codec.batch.local import LocalPlace, by_folder, file_sha256, fixed_part
+from gs_codec.batch.places import SUFFIXES, Place, Spot, Stamp, is_url
 from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.io.atomic import leftovers, temporary_name
@@ -40,6 +40,17 @@ _FILLED = 0.9
 _MOST = 1000
 
 _INSTALL = "pip install 'gs-codec[cluster]'"
+
+
+def place_of(text: str) -> Place:
+    """The place that a path or URL is at.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If it is of no known kind, or cannot be reached.
+    """
+    return RemotePlace(text) if is_url(text) else LocalPlace()
 
 
 class RemotePlace:

@@ -19,9 +19,10 @@ from typing import Literal, Protocol
 from gs_codec import __version__
 from gs_codec.batch.ledger import Ledger, Record, open_ledger
 from gs_codec.batch.memory import available_bytes
-from gs_codec.batch.places import Place, Stamp, is_url, local_path, place_of
+from gs_codec.batch.places import Place, Stamp, is_url, local_path
 from gs_codec.batch.pool import Pool
 from gs_codec.batch.redaction import redacted, without_secrets
+from gs_codec.batch.remote import place_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
 from gs_codec.batch.watch import Watcher
 from gs_codec.batch.work import encode_one, versions

@@ -18,7 +18,7 @@ from gs_codec import __version__
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.local import file_sha256
 from gs_codec.batch.memory import most_floats
-from gs_codec.batch.places import place_of
+from gs_codec.batch.remote import place_of
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.report import EncodeReport, Progress

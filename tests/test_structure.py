@@ -1,0 +1,92 @@
+"""The map of the modules in CONTRIBUTING.md is that of the tree, and imports go by it."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+#: Circles that are left: of the report of the suite.
+KNOWN = {("gs_codec.bench.suite.sections", "gs_codec.bench.suite.report")}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the packages, by its name."""
+    found = {}
+    for package in ("gs_codec", "viewer"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imported(source: str, known: set[str]) -> Iterator[str]:
+    """The known modules that a module imports, at its top, in functions or for types."""
+    for node in ast.walk(ast.parse(source)):
+        names = []
+        if isinstance(node, ast.ImportFrom):
+            assert not node.level, "an import by dots"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        for name in names:
+            while name not in known and "." in name:
+                name = name.rpartition(".")[0]
+            if name in known:
+                yield name
+
+
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    """What each module imports, itself apart."""
+    found = modules()
+    return {
+        name: set(imported(path.read_text(), set(found))) - {name} for name, path in found.items()
+    }
+
+
+def rows() -> list[list[str]]:
+    """The names in the table of CONTRIBUTING.md, row by row."""
+    table = re.findall(r"^\| (`[^|]*) \|", (ROOT / "CONTRIBUTING.md").read_text(), re.MULTILINE)
+    return [re.findall(r"`(\w+)`", row) for row in table]
+
+
+def unit_of(module: str) -> str:
+    """The name of a module of gs_codec in the table."""
+    return module.split(".")[1]
+
+
+def test_no_modules_import_one_another(imports):
+    edges = {
+        module: {name for name in names if (module, name) not in KNOWN}
+        for module, names in imports.items()
+    }
+    try:
+        TopologicalSorter(edges).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+
+
+def test_every_module_is_in_the_map_once():
+    listed = [name for row in rows() for name in row]
+    there = {unit_of(name) for name in modules() if name.startswith("gs_codec.")}
+    assert sorted(listed) == sorted(there)
+
+
+def test_imports_go_up_the_map(imports):
+    place = {name: number for number, row in enumerate(rows()) for name in row}
+    wrong = defaultdict(list)
+    for module, names in imports.items():
+        for name in names:
+            if not name.startswith("gs_codec."):
+                assert not module.startswith("gs_codec.") or name == "gs_codec", module
+            elif module.startswith("gs_codec.") and place[unit_of(module)] < place[unit_of(name)]:
+                wrong[module].append(name)
+    assert not wrong

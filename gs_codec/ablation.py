@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from gs_codec.codec import decode_scene
 from gs_codec.config import PROFILES, Config
+from gs_codec.container.channels import channel_places
 from gs_codec.preparation.report import StepReport
 from gs_codec.preparation.targets import Targets
 from gs_codec.report import EncodeReport
@@ -40,11 +43,9 @@ def coding_steps(
 
 def _quantised_bytes(scene: Scene, config: Config) -> dict[str, float]:
     """Bytes of each depth group's symbols, packed at its depth."""
-    channels = {"geometry": 3, "sh-dc": 3, "opacity": 1, "scaling": 3, "rotation": 4}
-    bands = zip(("sh1", "sh2", "sh3"), (9, 15, 21), (9, 24, 45), strict=True)
-    channels |= {name: rows for name, rows, last in bands if last <= len(scene.f_rest)}
+    rows = Counter(stream for _, _, stream in channel_places(len(scene.f_rest) // 3))
     depths = config.resolved_depths()
-    return {name: depths[name] * rows * scene.count / 8 for name, rows in channels.items()}
+    return {name: depths[name] * number * scene.count / 8 for name, number in rows.items()}
 
 
 def _seconds(report: EncodeReport) -> dict[str, float]:

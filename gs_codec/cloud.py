@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.scene import SH_COEFFICIENTS, Scene
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
 from gs_codec.transform.coordinates import state_system, turn_axes
 
 if TYPE_CHECKING:
     import open3d
 
 #: Attributes of a cloud that are not extra properties.
-_KNOWN = {"positions", "f_dc", "f_rest", "opacity", "log_scale", "scale", "rot", "normals"}
+_KNOWN = {*GROUPS, "scale", "normals"}
 
 
 def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
@@ -80,8 +80,8 @@ def from_cloud(
             with np.errstate(divide="ignore", invalid="ignore"):
                 arrays["log_scale"] = np.log(linear).T
     arrays.setdefault("f_rest", np.zeros((len(arrays.get("positions", ())), 0, 3), np.float32))
-    shapes = {"positions": (3,), "f_dc": (3,), "opacity": (1,), "log_scale": (3,), "rot": (4,)}
-    planes: dict[str, Any] = {n: _plane(arrays, n, shape) for n, shape in shapes.items()}
+    rows = group_rows(0)
+    planes: dict[str, Any] = {n: _plane(arrays, n, (rows[n],)) for n in GROUPS if n != "f_rest"}
     rest = arrays["f_rest"]
     if rest.ndim != 3 or rest.shape[2] != 3 or rest.dtype != np.float32:
         raise InvalidInput(f"f_rest: {rest.dtype} {rest.shape}, expected float32 (N, K, 3)")

@@ -13,6 +13,9 @@ from gs_codec.errors import InvalidInput
 #: Depth groups in stream order. ``sh-ac`` is accepted as shorthand for the three SH bands.
 DEPTH_GROUPS = ("geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
 
+#: Those of SH-AC, one for each band.
+SH_STREAMS = DEPTH_GROUPS[5:]
+
 #: Most bits a group may have: three 21-bit axes fill a Morton code, 12 bits fill a table.
 MAX_DEPTH = {group: 21 if group == "geometry" else 12 for group in DEPTH_GROUPS}
 
@@ -264,7 +267,7 @@ class Config:
         """Bits of the groups of `DEPTH_GROUPS` that `depths` names."""
         asked = {}
         for group, bits in self.depths.items():
-            members = ("sh1", "sh2", "sh3") if group == "sh-ac" else (group,)
+            members = SH_STREAMS if group == "sh-ac" else (group,)
             for member in members:
                 if member not in DEPTH_GROUPS:
                     known = ", ".join((*DEPTH_GROUPS, "sh-ac"))

@@ -16,7 +16,6 @@ from gs_codec.errors import InvalidInput
 from gs_codec.inspection import Info, describe, inspect_bytes
 from gs_codec.io.atomic import atomic_writer, check_folder, check_writable, make_folder
 from gs_codec.io.formats import SceneFile, open_scene
-from gs_codec.io.limits import float_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.ply import write_ply, write_vertices
 from gs_codec.io.splat import pack_splat
@@ -30,7 +29,7 @@ from gs_codec.matching import (
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.planned import encode_goal, encode_planned
 from gs_codec.report import EncodeReport, Progress
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, float_bytes
 from gs_codec.slabs import opened_slabs
 from gs_codec.storage import bounded, current
 from gs_codec.transform.coordinates import CONVENTION, system_of, turn_axes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,17 @@ GROUPS = ("positions", "f_dc", "f_rest", "opacity", "log_scale", "rot")
 #: Value of the SH basis function of degree 0: a colour is 0.5 + SH_C0 * f_dc.
 SH_C0 = 0.28209479177387814
 
+#: Factors of the SH basis functions of degrees 1, 2 and 3.
+SH_C1 = 0.4886025119029199
+SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+SH_C3 = (
+    0.5900435899266435,
+    2.890611442640554,
+    0.4570457994644658,
+    0.3731763325901154,
+    1.445305721320277,
+)
+
 #: What an extra property may be: printable, without spaces, of a scalar type of PLY.
 _NAME = re.compile("[!-~]{1,255}")
 _LAYOUT = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]")
@@ -34,6 +46,39 @@ _COORDINATES = re.compile(
 #: Comment of a scene that was trained with opacity compensation.
 ANTIALIASED = "SplatRenderMode: mip"
 _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+
+
+def sh_bands(coefficients: int = SH_COEFFICIENTS[-1]) -> list[range]:
+    """SH-AC coefficients of each band of a scene that has so many of a colour."""
+    edges = [edge for edge in SH_COEFFICIENTS if edge <= coefficients]
+    return [range(first, last) for first, last in pairwise(edges)]
+
+
+def property_names(coefficients: int = SH_COEFFICIENTS[-1]) -> dict[str, list[str]]:
+    """Channels of each group, named as in the PLY, with so many SH-AC coefficients of a colour."""
+    return {
+        "positions": ["x", "y", "z"],
+        "f_dc": [f"f_dc_{i}" for i in range(3)],
+        "f_rest": [f"f_rest_{i}" for i in range(3 * coefficients)],
+        "opacity": ["opacity"],
+        "log_scale": [f"scale_{i}" for i in range(3)],
+        "rot": [f"rot_{i}" for i in range(4)],
+    }
+
+
+def group_rows(coefficients: int) -> dict[str, int]:
+    """Number of channels of each group, with so many SH-AC coefficients of a colour."""
+    return {group: len(names) for group, names in property_names(coefficients).items()}
+
+
+def channel_count(coefficients: int) -> int:
+    """Number of channels of all groups, with so many SH-AC coefficients of a colour."""
+    return sum(group_rows(coefficients).values())
+
+
+def float_bytes(count: int, sh_degree: int) -> int:
+    """Bytes of the floats of so many Gaussians."""
+    return 4 * count * channel_count(SH_COEFFICIENTS[sh_degree])
 
 
 def coordinates_comment(system: str) -> str:
@@ -106,14 +151,14 @@ class Scene:
     extra: Mapping[str, NDArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        rows = {"positions": 3, "f_dc": 3, "opacity": 1, "log_scale": 3, "rot": 4}
+        rows = group_rows(0) | {"f_rest": len(self.f_rest)}
         for group in GROUPS:
             plane = getattr(self, group)
             if plane.dtype != np.float32 or plane.ndim != 2:
                 raise InvalidInput(
                     f"{group}: {plane.dtype} of {plane.ndim} dimensions, expected planar float32"
                 )
-            expected = (rows.get(group, len(self.f_rest)), self.count)
+            expected = (rows[group], self.count)
             if plane.shape != expected:
                 raise InvalidInput(f"{group}: shape {plane.shape}, expected {expected}")
         if len(self.f_rest) not in [3 * k for k in SH_COEFFICIENTS]:
@@ -155,7 +200,7 @@ class Scene:
     @property
     def float_bytes(self) -> int:
         """Size of the raw float32 attributes."""
-        return 4 * self.count * (14 + len(self.f_rest))
+        return float_bytes(self.count, self.sh_degree)
 
     def take(self, index: NDArray) -> Scene:
         """The Gaussians that `index` (positions or mask) selects, in that order."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import groupby
 
+from gs_codec.config import SH_STREAMS
 from gs_codec.container.channels import Channel
 from gs_codec.container.file import Header
 from gs_codec.container.lattice import PassModels
@@ -15,7 +16,7 @@ from gs_codec.model.sent import SentModel
 #: More names than these are counted instead.
 _NAMED = 4
 
-_BANDS = {"sh1": 1, "sh2": 2, "sh3": 3}
+_BANDS = {stream: band for band, stream in enumerate(SH_STREAMS, 1)}
 
 #: What a pass of zeros means where that is not a value of zero.
 _ZEROS = {

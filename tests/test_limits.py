@@ -25,8 +25,7 @@ from gs_codec.batch.scenes import Options, find_tasks
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files import read_scene, stated_bytes, write_scene
-from gs_codec.io.limits import float_bytes
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 from viewer.request import Request
 
 #: Beside what grows with limit and file: tables, and the image of a palette.

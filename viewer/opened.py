@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import gs_codec
 from gs_codec.cloud import to_cloud, turn_cloud
 from gs_codec.files import read_scene, turn_scene
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, float_bytes
 from gs_codec.transform.coordinates import CONVENTION, system_of
 
 if TYPE_CHECKING:
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
 
 #: Called with what is done, how many steps of it, and of how many.
 Progress = Callable[[str, int, int], None]
-
-#: Colour of a unit of SH-DC.
-_SH_C0 = 0.28209479177387814
 
 #: What reading a damaged report may raise.
 _DAMAGE = (
@@ -39,9 +37,6 @@ _BOX = (0.02, 0.98)
 
 #: The system that scenes are in most often which do not say theirs and are not as PLY files are.
 _OTHER = "RUB"
-
-#: SH degree by coefficients beyond the first.
-_DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +80,7 @@ class Opened:
     @cached_property
     def colours(self) -> NDArray[np.float32]:
         """What SH-DC shows, RGB ``(N, 3)``, 0-1."""
-        return np.clip(0.5 + _SH_C0 * self._array("f_dc"), 0, 1).astype(np.float32)
+        return np.clip(0.5 + SH_C0 * self._array("f_dc"), 0, 1).astype(np.float32)
 
     @cached_property
     def opacities(self) -> NDArray[np.float32]:
@@ -100,12 +95,12 @@ class Opened:
     @property
     def sh_degree(self) -> int:
         """0 to 3."""
-        return _DEGREES[self.cloud.point["f_rest"].shape[1]]
+        return SH_COEFFICIENTS.index(self.cloud.point["f_rest"].shape[1])
 
     @property
     def raw_bytes(self) -> int:
         """Size of the attributes as float32."""
-        return 4 * self.count * (14 + 3 * self.cloud.point["f_rest"].shape[1])
+        return float_bytes(self.count, self.sh_degree)
 
     @cached_property
     def blocks(self) -> NDArray[np.float32]:

@@ -23,7 +23,7 @@ from gs_codec.preparation.targets import evenly
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, channel_count
 
 #: The profile whose depths histograms, models and marks on curves are of.
 REFERENCE = "paper-m"
@@ -159,7 +159,7 @@ def analyse_scene(
     bins = bin_count(sample.count)
     counter = step_counter(progress, "mutual information", map_count(scene.sh_degree))
     maps = maps_of(sample, bins, options.seed, counter)
-    channels = 14 + len(scene.f_rest)
+    channels = channel_count(len(scene.f_rest) // 3)
     fits = fits_of(sample, Config(REFERENCE), step_counter(progress, "histograms", channels))
     entropy, bits = _encode(scene, progress)
     sensitivity = None

@@ -9,7 +9,7 @@ import numpy as np
 
 from gs_codec.analysis.figure import new_figure
 from gs_codec.analysis.fits import Fit
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import sh_bands
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,17 +46,16 @@ def plot_sh(fits: Sequence[Fit], colour: int) -> Figure:
     members = [fit for fit in fits if fit.channel.group == "f_rest"]
     size = len(members) // 3
     mine = [fit for fit in members if fit.channel.index // size == colour]
-    edges = SH_COEFFICIENTS[: SH_COEFFICIENTS.index(size) + 1]
-    bands = list(zip(edges, edges[1:], strict=False))
+    bands = sh_bands(size)
     height = 1.8 * len(bands) + 0.3
     figure = new_figure(10.5, height)
-    widest = max(last - first for first, last in bands)
+    widest = max(map(len, bands))
     axes = figure.subplots(len(bands), widest, squeeze=False, sharey=True)
-    for row, (first, last) in zip(axes, bands, strict=True):
-        band = [fit for fit in mine if first <= fit.channel.index % size < last]
-        for axis, fit in zip(row, band, strict=False):
+    for row, band in zip(axes, bands, strict=True):
+        shown = [fit for fit in mine if fit.channel.index % size in band]
+        for axis, fit in zip(row, shown, strict=False):
             _draw(axis, fit, fit.channel.name, True)
-        for axis in row[last - first :]:
+        for axis in row[len(band) :]:
             axis.set_visible(False)
     seen = np.concatenate([fit.density[fit.density > 0] for fit in mine])
     if seen.size:

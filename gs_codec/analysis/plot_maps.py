@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.analysis.figure import new_figure
 from gs_codec.analysis.maps import Map
+from gs_codec.scene import sh_bands
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,15 +86,15 @@ def _draw(axis: Axes, values: NDArray, top: float) -> Any:
 
 def _mark_bands(axis: Axes, size: int) -> None:
     """Ticks in the middle of SH bands, lines between them."""
-    edges = [edge for edge in (0, 3, 8, 15) if edge <= size]
-    middles = [(a + b - 1) / 2 for a, b in zip(edges, edges[1:], strict=False)]
-    names = [f"degree {band}" for band in range(1, len(edges))]
+    bands = sh_bands(size)
+    middles = [(band[0] + band[-1]) / 2 for band in bands]
+    names = [f"degree {band}" for band in range(1, 1 + len(bands))]
     axis.set_xticks(middles, names, fontsize=8)
     axis.set_yticks(middles, names, fontsize=8, rotation=90, va="center")
     axis.tick_params(length=0)
-    for edge in edges[1:-1]:
-        axis.axhline(edge - 0.5, color="white", lw=0.8)
-        axis.axvline(edge - 0.5, color="white", lw=0.8)
+    for band in bands[1:]:
+        axis.axhline(band[0] - 0.5, color="white", lw=0.8)
+        axis.axvline(band[0] - 0.5, color="white", lw=0.8)
 
 
 def _without_self(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from gs_codec import paper
-from gs_codec.config import Config
+from gs_codec.config import SH_STREAMS, Config
 from gs_codec.report import ChannelCost, EncodeReport
-
-#: Streams of SH-AC.
-_BANDS = ("sh1", "sh2", "sh3")
 
 #: Sections of each attribute; what is left describes the others.
 _SECTIONS = {
@@ -55,7 +52,7 @@ def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
 def depths_by_group(config: Config, sh_degree: int) -> dict[str, str]:
     """Bits of a symbol of each group of a paper profile; SH bands that differ as ``4/3/3``."""
     depths = config.resolved_depths()
-    bands = [str(depths.pop(band)) for band in _BANDS][:sh_degree]
+    bands = [str(depths.pop(band)) for band in SH_STREAMS][:sh_degree]
     named = {group: str(bits) for group, bits in depths.items()}
     return named | {"sh-ac": bands[0] if len(set(bands)) == 1 else "/".join(bands)}
 
@@ -70,7 +67,7 @@ def bits_by_attribute(report: EncodeReport, sh_degree: int) -> dict[str, float]:
     bits = {
         attribute: 8 * sum(report.section_bytes.get(name, 0) for name in sections) / count
         for attribute, sections in _SECTIONS.items()
-        if not set(sections) & set(_BANDS[sh_degree:])
+        if not set(sections) & set(SH_STREAMS[sh_degree:])
     }
     return bits | {"the rest": 8 * report.file_bytes / count - sum(bits.values())}
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codec.lattice_arrange import Arranged
+from gs_codec.config import SH_STREAMS
 from gs_codec.entropy.bits import BitWriter
 from gs_codec.geometry.colour_lattice import code_colours
 from gs_codec.geometry.count_tree import encode_tree
@@ -19,6 +20,7 @@ from gs_codec.lattice.place import centres
 from gs_codec.lattice.plan import energy_class, sh_places, shift_context
 from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.lattice.tokens import ALPHABET, tokenise
+from gs_codec.scene import sh_bands
 from gs_codec.storage import current
 from gs_codec.transform.axes import sort_axes
 from gs_codec.transform.ycocg import take_colours, to_ycocg
@@ -156,11 +158,10 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
     listed = [*shaped.passes, PassData.of(levels.ravel(), contexts.ravel())]
     coefficients = len(source.f_rest) // 3
     if coefficients:
-        bands = [f"sh{1 + (k > 2) + (k > 7)}" for k in range(coefficients)]
+        bands = zip(SH_STREAMS, sh_bands(coefficients), strict=False)
+        finest = [units[stream] for stream, band in bands for _ in band]
         planes = source.f_rest.reshape(3, coefficients, -1)
-        ac, beyond = take_colours(
-            planes, members, np.array([units[band] for band in bands]), shaped.shifts, LARGEST
-        )
+        ac, beyond = take_colours(planes, members, np.array(finest), shaped.shifts, LARGEST)
         clamped += beyond
         levels = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
         listed += _ac_passes(levels.reshape(3, coefficients, -1), shaped.shifts)

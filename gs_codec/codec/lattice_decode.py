@@ -23,7 +23,7 @@ from gs_codec.lattice.plan import ENERGIES, Pass, passes, sh_places, shift_conte
 from gs_codec.lattice.shape import Shape, walk_shape
 from gs_codec.lattice.tokens import read_pass
 from gs_codec.report import Progress, step_counter
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import SH_COEFFICIENTS, group_rows
 from gs_codec.transform.axes import quaternions
 from gs_codec.transform.ycocg import fill_colours, from_ycocg
 from gs_codec.workers import run_all
@@ -89,15 +89,7 @@ class LatticeDecoder:
         coefficients = SH_COEFFICIENTS[file.header.sh_degree]
         lattice, models = lattice_of(file)
         kept = SH_COEFFICIENTS[sh_degree]
-        rows = {
-            "positions": 3,
-            "f_dc": 3,
-            "f_rest": 3 * kept,
-            "opacity": 1,
-            "log_scale": 3,
-            "rot": 4,
-        }
-        groups = {g: np.zeros((n, count), np.float32) for g, n in rows.items()}
+        groups = {g: np.zeros((n, count), np.float32) for g, n in group_rows(kept).items()}
         tables = PassTables.pack(models.tables())
         return cls(file, lattice, models, tables, coefficients, kept, bounds_of(file), groups)
 

@@ -20,7 +20,7 @@ from gs_codec.codec.stacks import (
     write_quaternions,
     write_stack,
 )
-from gs_codec.config import Config
+from gs_codec.config import SH_STREAMS, Config
 from gs_codec.container.box import read_box, write_box
 from gs_codec.container.bytes import ByteReader
 from gs_codec.container.carried import carried_sections
@@ -35,7 +35,7 @@ from gs_codec.container.file import (
 )
 from gs_codec.errors import CorruptStream
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows, sh_bands
 from gs_codec.transform.float_bits import float_order
 from gs_codec.workers import run_all
 
@@ -48,8 +48,11 @@ _GROUP_OF = {
     SectionId.ROTATION: "rot",
 }
 
-#: First SH-AC coefficient of each band, and the one after its last.
-_BANDS = {SectionId.SH1: (0, 3), SectionId.SH2: (3, 8), SectionId.SH3: (8, 15)}
+#: SH-AC coefficients of each band.
+_BANDS = {
+    SectionId.of_stream(stream): slice(band.start, band.stop)
+    for stream, band in zip(SH_STREAMS, sh_bands(), strict=True)
+}
 
 #: Green tells most of the other two, so it is coded first.
 _RED, _GREEN, _BLUE = range(3)
@@ -112,10 +115,9 @@ def decode_lossless(
     CorruptStream, TruncatedStream
     """
     read_box(file.section(SectionId.BOX))
-    rows = {"positions": 3, "f_dc": 3, "opacity": 1, "log_scale": 3, "rot": 4}
-    rows["f_rest"] = 3 * SH_COEFFICIENTS[degree]
+    rows = group_rows(SH_COEFFICIENTS[degree])
     count = max((span.stop for span in spans.values()), default=0)
-    planes = {group: np.empty((rows[group], count), np.uint32) for group in GROUPS}
+    planes = {group: np.empty((number, count), np.uint32) for group, number in rows.items()}
     jobs = [
         partial(_decode_section, file, planes, section_id, block, span)
         for block, span in spans.items()
@@ -178,7 +180,7 @@ def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
     mask = b""
     if section_id == SectionId.SH1:
         mask = write_mask(np.packbits(there, axis=0, bitorder="little")[0].astype(np.uint32))
-    return mask + _encode_colours(colours[:, slice(*_BANDS[section_id])], there)
+    return mask + _encode_colours(colours[:, _BANDS[section_id]], there)
 
 
 def _encode_colours(colours: Bits, there: NDArray[np.bool_]) -> bytes:
@@ -220,7 +222,7 @@ def _decode_band(
         first = ByteReader(file.section(SectionId.SH1, block), where)
     mask = read_mask(first, count, 7, where)
     there = (mask >> np.arange(3, dtype=np.uint32)[:, None] & 1).astype(bool)
-    colours = f_rest.reshape(3, -1, count)[:, slice(*_BANDS[section_id])]
+    colours = f_rest.reshape(3, -1, count)[:, _BANDS[section_id]]
     _decode_colours(reader, there, colours, f"section '{section_id.label}' of block {block}")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gs_codec.config import LATTICE_PROFILES, LOSSLESS, Config
 from gs_codec.container.file import Header
 from gs_codec.errors import InvalidInput
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import float_bytes
 from gs_codec.storage import current
 from gs_codec.workers import available_threads
 
@@ -45,7 +45,7 @@ def slab_within(header: Header, degree: int, threads: int | None, wanted: int) -
         If one block does not.
     """
     # While one slab is written, the next is not there yet, but what it is written from may be.
-    each = 2 * 4 * (14 + 3 * SH_COEFFICIENTS[degree])
+    each = 2 * float_bytes(1, degree)
     working = _working(threads)
     _check(working + header.block_size * each, "decoding")
     limit = current().limit

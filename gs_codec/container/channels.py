@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gs_codec.config import MAX_DEPTH
+from gs_codec.config import DEPTH_GROUPS, MAX_DEPTH, SH_STREAMS
 from gs_codec.container.bytes import ByteReader
 from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.entropy.tables import decode_tables, encode_tables
@@ -20,14 +20,14 @@ from gs_codec.model.select import Model
 from gs_codec.model.sent import MAX_MANTISSA, SentModel
 from gs_codec.model.table import MAX_PRECISION, MIN_PRECISION
 from gs_codec.quantise import CentredQuantiser, ConstantQuantiser, Quantiser, RangeQuantiser
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, group_rows, property_names, sh_bands
 
 _QUANTISERS = (ConstantQuantiser, RangeQuantiser, CentredQuantiser)
 _MODELS = (LaplaceModel, MixtureModel, SentModel)
 _WHERE = "section 'channels'"
 
 #: Streams whose channels are coded by rANS, in the order they share its states.
-RANS_STREAMS = ("opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
+RANS_STREAMS = DEPTH_GROUPS[2:]
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,7 @@ class Channel:
     @property
     def name(self) -> str:
         """Property name in the PLY."""
-        if self.group == "positions":
-            return "xyz"[self.index]
-        prefix = {"log_scale": "scale"}.get(self.group, self.group)
-        return prefix if self.group == "opacity" else f"{prefix}_{self.index}"
+        return property_names()[self.group][self.index]
 
 
 def channel_places(coefficients: int) -> list[tuple[str, int, str]]:
@@ -74,18 +71,17 @@ def channel_places(coefficients: int) -> list[tuple[str, int, str]]:
     `coefficients` is the number of SH-AC coefficients of a colour; streams are named as in
     `DEPTH_GROUPS`.
     """
-    places = [("positions", i, "geometry") for i in range(3)]
-    places += [("f_dc", i, "sh-dc") for i in range(3)]
-    places += [("opacity", 0, "opacity")]
-    places += [("log_scale", i, "scaling") for i in range(3)]
-    places += [("rot", i, "rotation") for i in range(4)]
-    for band, (first, last) in enumerate(((0, 3), (3, 8), (8, 15)), start=1):
-        if last <= coefficients:
-            places += [
-                ("f_rest", colour * coefficients + i, f"sh{band}")
-                for colour in range(3)
-                for i in range(first, last)
-            ]
+    streams = [group for group in GROUPS if group != "f_rest"]
+    rows = group_rows(coefficients)
+    places = [
+        (group, index, stream)
+        for group, stream in zip(streams, DEPTH_GROUPS, strict=False)
+        for index in range(rows[group])
+    ]
+    for stream, band in zip(SH_STREAMS, sh_bands(coefficients), strict=False):
+        places += [
+            ("f_rest", colour * coefficients + i, stream) for colour in range(3) for i in band
+        ]
     return places
 
 

@@ -14,7 +14,7 @@ from crc32c import crc32c
 from gs_codec.config import LOSSLESS
 from gs_codec.container.bytes import ByteReader
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 from gs_codec.storage import current
 
 Parsed = TypeVar("Parsed")
@@ -110,7 +110,7 @@ class Header:
     @property
     def float_bytes(self) -> int:
         """Size of the decoded float32 attributes."""
-        return 4 * self.count * (14 + 3 * SH_COEFFICIENTS[self.sh_degree])
+        return float_bytes(self.count, self.sh_degree)
 
     def block_range(self, block: int) -> tuple[int, int]:
         """First Gaussian of a block and the one after its last."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.config import SH_STREAMS
 from gs_codec.container.bytes import ByteReader
 from gs_codec.container.file import EgsFile, SectionId
 from gs_codec.entropy.passes import PRECISION
@@ -54,7 +55,7 @@ class PassModels:
         return [SentModel(w, MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights]
 
 
-UNITS = ("opacity", "scaling", "rotation", "sh-dc", "sh1", "sh2", "sh3")
+UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
 
 
 def write_lattice(lattice: Lattice, models: PassModels) -> bytes:

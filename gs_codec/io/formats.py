@@ -12,7 +12,6 @@ from typing import Literal
 from gs_codec.container.file import MAGIC as EGS
 from gs_codec.errors import InvalidInput
 from gs_codec.io import packed_ply, sog, spz
-from gs_codec.io.limits import float_bytes
 from gs_codec.io.mapped import opened
 from gs_codec.io.packed_ply import is_packed
 from gs_codec.io.ply import scene_of
@@ -21,7 +20,7 @@ from gs_codec.io.sog import read_sog, sog_bytes
 from gs_codec.io.sog_files import ZIP
 from gs_codec.io.splat import RECORD, read_splat
 from gs_codec.io.spz import GZIP, MAGIC, read_spz
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, float_bytes
 
 Format = Literal["egs", "ply", "splat", "spz", "sog"]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.scene import SH_COEFFICIENTS
+from gs_codec.scene import float_bytes
 
 #: A file may unfold to this many bytes, or to `EXPANSION` times its size if that is more.
 DECODED_BYTES = 1 << 30
@@ -33,11 +33,6 @@ FAILURES: tuple[type[Exception], ...] = (
 def most_bytes(file_bytes: int, max_bytes: int | None) -> int:
     """How many bytes of floats and extra properties a file of this size may unfold to."""
     return max(DECODED_BYTES, EXPANSION * file_bytes) if max_bytes is None else max_bytes
-
-
-def float_bytes(count: int, sh_degree: int) -> int:
-    """Bytes of the floats of so many Gaussians."""
-    return 4 * count * (14 + 3 * SH_COEFFICIENTS[sh_degree])
 
 
 def check_count(count: int, sh_degree: int, file_bytes: int, max_bytes: int | None = None) -> None:

@@ -17,7 +17,7 @@ from gs_codec.io.limits import check_bytes
 from gs_codec.io.mapped import located, opened
 from gs_codec.io.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
 from gs_codec.io.ply_body import Ply, ply_of
-from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene
+from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, property_names
 from gs_codec.storage import empty
 from gs_codec.transform.planar import to_planes, to_rows
 
@@ -28,18 +28,6 @@ _COLOURS = ("red", "green", "blue")
 
 #: Rows written at once.
 _ROWS = 1 << 17
-
-
-def _group_names(coefficients: int) -> dict[str, list[str]]:
-    """Property names of each group, for a number of SH-AC coefficients a colour."""
-    return {
-        "positions": ["x", "y", "z"],
-        "f_dc": [f"f_dc_{i}" for i in range(3)],
-        "f_rest": [f"f_rest_{i}" for i in range(3 * coefficients)],
-        "opacity": ["opacity"],
-        "log_scale": [f"scale_{i}" for i in range(3)],
-        "rot": [f"rot_{i}" for i in range(4)],
-    }
 
 
 def read_ply(
@@ -125,7 +113,7 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
         raise InvalidInput(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45")
     if "scale_0" in names and "scale_1" in names and "scale_2" not in names:
         raise InvalidInput(f"{path}: a scene of flat Gaussians (2DGS): no scale_2, expected 3DGS")
-    groups = _group_names(rest // 3)
+    groups = property_names(rest // 3)
     # Trainers without SH write colours so (nerfstudio).
     colours = "f_dc_0" not in names and all(
         name in names and dtype[name] == np.uint8 for name in _COLOURS
@@ -208,7 +196,7 @@ def _header(scene: Scene, count: int) -> str:
 
 def vertex_rows(scene: Scene) -> NDArray:
     """Structured rows ``(N,)`` in the trainer's order; extra properties come last."""
-    groups = _group_names(len(scene.f_rest) // 3)
+    groups = property_names(len(scene.f_rest) // 3)
     names, planes = [], []
     for group in GROUPS:
         names += groups[group]

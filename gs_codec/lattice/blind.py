@@ -13,8 +13,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.scene import SH_C0
+
 #: SH-DC for a unit of colour.
-_BY_COLOUR = math.log2(1 / 0.28209479177387814)
+_BY_COLOUR = math.log2(1 / SH_C0)
 
 #: Constant, then octaves for an octave of opacity (where it is low) and of each scale, longest
 #: first.

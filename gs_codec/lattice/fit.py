@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from gs_codec.lattice.rules import RULE_PLACES, StepRule
 from gs_codec.lattice.sensitivity import Sensitivity
+from gs_codec.scene import SH_C0
 from gs_codec.transform.linear import combine, fitting
-
-#: Colour for a unit of SH-DC; root of the mean square for one of SH-AC, over all directions.
-_SH_C0 = 0.28209479177387814
 
 #: Classes that are kept apart: what these views hardly see must not fall apart in others.
 _CLASSES = 9
@@ -101,7 +99,8 @@ def fit_steps(sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error
     wanted = 0.5 * math.log2(12 * error)
     first = np.eye(5)[0]
     coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
-    by_sh = _SH_C0**2 * sensitivity.colour
+    # A unit of SH-DC is so much colour, and one of SH-AC, root of the mean square.
+    by_sh = SH_C0**2 * sensitivity.colour
     colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
     finest = float(np.quantile(colour, 1 - _FINEST))
     colour_class = np.clip(np.round(finest - colour), 0, _CLASSES - 1).astype(np.uint8)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.kernels import kernel
+from gs_codec.scene import sh_bands
 
 #: Classes of how much is seen of a Gaussian, of its shape and of its colour.
 MAX_CLASSES = 16
@@ -54,13 +55,11 @@ def passes(coefficients: int) -> list[Pass]:
 
 def sh_places(coefficients: int) -> list[tuple[int, int, int]]:
     """Band, colour and coefficient of each SH-AC pass, in stream order."""
-    bands = ((1, 0, 3), (2, 3, 8), (3, 8, 15))
     return [
-        (band, colour, k)
-        for band, first, last in bands
-        if last <= coefficients
+        (number, colour, k)
+        for number, band in enumerate(sh_bands(coefficients), 1)
         for colour in range(3)
-        for k in range(first, last)
+        for k in band
     ]
 
 

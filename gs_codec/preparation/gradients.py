@@ -15,7 +15,7 @@ from gs_codec.preparation.unproject import differentiate_gaussians
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import Frame, make_frame
 from gs_codec.rendering.rasterise import draw_tiles
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import GROUPS, Scene, channel_count
 
 
 class Differentiated(NamedTuple):
@@ -37,7 +37,7 @@ class Differentiated(NamedTuple):
 
         Rows are the channels of the groups, in the order of `GROUPS`.
         """
-        slopes = np.empty((14 + len(self.scene.f_rest), stop - start))
+        slopes = np.empty((channel_count(len(self.scene.f_rest) // 3), stop - start))
         camera = self.camera
         differentiate_gaussians(
             *(getattr(self.scene, group) for group in GROUPS),

@@ -21,7 +21,7 @@ from gs_codec.preparation.sensitivity import sensitivity
 from gs_codec.preparation.sh_weights import coefficients_of
 from gs_codec.preparation.targets import Targets
 from gs_codec.report import Progress, step_counter
-from gs_codec.scene import Scene
+from gs_codec.scene import Scene, channel_count
 from gs_codec.transform.axes import sort_axes
 from gs_codec.transform.ycocg import from_ycocg, to_ycocg
 
@@ -81,7 +81,7 @@ def guided_steps(
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     sorted_axes = np.take_along_axis(sensitivity.log_scale, axes.astype(np.int64), 0)
     # What all may add together, over the parameters that there are.
-    parameters = scene.count * (14 + len(scene.f_rest))
+    parameters = scene.count * channel_count(len(scene.f_rest) // 3)
     error = (profile.error + profile.of_loss * loss) * 3 * pixels / parameters
     return fit_steps(sensitivity._replace(log_scale=sorted_axes), scene.opacity[0], scales, error)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gs_codec.kernels import inlined
-from gs_codec.rendering.harmonics import SH_C1, SH_C2, SH_C3
+from gs_codec.scene import SH_C1, SH_C2, SH_C3
 
 
 @inlined

@@ -3,16 +3,7 @@
 from __future__ import annotations
 
 from gs_codec.kernels import inlined
-
-SH_C1 = 0.4886025119029199
-SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-SH_C3 = (
-    0.5900435899266435,
-    2.890611442640554,
-    0.4570457994644658,
-    0.3731763325901154,
-    1.445305721320277,
-)
+from gs_codec.scene import SH_C1, SH_C2, SH_C3
 
 
 @inlined

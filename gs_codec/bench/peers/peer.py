@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.io.ply import read_ply
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import GROUPS, Scene, group_rows
 
 Extra = Literal["error", "keep", "drop"]
 
@@ -80,7 +80,7 @@ def scene_columns(scene: Scene) -> list[NDArray[np.float32]]:
 
 def scene_of_columns(planes: NDArray[np.float32]) -> Scene:
     """The inverse of `scene_columns`, of planes ``(columns, N)``."""
-    rows = {"positions": 3, "f_dc": 3, "f_rest": 0, "opacity": 1, "log_scale": 3, "rot": 4}
+    rows = group_rows(0)
     rows["f_rest"] = len(planes) - sum(rows.values())
     parts = np.split(planes, np.cumsum([rows[group] for group in GROUPS])[:-1])
     groups: dict[str, Any] = dict(zip(GROUPS, parts, strict=True))

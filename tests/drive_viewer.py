@@ -54,17 +54,17 @@ class Driver:
         )
         self.viewer = Viewer(request)
 
-    def tick(self, count: int = 1) -> None:
+    def tick(self, count: int = 1, pause: float = 0.01) -> None:
         for _ in range(count):
             self.viewer.window.post_redraw()
             self.app.run_one_tick()
-            time.sleep(0.01)
+            time.sleep(pause)
 
     def rest(self) -> np.ndarray:
         """Tick until nothing moves any more; what is on the screen then."""
         before, equal = None, 0
         for _ in range(400):
-            self.tick(8)
+            self.tick(3, pause=0.03)  # few frames: a software driver draws each for long
             if self.viewer.busy or not self.viewer.stage.panes:
                 before = None
                 continue

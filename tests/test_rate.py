@@ -219,7 +219,7 @@ def test_what_is_dropped_is_reported(scene):
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[Scene, Plan]:
-    return generate(2500, 2, 5), Plan(Steps(), cameras(30))
+    return generate(1200, 2, 5), Plan(Steps(), cameras(18))
 
 
 @pytest.mark.parametrize("wanted", [0.03, 0.1, 0.5])
@@ -278,7 +278,7 @@ def test_photographs_tell_what_is_lost(seen, tmp_path):
 @pytest.fixture(scope="module")
 def crowded() -> tuple[Scene, Plan]:
     """A scene of which a third is hardly seen."""
-    made = generate(2400, 1, 6)
+    made = generate(1200, 1, 6)
     opacity = made.opacity.copy()
     opacity[:, ::3] = -5.0
     return replace(made, opacity=opacity), Plan(Steps(), cameras(9))

@@ -615,7 +615,7 @@ REFUSED = {
     "threads of decode": ("decode scene.egs out.ply --threads 0", THREADS.format(0)),
     "many threads of encode": ("encode scene.ply out.egs --threads 257", THREADS.format(257)),
     "many threads of decode": ("decode scene.egs out.ply --threads 257", THREADS.format(257)),
-    "threads of bench": ("bench scene.ply --threads 0", THREADS.format(0)),
+    "threads of bench": ("bench run scene.ply --threads 0", THREADS.format(0)),
     "too large": ("decode scene.egs out.ply --max-bytes 9", "354000 bytes, the limit is 9"),
     "encode to no folder": ("encode scene.ply no/out.egs", "no directory 'no'"),
     "decode to no folder": ("decode scene.egs no/out.ply", "no directory 'no'"),

@@ -13,6 +13,7 @@ from gs_codec.codec import encode_scene
 from gs_codec.codec.depths import as_deep, mean_octaves
 from gs_codec.codec.lattice_arrange import arrange_scene
 from gs_codec.config import Config, Target
+from gs_codec.errors import InvalidInput
 from gs_codec.inspection import inspect_bytes
 from gs_codec.lattice.fit import Steps
 from gs_codec.rate.allocate import encode_to_target
@@ -133,3 +134,24 @@ def test_a_target_moves_only_the_others(scene):
 def test_an_empty_scene_may_have_depths():
     empty = random_scene(0, 3)
     assert arrange_scene(empty, Config("m", {"sh1": 4}), None).order.size == 0
+
+
+def test_coarseness_scales_everything_that_steps_come_from():
+    plain, twice = Config("m").resolved_lattice(), Config("m", coarseness=2).resolved_lattice()
+    assert twice.fineness == pytest.approx(2 * plain.fineness)
+    assert twice.error == pytest.approx(4 * plain.error)
+    assert twice.compaction == pytest.approx(4 * plain.compaction)
+
+
+@pytest.mark.parametrize("value", [0.0, 1 / 65, 65.0, -1.0, float("nan")])
+def test_coarseness_beyond_its_range_is_refused(value):
+    with pytest.raises(InvalidInput, match="expected 1/64 to 64"):
+        Config("m", coarseness=value)
+
+
+@pytest.mark.parametrize("profile", ["paper-m", "lossless"])
+def test_coarseness_is_for_profiles_of_steps(profile):
+    with pytest.raises(InvalidInput, match="has none, l, m, s do"):
+        Config(profile, coarseness=2.0)
+    with pytest.raises(InvalidInput, match="expected l, m or s"):
+        Config(profile).resolved_lattice()

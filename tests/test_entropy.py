@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gs_codec.entropy import constriction_coder, torchac_coder
+from gs_codec.entropy import torchac_coder
 from gs_codec.entropy.binary import code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.entropy.rans import LANES, TableSet, decode_symbols, encode_symbols
 from gs_codec.entropy.tables import decode_tables, encode_tables
@@ -193,21 +193,3 @@ def test_torchac_codes_the_same_symbols_in_nearly_the_same_size():
     our_bytes = len(ours[1]) + len(ours[2][0][1])
     their_bytes = sum(len(chunk) for chunks in theirs for chunk in chunks)
     assert abs(our_bytes / their_bytes - 1) < 0.002
-
-
-@pytest.mark.parametrize("shape", [(2, 70_000), (2, 1), (2, 0), (0, 5)])
-def test_constriction_codes_the_same_symbols_in_nearly_the_same_size(shape):
-    if not constriction_coder.is_available():
-        pytest.skip("constriction is not installed")
-    rng = np.random.default_rng(27)
-    tables = [table_of(rng, *table) for table in ((16, 12), (256, 15))][: shape[0]]
-    symbols = np.zeros(shape, np.uint16)
-    for row, table in zip(symbols, tables, strict=True):
-        row[:] = draw(rng, table, shape[1])
-    words = constriction_coder.encode_symbols(symbols, tables)
-    back = constriction_coder.decode_symbols(words, shape[1], tables)
-    np.testing.assert_array_equal(back, symbols)
-    if shape[1] > 1000:
-        ours = rans_round_trip(symbols, tables)
-        our_bytes = len(ours[1]) + len(ours[2][0][1])
-        assert abs(our_bytes / words.nbytes - 1) < 0.002

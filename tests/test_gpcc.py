@@ -6,7 +6,6 @@ What `tmc3` may do wrong is played by a stand-in; the program itself is tested w
 from __future__ import annotations
 
 import errno
-import json
 import sys
 import tempfile
 from dataclasses import replace
@@ -18,8 +17,6 @@ from scenes import edge_scenes, random_scene, shared_scene_path
 from tmc3_stand_in import VERSION
 from typer.testing import CliRunner
 
-from gs_codec.bench import points
-from gs_codec.bench.apart import Usage
 from gs_codec.cli.main import app
 from gs_codec.codec import decode_part, decode_scene, encode_scene
 from gs_codec.codec.part import Part
@@ -533,44 +530,3 @@ def test_damage_never_goes_unnoticed(seed, real):
         assert "\n" not in str(error)  # noqa: PT017
     else:
         assert found[0].shape == found[1].shape == (3, 500)
-
-
-# The bench
-
-
-def test_the_bench_puts_both_beside_each_other(stand_in, tmp_path, monkeypatch):
-    def run_here(arguments):
-        result = CliRunner().invoke(app, arguments)
-        assert result.exit_code == 0, result.output
-        return Usage(1.0, 1.0, 1)
-
-    monkeypatch.setattr(points, "run_apart", run_here)
-    path = tmp_path / "scene.ply"
-    write_ply(path, random_scene(300, 1, seed=102))
-    options = ["bench", str(path), "--points", "--repeats", "1"]
-    result = CliRunner().invoke(app, options)
-    assert result.exit_code == 0, result.output
-    lines = [json.loads(line) for line in result.stdout.splitlines()][1:]
-    assert [(line["coder"], line["profile"]) for line in lines] == [
-        ("octree", "paper-m"), ("gpcc", "paper-m"), ("m", "m"),
-    ]  # fmt: skip
-    for line in lines:
-        assert line["geometry_bits_per_gaussian"] > 0
-        assert line["encode_peak_bytes"] == line["decode_peak_bytes"] == 1
-        assert f"scene, {line['coder']}" in result.stderr
-    assert lines[1]["tool_peak_bytes"] > 0
-    octree = encode_scene(read_ply(path), Config("paper-m"))[1].section_bytes
-    assert lines[0]["geometry_bits_per_gaussian"] == 8 * octree["geometry"] / 300
-    assert lines[0]["colour_bits_per_gaussian"] == 8 * octree["sh-dc"] / 300
-    monkeypatch.delenv("GS_CODEC_TMC3")
-    result = CliRunner().invoke(app, options)
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout.splitlines()[2])["absent"].startswith("tmc3: not found")
-    assert "tmc3: not found" in result.stderr
-    assert isinstance(CliRunner().invoke(app, [*options, "-p", "m"]).exception, InvalidInput)
-
-
-def test_colour_is_told_from_geometry():
-    units = [(0, 3), (1, 4), (2, 100), (3, 7), (4, 50)]
-    stream = b"".join(bytes([unit]) + size.to_bytes(4, "big") + bytes(size) for unit, size in units)
-    assert points.colour_bytes(memoryview(stream)) == 12 + 55

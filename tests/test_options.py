@@ -5,9 +5,6 @@ from __future__ import annotations
 import re
 
 import pytest
-from typer.main import get_command
-
-from gs_codec.cli.bench import _OPTIONS, _USED, app
 
 #: A value for each option that a command may ignore.
 VALUES = {
@@ -15,8 +12,7 @@ VALUES = {
     "against-gt": "images", "report": "report", "checkpoint": "kept", "allow-prune": None,
     "geometry": "octree", "tmc3": "tmc3", "no-verify": None, "keep-order": None,
     "profile": "m", "depth": "opacity=8", "images": "views", "split": "all", "device": "cpu",
-    "overwrite": None, "channels": None, "max-memory": "1GB", "tile": "9", "repeats": "5",
-    "coders": None, "plot": "a.png", "extra": "error",
+    "overwrite": None, "channels": None, "max-memory": "1GB",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "report", "checkpoint", "against-gt")
@@ -43,17 +39,9 @@ IGNORED = {
     "compare scene.ply scene.egs --cameras auto": ("overwrite",),
     "inspect scene.egs --json": ("channels",),
     "analyze scene.ply --out out": ("width",),
-    "bench scene.ply": ("against-gt", "width", "max-memory", "plot", "overwrite"),
+    "bench run scene.ply": ("against-gt", "width"),
+    "bench peers scene.ply": ("against-gt", "width"),
 }  # fmt: skip
-
-#: Modes of `bench`, which know what each of them uses.
-IGNORED |= {
-    f"bench --{mode}" + " scene.ply" * (mode != "stress"): tuple(
-        option.replace("_", "-") for option in _OPTIONS if option not in used
-    )
-    for mode, used in _USED.items()
-    if mode
-}
 
 
 @pytest.mark.parametrize(
@@ -63,10 +51,3 @@ def test_option_without_effect_is_refused(folder, command, option):
     value = VALUES[option]
     line = folder.refuse(*command.split(), f"--{option}", *([] if value is None else [value]))
     assert re.search(option.removeprefix("no-").replace("-", "[-_]"), line)
-
-
-def test_every_option_of_bench_is_used_by_some_mode_or_is_one():
-    """So that an option which is new is not ignored by the modes."""
-    options = {parameter.name for parameter in get_command(app).params}
-    assert set(_OPTIONS) == {name for used in _USED.values() for name in used}
-    assert options - set(_OPTIONS) - set(_USED) == {"scenes", "threads"}

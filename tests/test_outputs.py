@@ -49,7 +49,6 @@ WRITING = {
     f"render scene.ply {VIEWS} --out out": "out/a.png",
     f"compare scene.ply scene.egs {VIEWS} --images out": "out/a_a.png",
     "analyze scene.ply --out out": "out/report.html",
-    "bench scene.ply --prepare --cameras cameras.json --plot out.png": "out.png",
     "bench suite scene.ply --out out": "out/suite.jsonl",
     "batch scene.ply out": "out/scene.egs",
     "batch decoded.ply . --report out.jsonl": "out.jsonl",

@@ -14,12 +14,11 @@ import pytest
 from scenes import random_scene
 from typer.testing import CliRunner
 
-from gs_codec.bench import beside
+from gs_codec.bench import runs
 from gs_codec.bench.peers import AbsentPeer, find_peers, splat_transform
-from gs_codec.bench.peers.columns import columns_peer
+from gs_codec.bench.peers.exact import columns_peer, zstd_peer
 from gs_codec.bench.peers.splat_transform import VARIABLE, splat_transform_peers
 from gs_codec.bench.peers.spz import spz_peer
-from gs_codec.bench.peers.zstd import zstd_peers
 from gs_codec.cli.main import app
 from gs_codec.errors import ToolFailed
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
@@ -31,8 +30,7 @@ SPLAT_NAMES = [f"splat-transform, {label}" for label in ("compressed.ply", "spz"
 
 EXACT = {
     "pcodec, columns": lambda: columns_peer("error"),
-    "zstd, PLY": lambda: zstd_peers("error")[0],
-    "zstd, byte planes": lambda: zstd_peers("error", threads=1)[1],
+    "zstd, PLY": lambda: zstd_peer("error", threads=1),
 }
 
 
@@ -51,7 +49,7 @@ def test_what_is_lossless_comes_back_bit_for_bit(tmp_path, name, count, degree):
 def test_all_are_looked_for(monkeypatch):
     monkeypatch.setenv(VARIABLE, "/nowhere")
     names = [peer.name.split(" ")[0].rstrip(",") for peer in find_peers("error")]
-    assert names == ["spz", "splat-transform", "pcodec", "zstd", "zstd"]
+    assert names == ["spz", "splat-transform", "pcodec", "zstd"]
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -211,13 +209,13 @@ def beside_lines(tmp_path_factory) -> tuple[list[dict], str]:
         absent = AbsentPeer("other", "other: not installed (get it)")
         return [absent, columns_peer(extra, threads), *splat_transform_peers(threads)]
 
-    options = ["-p", "m", "-p", "paper-m", "--peers", "--repeats", "2"]
+    options = ["-p", "m", "-p", "paper-m", "--repeats", "2"]
     options += ["--cameras", "auto", "--width", "36"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(beside, "find_peers", peers)
+        patch.setattr(runs, "find_peers", peers)
         patch.setenv(VARIABLE, stand_in(path.parent))
         patch.setenv("SPLAT_STAND_IN", "fail:.sog")
-        result = CliRunner().invoke(app, ["bench", str(path), *options])
+        result = CliRunner().invoke(app, ["bench", "peers", str(path), *options])
     assert result.exit_code == 0, result.output
     return [json.loads(line) for line in result.stdout.splitlines()], result.stderr
 
@@ -226,7 +224,7 @@ def test_every_codec_has_a_line(beside_lines):
     lines, table = beside_lines
     assert [line["kind"] for line in lines] == ["machine"] + ["beside"] * 8
     names = [line["codec"] for line in lines[1:]]
-    assert names == ["m", "paper-m", "m, by views", "pcodec, columns", *SPLAT_NAMES, "other"]
+    assert names == ["m", "paper-m", "m, camera-guided", "pcodec, columns", *SPLAT_NAMES, "other"]
     for line in lines[1:-2]:
         assert line["own_process"] == (line["codec"] in SPLAT_NAMES)
         assert line["ratio"] == pytest.approx(line["ply_bytes"] / line["file_bytes"])

@@ -26,8 +26,8 @@ class _Group(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and args[0] not in self.commands:
-            names = " or ".join(f"bench {name}" for name in self.commands)
-            raise InvalidInput(f"bench {args[0]}: expected {names}, then scenes")
+            names = ", ".join(self.commands)
+            raise InvalidInput(f"bench {args[0]}: expected a subcommand, one of {names}")
         return super().resolve_command(ctx, args)
 
 
@@ -39,8 +39,8 @@ app = typer.Typer(
 )
 
 
-@app.command("run", help="Measure each profile: time, size, entropy, error, memory, quality.")
 @app.command("peers", help="Measure profiles beside spz, splat-transform, pcodec and zstd.")
+@app.command("run", help="Measure each profile: time, size, entropy, error, memory, quality.")
 def measure(
     ctx: typer.Context,
     scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],

@@ -88,7 +88,7 @@ def _circumstances(results: Results) -> list[str]:
     machine, facts = results.first("machine"), []
     for name in ("command", "date", "commit", "processor", "threads", "system", "python"):
         if machine.get(name) is not None:
-            facts.append(f"- {name}: {machine[name]}")
+            facts.append(f"- {name}: {tables.escaped(str(machine[name]))}")
     known = {x["codec"]: x["version"] for x in results.of("beside") if not is_ours(x["codec"])}
     versions = [f"{name} ({v})" for name, v in (machine.get("packages", {}) | known).items()]
     facts += [f"- versions: {', '.join(versions)}"] if versions else []

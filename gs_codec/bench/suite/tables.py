@@ -9,7 +9,7 @@ from gs_codec import paper
 from gs_codec.bench.beside import GUIDED, is_ours
 from gs_codec.bench.curves import bd_rate
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
-from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
+from gs_codec.bench.suite.results import Line, Results, delta_of, finite, is_exact, psnr_of
 from gs_codec.config import LOSSLESS
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
@@ -162,4 +162,4 @@ def _seconds(value: float) -> str:
 
 
 def _number(value: Any, how: str) -> str:
-    return "" if value is None else format(value, how)
+    return "" if finite(value) is None else format(value, how)

@@ -38,7 +38,7 @@ from viewer.layers import (
     pruned_centres,
     thinned,
 )
-from viewer.main import app
+from viewer.main import app, main
 from viewer.numbers import quality_text
 from viewer.opened import Opened, open_scene, read_pruned, turned
 from viewer.picture import Shown, draw_points, draw_scene, measure, outlined, wipe_line, wiped
@@ -69,7 +69,24 @@ def files(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture
+def here(monkeypatch, capsys):
+    """What runs `gs-viewer` in this process: its status, stdout and stderr."""
+
+    def run(*arguments) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["gs-viewer", *map(str, arguments)])
+        try:
+            main()
+            status = 0
+        except SystemExit as stop:
+            status = stop.code or 0
+        return status, *capsys.readouterr()
+
+    return run
+
+
 def viewer(*arguments, **environment) -> subprocess.CompletedProcess:
+    """Run `gs-viewer` in a process of its own."""
     code = "import sys; sys.argv[0] = 'gs-viewer'; from viewer.main import main; main()"
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
@@ -490,20 +507,19 @@ def test_screenshots_need_no_display(files, tmp_path):
     assert os.listdir(tmp_path) == ["out.png"]
 
 
-def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path):
+def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, here):
     poses = [STRAIGHT.camera(40, 30) | {"img_name": f"view{k}"} for k in range(2)]
     (tmp_path / "cameras.json").write_text(json.dumps(poses))
     (tmp_path / "images").mkdir()
     Image.new("RGB", (40, 30), (200, 0, 0)).save(tmp_path / "images" / "view1.png")
     asked = [files / "a.ply", "--cameras", tmp_path / "cameras.json", "--images",
              tmp_path / "images", "--width", "200", "--height", "80"]  # fmt: skip
-    result = viewer(*asked, "--screenshot", tmp_path / "0.png")
-    assert result.returncode == 0
-    assert result.stderr.startswith("gs-viewer: without a photograph: ")
-    assert "no image 'view0'" in result.stderr
-    assert len(result.stderr.splitlines()) == 1
-    result = viewer(*asked, "--view", "1", "--screenshot", tmp_path / "1.png")
-    assert (result.returncode, result.stderr) == (0, "")
+    status, _, err = here(*asked, "--screenshot", tmp_path / "0.png")
+    assert status == 0
+    assert err.startswith("gs-viewer: without a photograph: ")
+    assert "no image 'view0'" in err
+    assert len(err.splitlines()) == 1
+    assert here(*asked, "--view", "1", "--screenshot", tmp_path / "1.png") == (0, "", "")
     reds = [
         np.sum(np.asarray(Image.open(tmp_path / f"{k}.png"))[..., 0].astype(int) > 190)
         for k in range(2)
@@ -511,7 +527,7 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path):
     assert reds[1] > reds[0] + 1000
 
 
-def test_photographs_that_are_programs_are_not_run(files, tmp_path):
+def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch, here):
     """PostScript by the name of a picture: Pillow would give it to Ghostscript."""
     for name in ("bin", "images"):
         (tmp_path / name).mkdir()
@@ -522,15 +538,15 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path):
     (tmp_path / "images" / "view.png").write_bytes(script)
     poses = [STRAIGHT.camera(40, 30) | {"img_name": "view"}]
     (tmp_path / "cameras.json").write_text(json.dumps(poses))
-    result = viewer(
+    monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
+    status, _, err = here(
         files / "a.ply", "--cameras", tmp_path / "cameras.json", "--images", tmp_path / "images",
         "--screenshot", tmp_path / "out.png",
-        PATH=f"{program.parent}{os.pathsep}{os.environ['PATH']}",
     )  # fmt: skip
     assert not ran.exists()
-    assert result.returncode == 2
-    assert "view.png: not an image" in result.stderr
-    assert len(result.stderr.splitlines()) == 1
+    assert status == 2
+    assert "view.png: not an image" in err
+    assert len(err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -544,12 +560,13 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path):
         (["a.ply", "--unknown"], "No such option"),
     ],
 )
-def test_errors_are_one_line(arguments, said):
-    result = viewer(*arguments)
-    assert result.returncode == 2
-    assert result.stderr.startswith("gs-viewer: error: ")
-    assert said in result.stderr
-    assert len(result.stderr.splitlines()) == 1
+def test_errors_are_one_line(arguments, said, here, monkeypatch):
+    monkeypatch.chdir(Path(__file__).parent.parent)
+    status, _, err = here(*arguments)
+    assert status == 2
+    assert err.startswith("gs-viewer: error: ")
+    assert said in err
+    assert len(err.splitlines()) == 1
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of X11")
@@ -583,8 +600,9 @@ def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
         assert out.exists()
 
 
-def test_the_version_and_help():
-    assert viewer("--version").stdout.startswith("gs-viewer 0.")
-    shown = viewer("--help", COLUMNS="100").stdout
+def test_the_version_and_help(here, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    assert here("--version")[1].startswith("gs-viewer 0.")
+    shown = here("--help")[1]
     assert "--screenshot" in shown
     assert "--pruned" in shown

@@ -17,20 +17,43 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "Config": "gs_codec.config",
-    "GsCodecError": "gs_codec.errors",
-    "read": "gs_codec.api",
-    "write": "gs_codec.api",
-    "encode": "gs_codec.api",
-    "decode": "gs_codec.api",
-    "inspect": "gs_codec.api",
-    "compare": "gs_codec.viewing",
-    "render": "gs_codec.viewing",
-    "prepare": "gs_codec.viewing",
-    "encode_file": "gs_codec.files",
-    "decode_file": "gs_codec.files",
+#: Modules, and what they have for everybody.
+_PUBLIC = {
+    "gs_codec.config": ("Config", "Target"),
+    "gs_codec.preparation.steps": ("Plan", "Steps"),
+    "gs_codec.codec.part": ("Part",),
+    "gs_codec.rendering.camera": ("Camera",),
+    "gs_codec.errors": (
+        "GsCodecError",
+        "InvalidInput",
+        "CorruptStream",
+        "TruncatedStream",
+        "UnsupportedVersion",
+        "MissingTool",
+        "ToolFailed",
+    ),
+    "gs_codec.api": ("read", "write", "encode", "decode", "inspect"),
+    "gs_codec.viewing": ("compare", "render", "prepare"),
+    "gs_codec.metrics.images": ("compare_images", "Quality", "View"),
+    "gs_codec.files": (
+        "encode_file",
+        "decode_file",
+        "prepare_file",
+        "compare_files",
+        "DecodeReport",
+    ),
+    "gs_codec.conversion": ("convert_file", "ConvertReport"),
+    "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport"),
+    "gs_codec.inspection": ("Info", "StreamInfo", "PassInfo"),
+    "gs_codec.metrics.attributes": ("Comparison", "GroupError"),
+    "gs_codec.preparation.report": ("PrepareReport", "StepReport"),
+    "gs_codec.container.channels": ("Channel",),
+    "gs_codec.lattice.lattice": ("PositionGrid",),
+    "gs_codec.views": ("Views",),
+    "gs_codec.rendering.renderer": ("Rendering", "Accumulations"),
 }
+
+_HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = list(_HOMES)
 

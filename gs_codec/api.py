@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
-from gs_codec import files, planned
+from gs_codec import files
 from gs_codec.cloud import from_cloud, to_cloud
-from gs_codec.codec import decode_scene
-from gs_codec.config import Config, Target, as_target
+from gs_codec.codec import decode_part
+from gs_codec.codec.part import Part
+from gs_codec.config import Config, Target
 from gs_codec.inspection import Info, inspect_bytes
 from gs_codec.io.ply import vertex_rows
-from gs_codec.rendering.camera import Camera
+from gs_codec.planned import encode_by_plan
+from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress, RateReport
 from gs_codec.workers import using_threads
 
@@ -123,59 +125,67 @@ def write(
 
 @overload
 def encode(
-    cloud: PointCloud,
+    source: PointCloud,
     config: Config | None = None,
-    cameras: str | Path | Sequence[Camera] | None = None,
-    target: None = None,
+    plan: Plan | None = None,
+    rate: None = None,
+    *,
+    progress: Progress | None = None,
 ) -> bytes: ...
 
 
 @overload
 def encode(
-    cloud: PointCloud,
+    source: PointCloud,
     config: Config | None = None,
-    cameras: str | Path | Sequence[Camera] | None = None,
+    plan: Plan | None = None,
     *,
-    target: Target | Mapping[str, float],
+    rate: Target | Mapping[str, float],
+    progress: Progress | None = None,
 ) -> tuple[bytes, RateReport]: ...
 
 
 def encode(
-    cloud: PointCloud,
+    source: PointCloud,
     config: Config | None = None,
-    cameras: str | Path | Sequence[Camera] | None = None,
-    target: Target | Mapping[str, float] | None = None,
+    plan: Plan | None = None,
+    rate: Target | Mapping[str, float] | None = None,
+    *,
+    progress: Progress | None = None,
 ) -> bytes | tuple[bytes, RateReport]:
-    """Encode a cloud as an `.egs` stream.
+    """Encode a cloud as an `.egs` stream; `encode_file` has the same arguments.
 
     The same cloud, options and version give the same bytes. Profiles ``paper-*`` are the method of
     EntropyGS (arXiv 2508.10227, Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
 
     Parameters
     ----------
-    cloud : open3d.t.geometry.PointCloud
+    source : open3d.t.geometry.PointCloud
         With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough, two agree.
     config : Config, optional
         By default profile ``m``.
-    cameras : path, "auto", or sequence of Camera, optional
-        As for `render`; profiles ``l``, ``m`` and ``s`` then spend bits where their views see it.
-    target : Target or mapping, optional
+    plan : Plan, optional
+        How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` then spend
+        bits where its views see it.
+    rate : Target or mapping, optional
         One of ``size`` (bytes), ``ratio``, ``bits`` (for each Gaussian) and ``psnr_drop`` (dB) for
         profiles ``l``, ``m`` and ``s`` to come to, and ``allow_prune``; a ratio is to the PLY that
         `write` writes.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
 
     Returns
     -------
     data : bytes
         The stream, which may be written to a file as it is.
     report : RateReport
-        With a target alone: the steps it led to, and the size or quality expected and reached.
+        With a rate alone: the steps it led to, and the size or quality expected and reached.
 
     Raises
     ------
     InvalidInput
         If an attribute is missing or of a wrong type, ``log_scale`` and ``scale`` disagree, a value
-        is not finite, or the target is out of reach.
+        is not finite, or the rate cannot be reached.
     MissingTool, ToolFailed
         If `config` asks for G-PCC, and its program is not there or fails.
 
@@ -183,40 +193,48 @@ def encode(
     --------
     >>> cloud = gs_codec.read("scene.ply")
     >>> data = gs_codec.encode(cloud)
-    >>> seen = gs_codec.encode(cloud, cameras="cameras.json")
+    >>> seen = gs_codec.encode(cloud, plan=gs_codec.Plan(cameras="cameras.json"))
 
-    A wish instead of a profile's own steps; sizes are met from below:
+    A size instead of a profile's own step sizes; sizes are met from below:
 
-    >>> data, report = gs_codec.encode(cloud, target={"size": 40_000})
+    >>> data, report = gs_codec.encode(cloud, rate={"size": 40_000})
     >>> len(data) == report.file_bytes <= 40_000
     True
     """
     config = config or Config()
-    scene = from_cloud(cloud, config.extra)
-    plan = None
-    if cameras is not None:
-        from gs_codec.preparation.pipeline import Plan
-        from gs_codec.preparation.steps import Steps
-
-        plan = Plan(Steps(), cameras)
+    scene = from_cloud(source, config.extra)
     with using_threads(config.threads):
-        if target is None:
-            return planned.encode_planned(scene, config, plan)[0]
-        ply_bytes = vertex_rows(scene).nbytes
-        data, report = planned.encode_goal(scene, scene, ply_bytes, config, as_target(target), plan)
-    assert report.rate is not None
-    return data, report.rate
+        ply_bytes = vertex_rows(scene).nbytes if rate is not None else 0
+        data, report = encode_by_plan(scene, ply_bytes, config, plan, rate, progress)
+    return data if report.rate is None else (data, report.rate)
 
 
-def decode(data: bytes, max_bytes: int | None = None) -> PointCloud:
+def decode(
+    source: bytes,
+    part: Part | None = None,
+    *,
+    threads: int | None = None,
+    tmc3: str | Path | None = None,
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> PointCloud:
     """Decode an `.egs` stream; the Gaussians come in Morton order, if theirs was not kept.
 
-    The same bytes give the same floats on every machine.
+    The same bytes give the same floats on every machine. `decode_file` has the same arguments.
 
     Parameters
     ----------
-    data : bytes
+    source : bytes
         A whole stream, from `encode` or a file.
+    part : Part, optional
+        A box, a lower SH degree, or both.
+    threads : int, optional
+        Worker threads, 1-256; by default one for each available processor.
+    tmc3 : str or Path, optional
+        MPEG's program, for streams that use G-PCC; by default what the environment variable
+        ``GS_CODEC_TMC3`` or PATH say.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
     max_bytes : int, optional
         Largest size of the decoded floats; by default 1 GiB or 1000 times the stream.
 
@@ -227,6 +245,8 @@ def decode(data: bytes, max_bytes: int | None = None) -> PointCloud:
 
     Raises
     ------
+    InvalidInput
+        If a box has no Gaussians.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the stream is damaged, decodes to more than `max_bytes`, or is newer than this version.
     MissingTool, ToolFailed
@@ -235,11 +255,13 @@ def decode(data: bytes, max_bytes: int | None = None) -> PointCloud:
     Examples
     --------
     >>> cloud = gs_codec.read("scene.ply")
-    >>> decoded = gs_codec.decode(gs_codec.encode(cloud, gs_codec.Config("lossless")))
-    >>> decoded.point.rot.shape
+    >>> data = gs_codec.encode(cloud, gs_codec.Config("lossless"))
+    >>> gs_codec.decode(data).point.rot.shape
     SizeVector[2000, 4]
+    >>> gs_codec.decode(data, gs_codec.Part(sh_degree=0)).point.f_rest.shape
+    SizeVector[2000, 0, 3]
     """
-    return to_cloud(decode_scene(data, max_bytes=max_bytes))
+    return to_cloud(decode_part(source, part or Part(), threads, max_bytes, progress, tmc3)[0])
 
 
 def inspect(source: bytes | str | Path) -> Info:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 from gs_codec.errors import InvalidInput
 
@@ -18,6 +18,93 @@ SH_STREAMS = DEPTH_GROUPS[5:]
 
 #: Most bits a group may have: three 21-bit axes fill a Morton code, 12 bits fill a table.
 MAX_DEPTH = {group: 21 if group == "geometry" else 12 for group in DEPTH_GROUPS}
+
+
+@dataclass(frozen=True)
+class Option:
+    """What a field of a dataclass is as an option: its values, and how help describes it.
+
+    The commands build their options from these, so that an option is written down once.
+
+    Parameters
+    ----------
+    help : str
+        One sentence for the help of a command.
+    kind : type
+        ``bool``, ``int``, ``float``, ``str`` or ``Path``.
+    name : str, optional
+        The option's name where it is not the field's.
+    metavar : str, optional
+        What stands for the value in the help.
+    shown : str, optional
+        What the help shows as the default.
+    low, high : float, optional
+        Range of the values, both included.
+    expected : str, optional
+        The range in words.
+    values : mapping or tuple, optional
+        The words that are accepted; a mapping says what each stands for.
+    keys : tuple of str
+        The keys of a mapping, for a field that is one.
+    unit : {"bytes"}, optional
+        Sizes are typed with units: ``5MB``.
+    expert : bool
+        Whether commands take it by ``--set NAME=VALUE`` where they do not list it.
+    """
+
+    help: str
+    kind: type = str
+    name: str | None = None
+    metavar: str | None = None
+    shown: str | None = None
+    low: float = -math.inf
+    high: float = math.inf
+    expected: str | None = None
+    values: Mapping[str, Any] | tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()
+    unit: Literal["bytes"] | None = None
+    expert: bool = True
+
+    def check(self, name: str, value: Any) -> None:
+        """Refuse a value of field `name` that is none of `values`, or outside the range.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        if isinstance(self.values, tuple) and self.values and value not in self.values:
+            raise InvalidInput(f"{name} '{value}': expected one of {', '.join(self.values)}")
+        if self.kind not in (int, float) or self.keys:
+            return
+        whole = self.kind is float or isinstance(value, int)
+        if not whole or not self.low <= value <= self.high:
+            expected = self.expected or f"an integer from {self.low} to {self.high}"
+            raise InvalidInput(f"{name} {value}: expected {expected}")
+
+
+def option(default: Any, help: str, **rest: Any) -> Any:  # noqa: A002
+    """A field of a dataclass with its `Option`; the default of a mapping is its type."""
+    metadata = {"option": Option(help, **rest)}
+    if default is dict:
+        return field(default_factory=dict, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def options_of(settings: Any) -> dict[str, Option]:
+    """The options of a dataclass by its fields' names."""
+    return {f.name: f.metadata["option"] for f in fields(settings) if "option" in f.metadata}
+
+
+def check_options(settings: Any) -> None:
+    """Refuse values of a dataclass's fields that their options do not allow; None is allowed.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    for name, described in options_of(settings).items():
+        if (value := getattr(settings, name)) is not None:
+            described.check(name, value)
 
 
 def _depths(*bits: int) -> Mapping[str, int]:
@@ -85,10 +172,20 @@ LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
 
 PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
 
+#: Words that are accepted for the short names.
+PROFILE_WORDS: Mapping[str, str] = MappingProxyType({"high": "l", "medium": "m", "low": "s"})
+
+#: The profiles as help lists them.
+PROFILES_SHOWN = ", ".join(
+    [f"{short} ({word})" for word, short in PROFILE_WORDS.items()] + [*PROFILES, LOSSLESS]
+)
+
 
 @dataclass(frozen=True)
 class Target:
-    """One wish; sizes are met from below, by 2 % or less unless the finest steps take less.
+    """One size or quality to come to.
+
+    Sizes are met from below, by 2 % or less unless the finest steps take less.
 
     Parameters
     ----------
@@ -108,13 +205,38 @@ class Target:
     ------
     InvalidInput
         If not exactly one is given, or it is not a finite number above 0.
+
+    Examples
+    --------
+    >>> gs_codec.Target(ratio=20)
+    Target(size=None, ratio=20, bits=None, psnr_drop=None, allow_prune=False)
+    >>> gs_codec.Target()
+    Traceback (most recent call last):
+        ...
+    gs_codec.errors.InvalidInput: target: none given, expected exactly one
     """
 
-    size: int | None = None
-    ratio: float | None = None
-    bits: float | None = None
-    psnr_drop: float | None = None
-    allow_prune: bool = False
+    size: int | None = option(
+        None,
+        "Largest file: 5MB, 800kB, 3MiB.",
+        kind=int, name="target_size", metavar="SIZE", unit="bytes",
+    )  # fmt: skip
+    ratio: float | None = option(
+        None,
+        "Smallest compression ratio; counts from the PLY, or from the floats of a compressed file.",
+        kind=float, name="target_ratio", metavar="R",
+    )  # fmt: skip
+    bits: float | None = option(
+        None, "Most bits per Gaussian.", kind=float, name="target_bpg", metavar="BITS"
+    )
+    psnr_drop: float | None = option(
+        None,
+        "Smallest file whose views lose at most this PSNR (dB).",
+        kind=float, name="max_psnr_drop", metavar="DB",
+    )  # fmt: skip
+    allow_prune: bool = option(
+        False, "Prune Gaussians to meet a target, where views hardly need them.", kind=bool
+    )
 
     def __post_init__(self) -> None:
         wishes = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "allow_prune"}
@@ -149,7 +271,7 @@ def as_target(wish: Target | Mapping[str, float]) -> Target:
         return wish
     known = [f.name for f in fields(Target)]
     for name in wish:
-        _check_choice("target", name, tuple(known))
+        Option("", values=tuple(known)).check("target", name)
     return Target(**wish)  # type: ignore[arg-type]
 
 
@@ -161,7 +283,8 @@ class Config:
     ----------
     profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s", "lossless"}
         Steps that follow how much is seen of each Gaussian, quantisation depths of the paper's
-        Table 1, or every bit as it is. Default ``m``.
+        Table 1, or every bit as it is. ``high``, ``medium`` and ``low`` are accepted for ``l``,
+        ``m`` and ``s``. Default ``m``.
     depths : mapping of str to int
         Bits per group that override a paper profile (its rate control, Section 4.4). With ``l``,
         ``m``, ``s`` a group's steps are then as coarse as those bits make them there, on average
@@ -209,28 +332,51 @@ class Config:
     gs_codec.errors.InvalidInput: coarseness 100: expected 1/64 to 64
     """
 
-    profile: str = "m"
-    depths: Mapping[str, int] = field(default_factory=dict)
-    nonfinite: Literal["error", "drop"] = "error"
-    extra: Literal["error", "keep", "drop"] = "error"
-    threads: int | None = None
-    block_size: int = 1 << 16
-    keep_order: bool = False
-    coarseness: float = 1.0
-    geometry: Literal["octree", "gpcc", "auto"] = "octree"
-    tmc3: str | None = None
-    verify: bool = True
+    profile: str = option("m", f"One of {PROFILES_SHOWN}.", metavar="NAME", values=PROFILE_CHOICES)
+    depths: Mapping[str, int] = option(
+        dict,
+        f"Bits of a group: {', '.join((*DEPTH_GROUPS, 'sh-ac'))}.",
+        kind=int, name="depth", metavar="BITS", keys=(*DEPTH_GROUPS, "sh-ac"),
+    )  # fmt: skip
+    nonfinite: Literal["error", "drop"] = option(
+        "error", "What to do with Gaussians that hold NaN or infinity.", values=("error", "drop")
+    )
+    extra: Literal["error", "keep", "drop"] = option(
+        "error",
+        "What to do with properties beyond the 3DGS layout.",
+        values=("error", "keep", "drop"),
+    )
+    threads: int | None = option(
+        None, "Worker threads, 1-256.", kind=int, low=1, high=256, shown="all processors"
+    )
+    block_size: int = option(
+        1 << 16,
+        "Most Gaussians in a block that is decoded alone, 1024-65536.",
+        kind=int, low=1 << 10, high=1 << 16,
+    )  # fmt: skip
+    keep_order: bool = option(
+        False, "With profile lossless: keep the order of the Gaussians.", kind=bool
+    )
+    coarseness: float = option(
+        1.0,
+        "With profiles l, m, s: multiplies all step sizes, 1/64-64.",
+        kind=float, low=1 / 64, high=64, expected="1/64 to 64",
+    )  # fmt: skip
+    geometry: Literal["octree", "gpcc", "auto"] = option(
+        "octree",
+        "With paper-*: what codes geometry and SH-DC; gpcc is MPEG's tmc3, auto takes it if found.",
+        values=("octree", "gpcc", "auto"),
+    )
+    tmc3: str | None = option(
+        None, "The G-PCC program.", metavar="PATH", shown="GS_CODEC_TMC3, or tmc3 in PATH"
+    )
+    verify: bool = option(True, "Decode what tmc3 has coded, and compare.", kind=bool)
 
     def __post_init__(self) -> None:
-        _check_choice("profile", self.profile, PROFILE_CHOICES)
-        _check_choice("nonfinite", self.nonfinite, ("error", "drop"))
-        _check_choice("extra", self.extra, ("error", "keep", "drop"))
-        check_threads(self.threads)
-        _check_range("block_size", self.block_size, 1 << 10, 1 << 16)
+        object.__setattr__(self, "profile", PROFILE_WORDS.get(self.profile, self.profile))
+        check_options(self)
         if self.asked_depths() and self.profile == LOSSLESS:
             raise InvalidInput(f"depths: profile '{self.profile}' has none, all others do")
-        if not 1 / 64 <= self.coarseness <= 64:
-            raise InvalidInput(f"coarseness {self.coarseness}: expected 1/64 to 64")
         if self.coarseness != 1 and self.profile not in LATTICE_PROFILES:
             known = ", ".join(LATTICE_PROFILES)
             raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
@@ -239,7 +385,6 @@ class Config:
         self._check_geometry()
 
     def _check_geometry(self) -> None:
-        _check_choice("geometry", self.geometry, ("octree", "gpcc", "auto"))
         if self.geometry == "octree" and (self.tmc3 is not None or not self.verify):
             what = "verify" if self.tmc3 is None else "tmc3"
             raise InvalidInput(f"{what}: geometry 'octree' has no use for it, gpcc and auto do")
@@ -291,14 +436,10 @@ class Config:
 
 def check_threads(threads: int | None) -> None:
     """Refuse a number of worker threads that is not 1-256, or None for all processors."""
-    _check_range("threads", 1 if threads is None else threads, 1, 256)
-
-
-def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise InvalidInput(f"{name} '{value}': expected one of {', '.join(choices)}")
+    if threads is not None:
+        options_of(Config)["threads"].check("threads", threads)
 
 
 def _check_range(name: str, value: int, low: int, high: int) -> None:
-    if not isinstance(value, int) or not low <= value <= high:
-        raise InvalidInput(f"{name} {value}: expected an integer from {low} to {high}")
+    """Refuse a value that is no integer in a range, both ends included."""
+    Option("", int, low=low, high=high).check(name, value)

@@ -54,25 +54,33 @@ def convert_file(
     target: str | Path,
     config: Config | None = None,
     coordinates: str = CONVENTION,
+    *,
     progress: Progress | None = None,
-    overwrite: bool = True,
     max_bytes: int | None = None,
+    overwrite: bool = True,
 ) -> ConvertReport:
     """Convert a scene to the format of the target's suffix; it appears whole or not at all.
 
     Parameters
     ----------
     source, target : str or Path
+        Scenes; the target is ``.ply``, ``.egs`` or ``.splat``.
     config : Config, optional
         For `.egs` targets; of others only what is done with extra properties and NaN.
     coordinates : str
         Coordinate system to turn to, or ``keep``; ``RDF`` is that of PLY and ``.splat`` files.
         ``RUB:RDF`` turns from the first, whatever the source states.
     progress : callable, optional
-    overwrite : bool
-        As for `encode_file`.
+        Called as ``progress(stage, done, total)``.
     max_bytes : int, optional
         Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+    overwrite : bool
+        As for `encode_file`.
+
+    Returns
+    -------
+    ConvertReport
+        What was written, and what of the source it does not have.
 
     Raises
     ------
@@ -80,6 +88,12 @@ def convert_file(
         If the source cannot be used, or the target cannot be written.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is an unsound `.egs` file.
+
+    Examples
+    --------
+    >>> report = gs_codec.convert_file("scene.ply", "scene.splat")
+    >>> report.count, report.lost[0]
+    (2000, 'opacity, colour and rotation rounded to 8 bits')
     """
     config = config or Config(extra="keep")
     suffix = check_target(source, target, overwrite=overwrite)

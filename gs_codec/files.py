@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -27,7 +28,7 @@ from gs_codec.matching import (
     without_order,
 )
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.planned import encode_goal, encode_planned
+from gs_codec.planned import encode_by_plan, encode_planned
 from gs_codec.report import EncodeReport, Progress
 from gs_codec.scene import Scene, float_bytes
 from gs_codec.slabs import opened_slabs
@@ -41,8 +42,8 @@ log = logging.getLogger(__name__)
 _WRITTEN = (".ply", ".egs", ".splat")
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.pipeline import Plan
     from gs_codec.preparation.report import PrepareReport
+    from gs_codec.preparation.steps import Plan
 
 
 @dataclass(frozen=True)
@@ -74,17 +75,18 @@ def encode_file(
     source: str | Path,
     target: str | Path,
     config: Config | None = None,
-    progress: Progress | None = None,
     plan: Plan | None = None,
-    report_folder: str | Path | None = None,
-    goal: Target | None = None,
+    rate: Target | Mapping[str, float] | None = None,
+    *,
+    progress: Progress | None = None,
     max_memory: int | None = None,
-    overwrite: bool = True,
     max_bytes: int | None = None,
+    overwrite: bool = True,
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
-    Does not load Open3D; comments of a PLY, which clouds do not have, are kept.
+    The arguments after `target` are those of `encode`. Does not load Open3D; comments of a PLY,
+    which clouds do not have, are kept.
 
     Parameters
     ----------
@@ -94,24 +96,23 @@ def encode_file(
         The file to write, an `.egs`.
     config : Config, optional
         By default profile ``m``.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
     plan : Plan, optional
         How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` go by what
         its views see.
-    report_folder : str or Path, optional
-        Receives what preparation did, and what each stage of coding adds to it.
-    goal : Target, optional
-        A size or quality that profiles ``l``, ``m`` and ``s`` are to come to.
+    rate : Target or mapping, optional
+        A size or quality that profiles ``l``, ``m`` and ``s`` are to come to; a ratio counts from
+        the PLY, or from the floats of a compressed file.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
     max_memory : int, optional
         Bytes; a scene that takes more is worked on in temporary files, with the same result. Not
-        with `plan` nor `goal`, and of a binary PLY of floats alone.
-    overwrite : bool
-        Whether a `target` that exists is replaced, once the new one is whole, and files in
-        `report_folder` are; else both are refused before the work. Default True, as for other
-        functions of Python that write files; the command line has ``--overwrite`` for it.
+        with `plan` nor `rate`, and of a binary PLY of floats alone.
     max_bytes : int, optional
         Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+    overwrite : bool
+        Whether a `target` that exists is replaced, once the new one is whole; else it is refused
+        before the work. Default True, as for other functions of Python that write files; the
+        command line has ``--overwrite`` for it.
 
     Returns
     -------
@@ -121,7 +122,7 @@ def encode_file(
     Raises
     ------
     InvalidInput
-        If the source cannot be used, the goal is out of reach, the target cannot be written, or
+        If the source cannot be used, the rate cannot be reached, the target cannot be written, or
         `max_memory` or `max_bytes` is too little.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is an `.egs` file that cannot be decoded.
@@ -134,46 +135,29 @@ def encode_file(
     >>> report.count, report.raw_bytes // report.file_bytes >= 5
     (2000, True)
 
-    Without what views hardly miss:
+    Without the Gaussians whose removal changes the views least:
 
-    >>> from gs_codec.preparation.pipeline import Plan
-    >>> from gs_codec.preparation.steps import Steps
-    >>> plan = Plan(Steps(prune_loo=20), "cameras.json", width=48)
+    >>> plan = gs_codec.Plan(gs_codec.Steps(prune=20), "cameras.json", width=48)
     >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
     1600
     """
     config = config or Config()
     check_target(source, target, (".egs",), overwrite)
-    if report_folder is not None:
-        check_folder(report_folder, overwrite)
-    if max_memory is not None and (plan is not None or goal is not None):
+    if max_memory is not None and (plan is not None or rate is not None):
         raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
     with using_threads(config.threads), bounded(max_memory):
-        return _encode_file(source, target, config, progress, plan, report_folder, goal, max_bytes)
-
-
-def _encode_file(
-    source: str | Path,
-    target: str | Path,
-    config: Config,
-    progress: Progress | None,
-    plan: Plan | None,
-    report_folder: str | Path | None,
-    goal: Target | None,
-    max_bytes: int | None,
-) -> EncodeReport:
-    start = time.perf_counter()
-    scene, size = _read_source(source, config.extra, max_bytes)
-    read = time.perf_counter() - start
-    with located(source):
-        if plan is None and goal is None:
-            parts, report = encode_parts(scene, config, progress)
-        else:
-            data, report = _encode_by_plan(scene, size, config, plan, goal, report_folder, progress)
-            parts = [data]
-    start = time.perf_counter()
-    with atomic_writer(target) as file:
-        file.writelines(parts)
+        start = time.perf_counter()
+        scene, size = _read_source(source, config.extra, max_bytes)
+        read = time.perf_counter() - start
+        with located(source):
+            if plan is None and rate is None:
+                parts, report = encode_parts(scene, config, progress)
+            else:
+                data, report = encode_by_plan(scene, size, config, plan, rate, progress)
+                parts = [data]
+        start = time.perf_counter()
+        with atomic_writer(target) as file:
+            file.writelines(parts)
     seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
     return replace(report, seconds=seconds)
 
@@ -194,66 +178,82 @@ def _read_source(
         return scene, scene.float_bytes if counts else file.stored_bytes
 
 
-def _encode_by_plan(
-    scene: Scene,
-    size: int,
-    config: Config,
-    plan: Plan | None,
-    goal: Target | None,
-    report_folder: str | Path | None,
-    progress: Progress | None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene, of `size` bytes uncompressed, by a plan, to a goal, or both."""
-    prepared, views, original = None, None, scene
-    if plan is not None and plan.steps.wanted:
-        scene, prepared = _prepare(scene, plan, config, report_folder, progress)
-        views = prepared.views
-    if goal is not None:
-        data, report = encode_goal(scene, original, size, config, goal, plan, progress, views)
-    else:
-        targets = None if views is None else views.renders
-        data, report = encode_planned(scene, config, plan, progress, targets)
-    if prepared is not None and report_folder is not None:
-        _finish_report(prepared, scene, config, data, report, report_folder)
-    return data, report
-
-
 def prepare_file(
     source: str | Path,
     target: str | Path,
     plan: Plan,
-    report_folder: str | Path | None = None,
-    progress: Progress | None = None,
-    overwrite: bool = True,
-    max_bytes: int | None = None,
     config: Config | None = None,
+    *,
+    progress: Progress | None = None,
+    report_folder: str | Path | None = None,
+    max_bytes: int | None = None,
+    overwrite: bool = True,
 ) -> PrepareReport:
     """Prepare the scene of a file and write it as ``.ply``, ``.egs`` or ``.splat``.
 
-    `config` is how an ``.egs`` is coded, with the bytes that `encode_file` writes, and what the
-    report's last steps are of; extra properties are kept. `overwrite` is as for `encode_file`.
+    The arguments after `target` are those of `prepare`. Extra properties are kept.
+
+    Parameters
+    ----------
+    source, target : str or Path
+    plan : Plan
+        Steps, and the views they go by.
+    config : Config, optional
+        How an ``.egs`` is coded, with the bytes that `encode_file` writes, and what the report's
+        last steps are of; by default profile ``m``.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    report_folder : str or Path, optional
+        Receives what preparation did, and what each stage of coding adds to it.
+    max_bytes : int, optional
+        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+    overwrite : bool
+        As for `encode_file`; also of files in `report_folder`.
+
+    Returns
+    -------
+    PrepareReport
+        A label for each input Gaussian, and size and quality after each step.
 
     Raises
     ------
     InvalidInput
         If the source cannot be used, or the target or the report cannot be written.
+
+    Examples
+    --------
+    >>> plan = gs_codec.Plan(gs_codec.Steps(prune=30), "cameras.json", width=48)
+    >>> report = gs_codec.prepare_file("scene.ply", "pruned.ply", plan)
+    >>> report.removed["leave-one-out"]
+    600
     """
     suffix = check_target(source, target, overwrite=overwrite)
     if report_folder is not None:
         check_folder(report_folder, overwrite)
-    scene = without_order(read_scene(source, "keep", max_bytes=max_bytes))
     config = replace(config or Config(), extra="keep")
-    with located(source):
-        scene, prepared = _prepare(scene, plan, config, report_folder, progress)
-        views = prepared.views.renders
-        coded_by = plan if suffix == ".egs" else None
-        data, report = encode_planned(scene, config, coded_by, progress, views)
-        prepared = _finish_report(prepared, scene, config, data, report, report_folder)
-    if suffix == ".egs":
-        with atomic_writer(target) as file:
-            file.write(data)
-    else:
-        write_scene(target, scene, config)
+    # Loaded here: encoding alone does without all that draws.
+    from gs_codec.ablation import coding_steps
+    from gs_codec.preparation.pipeline import prepare_scene
+    from gs_codec.preparation.save import save_report
+
+    with using_threads(config.threads):
+        scene = without_order(read_scene(source, "keep", max_bytes=max_bytes))
+        with located(source):
+            if report_folder is not None:
+                check_writable(make_folder(report_folder) / "report.json")
+            scene, prepared = prepare_scene(scene, plan, progress, config=config)
+            coded, views = suffix == ".egs", prepared.views
+            coded_by = plan if coded else None
+            data, report = encode_planned(scene, config, coded_by, progress, views.renders)
+            coding = coding_steps(scene, config, data, report, views.held_out)
+            prepared = replace(prepared, steps=(*prepared.steps, *coding))
+            if report_folder is not None:
+                save_report(report_folder, prepared)
+        if coded:
+            with atomic_writer(target) as file:
+                file.write(data)
+        else:
+            write_scene(target, scene, config)
     return prepared
 
 
@@ -308,56 +308,23 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = _WRITTEN) -> str:
     return suffix
 
 
-def _prepare(
-    scene: Scene,
-    plan: Plan,
-    config: Config,
-    folder: str | Path | None,
-    progress: Progress | None,
-) -> tuple[Scene, PrepareReport]:
-    """Prepare a scene; a folder for the report that cannot be written to is refused before."""
-    # Loaded here: encoding alone does without all that draws.
-    from gs_codec.preparation.pipeline import prepare_scene
-
-    if folder is not None:
-        check_writable(make_folder(folder) / "report.json")
-    return prepare_scene(scene, plan, progress, config=config)
-
-
-def _finish_report(
-    prepared: PrepareReport,
-    scene: Scene,
-    config: Config,
-    data: bytes,
-    report: EncodeReport,
-    folder: str | Path | None,
-) -> PrepareReport:
-    """Add the stages of coding to a report and, if there is a folder, write it there."""
-    from gs_codec.ablation import coding_steps
-    from gs_codec.preparation.save import save_report
-
-    coding = coding_steps(scene, config, data, report, prepared.views.held_out)
-    prepared = replace(prepared, steps=(*prepared.steps, *coding))
-    if folder is not None:
-        save_report(folder, prepared)
-    return prepared
-
-
 def decode_file(
     source: str | Path,
     target: str | Path,
-    threads: int | None = None,
-    max_bytes: int | None = None,
-    progress: Progress | None = None,
     part: Part | None = None,
+    *,
+    threads: int | None = None,
     tmc3: str | Path | None = None,
+    progress: Progress | None = None,
     max_memory: int | None = None,
+    max_bytes: int | None = None,
     overwrite: bool = True,
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
-    A comment line in the PLY says in which order the Gaussians are, unless it is the
-    original's, so that `compare` can match them. Does not load Open3D.
+    The arguments after `target` are those of `decode`. A comment line in the PLY says in which
+    order the Gaussians are, unless it is the original's, so that `compare` can match them. Does
+    not load Open3D.
 
     Parameters
     ----------
@@ -365,19 +332,19 @@ def decode_file(
         An `.egs` file.
     target : str or Path
         The PLY to write, in the INRIA trainer's layout.
-    threads : int, optional
-        Worker threads, 1-256; by default one for each available processor.
-    max_bytes : int, optional
-        Largest size of the decoded floats; by default 1 GiB or 1000 times the file.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
     part : Part, optional
         A box, a lower SH degree, or both; no more of the file is read than that needs.
+    threads : int, optional
+        Worker threads, 1-256; by default one for each available processor.
     tmc3 : str or Path, optional
         MPEG's program, for files that use G-PCC; by default what the environment variable
         ``GS_CODEC_TMC3`` or PATH say.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
     max_memory : int, optional
         Bytes that are enough for a part of the scene at a time.
+    max_bytes : int, optional
+        Largest size of the decoded floats; by default 1 GiB or 1000 times the file.
     overwrite : bool
         As for `encode_file`.
 
@@ -398,8 +365,8 @@ def decode_file(
 
     Examples
     --------
-    >>> from gs_codec.codec.part import Part
-    >>> report = gs_codec.decode_file("scene.egs", "decoded.ply", part=Part(sh_degree=1))
+    >>> part = gs_codec.Part(sh_degree=1)
+    >>> report = gs_codec.decode_file("scene.egs", "decoded.ply", part)
     >>> report.sh_degree, report.bytes_read < report.file_bytes
     (1, True)
     """

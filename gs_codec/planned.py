@@ -2,20 +2,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from gs_codec.codec.clean import clean_scene
 from gs_codec.codec.encode import encode_scene
 from gs_codec.codec.lattice_encode import encode_shaped, shape_scene
-from gs_codec.config import LATTICE_PROFILES, Config, Target
+from gs_codec.config import LATTICE_PROFILES, Config, Target, as_target
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.scene import Scene
 from gs_codec.workers import using_threads
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.preparation.steps import Plan
     from gs_codec.preparation.targets import Targets, Views
+
+
+def encode_by_plan(
+    scene: Scene,
+    ply_bytes: int,
+    config: Config,
+    plan: Plan | None = None,
+    rate: Target | Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene, of `ply_bytes` uncompressed, as `encode` and `encode_file` do.
+
+    Raises
+    ------
+    InvalidInput
+        If there are no cameras, nothing would be left, or the rate cannot be reached.
+    """
+    views, original = None, scene
+    if plan is not None and plan.steps.wanted:
+        from gs_codec.preparation.pipeline import prepare_scene
+
+        scene, prepared = prepare_scene(scene, plan, progress, config=config)
+        views = prepared.views
+    if rate is not None:
+        wish = as_target(rate)
+        return encode_goal(scene, original, ply_bytes, config, wish, plan, progress, views)
+    targets = None if views is None else views.renders
+    return encode_planned(scene, config, plan, progress, targets)
 
 
 def encode_goal(
@@ -45,10 +74,9 @@ def encode_goal(
     check_searchable(scene, config)
     limit = goal.limit(original.count, ply_bytes)
     if plan is None and (limit is None or goal.allow_prune):
-        from gs_codec.preparation.pipeline import Plan
-        from gs_codec.preparation.steps import Steps
+        from gs_codec.preparation.steps import Plan
 
-        plan = Plan(Steps())
+        plan = Plan()
     if plan is None:
         return encode_to_target(scene, config, goal, limit)
     seen = None
@@ -106,6 +134,6 @@ def wanted_of(
     from gs_codec.preparation.targets import draw_targets
 
     targets = targets or draw_views(scene, plan, progress)
-    if plan.steps.optimise:
+    if plan.steps.refine:
         targets = draw_targets(scene, targets.cameras, targets.background, progress)
     return targets

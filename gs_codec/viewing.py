@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Literal
 
 from gs_codec import files
 from gs_codec.cloud import from_cloud, to_cloud
+from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.metrics.images import Quality, compare_images
-from gs_codec.metrics.views import RenderedComparison, compare_views
+from gs_codec.metrics.views import compare_views
+from gs_codec.preparation.steps import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.renderer import Rendering
@@ -24,6 +22,7 @@ from gs_codec.report import Progress
 from gs_codec.scene import Scene
 from gs_codec.transform.coordinates import system_of, turn_axes
 from gs_codec.views import Views
+from gs_codec.workers import using_threads
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -101,20 +100,20 @@ def render(
 
 
 def compare(
-    first: PointCloud | str | Path | NDArray,
-    second: PointCloud | str | Path | NDArray,
+    first: PointCloud | str | Path,
+    second: PointCloud | str | Path,
     cameras: str | Path | Sequence[Camera] | None = None,
     *,
     split: str = "held-out",
     width: int | None = None,
-    truth: str | Path | None = None,
+    gt_images: str | Path | None = None,
     images: str | Path | None = None,
     background: Sequence[float] = (0.0, 0.0, 0.0),
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
     max_bytes: int | None = None,
-) -> Comparison | RenderedComparison | Quality:
-    """Errors of one scene against another, by attribute or in what cameras see; or of images.
+) -> Comparison:
+    """Errors of one scene against another: by attribute, or in what cameras see.
 
     Without cameras, files are matched through their stored order: of a scene and its decoded
     version, the first is put in the order of the second. Clouds are compared index by index.
@@ -122,10 +121,10 @@ def compare(
     Parameters
     ----------
     first, second : open3d.t.geometry.PointCloud, or paths of scenes
-        Or images ``(H, W, 3)``, 0-1.
+        Two of a kind, unless there are cameras.
     cameras, split, width, background, device, progress, max_bytes
         As for `render`; ``auto`` cameras are chosen from the first scene.
-    truth : path, optional
+    gt_images : path, optional
         Folder of ground-truth images, found by the cameras' names; views take their size.
     images : path, optional
         Folder to write both images and their amplified difference to, for each view.
@@ -133,11 +132,8 @@ def compare(
     Returns
     -------
     Comparison
-        Without cameras: largest and root-mean-square errors of each attribute.
-    RenderedComparison
-        With cameras: PSNR, SSIM and, where installed, LPIPS of each view, and their means.
-    Quality
-        Of two images.
+        Without cameras its `groups`: largest and root-mean-square errors of each attribute. With
+        cameras its `views`, their `mean` and the `worst`: PSNR, SSIM and, where installed, LPIPS.
 
     Raises
     ------
@@ -159,20 +155,18 @@ def compare(
 
     What cameras see of both:
 
-    >>> views = gs_codec.compare("scene.ply", "scene.egs", "cameras.json", width=48)
-    >>> views.mean.between.psnr > 35
+    >>> seen = gs_codec.compare("scene.ply", "scene.egs", "cameras.json", width=48)
+    >>> seen.mean.between.psnr > 35
     True
     """
-    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
-        return compare_images(first, second)
     if cameras is not None:
-        if truth is not None and width is not None:
+        if gt_images is not None and width is not None:
             raise InvalidInput("width: given by the ground-truth images, expected one of the two")
         stored = _stored_scene(first, max_bytes), _stored_scene(second, max_bytes)
         systems = system_of(stored[0]), system_of(stored[1])
         scenes = turn_axes(stored[0]), turn_axes(stored[1])
         views = find_cameras(cameras, scenes[0], split, width)
-        seen = compare_views(*scenes, views, truth, images, background, device, progress)
+        seen = compare_views(*scenes, views, gt_images, images, background, device, progress)
         return replace(seen, systems=systems)
     if isinstance(first, str | Path) and isinstance(second, str | Path):
         return files.compare_files(first, second, max_bytes)
@@ -183,43 +177,28 @@ def compare(
 
 def prepare(
     source: PointCloud | str | Path,
-    cameras: str | Path | Sequence[Camera] = "auto",
+    plan: Plan,
+    config: Config | None = None,
     *,
-    photographs: str | Path | None = None,
-    width: int | None = None,
-    views: int = 64,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    checkpoint: Path | None = None,
     progress: Progress | None = None,
     max_bytes: int | None = None,
-    **steps: Any,
 ) -> tuple[PointCloud, PrepareReport]:
     """Make a scene smaller before it is coded, and say what that cost (paper, Section 4.2).
+
+    `prepare_file` has the same arguments.
 
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud, or path of a scene
         The input, which stays as it is.
-    cameras : path, "auto", or sequence of Camera
-        As for `render`. Quality is measured in those marked ``test``.
-    photographs : path, optional
-        Folder of their images, to be matched instead of renders of the input.
-    width : int, optional
-        Width of the views, pixels; not with `photographs`, which have their own.
-    views : int
-        Most views to work by, evenly spaced, 1 or more.
-    background : tuple of three float
-        RGB behind the scene, 0-1.
-    checkpoint : path, optional
-        Where ``optimise`` keeps its state, and goes on from.
+    plan : Plan
+        Steps, and the views they go by.
+    config : Config, optional
+        How the scene will be coded, whose depths ``rectify`` goes by; by default profile ``m``.
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
     max_bytes : int, optional
         Largest size of the floats of a scene's file; by default 1 GiB or 1000 times the file.
-    **steps
-        ``prune_geometry``, ``prune_importance``, ``prune_loo`` (percent), ``max_drop`` (dB),
-        ``optimise`` (iterations), ``compact_sh`` (strength), ``refit_colour`` (steps),
-        ``rectify`` (bool): see `gs_codec.preparation.steps.Steps`.
 
     Returns
     -------
@@ -231,27 +210,24 @@ def prepare(
     Raises
     ------
     InvalidInput
-        If a step is unknown or out of its range, a file cannot be read, there are no cameras, or
-        nothing would be left.
+        If a file cannot be read, there are no cameras, or nothing would be left.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the scene is an `.egs` file that cannot be decoded.
 
     Examples
     --------
-    >>> pruned, report = gs_codec.prepare("scene.ply", "cameras.json", width=48, prune_loo=30)
+    >>> plan = gs_codec.Plan(gs_codec.Steps(prune=30), "cameras.json", width=48)
+    >>> pruned, report = gs_codec.prepare(gs_codec.read("scene.ply"), plan)
     >>> report.removed
     {'geometry': 0, 'importance': 0, 'leave-one-out': 600}
     >>> [step.name for step in report.steps]
     ['original', 'leave-one-out pruning']
     """
-    from gs_codec.preparation.pipeline import Plan, prepare_scene
-    from gs_codec.preparation.steps import Steps
+    from gs_codec.preparation.pipeline import prepare_scene
 
-    unknown = sorted(set(steps) - set(Steps.__dataclass_fields__))
-    if unknown:
-        raise InvalidInput(f"step '{unknown[0]}': expected {', '.join(Steps.__dataclass_fields__)}")
-    plan = Plan(Steps(**steps), cameras, photographs, width, views, background, checkpoint)
-    scene, report = prepare_scene(scene_of(source, max_bytes), plan, progress)
+    with using_threads(None if config is None else config.threads):
+        scene = scene_of(source, max_bytes)
+        scene, report = prepare_scene(scene, plan, progress, config=config)
     return to_cloud(scene), report
 
 

@@ -14,34 +14,8 @@ from pathlib import Path
 
 import gs_codec
 
-#: What the public names take and return, by the module it is imported from.
-TYPES = {
-    "gs_codec.errors": (
-        "InvalidInput",
-        "CorruptStream",
-        "TruncatedStream",
-        "UnsupportedVersion",
-        "MissingTool",
-        "ToolFailed",
-    ),
-    "gs_codec.config": ("Target",),
-    "gs_codec.inspection": ("Info", "StreamInfo", "PassInfo"),
-    "gs_codec.container.channels": ("Channel",),
-    "gs_codec.lattice.lattice": ("PositionGrid",),
-    "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport"),
-    "gs_codec.files": ("DecodeReport",),
-    "gs_codec.codec.part": ("Part",),
-    "gs_codec.views": ("Views",),
-    "gs_codec.rendering.camera": ("Camera",),
-    "gs_codec.rendering.renderer": ("Rendering", "Accumulations"),
-    "gs_codec.metrics.attributes": ("Comparison", "GroupError"),
-    "gs_codec.metrics.images": ("Quality",),
-    "gs_codec.metrics.views": ("RenderedComparison", "View"),
-    "gs_codec.preparation.pipeline": ("Plan",),
-    "gs_codec.preparation.steps": ("Steps",),
-    "gs_codec.preparation.report": ("PrepareReport", "StepReport"),
-    "viewer.plugin": ("Actions",),
-}
+#: What the names of `viewer` return, by the module it is imported from.
+TYPES = {"viewer.plugin": ("Actions",)}
 
 
 #: The first page: every name with the first line about it.

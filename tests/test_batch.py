@@ -30,8 +30,7 @@ from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.files import encode_file, write_scene
 from gs_codec.io.atomic import atomic_writer, leftovers
 from gs_codec.io.ply import read_ply, write_ply
-from gs_codec.preparation.pipeline import Plan
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.steps import Plan, Steps
 
 NAMES = ("a.ply", "sub/b.ply", "sub/deeper/c.ply")
 
@@ -111,7 +110,7 @@ def test_tree_begins_where_the_glob_is_no_longer_fixed(folder, source, outputs):
 
 
 def test_options_are_those_of_encode(folder):
-    options = ("-p", "paper-s", "--depth", "rotation=9", "--extra", "drop", "--threads", "2")
+    options = ("-p", "paper-s", "--set", "depth.rotation=9", "--extra", "drop", "--threads", "2")
     assert folder.run("batch", "in/*.ply", "out", *options, "--json").status == 0
     config = Config("paper-s", {"rotation": 9}, extra="drop")
     assert Path("out/a.egs").read_bytes() == encoded("in/a.ply", config)
@@ -557,9 +556,9 @@ def test_digest_tells_what_bytes_depend_on(tmp_path):
         Options(Config()),
         Options(Config("s")),
         Options(Config(depths={"rotation": 9})),
-        Options(Config(), Plan(Steps(prune_loo=30))),
+        Options(Config(), Plan(Steps(prune=30))),
         Options(Config(), plan),
-        Options(Config(), goal=Target(ratio=12)),
+        Options(Config(), rate=Target(ratio=12)),
     ]
     digests = [one.digest() for one in options]
     assert len(set(digests)) == len(options)
@@ -674,7 +673,7 @@ def test_paths_of_options_hold_anywhere(tmp_path, monkeypatch):
     found = Options(config, Plan(Steps(), "cameras.json", "images")).absolute()
     assert found.config.tmc3 == str(tmp_path / "bin/tmc3")
     assert found.plan.cameras == str(tmp_path / "cameras.json")
-    assert found.plan.photographs == str(tmp_path / "images")
+    assert found.plan.gt_images == str(tmp_path / "images")
     config = replace(config, tmc3="tmc3")
     assert Options(config, Plan(Steps())).absolute() == Options(config, Plan(Steps()))
 
@@ -682,8 +681,8 @@ def test_paths_of_options_hold_anywhere(tmp_path, monkeypatch):
 def test_views_are_counted(tmp_path):
     file = str(write_json(tmp_path / "cameras.json", inria_entry(width=90, height=60)))
     assert Options(Config()).pixels() == 0
-    assert Options(Config(), goal=Target(ratio=9)).pixels() == 0
-    assert Options(Config(), goal=Target(psnr_drop=1)).pixels() == 64 * 600 * 400
+    assert Options(Config(), rate=Target(ratio=9)).pixels() == 0
+    assert Options(Config(), rate=Target(psnr_drop=1)).pixels() == 64 * 600 * 400
     assert Options(Config(), Plan(Steps(), views=3)).pixels() == 3 * 600 * 400
     assert Options(Config(), Plan(Steps(), views=3, width=300)).pixels() == 3 * 300 * 200
     assert Options(Config(), Plan(Steps(), file, views=2)).pixels() == 2 * 90 * 60

@@ -23,8 +23,7 @@ from gs_codec.batch.scenes import Options
 from gs_codec.config import Config
 from gs_codec.files import encode_file
 from gs_codec.io.ply import write_ply
-from gs_codec.preparation.pipeline import Plan
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.steps import Plan, Steps
 
 TESTS = Path(__file__).parent
 

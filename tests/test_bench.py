@@ -34,7 +34,7 @@ def measured(tmp_path_factory) -> tuple[list[dict], str]:
     (folder / "cameras.json").write_text(json.dumps([camera]))
     [view] = read_cameras(folder / "cameras.json")
     write_png(folder / "v.png", render(scene, view).colour)
-    options = ["--cameras", str(folder), "--against-gt", str(folder), "--repeats", "1"]
+    options = ["--cameras", str(folder), "--gt-images", str(folder), "--repeats", "1"]
     options += ["-p", "m", "-p", "paper-m", "--depth", "sh-dc=7", "--tile", "1000"]
     result = CliRunner().invoke(app, ["bench", "run", str(folder / "scene.ply"), *options])
     assert result.exit_code == 0, result.output
@@ -119,7 +119,7 @@ def test_a_checkout_tells_its_commit(tmp_path, monkeypatch):
         assert host.commit() == expected
 
 
-@pytest.mark.parametrize("options", [["--width", "40"], ["--against-gt", "."]])
+@pytest.mark.parametrize("options", [["--width", "40"], ["--gt-images", "."]])
 @pytest.mark.parametrize("command", ["run", "peers"])
 def test_views_need_cameras(command, options):
     result = CliRunner().invoke(app, ["bench", command, "scene.ply", *options])

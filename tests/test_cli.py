@@ -116,10 +116,11 @@ def python(*arguments: str, cwd: Path = ROOT) -> Result:
 
 
 def test_encode_and_decode_write_what_the_library_does(folder, trio):
-    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m", "-v")
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", "paper-m")
     assert (status, err) == (0, "")
     assert (folder.path / "out.egs").read_bytes() == trio.egs.read_bytes()
     assert out.startswith("out.egs: 1,500 Gaussians, 355.48 kB -> ")
+    out = folder.run("inspect", "out.egs").out
     assert {"geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3"} <= {
         line.split()[0] for line in out.splitlines()
     }
@@ -158,7 +159,16 @@ def test_profile_decides_the_depths(folder, profile):
 
 
 def test_depth_may_be_given_several_times(folder):
-    depths = ["-p", "paper-m", "--depth", "sh-ac=5", "--depth", "sh3=2", "--depth", "geometry=12"]
+    depths = [
+        "-p",
+        "paper-m",
+        "--set",
+        "depth.sh-ac=5",
+        "--set",
+        "depth.sh3=2",
+        "--set",
+        "depth.geometry=12",
+    ]
     assert folder.run("encode", "scene.ply", "out.egs", *depths).status == 0
     info = strict_json(folder.run("inspect", "out.egs", "--json").out)
     used = {channel["stream"]: channel["depth"] for channel in info["channels"]}
@@ -351,17 +361,17 @@ def lattice(folder) -> Folder:
 
 @pytest.mark.parametrize("profile", LATTICE_PROFILES)
 def test_encode_to_lattices_writes_what_the_library_does(folder, profile):
-    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", profile, "--verbose")
+    status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", profile)
     assert (status, err) == (0, "")
     encode_file("scene.ply", "library.egs", Config(profile))
     assert Path("out.egs").read_bytes() == Path("library.egs").read_bytes()
     assert out.startswith("out.egs: 1,500 Gaussians, 355.48 kB -> ")
-    header, *rows = [line.split() for line in out.splitlines()[1:-1]]
-    assert header == ["stream", "bytes", "bits/Gaussian", "entropy"]
+    listed = folder.run("inspect", "out.egs").out.split("skipped:")[0]
+    header, *rows = [line.split() for line in listed.splitlines()[3:]]
+    assert header == ["stream", "bytes", "bits/Gaussian", "depth", "models"]
     sizes = {row[0]: int(row[1].replace(",", "")) for row in rows}
     assert sum(sizes.values()) == Path("out.egs").stat().st_size
     assert set(sizes) >= {"lattice", "bounds", "classes", "low-bits", "geometry", "sh3"}
-    assert out.endswith("% over Shannon entropy\n")
 
 
 def test_encode_to_lattices_reports_as_json(folder):
@@ -574,7 +584,6 @@ REFUSED = {
     "inspect zip": ("inspect zip.pt", "zip.pt: a checkpoint of PyTorch, expected a scene: export"),
     "inspect other zip": ("inspect zip.sog", "zip.sog: a zip without meta.json, expected a SOG"),
     "channels of a .ply": ("inspect scene.ply --channels", "--channels has no effect on scene.ply"),
-    "verbose JSON": ("encode scene.ply o.egs -v --json", "--verbose has no effect: --json has"),
     "decode .splat": (
         "decode a.splat out.ply",
         "a.splat: splat, not an .egs file; `convert`",
@@ -585,22 +594,34 @@ REFUSED = {
     "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians.* cameras see"),
     "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of l, m, s, "),
     "depth group": (
-        "encode scene.ply out.egs -p paper-m --depth colour=3",
+        "encode scene.ply out.egs -p paper-m --set depth.colour=3",
         "'colour': expected one of",
     ),
-    "depth 0": ("encode scene.ply out.egs -p paper-m --depth opacity=0", "integer from 1 to 12"),
-    "depth 13": ("encode scene.ply out.egs -p paper-m --depth sh-ac=13", "integer from 1 to 12"),
-    "depth 22": ("encode scene.ply out.egs -p paper-m --depth geometry=22", "integer from 1 to 21"),
-    "depth word": ("encode scene.ply out.egs --depth sh-ac=x", "expected GROUP=BITS"),
-    "depth empty": ("encode scene.ply out.egs --depth sh-ac=", "expected GROUP=BITS"),
-    "depth negative": ("encode scene.ply out.egs --depth sh-ac=-1", "expected GROUP=BITS"),
-    "depth no number": ("encode scene.ply out.egs --depth sh-ac", "expected GROUP=BITS"),
-    "depth superscript": ("encode scene.ply out.egs --depth sh-ac=²", "expected GROUP=BITS"),
-    "depth of 5000 digits": (f"encode scene.ply out.egs --depth sh-ac={'9' * 5000}", "expected"),
+    "depth 0": (
+        "encode scene.ply out.egs -p paper-m --set depth.opacity=0",
+        "integer from 1 to 12",
+    ),
+    "depth 13": (
+        "encode scene.ply out.egs -p paper-m --set depth.sh-ac=13",
+        "integer from 1 to 12",
+    ),
+    "depth 22": (
+        "encode scene.ply out.egs -p paper-m --set depth.geometry=22",
+        "integer from 1 to 21",
+    ),
+    "depth word": ("encode scene.ply out.egs --set depth.sh-ac=x", "expected an integer"),
+    "depth empty": ("encode scene.ply out.egs --set depth.sh-ac=", "expected an integer"),
+    "depth negative": ("encode scene.ply out.egs --set depth.sh-ac=-1", "expected an integer"),
+    "depth no number": ("encode scene.ply out.egs --set depth.sh-ac", "expected depth.sh-ac=BITS"),
+    "depth superscript": ("encode scene.ply out.egs --set depth.sh-ac=²", "expected an integer"),
+    "depth of 5000 digits": (
+        f"encode scene.ply out.egs --set depth.sh-ac={'9' * 5000}",
+        "expected",
+    ),
     "nonfinite": ("encode scene.ply out.egs --nonfinite keep", "nonfinite 'keep'"),
     "extra": ("encode scene.ply out.egs --extra maybe", "extra 'maybe'"),
-    "depth of a lattice": ("encode scene.ply out.egs -p m --depth sh1=13", "depth of sh1 13"),
-    "depth of lossless": ("encode scene.ply o.egs -p lossless --depth sh1=3", "has none"),
+    "depth of a lattice": ("encode scene.ply out.egs -p m --set depth.sh1=13", "depth of sh1 13"),
+    "depth of lossless": ("encode scene.ply o.egs -p lossless --set depth.sh1=3", "has none"),
     "box of five": ("decode scene.egs out.ply --bbox 0,0,0,1,1", "--bbox 0,0,0,1,1: expected six"),
     "box of seven": ("decode scene.egs out.ply --bbox 0,0,0,1,1,1,1", "expected six numbers"),
     "box of words": ("decode scene.egs out.ply --bbox a,b,c,d,e,f", "expected six numbers"),
@@ -673,7 +694,7 @@ def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
 def test_scenes_in_different_orders_are_refused(folder):
     assert (
         folder.run(
-            "encode", "scene.ply", "out.egs", "-p", "paper-m", "--depth", "geometry=9"
+            "encode", "scene.ply", "out.egs", "-p", "paper-m", "--set", "depth.geometry=9"
         ).status
         == 0
     )
@@ -769,8 +790,8 @@ def test_progress_on_a_terminal_ends_in_a_clean_line(folder):
     [
         "encode scene.ply out.egs",
         "encode scene.ply out.egs -p paper-m",
-        "encode scene.ply out.egs --cameras auto --views 3 --width 48 --prune-loo 10",
-        "encode scene.ply out.egs --cameras auto --views 3 --width 48 --max-psnr-drop 1",
+        "encode scene.ply out.egs --cameras auto --set views=3 --set width=48 --prune 10",
+        "encode scene.ply out.egs --cameras auto --set views=3 --set width=48 --max-psnr-drop 1",
         "decode scene.egs out.ply",
         "verify scene.egs",
         "convert scene.ply out.splat",

@@ -14,13 +14,12 @@ from gs_codec.cli.main import app
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, Config, LatticeProfile
 from gs_codec.errors import InvalidInput
-from gs_codec.files import encode_file, read_scene
+from gs_codec.files import encode_file, prepare_file, read_scene
 from gs_codec.inspection import inspect_bytes
 from gs_codec.io.ply import write_ply
 from gs_codec.planned import encode_planned
 from gs_codec.preparation.guide import Guidance, guide
-from gs_codec.preparation.pipeline import Plan
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.preparation.targets import Targets, draw_targets
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import GROUPS, Scene
@@ -191,7 +190,7 @@ def test_files_api_and_command_line_agree(scene, plan, tmp_path, monkeypatch):
     result = CliRunner().invoke(app, options)
     assert result.exit_code == 0, result.output
     encode_file("scene.ply", "file.egs", Config("m"), plan=Plan(Steps(), "cameras.json"))
-    stream = gs_codec.encode(gs_codec.read("scene.ply"), Config("m"), "cameras.json")
+    stream = gs_codec.encode(gs_codec.read("scene.ply"), Config("m"), Plan(Steps(), "cameras.json"))
     assert (tmp_path / "cli.egs").read_bytes() == (tmp_path / "file.egs").read_bytes() == stream
     classes = {p.name: p.tables for p in inspect_bytes(stream).passes}
     assert classes["colour class"] > 0
@@ -201,9 +200,11 @@ def test_files_api_and_command_line_agree(scene, plan, tmp_path, monkeypatch):
 def test_pruned_and_encoded_by_the_same_views(scene, plan, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_ply("scene.ply", scene)
-    pruning = replace(plan, steps=Steps(prune_loo=40.0))
-    report = encode_file("scene.ply", "out.egs", Config("m"), plan=pruning, report_folder="report")
+    pruning = replace(plan, steps=Steps(prune=40.0))
+    report = encode_file("scene.ply", "out.egs", Config("m"), pruning)
     assert report.count == scene.count - 1000
+    prepare_file("scene.ply", "same.egs", pruning, report_folder="report")
+    assert (tmp_path / "same.egs").read_bytes() == (tmp_path / "out.egs").read_bytes()
     assert read_scene("out.egs").count == report.count
     told = json.loads((tmp_path / "report" / "report.json").read_text())
     assert told["steps"][-1]["name"] == "coding (m)"
@@ -211,10 +212,10 @@ def test_pruned_and_encoded_by_the_same_views(scene, plan, tmp_path, monkeypatch
 
 
 def test_photographs_without_a_step_are_refused(tmp_path):
-    options = ["encode", "a.ply", "b.egs", "--cameras", "auto", "--against-gt", str(tmp_path)]
+    options = ["encode", "a.ply", "b.egs", "--cameras", "auto", "--gt-images", str(tmp_path)]
     result = CliRunner().invoke(app, options)
     assert isinstance(result.exception, InvalidInput)
-    assert "--against-gt needs a step" in str(result.exception)
+    assert "--gt-images needs --prune" in str(result.exception)
 
 
 def test_colours_do_not_depend_on_the_order(scene, plan):

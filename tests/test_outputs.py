@@ -15,8 +15,7 @@ import gs_codec
 from gs_codec.conversion import convert_file
 from gs_codec.errors import InvalidInput
 from gs_codec.files import decode_file, encode_file, prepare_file
-from gs_codec.preparation.pipeline import Plan
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.steps import Plan, Steps
 
 WRONG_SUFFIX = {
     "encode scene.ply b.ply": "b.ply: suffix '.ply', expected .egs; `convert` writes that",
@@ -41,11 +40,10 @@ def test_suffix_that_a_command_does_not_write_is_refused(folder, command):
 VIEWS = "--cameras cameras.json --width 16"
 WRITING = {
     "encode scene.ply out.egs": "out.egs",
-    "encode scene.ply o.egs --rectify --report out --width 16": "out/report.json",
     "decode scene.egs out.ply": "out.ply",
     "convert scene.ply out.splat": "out.splat",
-    "prepare scene.ply out.ply --rectify --width 16": "out.ply",
-    "prepare scene.ply o.ply --rectify --report out --width 16": "out/report.json",
+    "prepare scene.ply out.ply --rectify --set width=16": "out.ply",
+    "prepare scene.ply o.ply --rectify --report out": "out/report.json",
     f"render scene.ply {VIEWS} --out out": "out/a.png",
     f"compare scene.ply scene.egs {VIEWS} --images out": "out/a_a.png",
     "analyze scene.ply --out out": "out/report.html",

@@ -220,7 +220,7 @@ def test_every_view_that_is_drawn_or_measured_is_told(monkeypatch):
         return render(scene, camera, *arguments, **options)
 
     monkeypatch.setattr(targets_module, "render", counted)
-    scene, plan = visible_scene(300, 118), Plan(Steps(max_drop=0.5), CAMERAS)
+    scene, plan = visible_scene(300, 118), Plan(Steps(prune_max_psnr_drop=0.5), CAMERAS)
     prepare_scene(scene, plan, lambda *step: told.append(step))
     stages = [stage for stage, _, _ in told]
     assert len(drawn) == stages.count("draw") + stages.count("measure")

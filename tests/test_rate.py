@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,9 @@ from test_guide import cameras
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.cli.goal import goal_of
+from gs_codec.cli.asked import Asked, plan_of
 from gs_codec.cli.main import app
-from gs_codec.cli.steps import plan_of
+from gs_codec.cli.options import parse_size
 from gs_codec.cloud import to_cloud
 from gs_codec.codec import decode_scene, encode_scene
 from gs_codec.config import LATTICE_PROFILES, Config, Target
@@ -28,8 +29,8 @@ from gs_codec.io.ply import vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.planned import encode_goal
 from gs_codec.preparation.guide import Guidance
-from gs_codec.preparation.pipeline import Plan, choose_views
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.pipeline import choose_views
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.preparation.targets import Targets, draw_targets
 from gs_codec.rate import allocate
 from gs_codec.rate.allocate import encode_to_target
@@ -85,13 +86,15 @@ def test_limits_of_targets():
     ],
 )
 def test_sizes_have_units(text, size):
-    assert goal_of(text, None, None, None) == Target(size=size)
+    assert parse_size("--target-size ", text) == size
 
 
 @pytest.mark.parametrize("text", ["", "MB", "five", "-3MB", "3 MBB", "1e6", "5Mb/s"])
 def test_other_sizes_are_refused(text):
-    with pytest.raises(InvalidInput, match="--target-size"):
-        goal_of(text, None, None, None)
+    command = ["encode", "a.ply", "b.egs", f"--target-size={text}"]
+    error = CliRunner().invoke(app, command).exception
+    assert isinstance(error, InvalidInput)
+    assert str(error) == f"--target-size {text}: expected a size, for example 5MB or 800kB"
 
 
 # The search
@@ -260,7 +263,7 @@ def test_photographs_tell_what_is_lost(seen, tmp_path):
     for camera, image in zip(drawn.cameras, drawn.images, strict=True):
         noisy = 255 * np.clip(image + rng.normal(0, 0.1, image.shape), 0, 1)
         Image.fromarray(np.uint8(noisy)).save(tmp_path / f"{camera.name}.png")
-    by_photographs = replace(plan, photographs=tmp_path)
+    by_photographs = replace(plan, gt_images=tmp_path)
     target = Target(psnr_drop=0.1)
     without = encode_goal(scene, scene, 1, Config("m"), target, plan)[1].rate
     data, report = encode_goal(scene, scene, 1, Config("m"), target, by_photographs)
@@ -345,29 +348,29 @@ def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
 
 
 def test_pruning_without_a_target_is_refused(tmp_path):
-    result = CliRunner().invoke(app, ["encode", "a.ply", str(tmp_path / "x.egs"), "--allow-prune"])
+    result = CliRunner().invoke(
+        app, ["encode", "a.ply", str(tmp_path / "x.egs"), "--set", "allow-prune=yes"]
+    )
     assert isinstance(result.exception, InvalidInput)
-    assert "--allow-prune needs a size or a quality" in str(result.exception)
+    assert "--set allow-prune needs a size or a quality" in str(result.exception)
 
 
 @pytest.mark.parametrize(
-    "asked", [{"allow_prune": True}, {"max_psnr_drop": 0.5}], ids=["pruning", "quality"]
+    "asked", [{"set": ["allow-prune=yes"]}, {"max_psnr_drop": 0.5}], ids=["pruning", "quality"]
 )
 def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
-    options = asdict(Steps()) | {
-        "cameras": None, "against_gt": None, "report": None, "checkpoint": None,
-        "allow_prune": False, "max_psnr_drop": None, "views": 8, "width": 100,
-        "background": "white", "profile": "m",
-    }  # fmt: skip
-    typed = dict.fromkeys(("views", "width", "background"), SimpleNamespace(name="COMMANDLINE"))
-    ctx = SimpleNamespace(get_parameter_source=typed.get)
-    plan = plan_of(ctx, options | asked)
+    def found(**values: Any) -> Plan | None:
+        ctx = SimpleNamespace(info_name="encode", get_parameter_source=lambda name: None)
+        settable = ["views", "width", "background", "allow_prune"]
+        return plan_of(Asked(ctx, {"profile": "m"} | values, settable))
+
+    views = ["views=8", "width=100", "background=white"]
+    plan = found(**asked | {"set": views + asked.get("set", [])})
     assert (plan.cameras, plan.views, plan.width) == ("auto", 8, 100)
-    assert tuple(plan.background) == (1, 1, 1)
-    with pytest.raises(InvalidInput, match="--views has no effect: nothing goes by views"):
-        plan_of(ctx, options)
-    ctx.get_parameter_source = lambda name: None
-    assert plan_of(ctx, options) is None
+    assert plan.background == (1, 1, 1)
+    with pytest.raises(InvalidInput, match="--set views has no effect without views"):
+        found(set=views)
+    assert found() is None
 
 
 def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):
@@ -410,7 +413,7 @@ def test_ratio_counts_from_the_floats_of_what_comes_compressed(scene, tmp_path, 
     write_scene(source, scene, Config("s"))
     limit = source.stat().st_size if suffix == ".ply" else read_scene(source).float_bytes
     for ratio in (12.0, 14.0):
-        encode_file(source, out, goal=Target(ratio=ratio))
+        encode_file(source, out, rate=Target(ratio=ratio))
         assert 0.98 * limit <= ratio * out.stat().st_size <= limit
 
 
@@ -426,13 +429,13 @@ def test_command_line_refuses_what_is_out_of_reach(scene, tmp_path, options):
 
 
 def test_two_targets_are_refused(scene, tmp_path):
-    options = ["--target-ratio", "20", "--target-bpg", "30"]
+    options = ["--target-ratio", "20", "--set", "target-bpg=30"]
     result = CliRunner().invoke(app, ["encode", "scene.ply", str(tmp_path / "x.egs"), *options])
     assert isinstance(result.exception, InvalidInput)
 
 
 def test_python_gets_a_report_with_a_target(scene):
-    data, report = gs_codec.encode(to_cloud(scene), target={"ratio": 12})
+    data, report = gs_codec.encode(to_cloud(scene), rate={"ratio": 12})
     assert 0.98 <= 12 * len(data) / vertex_rows(scene).nbytes <= 1
     assert report.coarseness > 0
     assert report.psnr_drop is None
@@ -441,4 +444,4 @@ def test_python_gets_a_report_with_a_target(scene):
 @pytest.mark.parametrize("target", [{}, {"rate": 3}, {"ratio": 3, "bits": 5}, {"size": 0}])
 def test_python_refuses_what_is_no_target(scene, target):
     with pytest.raises(InvalidInput, match="target"):
-        gs_codec.encode(to_cloud(scene), target=target)
+        gs_codec.encode(to_cloud(scene), rate=target)

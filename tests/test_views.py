@@ -508,7 +508,7 @@ def test_compare_prints_each_view_the_mean_and_the_worst(folder):
 
 
 def test_compare_against_ground_truth_as_json(folder):
-    options = ["--cameras", folder / "cameras.json", "--against-gt", folder / "truth", "--json"]
+    options = ["--cameras", folder / "cameras.json", "--gt-images", folder / "truth", "--json"]
     result = run("compare", folder / "a.ply", folder / "b.ply", *options)
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)
@@ -526,7 +526,7 @@ def test_cameras_of_a_stranger_read_no_other_file(folder, tmp_path):
     entry["img_name"] = str(tmp_path / "secret.png")
     cameras = tmp_path / "cameras.json"
     cameras.write_text(json.dumps([entry]))
-    options = ["--cameras", cameras, "--against-gt", folder / "truth"]
+    options = ["--cameras", cameras, "--gt-images", folder / "truth"]
     for command in (
         ["compare", folder / "a.ply", folder / "b.ply", *options],
         ["prepare", folder / "a.ply", tmp_path / "a.ply", "--refit-colour", "1", *options],
@@ -584,10 +584,10 @@ REFUSALS = {
     "no cameras": ("--cameras none.json", "none.json: no such file or folder"),
     "images alone": ("--images out", "--images needs --cameras"),
     "two widths": (
-        "--cameras cameras.json --against-gt truth --width 20", "width: given by the ground-truth",
+        "--cameras cameras.json --gt-images truth --width 20", "width: given by the ground-truth",
     ),
-    "no truth folder": ("--cameras cameras.json --against-gt none", "none: no such folder"),
-    "no truth image": ("--cameras cameras.json --against-gt .", "no image 'v0'"),
+    "no truth folder": ("--cameras cameras.json --gt-images none", "none: no such folder"),
+    "no truth image": ("--cameras cameras.json --gt-images .", "no image 'v0'"),
     "split": ("--cameras cameras.json --split best", "split 'best'"),
     "empty split": ("--cameras cameras.json --split train", "none of the 3 is marked 'train'"),
     "background": ("--cameras cameras.json --background blue", "expected black or white"),

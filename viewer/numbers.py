@@ -46,7 +46,7 @@ def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
 
 
 def quality_text(quality: Any) -> str:
-    """PSNR and SSIM of two images, as `gs_codec.compare` gives them."""
+    """PSNR and SSIM of two images, as `gs_codec.compare_images` gives them."""
     if np.isinf(quality.psnr):
         return "the same"
     return f"{quality.psnr:.2f} dB, SSIM {quality.ssim:.4f}"

@@ -144,7 +144,7 @@ def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> s
     if min(width, height) < _LEAST_SIDE:
         return f"frame of {width}x{height}: too small"
     images = [splats(views, scene, pose, width, height) for scene in scenes]
-    return quality_text(gs_codec.compare(*images))
+    return quality_text(gs_codec.compare_images(*images))
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:

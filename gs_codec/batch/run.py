@@ -102,6 +102,9 @@ class Summary:
         Scenes encoded now, complete before, failed, and left after a failure.
     input_bytes, output_bytes : int
         Of those that are complete.
+    ratio : float
+        How many times smaller all of these are, PLY files counted whole and compressed ones by
+        their floats; -1 if there are none.
     seconds : float
     """
 
@@ -112,6 +115,7 @@ class Summary:
     not_started: int
     input_bytes: int
     output_bytes: int
+    ratio: float
     seconds: float
 
 
@@ -303,6 +307,8 @@ def _sum_up(
 ) -> Summary:
     done = [record for record in records if record.error is None]
     complete = [*done, *known]
+    written = sum(record.output_bytes for record in complete)
+    whole = sum(record.ratio * record.output_bytes for record in complete)
     return Summary(
         path,
         len(done),
@@ -310,6 +316,7 @@ def _sum_up(
         len(records) - len(done),
         asked - len(records),
         sum(record.input_bytes for record in complete),
-        sum(record.output_bytes for record in complete),
+        written,
+        whole / written if written else -1.0,
         seconds,
     )

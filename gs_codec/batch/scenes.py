@@ -19,7 +19,7 @@ from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.workers import available_threads
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.pipeline import Plan
+    from gs_codec.preparation.steps import Plan
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,16 @@ class Options:
 
     config: Config
     plan: Plan | None = None
-    goal: Target | None = None
+    rate: Target | None = None
     max_bytes: int | None = None
+    max_memory: int | None = None
 
     def digest(self) -> str:
         """What tells options apart that may give other bytes; the number of threads does not."""
         parts = {
             "config": asdict(replace(self.config, threads=None)),
             "plan": self.plan and asdict(self.plan),
-            "goal": self.goal and asdict(self.goal),
+            "rate": self.rate and asdict(self.rate),
             "files": list(self._files()),
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
@@ -54,15 +55,14 @@ class Options:
         InvalidInput
             If there are no cameras where they should be.
         """
-        plan, goal = self.plan, self.goal
-        if plan is None and (goal is None or not (goal.psnr_drop or goal.allow_prune)):
+        plan, rate = self.plan, self.rate
+        if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
             return 0
-        from gs_codec.preparation.pipeline import Plan
-        from gs_codec.preparation.steps import Steps
+        from gs_codec.preparation.steps import Plan
         from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH
         from gs_codec.rendering.camera_files import read_cameras
 
-        plan = plan or Plan(Steps())
+        plan = plan or Plan()
         sizes = [(WIDTH, HEIGHT)]
         if plan.cameras != "auto":
             given = plan.cameras
@@ -79,19 +79,19 @@ class Options:
             config = replace(config, tmc3=os.path.abspath(config.tmc3))
         if plan is None:
             return replace(self, config=config)
-        cameras, photographs = plan.cameras, plan.photographs
+        cameras, gt_images = plan.cameras, plan.gt_images
         if isinstance(cameras, str | Path) and cameras != "auto":
             cameras = os.path.abspath(cameras)
-        if photographs is not None:
-            photographs = os.path.abspath(photographs)
-        plan = replace(plan, cameras=cameras, photographs=photographs)
+        if gt_images is not None:
+            gt_images = os.path.abspath(gt_images)
+        plan = replace(plan, cameras=cameras, gt_images=gt_images)
         return replace(self, config=config, plan=plan)
 
     def _files(self) -> Iterator[tuple[str, str]]:
         """What the files are like that a plan names: those of cameras, the list of pictures."""
         if self.plan is None:
             return
-        for path in (self.plan.cameras, self.plan.photographs):
+        for path in (self.plan.cameras, self.plan.gt_images):
             if isinstance(path, str | Path) and os.path.isfile(path):
                 yield str(path), file_sha256(path)
             elif isinstance(path, str | Path) and os.path.isdir(path):
@@ -158,6 +158,7 @@ def find_tasks(
         if floats is None:
             floats = expected_floats(stamp.size, name)
         need = needed_bytes(min(floats, options.max_bytes or floats), pixels)
+        need = min(need, options.max_memory or need)
         tasks.append(Task(name, spot, written, shown, stamp, need, mark))
     return tasks
 

@@ -57,7 +57,7 @@ def _encode(
     blank: Record,
     warnings: list[str],
 ) -> Record:
-    from gs_codec.files import encode_file
+    from gs_codec.files import comes_compressed, encode_file
 
     sources, targets = place_of(task.source.base), place_of(task.target.base)
     if task.name.lower().endswith(".json"):
@@ -76,8 +76,10 @@ def _encode(
         limit = most_floats(size, task.name)
     with _named({str(file): task.shown[0], str(output): task.shown[1]}, warnings):
         report = encode_file(
-            file, output, options.config, progress, options.plan, goal=options.goal, max_bytes=limit
-        )
+            file, output, options.config, options.plan, options.rate, progress=progress,
+            max_memory=options.max_memory, max_bytes=limit,
+        )  # fmt: skip
+    packed = comes_compressed(file)
     after = sources.stamp(task.source)
     if before is None or before != after:
         # What was read may be neither the old scene nor the new one.
@@ -96,7 +98,7 @@ def _encode(
         output_bytes=written[1],
         output_sha256=written[0],
         gaussians=report.count,
-        ratio=size / written[1],
+        ratio=(report.raw_bytes if packed else size) / written[1],
         bits_per_gaussian=8 * written[1] / max(report.count, 1),
         seconds=seconds,
         changed=_changed(report),

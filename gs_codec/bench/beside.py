@@ -20,8 +20,8 @@ from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import ToolFailed
 from gs_codec.io.ply import read_ply, vertex_rows, write_ply
 from gs_codec.planned import encode_planned
-from gs_codec.preparation.pipeline import Plan, prepare_scene
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.pipeline import prepare_scene
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
@@ -114,7 +114,7 @@ def _guided(config: Config, plan: Plan, percent: float) -> Peer:
     def encode(ply: Path) -> bytes:
         scene, chosen, targets = read_ply(ply, config.extra), plan, None
         if percent:
-            chosen = replace(plan, steps=Steps(prune_loo=percent), views=_PRUNING_VIEWS)
+            chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
             scene, report = prepare_scene(scene, chosen)
             targets = report.views.renders
         return encode_planned(scene, config, chosen, targets=targets)[0]

@@ -14,7 +14,7 @@ from gs_codec.config import Config
 from gs_codec.io.ply import vertex_rows
 from gs_codec.metrics.views import compare_views
 from gs_codec.planned import encode_planned
-from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.steps import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 

@@ -17,8 +17,7 @@ from gs_codec.bench.peers import find_peers
 from gs_codec.bench.rendered import measure_quality
 from gs_codec.bench.sources import held_out_views, load_scene
 from gs_codec.config import LATTICE_PROFILES, Config
-from gs_codec.preparation.pipeline import Plan
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gs_codec.cli.options import Json, MaxBytes, Overwrite, Width
 from gs_codec.cli.output import (
     SCENES,
     print_json,
@@ -15,10 +16,9 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.resources import MaxBytes, Overwrite
-from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import check_folder
+from gs_codec.preparation.steps import CAMERAS
 
 
 def command(
@@ -35,7 +35,7 @@ def command(
     seed: Annotated[int, typer.Option(help="Of the sample, of shuffling, and of noise.")] = 0,
     max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
-    json: Annotated[bool, typer.Option("--json", help="Print report.json too.")] = False,
+    json: Json = False,
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
     if width and cameras is None:

@@ -17,7 +17,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from gs_codec.cli.output import progress_lines, size_text
+from gs_codec.cli.output import progress_lines, smaller
 from gs_codec.errors import printable
 
 
@@ -62,10 +62,8 @@ class _Lines:
         if record.error is not None:
             self.said(f"{place}error: {record.error['text']}")
             return
-        self.said(
-            f"{place}{task.name}: {record.gaussians:,} Gaussians, {size_text(record.input_bytes)}"
-            f" -> {size_text(record.output_bytes)}, {record.ratio:.2f} times smaller"
-        )
+        sizes = smaller(record.input_bytes, record.output_bytes, record.ratio)
+        self.said(f"{place}{task.name}: {record.gaussians:,} Gaussians, {sizes}")
 
     def said(self, text: str) -> None:
         """See `Watcher.said`."""

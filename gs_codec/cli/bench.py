@@ -11,14 +11,16 @@ import typer
 from typer.core import TyperGroup
 
 from gs_codec.cli import bench_suite
+from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.bench_tables import COLUMNS, add_to_rows, print_absent
-from gs_codec.cli.coding import Depth, Extra, parse_depths
-from gs_codec.cli.given import is_given, refuse_given
+from gs_codec.cli.options import OPTIONS
 from gs_codec.cli.output import print_table, print_text
-from gs_codec.cli.resources import Threads
-from gs_codec.cli.views import CAMERAS, Width
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.preparation.steps import CAMERAS
+
+#: What `--set` does not take here: only depths are of interest for every profile.
+_UNUSED = set(OPTIONS) - {"depth"}
 
 
 class _Group(TyperGroup):
@@ -39,44 +41,33 @@ app = typer.Typer(
 )
 
 
-@app.command("peers", help="Measure profiles beside spz, splat-transform, pcodec and zstd.")
-@app.command("run", help="Measure each profile: time, size, entropy, error, memory, quality.")
+@takes("threads", "gt_images", "width", "extra", expert=(Config,), without=_UNUSED)
 def measure(
-    ctx: typer.Context,
     scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],
+    asked: Asked,
     profile: Annotated[
         list[str] | None,
         typer.Option("--profile", "-p", help="May be repeated.", show_default="all profiles"),
     ] = None,
-    depth: Depth = None,
     tile: Annotated[
         int | None, typer.Option(help="Tile each scene, jittered, to this many Gaussians.", min=1)
     ] = None,
     repeats: Annotated[int, typer.Option(help="Timed runs; medians are reported.", min=1)] = 5,
-    threads: Threads = None,
     cameras: Annotated[
         str | None, typer.Option(metavar="C", help=f"Measure rendered quality too: {CAMERAS}")
     ] = None,
-    against_gt: Annotated[
-        Path | None,
-        typer.Option(metavar="IMAGES", help="Ground-truth images of these cameras."),
-    ] = None,
-    width: Width = None,
-    extra: Extra = "error",
 ) -> None:
     """Measure scenes one by one; lines on stdout, a table of them on stderr."""
-    if not is_given(ctx, "cameras"):
-        refuse_given(ctx, ("against_gt", "width"), "needs --cameras")
-    configs = [
-        Config(name, parse_depths(depth or []), "error", extra, threads)  # type: ignore[arg-type]
-        for name in profile or PROFILE_CHOICES
-    ]
+    if cameras is None:
+        asked.refuse(("gt_images", "width"), "needs --cameras")
+    configs = [asked.build(Config, profile=name) for name in profile or PROFILE_CHOICES]
     from gs_codec.bench.runs import run_peers, run_profiles
 
-    run = run_peers if ctx.info_name == "peers" else run_profiles
+    run = run_peers if asked.command == "peers" else run_profiles
+    views = (cameras, asked["gt_images"], asked["width"])
     rows: dict[str, list[str]] = {}
     lines = []
-    for line in run(scenes, configs, tile, repeats, cameras, against_gt, width):
+    for line in run(scenes, configs, tile, repeats, *views):
         print_text(json.dumps(line))
         add_to_rows(rows, line)
         lines.append(line)
@@ -84,4 +75,9 @@ def measure(
     print_absent(lines)
 
 
+for _name, _help in (
+    ("run", "Measure each profile: time, size, entropy, error, memory, quality."),
+    ("peers", "Measure profiles beside spz, splat-transform, pcodec and zstd."),
+):
+    app.command(_name, help=_help, epilog=measure.epilog)(measure)
 app.command("suite")(bench_suite.command)

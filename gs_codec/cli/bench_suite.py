@@ -12,8 +12,8 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.bench_tables import print_absent
+from gs_codec.cli.options import Overwrite, Threads
 from gs_codec.cli.output import print_status, print_text
-from gs_codec.cli.resources import Overwrite, Threads
 from gs_codec.io.atomic import check_folder, check_writable, make_folder
 
 

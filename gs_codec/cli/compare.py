@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.given import refuse_given
+from gs_codec.cli.asked import refuse_given
+from gs_codec.cli.options import (
+    SPLIT,
+    Background,
+    Device,
+    Json,
+    MaxBytes,
+    Overwrite,
+    Width,
+    typer_option,
+)
 from gs_codec.cli.output import (
     SCENES,
     print_json,
@@ -17,18 +27,17 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.cli.resources import MaxBytes, Overwrite
-from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 from gs_codec.io.atomic import check_folder
+from gs_codec.preparation.steps import BACKGROUNDS, CAMERAS
 
 #: Options of what is drawn.
 _OF_VIEWS = (
-    "images", "against_gt", "width", "split", "background", "device", "overwrite",
+    "images", "gt_images", "width", "split", "background", "device", "overwrite",
 )  # fmt: skip
 
 if TYPE_CHECKING:
-    from gs_codec.metrics.images import Quality
-    from gs_codec.metrics.views import RenderedComparison, View
+    from gs_codec.metrics.attributes import Comparison
+    from gs_codec.metrics.images import Quality, View
 
 
 def command(
@@ -44,51 +53,48 @@ def command(
             metavar="DIR", help="Write each view's two images, and 10 x their difference."
         ),
     ] = None,
-    against_gt: Annotated[
-        Path | None,
-        typer.Option(metavar="IMAGES", help="Ground-truth images to measure both scenes against."),
+    gt_images: Annotated[
+        Path | None, typer_option("gt_images", "Measure both scenes against these images.")
     ] = None,
     width: Width = None,
     split: Annotated[str, typer.Option(help=SPLIT)] = "held-out",
-    background: Background = "black",
+    background: Background = BACKGROUNDS["black"],
     device: Device = "auto",
     max_bytes: MaxBytes = None,
     overwrite: Overwrite = False,
-    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Show how far two versions of a scene are apart: by attribute, or in rendered views."""
-    options = drawing_options(background, device)
     if cameras is None:
         refuse_given(ctx, _OF_VIEWS, "needs --cameras")
-        _compare_attributes(first, second, max_bytes, json)
-        return
-    if images is None:
+    elif images is None:
         refuse_given(ctx, ["overwrite"], "needs --images")
     else:
         check_folder(images, overwrite)
-    from gs_codec.viewing import compare
+    if cameras is None:
+        from gs_codec.files import compare_files
 
-    with progress_bar() as progress:
-        comparison: Any = compare(
-            first, second, cameras, split=split, width=width, truth=against_gt, images=images,
-            progress=progress, max_bytes=max_bytes, **options,
-        )  # fmt: skip
+        comparison = compare_files(first, second, max_bytes=max_bytes)
+    else:
+        from gs_codec.viewing import compare
+
+        with progress_bar() as progress:
+            comparison = compare(
+                first, second, cameras, split=split, width=width, gt_images=gt_images,
+                images=images, background=background, device=device, progress=progress,
+                max_bytes=max_bytes,
+            )  # fmt: skip
     _say_systems(comparison.systems)
     if json:
         print_json({"a": str(first), "b": str(second), **_plain(comparison)})
-    else:
+    elif comparison.views:
         _print_views(comparison)
+    else:
+        _print_attributes(comparison)
 
 
-def _compare_attributes(first: Path, second: Path, max_bytes: int | None, json: bool) -> None:
-    from gs_codec.files import compare_files
-
-    comparison = compare_files(first, second, max_bytes)
-    _say_systems(comparison.systems)
-    if json:
-        print_json({"a": str(first), "b": str(second), **asdict(comparison)})
-        return
-    print_text(f"{comparison.count:,} Gaussians, matched by {comparison.matched_by}")
+def _print_attributes(comparison: Comparison) -> None:
+    print_text(f"{comparison.counts[0]:,} Gaussians, matched by {comparison.matched_by}")
     print_table(
         ["attribute", "unit", "max error", "rms error"],
         [[g.name, g.unit, f"{g.max:.6g}", f"{g.rms:.6g}"] for g in comparison.groups],
@@ -100,7 +106,7 @@ def _say_systems(systems: tuple[str, str]) -> None:
         print_status("coordinates {} in A, {} in B: turned to one system".format(*systems))
 
 
-def _print_views(comparison: RenderedComparison) -> None:
+def _print_views(comparison: Comparison) -> None:
     mean, worst = comparison.mean, comparison.worst
     with_truth, with_lpips = mean.delta is not None, mean.between.lpips is not None
     columns = ["view", "PSNR dB", "SSIM"] + ["LPIPS"] * with_lpips
@@ -125,11 +131,18 @@ def _numbers(quality: Quality, sign: str) -> list[str]:
     return values if quality.lpips is None else [*values, f"{quality.lpips:{sign}.5f}"]
 
 
-def _plain(comparison: RenderedComparison) -> dict:
+def _plain(comparison: Comparison) -> dict:
     def plain(view: View) -> dict:
         pairs = {"between": view.between, "a": view.first, "b": view.second, "delta": view.delta}
         return {"view": view.name} | {name: q.as_dict() for name, q in pairs.items() if q}
 
+    if not comparison.views:
+        return {
+            "count": comparison.counts[0],
+            "matched_by": comparison.matched_by,
+            "groups": [asdict(group) for group in comparison.groups],
+            "systems": comparison.systems,
+        }
     return {
         "gaussians": comparison.counts,
         "views": [plain(view) for view in comparison.views],

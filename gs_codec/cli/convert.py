@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli import coding
-from gs_codec.cli.given import refuse_given
+from gs_codec.cli.asked import Asked, config_of, takes
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -18,21 +17,30 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.resources import MaxBytes, Overwrite, Threads
 from gs_codec.cli.streams import piped_source
+from gs_codec.config import Config, options_of
 
 if TYPE_CHECKING:
     from gs_codec.conversion import ConvertReport
 
+#: Options that other formats than .egs have no use for.
+_OF_CODING = [
+    described.name or field
+    for field, described in options_of(Config).items()
+    if field not in ("extra", "nonfinite", "threads")
+]
 
+
+@takes(
+    "extra", "nonfinite", "profile", "threads", "max_bytes", "overwrite", "json",
+    expert=(Config,), extra="keep",
+)  # fmt: skip
 def command(
-    ctx: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="File to write: .ply, .egs or .splat.")
     ],
-    extra: coding.Extra = "keep",
-    nonfinite: coding.Nonfinite = "error",
+    asked: Asked,
     coordinates: Annotated[
         str,
         typer.Option(
@@ -41,25 +49,20 @@ def command(
             "'keep' is as in IN. FROM is for an IN that does not state its own, or a wrong one.",
         ),
     ] = "RDF",
-    profile: coding.Profile = "m",
-    depth: coding.Depth = None,
-    keep_order: coding.KeepOrder = False,
-    threads: Threads = None,
-    max_bytes: MaxBytes = None,
-    overwrite: Overwrite = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
-    """Convert a scene to another format, and say what that loses; profiles are for an .egs."""
-    config = coding.config_of(ctx, locals())
+    """Convert a scene to another format, and report what that loses; profiles are for an .egs."""
+    config = config_of(asked)
     if target.suffix.lower() != ".egs":
-        of_coding = ("keep_order", "profile", "depth")
-        refuse_given(ctx, of_coding, f"has no effect on {target}, expected an .egs")
+        asked.refuse(_OF_CODING, f"has no effect on {target}, expected an .egs")
     from gs_codec.conversion import convert_file
 
     with piped_source(source) as file, progress_bar() as progress:
-        done = convert_file(file, target, config, coordinates, progress, overwrite, max_bytes)
+        done = convert_file(
+            file, target, config, coordinates, progress=progress, max_bytes=asked["max_bytes"],
+            overwrite=asked["overwrite"],
+        )  # fmt: skip
     _say_what_changed(done)
-    if json:
+    if asked["json"]:
         print_json({"input": str(source), "output": str(target), **asdict(done)})
     else:
         print_text(

@@ -8,15 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gs_codec.cli.options import Json, MaxBytes, MaxMemory, Overwrite, Threads, Tool
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import (
-    Decoder,
-    MaxBytes,
-    MaxMemory,
-    Overwrite,
-    Threads,
-    parse_memory,
-)
 from gs_codec.cli.streams import piped
 from gs_codec.errors import InvalidInput
 
@@ -42,9 +35,9 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
-    tmc3: Decoder = None,
+    tmc3: Tool = None,
     overwrite: Overwrite = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
     box = None if bbox is None else _parse_box(bbox)
@@ -55,8 +48,8 @@ def command(
     with piped(source, target, ".ply") as (file, out):
         with progress_bar() as progress:
             report = decode_file(
-                file, out, threads, max_bytes, progress, part, tmc3, parse_memory(max_memory),
-                overwrite,
+                file, out, part, threads=threads, tmc3=tmc3, progress=progress,
+                max_memory=max_memory, max_bytes=max_bytes, overwrite=overwrite,
             )  # fmt: skip
         named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
         if json:

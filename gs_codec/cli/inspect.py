@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.given import refuse_given
+from gs_codec.cli.asked import refuse_given
+from gs_codec.cli.options import Json, MaxBytes
 from gs_codec.cli.output import SCENES_PIPED, print_json, print_table, print_text, size_text
-from gs_codec.cli.resources import MaxBytes
 from gs_codec.cli.streams import piped_source
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def command(
         bool, typer.Option("--channels", help="List every channel's quantiser and model.")
     ] = False,
     max_bytes: MaxBytes = None,
-    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
     if json:

@@ -51,7 +51,7 @@ def _load_command(name: str) -> Any:
         group.name = name
         return group
     one = typer.Typer(add_completion=False)
-    one.command(name)(module.command)
+    one.command(name, epilog=getattr(module.command, "epilog", None))(module.command)
     return typer.main.get_command(one)
 
 

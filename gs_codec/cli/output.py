@@ -106,3 +106,9 @@ def size_text(size: float) -> str:
             break
         size /= 1000
     return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.2f} {unit}"
+
+
+def smaller(before: int, after: int, ratio: float) -> str:
+    """Two sizes and their ratio, which counts from the floats where files came compressed."""
+    beside = " than the floats" if abs(ratio * after - before) >= 1 else ""
+    return f"{size_text(before)} -> {size_text(after)}, {ratio:.2f} times smaller{beside}"

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from gs_codec.cli.options import SPLIT, Background, Device, MaxBytes, Overwrite, Width
 from gs_codec.cli.output import SCENES, print_text, progress_bar
-from gs_codec.cli.resources import MaxBytes, Overwrite
-from gs_codec.cli.views import CAMERAS, SPLIT, Background, Device, Width, drawing_options
 from gs_codec.io.atomic import check_folder
+from gs_codec.preparation.steps import BACKGROUNDS, CAMERAS
 
 
 def command(
@@ -20,7 +20,7 @@ def command(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the images, PNG.")],
     width: Width = None,
     split: Annotated[str, typer.Option(help=SPLIT)] = "all",
-    background: Background = "black",
+    background: Background = BACKGROUNDS["black"],
     antialiased: Annotated[
         bool | None,
         typer.Option(
@@ -34,7 +34,6 @@ def command(
     overwrite: Overwrite = False,
 ) -> None:
     """Draw a scene from each camera, as the 3DGS rasteriser does."""
-    options = drawing_options(background, device)
     check_folder(out, overwrite)
     from gs_codec.files import read_scene
     from gs_codec.rendering.cameras import find_cameras
@@ -44,5 +43,5 @@ def command(
     views = find_cameras(cameras, loaded, split, width)
     start = time.perf_counter()
     with progress_bar() as progress:
-        write_views(loaded, views, out, antialiased=antialiased, progress=progress, **options)
+        write_views(loaded, views, out, background, antialiased, device, progress)
     print_text(f"{out}: {len(views)} images, {time.perf_counter() - start:.2f} s")

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from gs_codec.cli.options import Json, MaxBytes, MaxMemory, Threads, Tool
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.resources import Decoder, MaxBytes, MaxMemory, Threads, parse_memory
 from gs_codec.cli.streams import piped_source
 
 
@@ -18,14 +18,14 @@ def command(
     threads: Threads = None,
     max_memory: MaxMemory = None,
     max_bytes: MaxBytes = None,
-    tmc3: Decoder = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    tmc3: Tool = None,
+    json: Json = False,
 ) -> None:
     """Check every checksum of an .egs file and decode all of it, writing nothing."""
     from gs_codec.slabs import verify_file
 
     with piped_source(source) as file, progress_bar() as progress:
-        report = verify_file(file, threads, max_bytes, progress, tmc3, parse_memory(max_memory))
+        report = verify_file(file, threads, max_bytes, progress, tmc3, max_memory)
     if json:
         print_json({"input": str(source), **asdict(report)})
     else:

@@ -27,6 +27,11 @@ class Part:
     ------
     InvalidInput
         If a corner is not finite or the lowest is above the highest, or the degree is none.
+
+    Examples
+    --------
+    >>> gs_codec.Part((-1, -1, -1, 1, 1, 1), sh_degree=0).sh_degree
+    0
     """
 
     box: tuple[float, ...] | None = None

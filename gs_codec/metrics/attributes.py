@@ -1,4 +1,4 @@
-"""How far two versions of a scene are apart, attribute by attribute."""
+"""How far two versions of a scene are apart, attribute by attribute; and what `compare` returns."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.metrics.images import View, mean_quality
 from gs_codec.scene import Scene
 from gs_codec.transform.coordinates import CONVENTION
 
@@ -37,24 +38,61 @@ class GroupError:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors by attribute.
+    """How far two scenes are apart: by attribute, or in what cameras see of them.
 
     Attributes
     ----------
-    count : int
-        Number of Gaussians.
-    matched_by : str
-        ``stored order`` or ``index``.
+    counts : tuple of two int
+        Gaussians of each.
+    matched_by : str or None
+        ``stored order`` or ``index``; None with cameras, which need no match.
     groups : tuple of GroupError
-        Opacity and rotation are in it twice, in two units.
+        Errors by attribute, empty with cameras. Opacity and rotation are in it twice, in two
+        units.
+    views : tuple of View
+        What the cameras see, in their order; empty without them.
     systems : tuple of two str
         Coordinate systems of the two files; where they differ, one scene was turned.
     """
 
-    count: int
-    matched_by: str
-    groups: tuple[GroupError, ...]
+    counts: tuple[int, int]
+    matched_by: str | None = None
+    groups: tuple[GroupError, ...] = ()
+    views: tuple[View, ...] = ()
     systems: tuple[str, str] = (CONVENTION, CONVENTION)
+
+    @property
+    def mean(self) -> View:
+        """Means over the views.
+
+        Raises
+        ------
+        InvalidInput
+            If there are none.
+        """
+        self._check_views()
+        between = mean_quality([view.between for view in self.views])
+        first = [view.first for view in self.views if view.first]
+        second = [view.second for view in self.views if view.second]
+        if not (first and second):
+            return View("mean", between)
+        return View("mean", between, mean_quality(first), mean_quality(second))
+
+    @property
+    def worst(self) -> View:
+        """The view of the lowest PSNR between the scenes; the first such.
+
+        Raises
+        ------
+        InvalidInput
+            If there are no views.
+        """
+        self._check_views()
+        return min(self.views, key=lambda view: view.between.psnr)
+
+    def _check_views(self) -> None:
+        if not self.views:
+            raise InvalidInput("comparison: made without cameras, so there are no views")
 
 
 def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Comparison:
@@ -88,7 +126,7 @@ def compare_scenes(first: Scene, second: Scene, matched_by: str = "index") -> Co
             _angles(first.rot, second.rot),
         )
     kept = tuple(group for group in groups if group.name != "f_rest" or coefficients)
-    return Comparison(first.count, matched_by, kept)
+    return Comparison((first.count, second.count), matched_by, kept)
 
 
 def _group(name: str, unit: str, first: NDArray, second: NDArray) -> GroupError:

@@ -57,6 +57,33 @@ class Quality:
         )
 
 
+@dataclass(frozen=True)
+class View:
+    """One view of two scenes.
+
+    Attributes
+    ----------
+    name : str
+        The camera's.
+    between : Quality
+        Of the second scene's image against the first's.
+    first, second : Quality or None
+        Of each against the ground truth, where that is given.
+    """
+
+    name: str
+    between: Quality
+    first: Quality | None = None
+    second: Quality | None = None
+
+    @property
+    def delta(self) -> Quality | None:
+        """What the second scene has over the first against ground truth; the paper's deltas."""
+        if self.first is None or self.second is None:
+            return None
+        return self.second.over(self.first)
+
+
 def mean_quality(qualities: Sequence[Quality]) -> Quality:
     """Means of PSNR, SSIM, and LPIPS if every pair has it."""
     lpips = [q.lpips for q in qualities if q.lpips is not None]

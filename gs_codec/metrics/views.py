@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.io.atomic import make_folder
-from gs_codec.metrics.images import Quality, compare_images, mean_quality
+from gs_codec.metrics.attributes import Comparison
+from gs_codec.metrics.images import View, compare_images
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import (
     find_image,
@@ -23,72 +23,10 @@ from gs_codec.rendering.images import (
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
-from gs_codec.transform.coordinates import CONVENTION
 from gs_codec.workers import run_all
 
 #: By how much difference images are amplified.
 DIFFERENCE_GAIN = 10
-
-
-@dataclass(frozen=True)
-class View:
-    """One view of two scenes.
-
-    Attributes
-    ----------
-    name : str
-        The camera's.
-    between : Quality
-        Of the second scene's image against the first's.
-    first, second : Quality or None
-        Of each against the ground truth, where that is given.
-    """
-
-    name: str
-    between: Quality
-    first: Quality | None = None
-    second: Quality | None = None
-
-    @property
-    def delta(self) -> Quality | None:
-        """What the second scene has over the first against ground truth; the paper's deltas."""
-        if self.first is None or self.second is None:
-            return None
-        return self.second.over(self.first)
-
-
-@dataclass(frozen=True)
-class RenderedComparison:
-    """Two scenes in what cameras see of them.
-
-    Attributes
-    ----------
-    counts : tuple of two int
-        Gaussians of each.
-    views : tuple of View
-        In the cameras' order.
-    systems : tuple of two str
-        Coordinate systems of the two files; both scenes are drawn in that of PLY files.
-    """
-
-    counts: tuple[int, int]
-    views: tuple[View, ...]
-    systems: tuple[str, str] = (CONVENTION, CONVENTION)
-
-    @property
-    def mean(self) -> View:
-        """Means over the views."""
-        between = mean_quality([view.between for view in self.views])
-        first = [view.first for view in self.views if view.first]
-        second = [view.second for view in self.views if view.second]
-        if not (first and second):
-            return View("mean", between)
-        return View("mean", between, mean_quality(first), mean_quality(second))
-
-    @property
-    def worst(self) -> View:
-        """The view of the lowest PSNR between the scenes; the first such."""
-        return min(self.views, key=lambda view: view.between.psnr)
 
 
 def compare_views(
@@ -100,7 +38,7 @@ def compare_views(
     background: Sequence[float] = (0.0, 0.0, 0.0),
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
-) -> RenderedComparison:
+) -> Comparison:
     """Draw both scenes for every camera and compare the images.
 
     Parameters
@@ -143,7 +81,7 @@ def compare_views(
         return View(camera.name, compare_images(a, b), *against)
 
     views = run_all(compare_view, range(len(cameras)), advance=advance)
-    return RenderedComparison((first.count, second.count), tuple(views))
+    return Comparison((first.count, second.count), views=tuple(views))
 
 
 def fitted(camera: Camera, target: NDArray, path: Path) -> Camera:

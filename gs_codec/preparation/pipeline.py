@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.config import PROFILES, Config
-from gs_codec.errors import InvalidInput
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.loo_rounds import prune_leave_one_out
 from gs_codec.preparation.optimise import optimise
@@ -20,7 +19,7 @@ from gs_codec.preparation.prune import importance, keep_highest, keep_near, port
 from gs_codec.preparation.rectify import rectify
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.preparation.targets import (
     Targets,
     Views,
@@ -45,57 +44,13 @@ class _Context:
 
     steps: Steps
     views: Views
-    checkpoint: Path | None
+    checkpoint: str | Path | None
     progress: Progress | None
     config: Config
 
     def counter(self, stage: str, total: int) -> Callable[[], None] | None:
         """See `step_counter`."""
         return step_counter(self.progress, stage, total)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Steps, and what they look at.
-
-    Parameters
-    ----------
-    steps : Steps
-        What to do, nothing by default.
-    cameras : path, "auto", or sequence of Camera
-        Quality is measured in those marked ``test``, and at most `views` of the others, evenly
-        spaced, are worked by; where none is marked, the same do for both.
-    photographs : path, optional
-        Folder of the cameras' images; not all need to have one. Quality and losses are measured
-        against them, and `optimise` fits to them; without, renders of the input take their place.
-    width : int, optional
-        Width of the views, pixels; not with photographs, which have their own.
-    views : int
-        1 or more.
-    background : tuple of three float
-        RGB behind the scene, 0-1.
-    checkpoint : path, optional
-        Where `optimise` keeps what it has, and goes on from.
-
-    Raises
-    ------
-    InvalidInput
-        If there are both photographs and a width, or no views.
-    """
-
-    steps: Steps
-    cameras: str | Path | Sequence[Camera] = "auto"
-    photographs: str | Path | None = None
-    width: int | None = None
-    views: int = 64
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    checkpoint: Path | None = None
-
-    def __post_init__(self) -> None:
-        if self.photographs is not None and self.width is not None:
-            raise InvalidInput("width: given by the photographs, expected one of the two")
-        if self.views < 1:
-            raise InvalidInput(f"views {self.views}: expected at least 1")
 
 
 def prepare_scene(
@@ -147,14 +102,14 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     rest, test = _split(scene, plan)
     renders = draw_targets(scene, evenly(rest, plan.views), plan.background, progress)
     photographs = None
-    if plan.photographs is not None:
-        found = photographed(rest, plan.photographs)
+    if plan.gt_images is not None:
+        found = photographed(rest, plan.gt_images)
         photographs = read_targets(evenly(found, plan.views), plan.background)
     if test == rest:
         return Views(renders, photographs, photographs or renders)
-    if plan.photographs is None:
+    if plan.gt_images is None:
         return Views(renders, photographs, draw_targets(scene, test, plan.background, progress))
-    measured = photographed(test, plan.photographs)
+    measured = photographed(test, plan.gt_images)
     return Views(renders, photographs, read_targets(measured, plan.background))
 
 
@@ -194,7 +149,7 @@ def _prune_geometry(scene: Scene, context: _Context) -> _Outcome:
 def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
     steps = context.steps
     stay, details = prune_leave_one_out(
-        scene, context.views, steps.prune_loo, steps.max_drop, context.progress
+        scene, context.views, steps.prune, steps.prune_max_psnr_drop, context.progress
     )
     return stay, scene.take(stay), details
 
@@ -205,9 +160,9 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
         scene,
         views.cameras,
         views.images,
-        context.steps.optimise,
+        context.steps.refine,
         background=views.background,
-        checkpoint=context.checkpoint,
+        checkpoint=None if context.checkpoint is None else Path(context.checkpoint),
         progress=context.progress,
     )
     return None, fitted, asdict(report)
@@ -263,11 +218,11 @@ _STEPS = (
     _Step("geometry pruning", lambda s: s.prune_geometry > 0, _prune_geometry, "geometry"),
     _Step(
         "leave-one-out pruning",
-        lambda s: s.prune_loo > 0 or s.max_drop is not None,
+        lambda s: s.prune > 0 or s.prune_max_psnr_drop is not None,
         _prune_loo,
         "leave-one-out",
     ),
-    _Step("optimisation", lambda s: s.optimise > 0, _optimise),
+    _Step("optimisation", lambda s: s.refine > 0, _optimise),
     _Step("SH compaction", lambda s: s.compact_sh > 0, _compact),
     _Step("colour refit", lambda s: s.refit_colour > 0, _refit),
     _Step("rectification", lambda s: s.rectify, _rectify),

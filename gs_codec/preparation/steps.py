@@ -1,11 +1,34 @@
-"""What preparation is asked to do."""
+"""What preparation is asked to do, and the views it goes by."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from gs_codec.config import check_options, option
 from gs_codec.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from gs_codec.rendering.camera import Camera
+
+#: Percent of which something is left.
+_PERCENT = {
+    "kind": float,
+    "metavar": "PERCENT",
+    "low": 0,
+    "high": math.nextafter(100, 0),
+    "expected": "0 to below 100 percent",
+}
+
+_ITERATIONS = {"kind": int, "metavar": "N", "low": 0, "high": 10_000_000}
+
+#: RGB by the words that stand for it.
+BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+
+CAMERAS = "cameras.json, a COLMAP model's folder, or auto: views chosen from the scene itself."
 
 
 @dataclass(frozen=True)
@@ -19,12 +42,12 @@ class Steps:
         (theta2 of the paper, Section 4.2), 0 up to 100.
     prune_importance : float
         Percent to remove by LightGaussian's importance (theta1 of the paper), 0 up to 100.
-    prune_loo : float
+    prune : float
         Percent to remove by leave-one-out error, 0 up to 100.
-    max_drop : float or None
+    prune_max_psnr_drop : float or None
         Prune by leave-one-out error only as long as rendered views lose no more than this, dB;
-        without `prune_loo`, up to it.
-    optimise : int
+        without `prune`, up to it.
+    refine : int
         Iterations of Adam on all attributes of what is left.
     compact_sh : float
         Strength of SH energy compaction, 0 and up: about the mean squared error of an image value
@@ -39,28 +62,43 @@ class Steps:
     ------
     InvalidInput
         If a value is out of range.
+
+    Examples
+    --------
+    >>> gs_codec.Steps(prune=30, refine=500).wanted
+    True
     """
 
-    prune_geometry: float = 0.0
-    prune_importance: float = 0.0
-    prune_loo: float = 0.0
-    max_drop: float | None = None
-    optimise: int = 0
-    compact_sh: float = 0.0
-    refit_colour: int = 0
-    rectify: bool = False
+    prune_geometry: float = option(
+        0.0, "Prune this percentage along each axis, farthest first (the paper's theta2).",
+        **_PERCENT,
+    )  # fmt: skip
+    prune_importance: float = option(
+        0.0, "Prune this percentage, least important first (the paper's theta1).", **_PERCENT
+    )
+    prune: float = option(
+        0.0, "Prune this percentage: Gaussians whose removal changes the views least.", **_PERCENT
+    )
+    prune_max_psnr_drop: float | None = option(
+        None,
+        "Stop pruning at this PSNR loss (dB); without --prune, prune up to it.",
+        kind=float, metavar="DB", low=0, high=100, expected="0 to 100 dB",
+    )  # fmt: skip
+    refine: int = option(0, "Refine all attributes with N iterations of Adam.", **_ITERATIONS)
+    compact_sh: float = option(
+        0.0,
+        "Move SH energy to fewer coefficients; 3e-5 is usual.",
+        kind=float, metavar="STRENGTH", low=0, high=1e6, expected="a strength of 0 or more",
+    )  # fmt: skip
+    refit_colour: int = option(0, "Refit SH with N conjugate-gradient iterations.", **_ITERATIONS)
+    rectify: bool = option(
+        False, "Move SH-AC to the Laplace range of -p paper-* (else paper-m).", kind=bool
+    )
 
     def __post_init__(self) -> None:
-        for name in ("prune_geometry", "prune_importance", "prune_loo"):
-            if not 0 <= getattr(self, name) < 100:
-                raise InvalidInput(f"{name} {getattr(self, name)}: expected 0 to below 100 percent")
-        if 0 < self.prune_loo < 1:
-            raise InvalidInput(f"prune_loo {self.prune_loo}: expected percent, half of all is 50")
-        if self.max_drop is not None:
-            _check("max_drop", self.max_drop, 0, 100, "0 to 100 dB")
-        _check("compact_sh", self.compact_sh, 0, 1e6, "a strength of 0 or more")
-        for name in ("optimise", "refit_colour"):
-            _check(name, getattr(self, name), 0, 10_000_000, "a number of steps")
+        check_options(self)
+        if 0 < self.prune < 1:
+            raise InvalidInput(f"prune {self.prune}: expected percent, half of all is 50")
 
     @property
     def wanted(self) -> bool:
@@ -68,6 +106,67 @@ class Steps:
         return self != Steps()
 
 
-def _check(name: str, value: Any, low: float, high: float, expected: str) -> None:
-    if not low <= value <= high:
-        raise InvalidInput(f"{name} {value}: expected {expected}")
+@dataclass(frozen=True)
+class Plan:
+    """Steps, and the views they go by.
+
+    Parameters
+    ----------
+    steps : Steps
+        What to do, nothing by default.
+    cameras : path, "auto", or sequence of Camera
+        Quality is measured in those marked ``test``, and at most `views` of the others, evenly
+        spaced, are worked by; where none is marked, the same do for both.
+    gt_images : path, optional
+        Folder of the cameras' ground-truth images; not all need to have one. Quality and losses
+        are measured against them, and `refine` fits to them; without, renders of the input take
+        their place.
+    width : int, optional
+        Width of the views, pixels; not with `gt_images`, which have their own.
+    views : int
+        1 or more.
+    background : tuple of three float
+        RGB behind the scene, 0-1.
+    checkpoint : path, optional
+        Where `refine` keeps its state, and goes on from.
+
+    Raises
+    ------
+    InvalidInput
+        If there are both ground-truth images and a width, or no views.
+
+    Examples
+    --------
+    >>> plan = gs_codec.Plan(gs_codec.Steps(prune=30), "cameras.json", width=48)
+    >>> plan.views
+    64
+    """
+
+    steps: Steps = Steps()
+    cameras: str | Path | Sequence[Camera] = option(
+        "auto", f"Reference views: {CAMERAS}", metavar="C", shown="auto, where views are needed"
+    )
+    gt_images: str | Path | None = option(
+        None,
+        "Folder of ground-truth images, which take the place of renders of the input.",
+        kind=Path, metavar="DIR",
+    )  # fmt: skip
+    width: int | None = option(
+        None, "Width of the views, pixels.", kind=int, low=1, high=1 << 20, shown="the cameras'"
+    )
+    views: int = option(
+        64, "Most views to work by.", kind=int, low=1, high=1 << 30, expected="at least 1"
+    )
+    background: tuple[float, float, float] = option(
+        BACKGROUNDS["black"], "Colour behind the scene.", shown="black", values=BACKGROUNDS
+    )
+    checkpoint: str | Path | None = option(
+        None,
+        "File that keeps the state of --refine, which goes on from there.",
+        kind=Path, metavar="FILE", expert=False,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        if self.gt_images is not None and self.width is not None:
+            raise InvalidInput("width: given by the ground-truth images, expected one of the two")
+        check_options(self)

@@ -50,8 +50,8 @@ class Camera:
     Examples
     --------
     >>> import numpy as np
-    >>> from gs_codec.rendering.camera import Camera
-    >>> camera = Camera("front", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0, 0, -4.0]))
+    >>> position = np.array([0, 0, -4.0])
+    >>> camera = gs_codec.Camera("front", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), position)
     >>> [rendering] = [drawn for _, drawn in gs_codec.render("scene.ply", [camera])]
     >>> rendering.colour.shape
     (48, 64, 3)

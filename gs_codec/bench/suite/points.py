@@ -12,7 +12,7 @@ from gs_codec.bench.curves import Curve
 from gs_codec.bench.rendered import measure_quality
 from gs_codec.bench.suite.scenes import MeasuredScene
 from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, MAX_DEPTH, PROFILES, Config
-from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.steps import Plan
 
 #: Names of curves: the paper's profiles, and ours without cameras and with.
 PAPER, FREE, CAMERA_GUIDED = "paper", "camera-free", "camera-guided"

@@ -11,7 +11,7 @@ from gs_codec.bench.sources import held_out_views, load_scene, scene_name
 from gs_codec.errors import InvalidInput
 from gs_codec.io.mapped import located
 from gs_codec.metrics.views import fitted
-from gs_codec.preparation.pipeline import Plan
+from gs_codec.preparation.steps import Plan
 from gs_codec.preparation.targets import evenly, photographed
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras

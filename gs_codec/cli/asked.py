@@ -1,0 +1,209 @@
+"""What a command was asked for by its options."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, TypeVar
+
+import typer
+
+from gs_codec.cli.options import DEFAULTS, OPTIONS, dashed, parse_value, set_name, typer_option
+from gs_codec.cli.options import value_of as words_for
+from gs_codec.config import LATTICE_PROFILES, PROFILES, Config, Target, options_of
+from gs_codec.errors import InvalidInput
+from gs_codec.preparation.steps import Plan, Steps
+
+Settings = TypeVar("Settings", Config, Target, Plan, Steps)
+
+
+class Asked:
+    """What was typed for the options of a command.
+
+    Parameters
+    ----------
+    ctx : typer.Context
+    values : dict
+        The command's parameters by name, ``set`` among them as it was typed.
+    settable : sequence of str
+        Names that ``--set`` takes.
+    """
+
+    def __init__(self, ctx: typer.Context, values: dict[str, Any], settable: list[str]) -> None:
+        self.command = ctx.info_name
+        self._values = {name: value for name, value in values.items() if value is not None}
+        self._typed = {name: f"--{dashed(name)}" for name in values if is_given(ctx, name)}
+        for text in self._values.pop("set", ()):
+            self._set(text, settable)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values.get(name)
+
+    def refuse(self, names: Iterable[str], why: str) -> None:
+        """Refuse options that would be ignored.
+
+        Raises
+        ------
+        InvalidInput
+            If one was typed; `why` says what it needs.
+        """
+        for name in names:
+            if name in self._typed:
+                raise InvalidInput(f"{self._typed[name]} {why}")
+
+    def build(self, settings: type[Settings], **others: Any) -> Settings:
+        """A dataclass of the library, with what was asked for."""
+        for field, described in options_of(settings).items():
+            if (name := described.name or field) in self._values:
+                others[field] = self._values[name]
+        return settings(**others)
+
+    def _set(self, text: str, settable: list[str]) -> None:
+        typed, equals, value = text.partition("=")
+        name, dot, key = typed.partition(".")
+        name = name.replace("-", "_")
+        if name not in settable or bool(dot) != bool(OPTIONS[name].keys):
+            known = ", ".join(map(set_name, settable))
+            raise InvalidInput(f"--set {text}: no such name, expected one of {known}")
+        described = OPTIONS[name]
+        if not equals:
+            value = described.metavar or words_for(described)
+            raise InvalidInput(f"--set {text}: expected {typed}={value}")
+        found = parse_value(f"--set {typed}=", described, value)
+        self._values[name] = (self._values.get(name, {}) | {key: found}) if dot else found
+        self._typed[name] = f"--set {typed}"
+
+
+def takes(
+    *names: str, expert: Iterable[type] = (), without: Iterable[str] = (), **defaults: Any
+) -> Callable[[Callable[..., None]], Any]:
+    """Give a command options by name, and ``--set`` for the expert ones of dataclasses.
+
+    What was typed for them is the command's parameter `asked`; `defaults` are those that differ
+    from the library's, `without` what ``--set`` does not take.
+    """
+    settable = [
+        name
+        for settings in expert
+        for field, described in options_of(settings).items()
+        if described.expert and (name := described.name or field) not in (*names, *without)
+    ]
+
+    def decorate(command: Callable[..., None]) -> Any:
+        own = inspect.signature(command, eval_str=True).parameters.values()
+        kept = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p.name != "asked"]
+        shared = [_parameter(name, DEFAULTS | defaults) for name in names]
+        if settable:
+            shared.append(_parameter("set", {}))
+
+        def called(ctx: typer.Context, **values: Any) -> None:
+            arguments = {p.name: values.pop(p.name) for p in kept}
+            command(**arguments, asked=Asked(ctx, values, settable))
+
+        called.__doc__ = command.__doc__
+        parameters = [_CONTEXT, *kept, *shared]
+        called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        called.__annotations__ = {p.name: p.annotation for p in parameters}
+        called.epilog = _listed(settable, DEFAULTS | defaults)  # type: ignore[attr-defined]
+        return called
+
+    return decorate
+
+
+_CONTEXT = inspect.Parameter("ctx", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+
+
+def _parameter(name: str, defaults: dict[str, Any]) -> inspect.Parameter:
+    """The parameter of a command for an option; what nobody types is None or the default."""
+    kind: Any = list[str] if name == "set" else OPTIONS[name].kind
+    default = None if name == "cameras" else defaults.get(name)
+    annotation = kind if isinstance(default, bool) else kind | None
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=default,
+        annotation=Annotated[annotation, typer_option(name)],
+    )
+
+
+def _listed(settable: list[str], defaults: dict[str, Any]) -> str:
+    """What ``--set`` takes, for the end of the help."""
+    lines = ["--set takes these, and depth.sh-ac=3 is an example:"] * bool(settable)
+    for name in settable:
+        described = OPTIONS[name]
+        value = described.metavar or words_for(described).replace(" or ", "|")
+        default = described.shown or defaults.get(name)
+        if isinstance(default, bool):
+            default = "yes" if default else "no"
+        told = described.help + ("" if default is None else f" (default: {default})")
+        head, (first, *rest) = f"{set_name(name)}={value}", textwrap.wrap(told, 49)
+        lines += [f"{head:<28} {first}", *(29 * " " + line for line in rest)]
+    return "\n".join(lines)
+
+
+def is_given(ctx: typer.Context, name: str) -> bool:
+    """Whether an option was typed, be it with its default."""
+    source = ctx.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def refuse_given(ctx: typer.Context, names: Iterable[str], why: str) -> None:
+    """See `Asked.refuse`; for commands that list their options themselves."""
+    Asked(ctx, dict.fromkeys(names), []).refuse(names, why)
+
+
+def config_of(asked: Asked) -> Config:
+    """The configuration that was asked for.
+
+    Raises
+    ------
+    InvalidInput
+        If an option is out of its range, or has no effect.
+    """
+    config = asked.build(Config)
+    if config.profile not in PROFILES:
+        why = f"has no effect on profile '{config.profile}', expected one of {', '.join(PROFILES)}"
+        asked.refuse(("geometry", "tmc3", "verify"), why)
+    return config
+
+
+def target_of(asked: Asked) -> Target | None:
+    """The size or quality that was asked for; None if none was."""
+    names = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
+    if any(asked[name] is not None for name in names):
+        return asked.build(Target)
+    asked.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
+    return None
+
+
+def plan_of(asked: Asked) -> Plan | None:
+    """The steps and views that were asked for; None if none were.
+
+    Raises
+    ------
+    InvalidInput
+        If one of the options has no effect beside the others.
+    """
+    steps = asked.build(Steps)
+    if not steps.refine:
+        asked.refuse(["checkpoint"], "needs --refine, whose state it keeps")
+    if not steps.wanted and not _goes_by_views(asked):
+        return None
+    return asked.build(Plan, steps=steps)
+
+
+def _goes_by_views(asked: Asked) -> bool:
+    """Whether coding without preparation goes by views; what has no effect is refused."""
+    profile, measured = Config(asked["profile"]).profile, asked["max_psnr_drop"] is not None
+    if not measured:
+        asked.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
+    if profile not in LATTICE_PROFILES:
+        known = ", ".join(LATTICE_PROFILES)
+        why = f"has no effect on profile '{profile}', expected {known}, --prune or --refine"
+        asked.refuse(["cameras", "views", "width", "background"], why)
+    if asked["cameras"] is not None or measured or asked["allow_prune"]:
+        return True
+    why = "has no effect without views, expected --cameras, --prune or --refine"
+    asked.refuse(["views", "width", "background"], why)
+    return False

@@ -11,7 +11,8 @@ demo: $(VENV)/installed
 	@echo; echo "1. A scene of 50,000 Gaussians, and 24 cameras around it"
 	$(BIN)/python samples/generate.py demo/still_life.ply --gaussians 50000 --sh-degree 3 --cameras demo/cameras.json
 	@echo; echo "2. Encode it; the first run compiles kernels for some seconds"
-	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs --overwrite -v
+	$(BIN)/gs-codec encode demo/still_life.ply demo/still_life.egs --overwrite
+	$(BIN)/gs-codec inspect demo/still_life.egs
 	@echo; echo "3. Decode it, to a PLY that any viewer opens"
 	$(BIN)/gs-codec decode demo/still_life.egs demo/decoded.ply --overwrite
 	@echo; echo "4. What was lost: by attribute, of which most is never seen"

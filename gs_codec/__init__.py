@@ -39,7 +39,6 @@ _PUBLIC = {
         "encode_file",
         "decode_file",
         "prepare_file",
-        "compare_files",
         "DecodeReport",
     ),
     "gs_codec.conversion": ("convert_file", "ConvertReport"),

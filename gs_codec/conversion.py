@@ -35,7 +35,9 @@ class ConvertReport:
     lost : tuple of str
         What the target's format cannot hold, in words.
     file_bytes : int
+        Size of what was written.
     seconds : dict of str to float
+        Wall time of each stage.
     """
 
     count: int

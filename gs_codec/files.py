@@ -196,6 +196,7 @@ def prepare_file(
     Parameters
     ----------
     source, target : str or Path
+        Scenes; the target is ``.ply``, ``.egs`` or ``.splat``.
     plan : Plan
         Steps, and the views they go by.
     config : Config, optional

@@ -268,7 +268,8 @@ PAPER = Config("paper-m")
 
 def test_report_files(folder, scene):
     chosen = Plan(Steps(prune=30), folder / "cameras.json")
-    report = prepare_file(folder / "scene.ply", folder / "out.ply", chosen, folder / "new" / "r")
+    target, where = folder / "out.ply", folder / "new" / "r"
+    report = prepare_file(folder / "scene.ply", target, chosen, PAPER, report_folder=where)
     labels = np.load(folder / "new" / "r" / "labels.npy")
     np.testing.assert_array_equal(labels, report.labels)
     saved = json.loads((folder / "new" / "r" / "report.json").read_text())

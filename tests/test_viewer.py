@@ -512,7 +512,7 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, her
     (tmp_path / "cameras.json").write_text(json.dumps(poses))
     (tmp_path / "images").mkdir()
     Image.new("RGB", (40, 30), (200, 0, 0)).save(tmp_path / "images" / "view1.png")
-    asked = [files / "a.ply", "--cameras", tmp_path / "cameras.json", "--images",
+    asked = [files / "a.ply", "--cameras", tmp_path / "cameras.json", "--gt-images",
              tmp_path / "images", "--width", "200", "--height", "80"]  # fmt: skip
     status, _, err = here(*asked, "--screenshot", tmp_path / "0.png")
     assert status == 0
@@ -540,7 +540,7 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch,
     (tmp_path / "cameras.json").write_text(json.dumps(poses))
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
     status, _, err = here(
-        files / "a.ply", "--cameras", tmp_path / "cameras.json", "--images", tmp_path / "images",
+        files / "a.ply", "--cameras", tmp_path / "cameras.json", "--gt-images", tmp_path / "images",
         "--screenshot", tmp_path / "out.png",
     )  # fmt: skip
     assert not ran.exists()

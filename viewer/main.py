@@ -35,8 +35,9 @@ def command(
             metavar="C", help="Places to look from: cameras.json, a COLMAP folder, or auto."
         ),
     ] = None,
-    images: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Photographs of the cameras, shown beside.")
+    gt_images: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Ground-truth images of the cameras, shown beside."),
     ] = None,
     pruned: Annotated[
         Path | None,
@@ -89,7 +90,7 @@ def command(
         a,
         b,
         cameras,
-        images,
+        gt_images,
         pruned,
         parse_layers(layers, pruned),
         colour,

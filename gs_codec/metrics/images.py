@@ -95,12 +95,28 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
 
 
 def compare_images(first: NDArray, second: NDArray) -> Quality:
-    """Compare images ``(H, W, 3)``, clipped to 0-1.
+    """Compare two images, clipped to 0-1.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (H, W, 3)
+        RGB.
+
+    Returns
+    -------
+    Quality
+        PSNR, SSIM and, where installed, LPIPS.
 
     Raises
     ------
     InvalidInput
         If the sizes differ, or an image is narrower than the window of SSIM.
+
+    Examples
+    --------
+    >>> (camera, drawn), *_ = gs_codec.render("scene.ply", "cameras.json")
+    >>> gs_codec.compare_images(drawn.colour, drawn.colour * 0.5).psnr > 5
+    True
     """
     from skimage.metrics import structural_similarity
 

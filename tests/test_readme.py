@@ -10,9 +10,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from gs_codec.bench.suite.headline import headline
 from typer.testing import CliRunner
 
-from gs_codec.bench.suite.headline import headline
 from gs_codec.cli.main import NAMES, app
 from gs_codec.io.ply import write_ply
 from gs_codec.rendering import auto_cameras

@@ -50,16 +50,15 @@ docs: $(VENV)/installed
 	rm -rf build/docs
 	$(BIN)/python samples/api_pages.py build/docs
 
-# 6.5 GB of scenes, and twice as much again while the largest is coded. MEMORY=4GB: within that.
-SIZES := 200000 1000000 5000000 20000000
+# Time and memory of a sample tiled to up to 3 million Gaussians, and a plot: build/scaling/report. A few minutes.
 scaling: $(VENV)/installed-test
 	@mkdir -p build/scaling
-	for n in $(SIZES); do $(BIN)/python samples/generate.py build/scaling/$$n.ply --gaussians $$n || exit; done
-	$(BIN)/gs-codec bench $(SIZES:%=build/scaling/%.ply) --scaling --plot build/scaling/plot.png --overwrite $(MEMORY:%=--max-memory %)
+	$(BIN)/python samples/generate.py build/scaling/sample.ply --gaussians 200000 --sh-degree 3
+	$(BIN)/gs-codec bench suite build/scaling/sample.ply --out build/scaling/report --overwrite --skip memory --skip codecs --skip curves
 
 # Two samples and SCENES="a/point_cloud.ply ...", cameras.json and images beside each: build/suite/report.
-# Half an hour with a scene of 200,000 Gaussians; OPTIONS="--skip pruned" leaves that out. `make peers` before
-# it: other codecs are measured where they are there.
+# Half an hour with a scene of 200,000 Gaussians; OPTIONS="--skip pruned" leaves that out. Other codecs are
+# measured if they are installed: run `make peers` before.
 SAMPLE := build/suite/still_life
 suite: $(VENV)/installed-test
 	@mkdir -p $(SAMPLE)_60k $(SAMPLE)_100k
@@ -74,22 +73,15 @@ fuzz: $(VENV)/installed-test
 	$(PIP) install -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz.py $(TARGET) --minutes $(MINUTES) --corpus fuzz
 
-# What people would use instead, for `gs-codec bench --peers` and `--coders`; what cannot be had is said.
+# Other codecs, for `gs-codec bench peers` and `bench suite`; says which could not be installed.
 # spz brings its own zstd: Debian's library cannot be linked into a module. SPZ=FOLDER: from a checkout.
 SPZ ?= git+https://github.com/nianticlabs/spz
 PEERS_LOG := $(VENV)/peers.log
 peers: $(VENV)/installed
-	@: >$(PEERS_LOG)
-	@$(PIP) install -e '.[peers]' >>$(PEERS_LOG) 2>&1 \
-	    || echo "constriction: not installed; $(PEERS_LOG) says why"
-	@{ $(PIP) install torch==2.13.0 && $(PIP) install -e '.[paper]'; } >>$(PEERS_LOG) 2>&1 \
-	    || echo "torchac: not installed; $(PEERS_LOG) says why"
-	@CMAKE_ARGS="-DCMAKE_DISABLE_FIND_PACKAGE_zstd=ON $$CMAKE_ARGS" $(PIP) install "$(SPZ)" >>$(PEERS_LOG) 2>&1 \
+	@CMAKE_ARGS="-DCMAKE_DISABLE_FIND_PACKAGE_zstd=ON $$CMAKE_ARGS" $(PIP) install "$(SPZ)" >$(PEERS_LOG) 2>&1 \
 	    || echo "spz: not installed, it needs git, a C++ compiler and GitHub; $(PEERS_LOG) says why"
 	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund @playcanvas/splat-transform@2 \
 	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform: not installed, it needs Node 18 and npm; $(PEERS_LOG) says why"
-	@command -v "$${GS_CODEC_TMC3:-tmc3}" >/dev/null \
-	    || echo "tmc3: not found, no package has it; https://github.com/MPEGGroup/mpeg-pcc-tmc13 says how it is built"
 
 # Every index of every kernel checked; kernels so compiled are kept apart from the others.
 boundscheck: $(VENV)/installed-test

@@ -10,9 +10,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from gs_codec.bench.suite.headline import headline
+from typer.main import get_command
 from typer.testing import CliRunner
 
+from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
 from gs_codec.io.ply import write_ply
 from gs_codec.rendering import auto_cameras
@@ -127,3 +128,17 @@ def test_documents_are_linked():
         for link in re.findall(r"\]\(([^)#\s]+)", (ROOT / name).read_text())
     }
     assert [name for name in DOCUMENTS if name != "README.md" and ROOT / name not in linked] == []
+
+
+def test_commands_of_the_results_have_options_that_exist():
+    """They take hours, so only their names are checked."""
+    text = (ROOT / "gs_codec" / "bench" / "RESULTS.md").read_text()
+    lines = re.findall(r"^    .*?gs-codec ([^;#\n]*)", text, re.MULTILINE)
+    assert len(lines) > 15
+    for line in lines:
+        command, words = get_command(app), shlex.split(line)
+        while hasattr(command, "commands"):
+            command = command.get_command(None, words.pop(0))
+            assert command is not None, line
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert {word for word in words if re.match(r"-+[a-z]", word)} <= known, line

@@ -39,7 +39,7 @@ def headline(lines: Sequence[Line]) -> list[str]:
 
 
 def codec_table(results: Results, scene: str) -> list[str]:
-    """All codecs of a scene: size, quality, times, memory, and ours at equal PSNR."""
+    """All codecs of a scene: size, quality, times, memory, ours at that PSNR; no empty column."""
     peaks = {line["profile"]: line for line in results.of("memory", scene)}
     columns = ["codec", "times smaller", "bits / Gaussian", "PSNR dB", "worst view", "delta-PSNR"]
     columns += ["encode", "decode", "encode MB", "decode MB"]
@@ -51,7 +51,9 @@ def codec_table(results: Results, scene: str) -> list[str]:
         memory = [known.get(f"{way}_peak_bytes") for way in ("encode", "decode")]
         megabytes = [_number(x and x / 1e6, ".0f") for x in memory]
         rows.append([*cells, *_times(line), *megabytes, *_ours(results, line)])
-    return markdown([*columns, *_OURS], rows)
+    columns += _OURS
+    used = [i for i in range(len(columns)) if any(row[i] for row in rows)]
+    return markdown([columns[i] for i in used], [[row[i] for i in used] for row in rows])
 
 
 def rates(results: Results, scene: str) -> str:

@@ -22,7 +22,8 @@ from gs_codec.analysis.save import draw_pictures
 from gs_codec.analysis.sensitivity import LEVELS, THRESHOLD, level_at, measure_sensitivity
 from gs_codec.analysis.tables import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.codec import encode_scene
-from gs_codec.codec.symbols import quantise_scene
+from gs_codec.codec.order import order_scene
+from gs_codec.codec.symbols import Coded, quantise_and_model
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.io.ply import read_ply, write_ply
@@ -43,6 +44,13 @@ def information_of(first, second, seed=0):
     bins = bin_count(first.shape[1])
     codes = into_bins(first, bins), into_bins(second, bins)
     return mutual_information(*codes, bins, np.random.default_rng(seed))
+
+
+def coded_of(scene, config) -> Coded:
+    """Symbols and models as `encode_scene` makes them."""
+    depths = config.resolved_depths()
+    order = order_scene(scene, depths["geometry"], depths["sh-dc"]).order
+    return quantise_and_model(scene, order, config)
 
 
 #: Edge scenes that ask something of statistics.
@@ -230,7 +238,7 @@ def test_zeros_are_what_a_laplace_distribution_cannot_explain():
 
 def test_bars_and_entropies_are_those_of_the_values():
     scene = random_scene(3000, 1, seed=12)
-    coded = quantise_scene(scene, Config("paper-m"))
+    coded = coded_of(scene, Config("paper-m"))
     histograms = dict(zip([c.name for c in coded.channels], coded.histograms, strict=True))
     for fit in fits_of(scene, Config("paper-m")):
         assert np.sum(fit.density * np.diff(fit.edges)) == pytest.approx(0.998, abs=0.002)
@@ -249,7 +257,7 @@ def test_the_entropy_table_is_that_of_the_symbols():
     config = Config("paper-s")
     _, report = encode_scene(scene, config)
     table = entropy_by_group(report)
-    coded = quantise_scene(scene, config)
+    coded = coded_of(scene, config)
     members: dict[str, list[float]] = {}
     for channel, histogram in zip(coded.channels, coded.histograms, strict=True):
         name = "sh-ac" if channel.stream.startswith("sh") else channel.stream

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from html import escape
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, "DejaVu Sans", Arial, sans-serif; color: #111; background: #fff;
        max-width: 62rem; margin: 2rem auto; padding: 0 1.2rem; }
 h1 { font-size: 1.6rem; margin-bottom: .2rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem;
-     border-bottom: 1px solid #999; } h3 { font-size: 1rem; }
+     border-bottom: 1px solid #999; }
 table { border-collapse: collapse; margin: .8rem 0; font-size: .87rem; }
 th, td { padding: .18rem .45rem; text-align: right; border-bottom: 1px solid #ddd; }
 th { border-bottom: 1px solid #555; vertical-align: bottom; }
@@ -18,11 +18,11 @@ th:first-child, td:first-child { text-align: left; }
 caption { caption-side: top; text-align: left; font-weight: 600; padding: .2rem 0;
           white-space: nowrap; }
 .wide { overflow-x: auto; } nav a { margin-right: 1.1rem; }
-tbody tr:nth-child(even) { background: #f7f8f9; } tr.strong { font-weight: 600; }
+tbody tr:nth-child(even) { background: #f7f8f9; }
 figure { margin: 1rem 0; } img { max-width: 100%; height: auto; }
 figcaption { font-size: .87rem; color: #333; }
 @media print { body { font-size: 10pt; margin: 0; max-width: none; padding: 0; }
-  h2, h3 { break-after: avoid; }
+  h2 { break-after: avoid; }
   figure, table, tr { break-inside: avoid; } table { font-size: 8.5pt; }
   nav { display: none; } .wide { overflow: visible; } }
 @page { margin: 14mm; }
@@ -42,11 +42,6 @@ def page(title: str, parts: Sequence[str]) -> str:
 def heading(text: str) -> str:
     """The title of a section, which `contents` lead to."""
     return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
-
-
-def subheading(text: str) -> str:
-    """A title below that of a section."""
-    return f"<h3>{escape(text)}</h3>"
 
 
 def contents(headings: Sequence[str]) -> str:
@@ -69,19 +64,11 @@ def listing(lines: Sequence[str]) -> str:
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
-def table(
-    caption: str,
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    strong: Container[int] = (),
-) -> str:
-    """Cells under their columns; the first column names the row; `strong` rows stand out."""
+def table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Cells under their columns; the first column names the row."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in columns)
     body = "".join(
-        ('<tr class="strong">' if place in strong else "<tr>")
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row)
-        + "</tr>\n"
-        for place, row in enumerate(rows)
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in rows
     )
     return (
         f'<div class="wide"><table><caption>{escape(caption)}</caption>\n'

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.order import order_scene
 from gs_codec.config import Config
 from gs_codec.container.channels import RANS_STREAMS, Channel, channel_places
 from gs_codec.entropy.tables import encode_tables
@@ -46,13 +45,6 @@ class Coded:
     costs: list[ChannelCost]
     constants: list[Channel]
     rectified: int
-
-
-def quantise_scene(scene: Scene, config: Config) -> Coded:
-    """Symbols, models and tables as `encode_scene` makes them."""
-    depths = config.resolved_depths()
-    order = order_scene(scene, depths["geometry"], depths["sh-dc"]).order
-    return quantise_and_model(scene, order, config)
 
 
 def quantise_and_model(

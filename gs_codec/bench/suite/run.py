@@ -16,7 +16,7 @@ from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
 from gs_codec.bench.scaling import measure_scaling
 from gs_codec.bench.suite.points import measure_points
-from gs_codec.bench.suite.scenes import MeasuredScene, describe_scenes, open_scene
+from gs_codec.bench.suite.scenes import MeasuredScene, open_scenes
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
 
@@ -90,25 +90,24 @@ def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Li
     InvalidInput
         If a scene, cameras or photographs cannot be used; before anything is measured.
     """
-    scenes = describe_scenes(options.scenes, options.width)
+    scenes = open_scenes(options.scenes, options.width)
     return (_finite(line) for line in _measure(options, command, tell, scenes))
 
 
 def _measure(
-    options: Options, command: str, tell: Callable[[str], None], scenes: dict[Path, dict[str, Any]]
+    options: Options, command: str, tell: Callable[[str], None], scenes: Sequence[MeasuredScene]
 ) -> Lines:
     date = datetime.now(timezone.utc).isoformat(timespec="seconds")
     skipped = sorted(options.skip)
     yield machine() | {
         "repeats": options.repeats, "skipped": skipped, "date": date, "command": command,
     }  # fmt: skip
-    yield from scenes.values()
-    ordered = sorted(scenes, key=lambda path: scenes[path]["gaussians"])
+    yield from (measured.line for measured in scenes)
+    largest = max(scenes, key=lambda measured: measured.scene.count)
     found: list[dict[str, Any]] = []
-    for path in ordered:
-        measured = open_scene(path, options.width)
+    for measured in scenes:
         for group, (title, measure) in STAGES.items():
-            if group in options.skip or (group == "scaling" and path != ordered[-1]):
+            if group in options.skip or (group == "scaling" and measured is not largest):
                 continue
             tell(f"{measured.name}: {title}")
             for line in measure(measured, options, found):

@@ -102,8 +102,8 @@ def _marked(cameras: list[Camera]) -> Sequence[Camera]:
     ]
 
 
-def describe_scenes(paths: Sequence[Path], width: int | None) -> dict[Path, dict[str, Any]]:
-    """The line of each scene; all are read, so that errors come before the work.
+def open_scenes(paths: Sequence[Path], width: int | None) -> list[MeasuredScene]:
+    """Scenes, each with a name of its own.
 
     Raises
     ------
@@ -111,10 +111,8 @@ def describe_scenes(paths: Sequence[Path], width: int | None) -> dict[Path, dict
         As `open_scene` does, and if two scenes have the same name.
     """
     names: dict[str, Path] = {}
-    lines = {}
     for path in paths:
         other = names.setdefault(scene_name(path), path)
         if other is not path:
             raise InvalidInput(f"{path}: named '{scene_name(path)}', as {other} is")
-        lines[path] = open_scene(path, width).line
-    return lines
+    return [open_scene(path, width) for path in paths]

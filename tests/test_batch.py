@@ -116,9 +116,9 @@ def test_options_are_those_of_encode(folder):
     assert Path("out/a.egs").read_bytes() == encoded("in/a.ply", config)
 
 
-def test_batch_has_the_options_of_encode_but_those_of_one_scene():
-    missing = signature(encode.command).parameters.keys() - signature(batch.command).parameters
-    assert missing == {"checkpoint", "max_memory", "verbose"}
+def test_batch_has_the_options_of_encode():
+    assert signature(encode.command).parameters.keys() <= signature(batch.command).parameters.keys()
+    assert encode.command.epilog == batch.command.epilog
 
 
 def test_ratios_count_from_raw_floats_though_scenes_come_compressed(folder):
@@ -130,6 +130,9 @@ def test_ratios_count_from_raw_floats_though_scenes_come_compressed(folder):
     assert raw / record["output_bytes"] >= 3
     # Which counts from the file itself would be far smaller.
     assert record["input_bytes"] / record["output_bytes"] < 3
+    assert record["ratio"] == raw / record["output_bytes"]
+    out = folder.run("batch", "packed", "again", "--target-ratio", "3").out
+    assert f"{record['ratio']:.2f} times smaller than the floats" in out
 
 
 def test_folder_has_scenes_of_every_format(folder):

@@ -43,7 +43,7 @@ WRITING = {
     "decode scene.egs out.ply": "out.ply",
     "convert scene.ply out.splat": "out.splat",
     "prepare scene.ply out.ply --rectify --set width=16": "out.ply",
-    "prepare scene.ply o.ply --rectify --report out": "out/report.json",
+    "prepare scene.ply o.ply --rectify --report out --set width=16": "out/report.json",
     f"render scene.ply {VIEWS} --out out": "out/a.png",
     f"compare scene.ply scene.egs {VIEWS} --images out": "out/a_a.png",
     "analyze scene.ply --out out": "out/report.html",
@@ -129,7 +129,7 @@ def test_dash_is_stdin_and_stdout(folder, trio):
     "command",
     [
         "convert - out.splat",
-        "prepare - out.ply --rectify --width 16",
+        "prepare - out.ply --rectify --set width=16",
         "verify -",
         "encode - out.egs",
     ],

@@ -9,8 +9,15 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from gs_codec.cli.options import DEFAULTS, OPTIONS, dashed, parse_value, set_name, typer_option
-from gs_codec.cli.options import value_of as words_for
+from gs_codec.cli.options import (
+    DEFAULTS,
+    OPTIONS,
+    dashed,
+    parse_value,
+    set_name,
+    typer_option,
+    value_of,
+)
 from gs_codec.config import LATTICE_PROFILES, PROFILES, Config, Target, options_of
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan, Steps
@@ -68,8 +75,7 @@ class Asked:
             raise InvalidInput(f"--set {text}: no such name, expected one of {known}")
         described = OPTIONS[name]
         if not equals:
-            value = described.metavar or words_for(described)
-            raise InvalidInput(f"--set {text}: expected {typed}={value}")
+            raise InvalidInput(f"--set {text}: expected {typed}={value_of(described)}")
         found = parse_value(f"--set {typed}=", described, value)
         self._values[name] = (self._values.get(name, {}) | {key: found}) if dot else found
         self._typed[name] = f"--set {typed}"
@@ -132,12 +138,11 @@ def _listed(settable: list[str], defaults: dict[str, Any]) -> str:
     lines = ["--set takes these, and depth.sh-ac=3 is an example:"] * bool(settable)
     for name in settable:
         described = OPTIONS[name]
-        value = described.metavar or words_for(described).replace(" or ", "|")
         default = described.shown or defaults.get(name)
         if isinstance(default, bool):
             default = "yes" if default else "no"
         told = described.help + ("" if default is None else f" (default: {default})")
-        head, (first, *rest) = f"{set_name(name)}={value}", textwrap.wrap(told, 49)
+        head, (first, *rest) = f"{set_name(name)}={value_of(described)}", textwrap.wrap(told, 49)
         lines += [f"{head:<28} {first}", *(29 * " " + line for line in rest)]
     return "\n".join(lines)
 

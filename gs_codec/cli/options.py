@@ -86,10 +86,11 @@ def parse_value(typed: str, described: Option, text: Any) -> Any:
     if isinstance(words, Mapping):
         if text in words:
             return words[text]
+        expected = " or ".join(words) if len(words) < 3 else f"one of {', '.join(words)}"
     elif re.fullmatch(_NUMBERS.get(described.kind, ".+"), text):
         return described.kind(text)
-    kinds = {int: "an integer", float: "a number"}
-    expected = kinds.get(described.kind, value_of(described))
+    else:
+        expected = {int: "an integer", float: "a number"}.get(described.kind, "a value")
     raise InvalidInput(f"{typed}{text}: expected {expected}")
 
 
@@ -103,10 +104,9 @@ def parse_size(typed: str, text: str) -> int:
 
 def value_of(described: Option) -> str:
     """What stands for the value of an option where it is described."""
-    if described.values:
-        return " or ".join(described.values)
-    kinds = {bool: "yes or no", int: "N", float: "X"}
-    return kinds.get(described.kind, "TEXT")
+    kinds = {bool: "yes|no", int: "N", float: "X"}
+    known = "|".join(described.values) or kinds.get(described.kind, "TEXT")
+    return described.metavar or known
 
 
 def set_name(name: str) -> str:

@@ -112,7 +112,7 @@ def encode_planned(
         if not clean.count:
             return encode_scene(scene, config, progress)
         with times.stage("views"):
-            guidance = guide(clean, targets, config.threads, progress)
+            guidance = guide(clean, targets, progress)
         profile = config.resolved_lattice()
         shaped = shape_scene(clean, config, guidance.steps(clean, profile), times)
         with times.stage("recolour"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from gs_codec.config import Config
 from gs_codec.lattice.fit import Steps
 from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.preparation.guide import guided_steps
-from gs_codec.scene import SH_COEFFICIENTS, Scene
+from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
+from gs_codec.workers import using_threads
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
 REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", "tiny_sh3.ply")
@@ -74,6 +76,17 @@ def edge_scenes() -> dict[str, Scene]:
         "all colours constant": replace(base, f_dc=np.ones_like(base.f_dc)),
         "negative zero": replace(base, opacity=np.where(base.opacity > 0, -0.0, base.opacity)),
     }
+
+
+def with_threads(number: int | None, function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function gives with so many threads."""
+    with using_threads(number):
+        return function(*arguments)
+
+
+def antialiased(scene: Scene, wanted: bool = True) -> Scene:
+    """The scene as trained with opacity compensation, or without."""
+    return replace(scene, comments=(ANTIALIASED,) if wanted else ())
 
 
 #: Step sizes of a scene for a profile.

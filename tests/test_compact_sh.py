@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reference_renderer import render_reference, sh_basis
-from scenes import edge_scenes, random_scene
+from scenes import edge_scenes, random_scene, with_threads
 
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation import compact_sh as module
@@ -238,7 +238,7 @@ def test_edges(name):
 def test_threads_do_not_change_it(monkeypatch):
     monkeypatch.setattr(module, "_CHUNK", 7)
     scene, cameras = visible_scene(60, 13), orbit(6)
-    results = [compact_sh(scene, cameras, threads=threads) for threads in (1, 3)]
+    results = [with_threads(number, compact_sh, scene, cameras) for number in (1, 3)]
     assert_same(results[0][0], results[1][0])
     assert results[0][1] == results[1][1]
 

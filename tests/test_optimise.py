@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scenes import random_scene, shared_scene_path
+from scenes import antialiased as compensated
+from scenes import random_scene, shared_scene_path, with_threads
 from scipy.ndimage import correlate1d
 from test_render import TEAL, crowd, real_cameras, render, splats, straight, turned
 
 from gs_codec.errors import InvalidInput
 from gs_codec.io.ply import read_ply
 from gs_codec.preparation.adam import adam_step, new_state
-from gs_codec.preparation.gradients import draw, gradients
+from gs_codec.preparation.gradients import differentiate, draw
 from gs_codec.preparation.image_loss import LossWeights, image_loss
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.rates import Rates, rig_radius
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.scene import GROUPS, Scene
+from gs_codec.workers import using_threads
 
 SQUARED = LossWeights(0.0, 1.0, 0.0)
 ALL = LossWeights(0.5, 0.3, 0.2)
+USUAL = LossWeights()
 STEP = 1e-5
 
 
@@ -75,7 +79,7 @@ def test_the_loss_of_every_pixel_has_its_derivative(seed):
         for step in (STEP, -STEP):
             there = image.copy()
             there[place] += step
-            ends.append(image_loss(there, target, ALL, threads=1).value)
+            ends.append(image_loss(there, target, ALL).value)
         expected = (ends[0] - ends[1]) / (2 * STEP)
         np.testing.assert_allclose(found[place], expected, rtol=1e-6, atol=1e-11)
 
@@ -90,6 +94,20 @@ def test_equal_images_have_no_loss():
 # Gradients
 
 
+def gradients(
+    scene, camera: Camera, target: np.ndarray, background=(0.0, 0.0, 0.0), weights=USUAL
+) -> tuple[float, dict[str, np.ndarray]]:
+    """The loss of a view, and its derivatives by each group of attributes, of its shape."""
+    result = differentiate(scene, camera, target, background, weights)
+    slopes = result.slopes(0, len(result.chosen))
+    ends = np.cumsum([len(getattr(scene, group)) for group in GROUPS])
+    found = {}
+    for group, rows in zip(GROUPS, np.split(slopes, ends[:-1]), strict=True):
+        found[group] = np.zeros(getattr(scene, group).shape)
+        found[group][:, result.chosen] = rows
+    return result.loss.value, found
+
+
 def precise(scene: Scene) -> SimpleNamespace:
     """The same Gaussians with planes of doubles, so that small steps can be taken."""
     planes = {group: getattr(scene, group).astype(np.float64) for group in GROUPS}
@@ -102,11 +120,12 @@ def assert_differences(scene: Scene, camera: Camera, weights=SQUARED, antialiase
     A step may cross a threshold, as a pixel's last splat; then smaller ones are taken.
     """
     exact, target = precise(scene), noise(camera, seed)
-    loss, found = gradients(exact, camera, target, TEAL, antialiased, 2, weights)
+    exact.antialiased = antialiased
+    loss, found = gradients(exact, camera, target, TEAL, weights)
 
     def loss_of() -> float:
-        image = draw(make_frame(exact, camera, antialiased, 1), TEAL)
-        return image_loss(image, target, weights, 1).value
+        image = draw(make_frame(exact, camera), TEAL)
+        return image_loss(image, target, weights).value
 
     assert loss == loss_of()
     for group in GROUPS:
@@ -197,8 +216,8 @@ def test_the_splats_at_the_limits_are_there():
     assert ((np.abs(x / z) > 1.3 * 10 / 14) | (np.abs(y / z) > 1.3 * 8.5 / 13)).all()
     opaque = render(scenes["alpha at its limit"].take(np.array([0])), camera).alpha
     assert opaque.max() == pytest.approx(0.99)
-    found = gradients(scenes["thin"], camera, noise(camera, 17), antialiased=True)[1]
-    plain = gradients(scenes["thin"], camera, noise(camera, 17), antialiased=False)[1]
+    found = gradients(compensated(scenes["thin"]), camera, noise(camera, 17))[1]
+    plain = gradients(scenes["thin"], camera, noise(camera, 17))[1]
     assert not np.allclose(found["opacity"], plain["opacity"])
 
 
@@ -223,9 +242,9 @@ def test_a_zero_quaternion_has_no_gradient():
 def test_threads_do_not_change_a_gradient(seed):
     camera = turned(seed, 70, 45)
     scene = crowd(camera, 300, 3, seed)
-    one = gradients(scene, camera, noise(camera, seed), TEAL, threads=1)
+    one = with_threads(1, gradients, scene, camera, noise(camera, seed), TEAL)
     for threads in (2, 3, None):
-        loss, found = gradients(scene, camera, noise(camera, seed), TEAL, threads=threads)
+        loss, found = with_threads(threads, gradients, scene, camera, noise(camera, seed), TEAL)
         assert loss == one[0]
         for group in GROUPS:
             np.testing.assert_array_equal(found[group], one[1][group], group)
@@ -365,9 +384,9 @@ def test_a_pruned_real_scene_wins_back_most_of_what_it_lost():
 
 
 def test_threads_do_not_change_a_refit():
-    expected, _ = refit(threads=1)
+    expected, _ = with_threads(1, refit)
     for threads in (2, 3, None):
-        assert_same(refit(threads=threads)[0], expected)
+        assert_same(with_threads(threads, refit)[0], expected)
 
 
 def test_the_seed_decides_the_order_of_views():
@@ -490,7 +509,8 @@ def test_an_interrupted_refit_goes_on_where_it_was(tmp_path):
         with pytest.raises(Stop):
             refit(18, **options, progress=stopped_at(iteration))
     looked: list[int] = []
-    fitted, report = refit(18, **options, threads=1)
+    with using_threads(1):
+        fitted, report = refit(18, **options)
     assert_same(fitted, expected)
     assert [p.psnr for p in report.curve] == [p.psnr for p in whole.curve]
     assert report.updated == whole.updated
@@ -518,13 +538,13 @@ def test_a_checkpoint_of_other_inputs_is_refused(tmp_path):
         {"rates": Rates(rot=2e-3)},
         {"weights": SQUARED},
         {"background": TEAL},
-        {"antialiased": True},
+        {"scene": compensated(SCENE)},
     ):
         with pytest.raises(InvalidInput, match=r"refit\.npz: checkpoint of another scene"):
             refit(**({"iterations": 2, "checkpoint": path} | change))
     with pytest.raises(InvalidInput, match="checkpoint of another"):
         optimise(SCENE, moved, TARGETS, 2, checkpoint=path)
-    refit(2, checkpoint=path, threads=1)
+    with_threads(1, partial(refit, 2, checkpoint=path))
 
 
 def test_a_damaged_checkpoint_is_refused(tmp_path):

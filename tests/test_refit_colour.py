@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reference_renderer import render_reference
+from scenes import with_threads
 from test_compact_sh import EDGES, assert_same, images, orbit, visible_scene
 
 from gs_codec.errors import InvalidInput
@@ -248,7 +249,7 @@ def test_threads_do_not_change_it(monkeypatch):
     monkeypatch.setattr(module, "_CHUNK", 7)
     scene, cameras = visible_scene(50, 17), orbit(5)
     targets = images(perturbed(scene, 17), cameras)
-    results = [refit_colour(scene, cameras, targets, 2, threads=n) for n in (1, 2, 5)]
+    results = [with_threads(n, refit_colour, scene, cameras, targets, 2) for n in (1, 2, 5)]
     for refitted, report in results[1:]:
         assert_same(refitted, results[0][0])
         assert report == results[0][1]

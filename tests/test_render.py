@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from reference_renderer import MIN_ALPHA, render_reference
-from scenes import random_scene, shared_scene_path
+from scenes import random_scene, shared_scene_path, with_threads
 
 from gs_codec.io.ply import read_ply
 from gs_codec.rendering import renderer
@@ -474,7 +474,8 @@ def test_threads_do_not_change_a_bit(seed):
     camera = turned(seed)
     scene = crowd(camera, 400, 3, seed)
     one, *more, default = (
-        render(scene, camera, TEAL, accumulate=True, threads=threads) for threads in (1, 2, 3, None)
+        with_threads(n, partial(render, scene, camera, TEAL, accumulate=True))
+        for n in (1, 2, 3, None)
     )
     for other in (*more, default):
         assert_identical(one, other)

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scenes import edge_scenes
+from scenes import antialiased as compensated
+from scenes import edge_scenes, with_threads
 from test_render import TEAL, splats, straight, turned
 
 from gs_codec.lattice.sensitivity import Sensitivity
@@ -34,7 +35,7 @@ TOLERANCE = {"positions": 0.03, "log_scale": 1e-5, "rot": 1e-5, "opacity": 1e-5,
 
 def images(planes: SimpleNamespace, cameras, antialiased: bool) -> np.ndarray:
     """Pixels of all views in full precision."""
-    drawn = [draw(make_frame(planes, camera, antialiased, 1), TEAL) for camera in cameras]
+    drawn = [draw(make_frame(planes, camera, antialiased), TEAL) for camera in cameras]
     return np.concatenate([image.ravel() for image in drawn])
 
 
@@ -86,7 +87,7 @@ def differences(scene: Scene, cameras, antialiased: bool) -> np.ndarray:
 
 
 def assert_differences(scene: Scene, cameras, antialiased: bool) -> None:
-    found = rows_of(summed(scene, cameras, TEAL, antialiased))
+    found = rows_of(summed(compensated(scene, antialiased), cameras, TEAL))
     expected = differences(scene, cameras, antialiased)
     for name, rows in ROWS.items():
         wanted = expected[rows]
@@ -182,13 +183,12 @@ def test_noise_on_all_gaussians_adds_what_is_predicted(name):
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
 def test_threads_do_not_change_it(antialiased):
-    scene = cloud(8, 200)
+    scene = compensated(cloud(8, 200), antialiased)
     cameras = CAMERAS * 4
-    one = summed(scene, cameras, TEAL, antialiased, threads=1)
+    one = with_threads(1, summed, scene, cameras, TEAL)
     for threads in (2, 3, None):
-        for first, second in zip(
-            one, summed(scene, cameras, TEAL, antialiased, threads), strict=True
-        ):
+        other = with_threads(threads, summed, scene, cameras, TEAL)
+        for first, second in zip(one, other, strict=True):
             np.testing.assert_array_equal(first, second)
 
 
@@ -211,11 +211,10 @@ def test_weights_of_views_are_those_of_drawing():
     assert sensitivity(scene, CAMERAS, keep=False)[1].shape == (0, 50)
 
 
-def test_by_default_it_is_as_the_scene_says():
-    scene = replace(cloud(10, 50, size=-3.5), comments=("antialiased 1",))
-    found = summed(scene, CAMERAS)
-    np.testing.assert_array_equal(found.rot, summed(scene, CAMERAS, antialiased=True).rot)
-    assert not np.allclose(found.rot, summed(scene, CAMERAS, antialiased=False).rot)
+def test_it_is_as_the_scene_says():
+    scene = cloud(10, 50, size=-3.5)
+    found = summed(compensated(scene), CAMERAS)
+    assert not np.allclose(found.rot, summed(scene, CAMERAS).rot)
 
 
 def test_what_is_not_seen_has_none():
@@ -243,8 +242,8 @@ def test_what_is_not_finite_has_none_and_spoils_nothing(group, value):
 @pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
 @pytest.mark.parametrize("name", edge_scenes())
 def test_edge_scenes(name, antialiased):
-    scene = edge_scenes()[name]
-    found = summed(scene, CAMERAS, antialiased=antialiased)
+    scene = compensated(edge_scenes()[name], antialiased)
+    found = summed(scene, CAMERAS)
     assert found.log_scale.shape == (3, scene.count)
     for plane in found:
         assert plane.shape[-1] == scene.count

@@ -68,8 +68,6 @@ def compact_sh(
     *,
     smallest: float | NDArray[np.float32] = SMALLEST,
     weights: NDArray[np.float32] | None = None,
-    antialiased: bool | None = None,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, CompactReport]:
     """Solve for SH of which few are not 0, and that cameras see as they see the scene's.
@@ -98,10 +96,6 @@ def compact_sh(
         SH-AC nearer to 0 become 0, and the others make up for them: half a quantisation step.
     weights : ndarray, shape (views, N), float32, optional
         `squared_weights` of the scene, where they are known.
-    antialiased : bool, optional
-        As for `render`.
-    threads : int, optional
-        Never changes the result.
     progress : callable, optional
 
     Raises
@@ -111,7 +105,7 @@ def compact_sh(
     """
     _check(cameras, strength, smallest)
     if weights is None:
-        weights = squared_weights(scene, cameras, antialiased, threads, progress)
+        weights = squared_weights(scene, cameras, progress)
     least = np.broadcast_to(np.asarray(smallest, np.float32), scene.count)
     before = coefficients_of(scene)
     after = before.copy()
@@ -128,7 +122,7 @@ def compact_sh(
             )
 
         starts = range(0, scene.count, _CHUNK)
-        counts = run_all(run, starts, threads, step_counter(progress, "compact", len(starts)))
+        counts = run_all(run, starts, advance=step_counter(progress, "compact", len(starts)))
         unseen, unsolved = (sum(count) for count in zip(*counts, strict=True))
     result = with_coefficients(scene, after)
     return result, CompactReport(

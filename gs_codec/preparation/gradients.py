@@ -27,7 +27,6 @@ class Differentiated(NamedTuple):
 
     scene: Scene
     camera: Camera
-    antialiased: bool
     loss: ImageLoss
     sums: NDArray[np.float64]
     chosen: NDArray[np.int64]
@@ -46,7 +45,7 @@ class Differentiated(NamedTuple):
             np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
             camera.width,
             camera.height,
-            self.antialiased,
+            self.scene.antialiased,
             self.sums,
             self.chosen,
             start,
@@ -61,35 +60,9 @@ def differentiate(
     camera: Camera,
     target: NDArray,
     background: Sequence[float] = (0.0, 0.0, 0.0),
-    antialiased: bool | None = None,
-    threads: int | None = None,
     weights: LossWeights = LossWeights(),  # noqa: B008
 ) -> Differentiated:
-    """Draw a view and take its loss back to the splats; see `gradients`."""
-    if antialiased is None:
-        antialiased = scene.antialiased
-    frame = make_frame(scene, camera, antialiased, threads)
-    colour = draw(frame, background)
-    goal = np.ascontiguousarray(target, np.float32)
-    loss = image_loss(colour, goal, weights, frame.threads)
-    pairs = np.empty((frame.pairs, MOMENT_YY + 1))
-    frame.over_tiles(differentiate_tiles, colour, loss.by_colour, pairs)
-    sums = frame.sum_pairs(scene.count, pairs)
-    chosen = np.empty(len(frame.splats.gaussians), np.int64)
-    count = _choose(sums, chosen)
-    return Differentiated(scene, camera, antialiased, loss, sums, chosen[:count])
-
-
-def gradients(
-    scene: Scene,
-    camera: Camera,
-    target: NDArray,
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-    antialiased: bool | None = None,
-    threads: int | None = None,
-    weights: LossWeights = LossWeights(),  # noqa: B008
-) -> tuple[float, dict[str, NDArray[np.float64]]]:
-    """The loss of a view, and its derivatives by the attributes (Kerbl et al. 2023, Appendix A).
+    """Draw a view and take its loss back to the splats (Kerbl et al. 2023, Appendix A).
 
     Derivatives are exact but for what 3DGS also takes as constant: which splats are drawn in
     which pixels, and in what order. Clamps have their own: 0 for an alpha at its limit and for a
@@ -103,30 +76,19 @@ def gradients(
         What the image should be, 0-1.
     background : sequence of three float
         RGB behind everything.
-    antialiased : bool, optional
-        See `render`; by default as the scene says.
-    threads : int, optional
-        Never changes the result. Default one for each available processor.
     weights : LossWeights
         Parts of the loss, by default those of 3DGS.
-
-    Returns
-    -------
-    loss : float
-    gradients : dict of str to ndarray, float64
-        One for each group of attributes, of its shape; 0 for Gaussians that are not seen. By the
-        logit of opacity, the log-scale, and the quaternion as stored, of any norm.
     """
-    result = differentiate(scene, camera, target, background, antialiased, threads, weights)
-    slopes = result.slopes(0, len(result.chosen))
-    found = {}
-    row = 0
-    for group in GROUPS:
-        found[group] = np.zeros(getattr(scene, group).shape)
-        channels = len(found[group])
-        found[group][:, result.chosen] = slopes[row : row + channels]
-        row += channels
-    return result.loss.value, found
+    frame = make_frame(scene, camera)
+    colour = draw(frame, background)
+    goal = np.ascontiguousarray(target, np.float32)
+    loss = image_loss(colour, goal, weights)
+    pairs = np.empty((frame.pairs, MOMENT_YY + 1))
+    frame.over_tiles(differentiate_tiles, colour, loss.by_colour, pairs)
+    sums = frame.sum_pairs(scene.count, pairs)
+    chosen = np.empty(len(frame.splats.gaussians), np.int64)
+    count = _choose(sums, chosen)
+    return Differentiated(scene, camera, loss, sums, chosen[:count])
 
 
 def draw(frame: Frame, background: Sequence[float]) -> NDArray[np.float64]:

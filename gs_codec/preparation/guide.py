@@ -89,17 +89,16 @@ def guided_steps(
 def guide(
     scene: Scene,
     views: Targets,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> Guidance:
     """What views say of a scene to be encoded."""
     cameras = views.cameras
     loss = views.error(scene, progress)
     found, weights = sensitivity(
-        scene, cameras, views.background, None, threads, progress, keep=scene.sh_degree > 0
+        scene, cameras, views.background, progress, keep=scene.sh_degree > 0
     )
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, loss, pixels, Colours(views, weights, threads, progress))
+    return Guidance(found, loss, pixels, Colours(views, weights, progress))
 
 
 @dataclass
@@ -124,7 +123,6 @@ class Colours:
 
     views: Targets
     weights: NDArray[np.float32]
-    threads: int | None
     progress: Progress | None
     compacts: bool | None = None
     operator: ImageOperator | None = None
@@ -162,7 +160,6 @@ class Colours:
             self.views.images,
             _REFIT,
             operator=self._operator_of(decoded),
-            threads=self.threads,
             progress=self.progress,
         )[0]
 
@@ -173,15 +170,13 @@ class Colours:
         profile: LatticeProfile,
     ) -> _Compaction:
         weights = self.weights[:, order]
-        return _Compaction(self.views, weights, steps, profile, self.threads, self.progress)
+        return _Compaction(self.views, weights, steps, profile, self.progress)
 
     def _operator_of(self, scene: Scene) -> ImageOperator:
         if self.operator is None or not _same_shapes(self.operator.scene, scene):
             self.operator = None  # Both would not fit into memory.
             views = self.views
-            self.operator = ImageOperator(
-                scene, views.cameras, views.background, None, self.threads
-            )
+            self.operator = ImageOperator(scene, views.cameras, views.background)
         return self.operator
 
 
@@ -200,7 +195,6 @@ class _Compaction:
     weights: NDArray[np.float32]
     steps: NDArray[np.float32]
     profile: LatticeProfile
-    threads: int | None
     progress: Progress | None
 
     def whole(self, scene: Scene) -> Scene:
@@ -215,7 +209,6 @@ class _Compaction:
             self.profile.compaction,
             smallest=0.5 * self.steps,
             weights=self.weights[list(seen)],
-            threads=self.threads,
             progress=self.progress,
         )[0]
 

@@ -45,12 +45,11 @@ def image_loss(
     colour: NDArray[np.float64],
     target: NDArray,
     weights: LossWeights = LossWeights(),  # noqa: B008
-    threads: int | None = None,
 ) -> ImageLoss:
     """Compare images ``(H, W, 3)``, not clipped; means are over pixels and colours.
 
     SSIM has the Gaussian window of sigma 1.5, 11 pixels wide (Wang et al. 2004), and as in the
-    3DGS trainer what lies outside an image is 0. The result is the same whatever `threads`.
+    3DGS trainer what lies outside an image is 0.
     """
     height, width, _ = colour.shape
     image, goal = colour.reshape(height, -1), target.reshape(height, -1)
@@ -62,16 +61,14 @@ def image_loss(
     factors = np.array(weights) / image.size
     bands = [(y, min(y + _BAND, height)) for y in range(0, height, _BAND)]
     if weights.ssim:
-        run_all(lambda band: _blur_across(image, goal, *band, means), bands, threads)
+        run_all(lambda band: _blur_across(image, goal, *band, means), bands)
         run_all(
             lambda band: _compare_windows(means, -weights.ssim / image.size, *band, slopes, totals),
             bands,
-            threads,
         )
     run_all(
         lambda band: _differentiate(image, goal, slopes, factors, *band, by_image, totals),
         bands,
-        threads,
     )
     absolute, squared, ssim = totals.sum(axis=0) / image.size
     value = weights.absolute * absolute + weights.squared * squared + weights.ssim * (1 - ssim)

@@ -69,17 +69,11 @@ class ImageOperator:
         Its colours are not used.
     cameras : sequence of Camera
     background : sequence of three float
-    antialiased : bool, optional
-        As for `render`.
-    threads : int, optional
-        Never changes the result.
     """
 
     scene: Scene
     cameras: Sequence[Camera]
     background: Sequence[float] = (0.0, 0.0, 0.0)
-    antialiased: bool | None = None
-    threads: int | None = None
     kept: dict[int, TracedView] = field(default_factory=dict, init=False, repr=False)
     rooms: list[Room] = field(default_factory=list, init=False, repr=False)
 
@@ -168,7 +162,6 @@ class ImageOperator:
         advance: Advance,
     ) -> float:
         """Add views in order to the gradient and, if it is not empty, curvature; their error."""
-        threads = self.threads or available_threads()
         error = 0.0
         for group in self._groups(range(len(self.cameras))):
             for view, found in zip(group, run_all(gather, group, len(group), advance), strict=True):
@@ -181,12 +174,12 @@ class ImageOperator:
                     stop = min(start + _CHUNK, count)
                     _add_gradient(*of_view, start, stop, gradient, curvature)
 
-                run_all(add, range(0, len(seen), _CHUNK), threads)
+                run_all(add, range(0, len(seen), _CHUNK))
         return error
 
     def _groups(self, views: Sequence[int]) -> Iterator[Sequence[int]]:
         """Views worked on together."""
-        at_once = min(self.threads or available_threads(), _MOST_AT_ONCE)
+        at_once = min(available_threads(), _MOST_AT_ONCE)
         for first in range(0, len(views), at_once):
             yield views[first : first + at_once]
 
@@ -197,7 +190,7 @@ class ImageOperator:
             room = self.rooms.pop()
         except IndexError:
             room = None
-        traced, room = trace_view(self.scene, self.cameras[view], self.antialiased, room)
+        traced, room = trace_view(self.scene, self.cameras[view], room)
         self.rooms.append(room)
         return traced
 

@@ -22,7 +22,7 @@ from gs_codec.preparation.rates import Rates, step_sizes
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import GROUPS, Scene
-from gs_codec.workers import available_threads, run_all
+from gs_codec.workers import run_all
 
 #: What views should look like: images ``(H, W, 3)`` of 0-1, or a function of the view's place.
 Images = Sequence[NDArray] | Callable[[int], NDArray]
@@ -70,9 +70,7 @@ def optimise(
     rates: Rates = Rates(),  # noqa: B008
     weights: LossWeights = LossWeights(),  # noqa: B008
     background: Sequence[float] = (0.0, 0.0, 0.0),
-    antialiased: bool | None = None,
     seed: int = 0,
-    threads: int | None = None,
     checkpoint: str | Path | None = None,
     checkpoint_every: int = 500,
     progress: Progress | None = None,
@@ -80,7 +78,7 @@ def optimise(
     """Fit the attributes of a scene's Gaussians to images, one view an iteration.
 
     Views come in random order, each once before any comes again. The result is the same
-    whatever `threads`, and however often it was interrupted and taken up from `checkpoint`.
+    however often it was interrupted and taken up from `checkpoint`.
 
     Parameters
     ----------
@@ -95,12 +93,8 @@ def optimise(
     weights : LossWeights
     background : sequence of three float
         RGB behind everything.
-    antialiased : bool, optional
-        See `render`; by default as the scene says.
     seed : int
         Of the order of views.
-    threads : int, optional
-        Default one for each available processor.
     checkpoint : path, optional
         Written every `checkpoint_every` iterations and at the end; gone on from if it is there.
     progress : callable, optional
@@ -113,9 +107,7 @@ def optimise(
     """
     _check(cameras, targets, iterations, seed, checkpoint_every)
     image = _images(cameras, targets)
-    antialiased = scene.antialiased if antialiased is None else antialiased
-    threads = threads or available_threads()
-    settings = (iterations, rates, weights, tuple(map(float, background)), antialiased, seed)
+    settings = (iterations, rates, weights, tuple(map(float, background)), scene.antialiased, seed)
     run = Checkpoint(_state_of(scene), np.zeros(0), np.zeros(0))
     save = None
     if checkpoint is not None:
@@ -128,11 +120,9 @@ def optimise(
 
     def step(iteration: int) -> float:
         view = _view(seed, iteration, len(cameras))
-        result = differentiate(
-            fitted, cameras[view], image(view), background, antialiased, threads, weights
-        )
+        result = differentiate(fitted, cameras[view], image(view), background, weights)
         decayed = sizes * rates.last ** (iteration / iterations)
-        _update(run.state, result, iteration + 1, decayed, threads)
+        _update(run.state, result, iteration + 1, decayed)
         return result.loss.squared_error
 
     advance = step_counter(progress, "optimise", iterations)
@@ -227,7 +217,7 @@ def _view(seed: int, iteration: int, views: int) -> int:
 
 
 def _update(
-    state: AdamState, result: Differentiated, step: int, sizes: NDArray[np.float64], threads: int
+    state: AdamState, result: Differentiated, step: int, sizes: NDArray[np.float64]
 ) -> None:
     """A step of Adam, number `step` from 1."""
     count = state.values.shape[1]
@@ -238,7 +228,7 @@ def _update(
         slopes = result.slopes(first, end)
         adam_step(*state, step, sizes, slopes, result.chosen[first:end], start, stop)
 
-    run_all(update, range(0, count, _CHUNK), threads)
+    run_all(update, range(0, count, _CHUNK))
 
 
 def _report(run: Checkpoint) -> OptimiseReport:

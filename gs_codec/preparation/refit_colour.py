@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import repeat
 from typing import Any, NamedTuple
 
@@ -57,9 +56,7 @@ def refit_colour(
     smallest: float = SMALLEST,
     keep_zeros: bool = True,
     background: Sequence[float] = (0.0, 0.0, 0.0),
-    antialiased: bool | None = None,
     operator: ImageOperator | None = None,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, RefitReport]:
     """Change SH so that views come nearer to their targets.
@@ -91,12 +88,8 @@ def refit_colour(
         Whether SH-AC that are exactly 0 remain so: for scenes that `compact_sh` has been over.
     background : sequence of three float
         RGB behind the scene in the targets.
-    antialiased : bool, optional
-        As for `render`.
     operator : ImageOperator, optional
         Of the cameras and of a scene of the same shapes, where it is known.
-    threads : int, optional
-        Never changes the result.
     progress : callable, optional
 
     Raises
@@ -106,7 +99,7 @@ def refit_colour(
         camera's shape.
     """
     _check(cameras, targets, steps, ridge=ridge, strength=strength, smallest=smallest)
-    operator = operator or ImageOperator(scene, cameras, background, antialiased, threads)
+    operator = operator or ImageOperator(scene, cameras, background)
     advance = step_counter(progress, "refit", (steps + 2) * len(cameras))
     start = coefficients_of(scene)
     near = operator.linearise(start, targets, advance)
@@ -162,31 +155,30 @@ def _descend(
     """
     residual = near.gradient
     change, direction = np.zeros_like(residual), np.zeros_like(residual)
-    total = partial(_total, operator.threads)
     inverse = near.curvature
-    slope, share = total(_prepare, residual, inverse, *damping), 0.0
-    errors, objectives = [near.error], [near.error + total(_cost, change, inverse, *damping)]
+    slope, share = _total(_prepare, residual, inverse, *damping), 0.0
+    errors, objectives = [near.error], [near.error + _total(_cost, change, inverse, *damping)]
     for _ in range(steps):
-        total(_turn, direction, residual, inverse, share)
+        _total(_turn, direction, residual, inverse, share)
         product = operator.apply(direction, near.lit, advance)
-        curved = total(_damp, product, direction, *damping)
+        curved = _total(_damp, product, direction, *damping)
         if not (0 < curved < math.inf and slope < math.inf):
             break
         before, size = slope, slope / curved
-        slope = total(_move, change, residual, direction, product, inverse, size)
+        slope = _total(_move, change, residual, direction, product, inverse, size)
         share = slope / before
         objectives.append(objectives[-1] - size * before)
-        errors.append(objectives[-1] - total(_cost, change, inverse, *damping))
+        errors.append(objectives[-1] - _total(_cost, change, inverse, *damping))
     return change, errors, objectives
 
 
-def _total(threads: int | None, function: Callable, *arguments: Any) -> float:
+def _total(function: Callable, *arguments: Any) -> float:
     """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, each a thread's own."""
     rows = [
         x.reshape(x.shape[0] * x.shape[1], x.shape[2]) if isinstance(x, np.ndarray) else repeat(x)
         for x in arguments
     ]
-    return sum(run_all(lambda row: function(*row), zip(*rows, strict=False), threads))
+    return sum(run_all(lambda row: function(*row), zip(*rows, strict=False)))
 
 
 @inlined

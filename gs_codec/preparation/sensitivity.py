@@ -49,8 +49,6 @@ def sensitivity(
     scene: Scene,
     cameras: Sequence[Camera],
     background: Sequence[float] = (0.0, 0.0, 0.0),
-    antialiased: bool | None = None,
-    threads: int | None = None,
     progress: Progress | None = None,
     keep: bool = True,
 ) -> tuple[Sensitivity, NDArray[np.float32]]:
@@ -68,11 +66,6 @@ def sensitivity(
     cameras : sequence of Camera
     background : sequence of three float
         RGB behind the scene.
-    antialiased : bool, optional
-        See `render`; by default as the scene says.
-    threads : int, optional
-        Views drawn at the same time; never changes the result. Default one for each available
-        processor.
     progress : callable, optional
     keep : bool
         Whether to keep what each view adds to `colour`.
@@ -85,19 +78,15 @@ def sensitivity(
     ndarray, shape (views, N), float32
         What each view adds to `colour`, as `squared_weights` has it; of no view without `keep`.
     """
-    if antialiased is None:
-        antialiased = scene.antialiased
-    threads = threads or available_threads()
     advance = step_counter(progress, "sensitivity", len(cameras))
     totals = np.zeros((scene.count, _COLUMNS))
     weights = np.zeros((len(cameras) if keep else 0, scene.count), np.float32)
-    size = _VIEWS_A_THREAD * threads
+    size = _VIEWS_A_THREAD * available_threads()
     for start in range(0, len(cameras), size):
         views = run_all(
-            lambda camera: _look(scene, camera, background, antialiased),
+            lambda camera: _look(scene, camera, background),
             cameras[start : start + size],
-            threads,
-            advance,
+            advance=advance,
         )
         for view, (gaussians, found) in enumerate(views, start):
             totals[gaussians] += found
@@ -115,11 +104,10 @@ def sensitivity(
 
 
 def _look(
-    scene: Scene, camera: Camera, background: Sequence[float], antialiased: bool
+    scene: Scene, camera: Camera, background: Sequence[float]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The Gaussians that a view draws ``(V,)``, and what it adds to them ``(V, 7)``."""
-    # A thread for each view costs less than several for one.
-    frame = make_frame(scene, camera, antialiased, threads=1)
+    frame = make_frame(scene, camera)
     fields, gaussians = frame.splats.fields, frame.splats.gaussians
     sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
     behind = np.array(background, np.float64)
@@ -135,7 +123,7 @@ def _look(
         np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         camera.width,
         camera.height,
-        antialiased,
+        scene.antialiased,
         fields,
         gaussians,
         sums,

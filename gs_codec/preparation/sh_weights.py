@@ -33,8 +33,6 @@ def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
 def squared_weights(
     scene: Scene,
     cameras: Sequence[Camera],
-    antialiased: bool | None = None,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> NDArray[np.float32]:
     """Sums of (alpha T)^2 over the pixels of each view, ``(views, N)``; 0 where not seen."""
@@ -43,10 +41,10 @@ def squared_weights(
 
     def weigh(view: int) -> None:
         # A thread for each view costs less than several for one.
-        drawn = render(scene, cameras[view], antialiased=antialiased, accumulate=True, device="cpu")
+        drawn = render(scene, cameras[view], accumulate=True, device="cpu")
         weights[view] = drawn.accumulations.squared_weight  # type: ignore[union-attr]
 
-    run_all(weigh, range(len(cameras)), threads, advance)
+    run_all(weigh, range(len(cameras)), advance=advance)
     return weights
 
 

@@ -96,11 +96,9 @@ class Room(NamedTuple):
     weights: NDArray[np.float32]
 
 
-def trace_view(
-    scene: Scene, camera: Camera, antialiased: bool | None = None, room: Room | None = None
-) -> tuple[TracedView, Room]:
-    """Trace a view in one thread, see `render`; and the room that took, for the next."""
-    frame = make_frame(scene, camera, antialiased, threads=1)
+def trace_view(scene: Scene, camera: Camera, room: Room | None = None) -> tuple[TracedView, Room]:
+    """Trace a view, see `render`; and the room that took, for the next."""
+    frame = make_frame(scene, camera)
     order = np.argsort(frame.splats.gaussians)
     rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)

@@ -312,7 +312,7 @@ def _begin(
     guidance = None
     if targets is not None:
         with times.stage("views"):
-            guidance = guide(scene, targets, config.threads, progress)
+            guidance = guide(scene, targets, progress)
     return _Trials(scene, config, guidance, times)
 
 

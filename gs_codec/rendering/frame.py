@@ -26,7 +26,6 @@ class Frame(NamedTuple):
     lists: TileLists
     columns: int
     rows: int
-    threads: int
 
     @property
     def pairs(self) -> int:
@@ -41,13 +40,13 @@ class Frame(NamedTuple):
         `arguments`. What it writes must be a pixel's or a pair's own.
         """
         tiles = self.columns * self.rows
-        size = -(-tiles // (16 * self.threads))
+        size = -(-tiles // (16 * available_threads()))
 
         def run(first: int) -> None:
             end = min(first + size, tiles)
             function(self.splats.fields, *self.lists, first, end, self.columns, *arguments)
 
-        run_all(run, range(0, tiles, size), self.threads)
+        run_all(run, range(0, tiles, size))
 
     def sum_pairs(self, count: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sums ``(count, K)`` over the pairs of each of the scene's Gaussians of ``(pairs, K)``."""
@@ -56,25 +55,21 @@ class Frame(NamedTuple):
         return totals
 
 
-def make_frame(
-    scene: Scene, camera: Camera, antialiased: bool | None = None, threads: int | None = None
-) -> Frame:
+def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) -> Frame:
     """Project a scene, sort what is seen by depth, and list the tiles; see `render`."""
     if antialiased is None:
         antialiased = scene.antialiased
-    threads = threads or available_threads()
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
-    splats = _sorted_splats(scene, camera, antialiased, threads)
-    lists = list_tiles(splats.fields, splats.tiles, columns, rows, threads)
-    return Frame(camera, splats, lists, columns, rows, threads)
+    splats = _sorted_splats(scene, camera, antialiased)
+    lists = list_tiles(splats.fields, splats.tiles, columns, rows)
+    return Frame(camera, splats, lists, columns, rows)
 
 
-def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool, threads: int) -> Splats:
+def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
     """What the camera sees, nearest first; of equal depths, the first in the scene."""
     parts = run_all(
         lambda start: project(scene, camera, antialiased, start, min(start + _CHUNK, scene.count)),
         range(0, scene.count, _CHUNK),
-        threads,
     )
     parts.append(project(scene, camera, antialiased, 0, 0))
     fields = np.concatenate([part.fields for part in parts])

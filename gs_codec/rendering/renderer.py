@@ -71,7 +71,6 @@ def render(
     background: Sequence[float] = (0.0, 0.0, 0.0),
     antialiased: bool | None = None,
     accumulate: bool = False,
-    threads: int | None = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
 ) -> Rendering:
     """Draw a scene by the rule of the 3DGS rasteriser (Kerbl et al. 2023, Section 6).
@@ -90,8 +89,6 @@ def render(
         by default as the scene says it was trained.
     accumulate : bool
         Keep sums for each Gaussian; always on the CPU.
-    threads : int, optional
-        Never changes the result. Default one for each available processor.
     device : {"auto", "cpu", "cuda"}
         ``cuda`` draws with gsplat, within 40 dB or better of the CPU; ``auto`` takes it where
         it is installed and torch sees a device.
@@ -108,7 +105,7 @@ def render(
     if device != "cpu" and not accumulate and gsplat_backend.is_available():
         colour, alpha, depth, pairs = gsplat_backend.draw(scene, camera, background, antialiased)
         return Rendering(colour, alpha, depth, None, pairs)
-    frame = make_frame(scene, camera, antialiased, threads)
+    frame = make_frame(scene, camera, antialiased)
     shape = (camera.height, camera.width)
     colour = np.empty((*shape, 3), np.float32)
     alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)

@@ -20,7 +20,7 @@ from gs_codec.rendering.project import (
     TILE,
     to_tile,
 )
-from gs_codec.workers import run_all
+from gs_codec.workers import available_threads, run_all
 
 
 class TileLists(NamedTuple):
@@ -31,12 +31,13 @@ class TileLists(NamedTuple):
 
 
 def list_tiles(
-    fields: NDArray[np.float64], tiles: NDArray[np.int32], columns: int, rows: int, threads: int
+    fields: NDArray[np.float64], tiles: NDArray[np.int32], columns: int, rows: int
 ) -> TileLists:
     """Lists for every tile, of splats ``fields (V, 11)``, ``tiles (V, 4)`` sorted by depth."""
+    threads = available_threads()
     bounds = np.linspace(0, len(fields), threads + 1).astype(np.int64)
     parts = list(zip(bounds[:-1], bounds[1:], strict=True))
-    counts = run_all(partial(_count, fields, tiles, columns, rows), parts, threads)
+    counts = run_all(partial(_count, fields, tiles, columns, rows), parts)
     # Splats of an earlier part come earlier in each tile.
     places = np.cumsum(np.stack(counts, axis=1).ravel())
     starts = np.concatenate([[0], places]).reshape(-1)
@@ -45,7 +46,6 @@ def list_tiles(
     run_all(
         lambda job: _fill(fields, tiles, columns, *job[0], job[1].copy(), splats),
         zip(parts, cursors, strict=True),
-        threads,
     )
     return TileLists(splats, starts[::threads].copy())
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from gs_codec.codec.decode import ChosenPart, choose_part
 from gs_codec.codec.part import Part
 from gs_codec.codec.room import slab_within
+from gs_codec.config import check_threads
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.inspection import describe
 from gs_codec.io.formats import SceneFile, open_scene
@@ -89,9 +90,9 @@ class Slabs:
         self.seconds += time.perf_counter() - start
 
     def _size(self) -> int:
-        header, threads = self.chosen.file.header, self.chosen.threads
-        wanted = max(_SLAB, 2 * (threads or available_threads()) * header.block_size)
-        return slab_within(header, self.sh_degree, threads, wanted)
+        header = self.chosen.file.header
+        wanted = max(_SLAB, 2 * available_threads() * header.block_size)
+        return slab_within(header, self.sh_degree, wanted)
 
 
 def _marked(scene: Scene, order: Order | None) -> Scene:
@@ -123,7 +124,8 @@ def opened_slabs(
         start = time.perf_counter()
         _check_format(file)
         with located(path):
-            chosen = choose_part(file.data, part, threads, max_bytes, tmc3)
+            check_threads(threads)
+            chosen = choose_part(file.data, part, max_bytes, tmc3)
         yield Slabs(Path(path), chosen, progress, time.perf_counter() - start)
 
 

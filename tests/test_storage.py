@@ -25,7 +25,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files import decode_file, encode_file
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.storage import Disk, Memory, bounded, current, empty, using
-from gs_codec.workers import run_all
+from gs_codec.workers import run_all, using_threads
 
 BLOCK = 1024
 
@@ -271,5 +271,6 @@ def test_extra_properties_inflate_to_what_they_are(everything_on_disk, tmp_path)
 
 def test_least_memory_grows_with_the_scene():
     for profile in PROFILE_CHOICES:
-        few, many = (least_memory(n, Config(profile, threads=2)) for n in (0, 20_000_000))
+        with using_threads(2):
+            few, many = (least_memory(n, Config(profile)) for n in (0, 20_000_000))
         assert 300_000_000 < few < many < 4_000_000_000

@@ -66,7 +66,6 @@ def decode_channels(
     file: EgsFile,
     spans: dict[int, slice],
     degree: int,
-    threads: int | None = None,
     progress: Progress | None = None,
     tool: Tmc3 | None = None,
 ) -> dict[str, NDArray[np.float32]]:
@@ -83,7 +82,7 @@ def decode_channels(
         for block, span in spans.items()
         for stage in stages
     ]
-    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
+    run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
     return decoder.groups
 
 

@@ -89,7 +89,7 @@ def _encode_blocks(
         for stage in stages
     ]
     advance = step_counter(progress, "code", len(jobs))
-    done = run_all(lambda job: job(), jobs, config.threads, advance)
+    done = run_all(lambda job: job(), jobs, advance=advance)
     return [section for sections in done for section in sections]
 
 

@@ -38,7 +38,7 @@ def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
         If there are any and ``config.nonfinite`` is ``error``.
     """
     planes = [(group, row) for group in GROUPS for row in getattr(scene, group)]
-    counts = run_all(lambda item: count_nonfinite(item[1]), planes, config.threads)
+    counts = run_all(lambda item: count_nonfinite(item[1]), planes)
     bad: Counter[str] = Counter()
     for (group, _), count in zip(planes, counts, strict=True):
         bad[group] += count

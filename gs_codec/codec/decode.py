@@ -89,8 +89,9 @@ def decode_part(
     MissingTool, ToolFailed
         If the stream uses G-PCC, and its program is not there or does not decode it.
     """
+    check_threads(threads)
     with using_threads(threads):
-        chosen = choose_part(data, part, threads, max_bytes, tmc3)
+        chosen = choose_part(data, part, max_bytes, tmc3)
         (scene,) = chosen.slabs(chosen.file.header.count, progress)
     return scene, chosen.file
 
@@ -98,12 +99,10 @@ def decode_part(
 def choose_part(
     data: bytes | memoryview,
     part: Part,
-    threads: int | None = None,
     max_bytes: int | None = None,
     tmc3: str | Path | None = None,
 ) -> ChosenPart:
     """Read and check what of a stream is to be decoded; see `decode_part`."""
-    check_threads(threads)
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
     limit = most_bytes(len(data), max_bytes)
@@ -113,7 +112,7 @@ def choose_part(
     degree = part.degree_of(header.sh_degree)
     blocks: Sequence[int] = range(header.block_count)
     if coded:
-        file, blocks = _choose_blocks(file, part, threads, tool)
+        file, blocks = _choose_blocks(file, part, tool)
     chosen = blocks if isinstance(blocks, range) else frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
     file = file.read(
@@ -122,7 +121,7 @@ def choose_part(
         ),
     )
     _check_extra(file, limit)
-    return ChosenPart(file, part, degree, blocks, bool(coded), threads, tool)
+    return ChosenPart(file, part, degree, blocks, bool(coded), tool)
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,6 @@ class ChosenPart:
     degree: int
     blocks: Sequence[int]
     coded: bool
-    threads: int | None
     tool: Tmc3 | None
 
     def slabs(self, size: int, progress: Progress | None = None) -> Iterator[Scene]:
@@ -151,7 +149,7 @@ class ChosenPart:
         total, done = sum(run.count for run in runs), 0
         for run in runs:
             advance = progress if len(runs) == 1 else _part_of(progress, done, run.count, total)
-            groups = decode(self.file, run.spans, self.degree, self.threads, advance)
+            groups = decode(self.file, run.spans, self.degree, advance)
             scene = _assemble(self.file, groups, run.of(extra))
             if self.part.box is not None:
                 scene = scene.take(self.part.contains(scene.positions))
@@ -208,9 +206,7 @@ def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray
     return decode_lattice if profile in LATTICE_PROFILES else partial(decode_channels, tool=tool)
 
 
-def _choose_blocks(
-    file: EgsFile, part: Part, threads: int | None, tool: Tmc3 | None
-) -> tuple[EgsFile, Sequence[int]]:
+def _choose_blocks(file: EgsFile, part: Part, tool: Tmc3 | None) -> tuple[EgsFile, Sequence[int]]:
     """Blocks that may have something in the part's box, and the file with what tells so read."""
     every = range(file.header.block_count)
     if part.box is None or not every:
@@ -223,7 +219,7 @@ def _choose_blocks(
         positions = partial(lossless_positions, file)
     else:
         positions = partial(channel_positions, file, channels_of(file), tool)
-    found = run_all(lambda block: part.contains(positions(block)).any(), every, threads)
+    found = run_all(lambda block: part.contains(positions(block)).any(), every)
     return file, np.flatnonzero(found).tolist()
 
 

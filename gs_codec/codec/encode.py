@@ -46,8 +46,7 @@ def encode_scene(
     MissingTool, ToolFailed
         If `config` asks for G-PCC, and its program is not there or fails.
     """
-    with using_threads(None if config is None else config.threads):
-        parts, report = encode_parts(scene, config, progress, steps)
+    parts, report = encode_parts(scene, config, progress, steps)
     return b"".join(parts), report
 
 
@@ -59,6 +58,13 @@ def encode_parts(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to what follows one another in the file; see `encode_scene`."""
     config = config or Config()
+    with using_threads(config.threads):
+        return _encode_parts(scene, config, progress, steps)
+
+
+def _encode_parts(
+    scene: Scene, config: Config, progress: Progress | None, steps: Steps | None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
     check_encoding(scene.count, config)
     if config.profile == LOSSLESS:
         return encode_lossless(scene, config, progress)

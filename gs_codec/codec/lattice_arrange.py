@@ -88,7 +88,7 @@ def arrange_scene(scene: Scene, config: Config, asked: Steps | None) -> Arranged
     if config.depths and scene.count:
         steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
     lattice = _lattice(scene, some, known, steps)
-    codes = _codes(scene, lattice.grid, config.threads)
+    codes = _codes(scene, lattice.grid)
     order = canonical_order(codes)
     keep = current().keep
     classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
@@ -98,7 +98,7 @@ def arrange_scene(scene: Scene, config: Config, asked: Steps | None) -> Arranged
     return Arranged(scene, narrow, lattice, codes, classes)
 
 
-def _codes(scene: Scene, grid: PositionGrid, threads: int | None) -> NDArray[np.int64]:
+def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:
     """Morton codes ``(N,)``."""
     codes = np.empty(scene.count, np.int64)
 
@@ -107,7 +107,7 @@ def _codes(scene: Scene, grid: PositionGrid, threads: int | None) -> NDArray[np.
         cells = to_grid(scene.positions[:, span], np.array(grid.origin), grid.step, grid.bits)
         codes[span] = encode_morton(cells, grid.bits)
 
-    run_all(work, range(0, scene.count, _CHUNK), threads)
+    run_all(work, range(0, scene.count, _CHUNK))
     return codes
 
 

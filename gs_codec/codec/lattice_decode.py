@@ -40,7 +40,6 @@ def decode_lattice(
     file: EgsFile,
     spans: dict[int, slice],
     degree: int,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, NDArray[np.float32]]:
     """The attribute groups of blocks, in the order of the stream.
@@ -50,7 +49,7 @@ def decode_lattice(
     count = max((span.stop for span in spans.values()), default=0)
     decoder = LatticeDecoder.of(file, degree, count)
     jobs = [partial(decoder.decode, block, span.start, span.stop) for block, span in spans.items()]
-    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
+    run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
     return decoder.groups
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,13 +46,11 @@ class ShapedScene:
     header : Header
     arranged : Arranged
     blocks : list of ShapedBlock
-    threads : int or None
     """
 
     header: Header
     arranged: Arranged
     blocks: list[ShapedBlock]
-    threads: int | None
 
     @property
     def order(self) -> NDArray[np.uint32]:
@@ -88,29 +85,6 @@ class ShapedScene:
         return replace(self, arranged=replace(self.arranged, source=source))
 
 
-@dataclass(frozen=True)
-class Modelled:
-    """A scene on its lattices, and the tables of its passes.
-
-    Attributes
-    ----------
-    header : Header
-    arranged : Arranged
-    blocks : list of Block
-    listed : list of Pass
-    models : PassModels
-    costs : list of ChannelCost
-        Of each pass, all blocks together.
-    """
-
-    header: Header
-    arranged: Arranged
-    blocks: list[Block]
-    listed: list[Pass]
-    models: PassModels
-    costs: list[ChannelCost]
-
-
 def encode_lattice(
     scene: Scene,
     config: Config,
@@ -119,36 +93,8 @@ def encode_lattice(
     progress: Progress | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene that `clean_scene` gave; see `encode_parts`."""
-    modelled = model_lattice(scene, config, steps, times, progress)
-    return _code(modelled, config.threads, times, progress)
-
-
-def encode_shaped(
-    shaped: ShapedScene, times: StageTimes, progress: Progress | None = None
-) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene that `shape_scene` gave, with the colours that it has now."""
-    return _code(_model_shaped(shaped, times, progress), shaped.threads, times, progress)
-
-
-def shape_scene(scene: Scene, config: Config, steps: Steps, times: StageTimes) -> ShapedScene:
-    """Round all of a scene that `clean_scene` gave but its colours, by finished step sizes."""
-    header, arranged = _arrange(scene, config, steps, times)
-    with times.stage("quantise"):
-        spans = _spans(header)
-        blocks = run_all(lambda span: shape_block(arranged, *span), spans, config.threads)
-    return ShapedScene(header, arranged, blocks, config.threads)
-
-
-def model_lattice(
-    scene: Scene,
-    config: Config,
-    steps: Steps | None,
-    times: StageTimes,
-    progress: Progress | None = None,
-) -> Modelled:
-    """Everything of `encode_lattice` before symbols are coded."""
     if steps is not None:
-        return _model_shaped(shape_scene(scene, config, steps, times), times, progress)
+        return encode_shaped(shape_scene(scene, config, steps, times), times, progress)
     header, arranged = _arrange(scene, config, None, times)
     advance = step_counter(progress, "quantise", header.block_count)
 
@@ -156,11 +102,22 @@ def model_lattice(
         return colour_block(arranged, shape_block(arranged, *span), diffusing=True).kept()
 
     with times.stage("quantise"):
-        blocks = run_all(both, _spans(header), config.threads, advance)
-    return _model(header, arranged, blocks, config.threads, times)
+        blocks = run_all(both, _spans(header), advance=advance)
+    return _code(header, arranged, blocks, times, progress)
 
 
-def _model_shaped(shaped: ShapedScene, times: StageTimes, progress: Progress | None) -> Modelled:
+def shape_scene(scene: Scene, config: Config, steps: Steps, times: StageTimes) -> ShapedScene:
+    """Round all of a scene that `clean_scene` gave but its colours, by finished step sizes."""
+    header, arranged = _arrange(scene, config, steps, times)
+    with times.stage("quantise"):
+        blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header))
+    return ShapedScene(header, arranged, blocks)
+
+
+def encode_shaped(
+    shaped: ShapedScene, times: StageTimes, progress: Progress | None = None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene that `shape_scene` gave, with the colours that it has now."""
     header, arranged = shaped.header, shaped.arranged
     advance = step_counter(progress, "quantise", header.block_count)
 
@@ -168,8 +125,8 @@ def _model_shaped(shaped: ShapedScene, times: StageTimes, progress: Progress | N
         return colour_block(arranged, block, diffusing=False)
 
     with times.stage("quantise"):
-        blocks = run_all(colour, shaped.blocks, shaped.threads, advance)
-    return _model(header, arranged, blocks, shaped.threads, times)
+        blocks = run_all(colour, shaped.blocks, advance=advance)
+    return _code(header, arranged, blocks, times, progress)
 
 
 def _arrange(
@@ -185,39 +142,39 @@ def _spans(header: Header) -> list[tuple[int, int]]:
     return [header.block_range(block) for block in range(header.block_count)]
 
 
-def _model(
+def _code(
     header: Header,
     arranged: Arranged,
     blocks: list[Block],
-    threads: int | None,
     times: StageTimes,
-) -> Modelled:
+    progress: Progress | None,
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """The file of blocks on their lattices."""
     listed = passes(len(arranged.source.f_rest) // 3)
     with times.stage("model"):
-        models, costs = _models(listed, blocks, threads)
-    return Modelled(header, arranged, blocks, listed, models, costs)
-
-
-def _code(
-    modelled: Modelled, threads: int | None, times: StageTimes, progress: Progress | None
-) -> tuple[list[bytes | memoryview], EncodeReport]:
-    blocks, arranged = modelled.blocks, modelled.arranged
+        models, costs = _models(listed, blocks)
     with times.stage("code"):
-        coded = code_blocks(modelled, threads, step_counter(progress, "code", len(blocks)))
+        tables = PassTables.pack(models.tables())
+        advance = step_counter(progress, "code", len(blocks))
+        coded = run_all(
+            lambda item: _sections(*item, listed, models, tables),
+            enumerate(blocks),
+            advance=advance,
+        )
     with times.stage("container"):
-        lattice = write_lattice(arranged.lattice, modelled.models)
+        lattice = write_lattice(arranged.lattice, models)
         sections = [Section(SectionId.LATTICE, 0, lattice)]
         if blocks:
             bounds = write_bounds([block.box for block in blocks])
             sections.append(Section(SectionId.BOUNDS, 0, bounds))
         sections += [section for block in coded for section in block]
         sections += carried_sections(arranged.source, arranged.order)
-        parts = file_parts(modelled.header, sections)
+        parts = file_parts(header, sections)
     return parts, EncodeReport(
         count=arranged.source.count,
         raw_bytes=arranged.source.float_bytes,
         section_bytes=section_sizes(sections),
-        costs=modelled.costs,
+        costs=costs,
         rectified=sum(block.clamped for block in blocks),
         zero_quaternions=0,
         dropped=0,
@@ -225,9 +182,7 @@ def _code(
     )
 
 
-def _models(
-    listed: list[Pass], blocks: list[Block], threads: int | None
-) -> tuple[PassModels, list[ChannelCost]]:
+def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[ChannelCost]]:
     """Tables for the passes of all blocks together."""
 
     def share(p: int) -> ContextTables:
@@ -236,7 +191,7 @@ def _models(
             counts += block.passes[p].histograms(listed[p].contexts)
         return share_tables(counts)
 
-    shared = run_all(share, range(len(listed)), threads)
+    shared = run_all(share, range(len(listed)))
     rows: list[NDArray[np.int64]] = []
     weights: list[NDArray[np.int64]] = []
     costs = []
@@ -263,21 +218,13 @@ def _fit_weights(histogram: NDArray[np.int64]) -> NDArray[np.int64]:
     return SentModel.fit(used, MANTISSA, PRECISION).weights
 
 
-def code_blocks(
-    modelled: Modelled, threads: int | None, advance: Callable[[], None] | None = None
-) -> list[list[Section]]:
-    """Sections of each block."""
-    tables = PassTables.pack(modelled.models.tables())
-    numbers = range(len(modelled.blocks))
-    return run_all(lambda number: _sections(modelled, number, tables), numbers, threads, advance)
-
-
-def _sections(modelled: Modelled, number: int, tables: PassTables) -> list[Section]:
+def _sections(
+    number: int, block: Block, listed: list[Pass], models: PassModels, tables: PassTables
+) -> list[Section]:
     """Sections of a block."""
-    block = modelled.blocks[number]
     writer = PassWriter(tables)
     bits: dict[str, BitWriter] = {}
-    for item, data, rows in zip(modelled.listed, block.passes, modelled.models.rows, strict=True):
+    for item, data, rows in zip(listed, block.passes, models.rows, strict=True):
         writer.add(item.stream, data.tokens, data.contexts, rows)
         bits.setdefault(item.stream, BitWriter()).add(data.raw_levels, data.raw_widths)
     states, words = writer.finish()

@@ -82,7 +82,7 @@ def encode_lossless(
         scene.count, scene.sh_degree, config.profile, size, scene.has_normals, config.keep_order
     )
     with times.stage("code"):
-        sections = _encode_blocks(scene, header, order, config.threads, progress)
+        sections = _encode_blocks(scene, header, order, progress)
     with times.stage("container"):
         box = Section(SectionId.BOX, 0, write_box(scene.positions))
         sections = [box, *sections, *carried_sections(scene, order)]
@@ -103,7 +103,6 @@ def decode_lossless(
     file: EgsFile,
     spans: dict[int, slice],
     degree: int,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, NDArray[np.float32]]:
     """The attribute groups of blocks of a file of this profile, in the order of the stream.
@@ -123,7 +122,7 @@ def decode_lossless(
         for block, span in spans.items()
         for section_id in block_sections(degree)
     ]
-    run_all(lambda job: job(), jobs, threads, step_counter(progress, "decode", len(jobs)))
+    run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
     return {group: plane.view(np.float32) for group, plane in planes.items()}
 
 
@@ -145,7 +144,6 @@ def _encode_blocks(
     scene: Scene,
     header: Header,
     order: NDArray[np.int64],
-    threads: int | None,
     progress: Progress | None,
 ) -> list[Section]:
     """Sections of all blocks, block after block."""
@@ -161,7 +159,7 @@ def _encode_blocks(
         for block in range(header.block_count)
         for section_id in block_sections(header.sh_degree)
     ]
-    return run_all(lambda job: job(), jobs, threads, step_counter(progress, "code", len(jobs)))
+    return run_all(lambda job: job(), jobs, advance=step_counter(progress, "code", len(jobs)))
 
 
 def _encode_section(section_id: SectionId, columns: Bits) -> bytes:

@@ -23,7 +23,7 @@ def least_memory(count: int, config: Config) -> int:
         each = _LATTICES
     elif config.profile == LOSSLESS:
         each = _EXACT
-    return _working(config.threads) + count * each
+    return _working() + count * each
 
 
 def check_encoding(count: int, config: Config) -> None:
@@ -36,7 +36,7 @@ def check_encoding(count: int, config: Config) -> None:
     _check(least_memory(count, config), f"{count:,} Gaussians by profile {config.profile}")
 
 
-def slab_within(header: Header, degree: int, threads: int | None, wanted: int) -> int:
+def slab_within(header: Header, degree: int, wanted: int) -> int:
     """How many Gaussians to decode at once, if as many as wanted do not fit.
 
     Raises
@@ -46,14 +46,14 @@ def slab_within(header: Header, degree: int, threads: int | None, wanted: int) -
     """
     # While one slab is written, the next is not there yet, but what it is written from may be.
     each = 2 * float_bytes(1, degree)
-    working = _working(threads)
+    working = _working()
     _check(working + header.block_size * each, "decoding")
     limit = current().limit
     return wanted if limit is None else min(wanted, (limit - working) // each)
 
 
-def _working(threads: int | None) -> int:
-    return _FIXED + (threads or available_threads()) * _THREAD
+def _working() -> int:
+    return _FIXED + available_threads() * _THREAD
 
 
 def _check(least: int, what: str) -> None:

@@ -66,7 +66,7 @@ def quantise_and_model(
         return replace(channel, model=choice.model), histogram, choice, clamped
 
     advance = step_counter(progress, "quantise", len(places))
-    results = run_all(work, range(len(places)), config.threads, advance)
+    results = run_all(work, range(len(places)), advance=advance)
     return _collect(results, symbols)
 
 

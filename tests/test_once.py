@@ -56,7 +56,7 @@ def test_encoding_opens_the_ply_once(scene_file, counts, profile, options):
 
 
 def test_encoding_to_a_target_opens_the_ply_once(scene_file, counts):
-    encode_file(scene_file, "coded.egs", goal=Target(ratio=10))
+    encode_file(scene_file, "coded.egs", rate=Target(ratio=10))
     assert counts[scene_file] == 1
 
 

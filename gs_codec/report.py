@@ -131,9 +131,9 @@ class EncodeReport:
     section_bytes: dict[str, int]
     costs: list[ChannelCost]
     rectified: int
-    zero_quaternions: int
-    dropped: int
-    seconds: dict[str, float]
+    zero_quaternions: int = 0
+    dropped: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
     rate: RateReport | None = None
 
     @property

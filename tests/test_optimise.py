@@ -389,14 +389,21 @@ def test_threads_do_not_change_a_refit():
         assert_same(with_threads(threads, refit)[0], expected)
 
 
+class Watched(list):
+    """Targets that tell which were looked at."""
+
+    def __init__(self, targets, seen: list[int]) -> None:
+        super().__init__(targets)
+        self.seen = seen
+
+    def __getitem__(self, view):
+        self.seen.append(view)
+        return super().__getitem__(view)
+
+
 def test_the_seed_decides_the_order_of_views():
     seen: list[int] = []
-
-    def target(view: int) -> np.ndarray:
-        seen.append(view)
-        return TARGETS[view]
-
-    fitted, _ = refit(15, targets=target, seed=4)
+    fitted, _ = refit(15, targets=Watched(TARGETS, seen), seed=4)
     for epoch in range(3):
         assert sorted(seen[5 * epoch : 5 * epoch + 5]) == list(range(5))
     assert seen[:5] != seen[5:10]
@@ -515,11 +522,7 @@ def test_an_interrupted_refit_goes_on_where_it_was(tmp_path):
     assert [p.psnr for p in report.curve] == [p.psnr for p in whole.curve]
     assert report.updated == whole.updated
 
-    def target(view: int) -> np.ndarray:
-        looked.append(view)
-        return TARGETS[view]
-
-    again, _ = refit(18, **options, targets=target)
+    again, _ = refit(18, **options, targets=Watched(TARGETS, looked))
     assert_same(again, expected)
     assert looked == list(range(5))  # for the digest only
     assert [p.name for p in tmp_path.iterdir()] == ["refit.npz"]

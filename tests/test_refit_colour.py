@@ -237,14 +237,6 @@ def test_no_steps_keep_the_scene():
     assert report.psnr == (report.rendered_psnr,)
 
 
-def test_targets_may_be_a_function():
-    scene, cameras = visible_scene(30, 16), orbit(3)
-    targets = images(perturbed(scene, 16), cameras)
-    first, _ = refit_colour(scene, cameras, targets, 2)
-    second, _ = refit_colour(scene, cameras, lambda view: targets[view], 2)
-    assert_same(first, second)
-
-
 def test_threads_do_not_change_it(monkeypatch):
     monkeypatch.setattr(module, "_CHUNK", 7)
     scene, cameras = visible_scene(50, 17), orbit(5)

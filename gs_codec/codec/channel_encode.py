@@ -50,8 +50,6 @@ def encode_channels(
         section_bytes=section_sizes(sections),
         costs=coded.costs,
         rectified=coded.rectified,
-        zero_quaternions=0,
-        dropped=0,
         seconds=times.seconds,
     )
 

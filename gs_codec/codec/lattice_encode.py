@@ -176,8 +176,6 @@ def _code(
         section_bytes=section_sizes(sections),
         costs=costs,
         rectified=sum(block.clamped for block in blocks),
-        zero_quaternions=0,
-        dropped=0,
         seconds=times.seconds,
     )
 

@@ -93,7 +93,6 @@ def encode_lossless(
         section_bytes=section_sizes(sections),
         costs=[],
         rectified=0,
-        zero_quaternions=0,
         dropped=dropped,
         seconds=times.seconds,
     )

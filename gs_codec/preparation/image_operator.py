@@ -21,8 +21,8 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 from gs_codec.workers import available_threads, run_all
 
-#: Image ``(H, W, 3)`` of each view, as a sequence or as a function of the view's number.
-Targets = Sequence[NDArray] | Callable[[int], NDArray]
+#: Image ``(H, W, 3)`` of each view.
+Images = Sequence[NDArray]
 
 Advance = Callable[[], None] | None
 
@@ -77,7 +77,7 @@ class ImageOperator:
     kept: dict[int, TracedView] = field(default_factory=dict, init=False, repr=False)
     rooms: list[Room] = field(default_factory=list, init=False, repr=False)
 
-    def linearise(self, coefficients: NDArray, targets: Targets, advance: Advance = None) -> Linear:
+    def linearise(self, coefficients: NDArray, targets: Images, advance: Advance = None) -> Linear:
         """The residual ``target - image`` of all views, and what follows from it.
 
         Raises
@@ -98,7 +98,7 @@ class ImageOperator:
     def errors(
         self,
         coefficients: NDArray,
-        targets: Targets,
+        targets: Images,
         views: Sequence[int] | None = None,
         advance: Advance = None,
     ) -> NDArray[np.float64]:
@@ -208,8 +208,8 @@ class _Gathered(NamedTuple):
     error: float
 
 
-def _target(targets: Targets, view: int, camera: Camera) -> NDArray:
-    target = targets(view) if callable(targets) else targets[view]
+def _target(targets: Images, view: int, camera: Camera) -> NDArray:
+    target = targets[view]
     if target.shape != (camera.height, camera.width, 3):
         raise InvalidInput(
             f"target {view}: shape {target.shape}, "

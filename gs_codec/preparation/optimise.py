@@ -24,9 +24,6 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.scene import GROUPS, Scene
 from gs_codec.workers import run_all
 
-#: What views should look like: images ``(H, W, 3)`` of 0-1, or a function of the view's place.
-Images = Sequence[NDArray] | Callable[[int], NDArray]
-
 #: Gaussians that one task updates; no power of two, at which columns would share cache lines.
 _CHUNK = 1000
 
@@ -64,7 +61,7 @@ class OptimiseReport:
 def optimise(
     scene: Scene,
     cameras: Sequence[Camera],
-    targets: Images,
+    targets: Sequence[NDArray],
     iterations: int,
     *,
     rates: Rates = Rates(),  # noqa: B008
@@ -85,7 +82,7 @@ def optimise(
     scene : Scene
         Not changed; that of the result has the same Gaussians in the same order.
     cameras : sequence of Camera
-    targets : sequence of ndarray, or function of int to ndarray
+    targets : sequence of ndarray
         For each camera an image, shape (H, W, 3), 0-1: photographs, or renders of a scene with
         more Gaussians.
     iterations : int
@@ -153,11 +150,11 @@ def _iterate(
 
 
 def _check(
-    cameras: Sequence[Camera], targets: Images, iterations: int, seed: int, every: int
+    cameras: Sequence[Camera], targets: Sequence[NDArray], iterations: int, seed: int, every: int
 ) -> None:
     if not cameras:
         raise InvalidInput("cameras: none, expected at least one")
-    if not callable(targets) and len(targets) != len(cameras):
+    if len(targets) != len(cameras):
         raise InvalidInput(f"targets: {len(targets)} images of {len(cameras)} cameras")
     for name, value, least in (
         ("iterations", iterations, 0), ("seed", seed, 0), ("checkpoint_every", every, 1),
@@ -166,13 +163,14 @@ def _check(
             raise InvalidInput(f"{name} {value}: expected at least {least}")
 
 
-def _images(cameras: Sequence[Camera], targets: Images) -> Callable[[int], NDArray[np.float32]]:
+def _images(
+    cameras: Sequence[Camera], targets: Sequence[NDArray]
+) -> Callable[[int], NDArray[np.float32]]:
     """The target of a view, checked when it is asked for."""
 
     def image(view: int) -> NDArray[np.float32]:
         camera = cameras[view]
-        found = targets(view) if callable(targets) else targets[view]
-        target = np.ascontiguousarray(found, np.float32)
+        target = np.ascontiguousarray(targets[view], np.float32)
         if target.shape != (camera.height, camera.width, 3):
             expected = (camera.height, camera.width, 3)
             raise InvalidInput(f"image of '{camera.name}': {target.shape}, expected {expected}")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.kernels import inlined, kernel
 from gs_codec.preparation.compact_sh import SMALLEST, penalty_of
-from gs_codec.preparation.image_operator import ImageOperator, Linear, Targets
+from gs_codec.preparation.image_operator import ImageOperator, Images, Linear
 from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
@@ -48,7 +48,7 @@ class RefitReport:
 def refit_colour(
     scene: Scene,
     cameras: Sequence[Camera],
-    targets: Targets,
+    targets: Images,
     steps: int = 6,
     *,
     ridge: float = 0.03,
@@ -72,9 +72,8 @@ def refit_colour(
     ----------
     scene : Scene
     cameras : sequence of Camera
-    targets : sequence of ndarray or callable
-        Image ``(H, W, 3)`` for each camera, RGB, in the values of `render`; a callable is given
-        the camera's number, in threads, twice.
+    targets : sequence of ndarray
+        Image ``(H, W, 3)`` for each camera, RGB, in the values of `render`.
     steps : int, from 0 up
         Each takes about as long as drawing all views.
     ridge : float, from 0 up
@@ -128,10 +127,10 @@ class _Damping(NamedTuple):
     half: float
 
 
-def _check(cameras: Sequence[Camera], targets: Targets, steps: int, **numbers: float) -> None:
+def _check(cameras: Sequence[Camera], targets: Images, steps: int, **numbers: float) -> None:
     if not cameras:
         raise InvalidInput("cameras: none, expected at least one")
-    if not callable(targets) and len(targets) != len(cameras):
+    if len(targets) != len(cameras):
         raise InvalidInput(f"targets: {len(targets)}, expected one for each of {len(cameras)}")
     for name, value in {"steps": steps, **numbers}.items():
         if not 0 <= value < math.inf:

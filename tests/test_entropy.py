@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torchac_coder
 
-from gs_codec.entropy import torchac_coder
 from gs_codec.entropy.binary import code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.entropy.rans import LANES, TableSet, decode_symbols, encode_symbols
 from gs_codec.entropy.tables import decode_tables, encode_tables

@@ -1,1 +1,1 @@
-"""Entropy coders: static interleaved rANS, adaptive binary coder, torchac as reference."""
+"""Entropy coders: static interleaved rANS, adaptive binary coder."""

@@ -167,14 +167,14 @@ def _read_source(
 ) -> tuple[Scene, int]:
     """The scene of a file, and the bytes that a ratio counts from: of a PLY, or of its floats."""
     with open_scene(source) as file:
-        if current().limit is not None and (file.is_egs or not file.is_read_in_parts):
+        if current().limit is not None and not file.is_read_in_parts:
             raise InvalidInput(
                 f"{source}: max-memory: only a binary PLY of floats is read in parts"
             )
         # Bits of a PLY or .egs stay as they are, and the comment that names another system.
         stays = file.is_egs or file.format == "ply"
         scene = _scene_of(file, extra, None, None if stays else CONVENTION, max_bytes)
-        counts = file.is_egs or file.is_compressed
+        counts = file.is_compressed
         return scene, scene.float_bytes if counts else file.stored_bytes
 
 
@@ -421,12 +421,6 @@ def turn_scene(scene: Scene, coordinates: str) -> Scene:
     return turn_axes(without_order(scene), coordinates)
 
 
-def source_bytes(path: str | Path) -> int:
-    """Size of a scene in files."""
-    with open_scene(path) as file:
-        return len(file.data) if file.is_egs else file.stored_bytes
-
-
 def stated_bytes(path: str | Path) -> int:
     """Bytes of floats that the header of a scene's file says it holds."""
     with open_scene(path) as file:
@@ -435,12 +429,6 @@ def stated_bytes(path: str | Path) -> int:
         with located(path):
             info = inspect_bytes(file.data)
         return float_bytes(info.count, info.sh_degree)
-
-
-def comes_compressed(path: str | Path) -> bool:
-    """Whether a file has anything but plain numbers of a PLY."""
-    with open_scene(path) as file:
-        return file.is_egs or file.is_compressed
 
 
 def is_egs(path: str | Path) -> bool:

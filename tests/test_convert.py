@@ -17,7 +17,8 @@ from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.conversion import convert_file
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.files import decode_file, encode_file, inspect_file, read_scene, source_bytes
+from gs_codec.files import decode_file, encode_file, inspect_file, read_scene
+from gs_codec.io.formats import open_scene
 from gs_codec.io.ply import read_ply, write_ply
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.scene import Scene, coordinates_comment
@@ -177,9 +178,11 @@ def test_a_scene_of_several_files_is_as_large_as_all(tmp_path):
     path = foreign.sog_folder(tmp_path, *parts)
     total = sum(file.stat().st_size for file in tmp_path.iterdir())
     out, _ = run("encode", path, tmp_path / "a.egs", "--json")
-    assert json.loads(out)["input_bytes"] == source_bytes(path) == total
+    with open_scene(path) as file:
+        assert json.loads(out)["input_bytes"] == file.stored_bytes == total
     (tmp_path / "b.sog").write_bytes(foreign.sog_file(*parts))
-    assert source_bytes(tmp_path / "b.sog") == (tmp_path / "b.sog").stat().st_size
+    with open_scene(tmp_path / "b.sog") as file:
+        assert file.stored_bytes == (tmp_path / "b.sog").stat().st_size
 
 
 # Coordinate systems

@@ -57,7 +57,8 @@ def _encode(
     blank: Record,
     warnings: list[str],
 ) -> Record:
-    from gs_codec.files import comes_compressed, encode_file
+    from gs_codec.files import encode_file
+    from gs_codec.io.formats import open_scene
 
     sources, targets = place_of(task.source.base), place_of(task.target.base)
     if task.name.lower().endswith(".json"):
@@ -79,7 +80,8 @@ def _encode(
             file, output, options.config, options.plan, options.rate, progress=progress,
             max_memory=options.max_memory, max_bytes=limit,
         )  # fmt: skip
-    packed = comes_compressed(file)
+    with open_scene(file) as opened:
+        packed = opened.is_compressed
     after = sources.stamp(task.source)
     if before is None or before != after:
         # What was read may be neither the old scene nor the new one.

@@ -41,7 +41,8 @@ def command(
 ) -> None:
     """Encode a scene to an .egs file."""
     plan, config, rate = plan_of(asked), config_of(asked), target_of(asked)
-    from gs_codec.files import comes_compressed, encode_file, source_bytes
+    from gs_codec.files import encode_file
+    from gs_codec.io.formats import open_scene
 
     with piped(source, target, ".egs") as (file, out):
         with progress_bar() as progress:
@@ -50,8 +51,9 @@ def command(
                 max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
             )  # fmt: skip
         _say_what_changed(done, config.profile in LATTICE_PROFILES)
-        size = source_bytes(file)
-        ratio = (done.raw_bytes if comes_compressed(file) else size) / done.file_bytes
+        with open_scene(file) as opened:
+            size, compressed = opened.stored_bytes, opened.is_compressed
+        ratio = (done.raw_bytes if compressed else size) / done.file_bytes
         if asked["json"]:
             print_json(
                 {"input": str(source), "output": str(target), "profile": config.profile}

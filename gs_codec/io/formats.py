@@ -93,7 +93,7 @@ class SceneFile:
     @property
     def is_compressed(self) -> bool:
         """Whether the file has anything but plain numbers of a PLY."""
-        return self.format != "ply" or is_packed(self.ply.header)
+        return self.is_egs or self.format != "ply" or is_packed(self.ply.header)
 
     @property
     def is_read_in_parts(self) -> bool:

@@ -39,7 +39,9 @@ def tell(found: dict) -> NoReturn:
 
 
 class Driver:
-    def __init__(self, folder: Path, images: Path | None = None) -> None:
+    def __init__(
+        self, folder: Path, images: Path | None = None, size: tuple[int, int] = (760, 480)
+    ) -> None:
         self.folder = folder
         self.app = gui.Application.instance
         self.app.initialize()
@@ -50,7 +52,7 @@ class Driver:
             images=images,
             pruned=folder / "report",
             layers=("splats",),
-            size=(760, 480),
+            size=size,
         )
         self.viewer = Viewer(request)
 

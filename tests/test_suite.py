@@ -253,7 +253,7 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
         (["a/scene.ply", "b/scene.ply"], "b/scene.ply: named 'scene', as a/scene.ply is"),
         (["a/scene.ply", "--threads", "0"], "threads 0: expected"),
         (["a/scene.ply", "--width", "0"], "width 0: expected"),
-        (["a/scene.ply", "--skip", "lunch"], "--skip lunch: expected one of memory, codecs, "),
+        (["a/scene.ply", "--skip", "lunch"], "--skip lunch: expected one of codecs, curves, "),
         (["a/scene.ply", "--out", "file"], "file"),
         (["a/scene.ply", "--out", "taken"], "taken: not empty, expected another folder"),
         (["a/scene.ply", "--out", "taken", "--overwrite"], "taken/suite.jsonl: a directory"),
@@ -289,7 +289,7 @@ def test_ctrl_c_leaves_what_was_measured(tmp_path, monkeypatch, capsys):
         yield {"kind": "memory", "scene": "scene"}
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(run.STAGES, "memory", ("memory", measure_and_stop))
+    monkeypatch.setitem(run.STAGES, "codecs", ("codecs", measure_and_stop))
     arguments = ["gs-codec", "bench", "suite", str(path), "--out", str(out), "--width", "36"]
     monkeypatch.setattr(sys, "argv", arguments)
     with pytest.raises(SystemExit) as stopped:

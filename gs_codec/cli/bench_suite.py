@@ -41,7 +41,7 @@ def command(
         list[str] | None,
         typer.Option(
             metavar="GROUP",
-            help="Leave out, repeatedly: memory, codecs, curves, scaling, peers, guided, pruned.",
+            help="Leave out, repeatedly: codecs, curves, memory, scaling, peers, guided, pruned.",
         ),
     ] = None,
     overwrite: Overwrite = False,

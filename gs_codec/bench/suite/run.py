@@ -146,10 +146,11 @@ def _scaling(measured: MeasuredScene, options: Options, _: Sequence[dict[str, An
 
 
 #: What is measured of each scene, of the largest alone for scaling, by the group it is skipped by.
+#: Memory comes after what compiles kernels, which takes memory too.
 STAGES = {
-    "memory": ("memory of each profile", _memory),
     "codecs": ("codecs beside each other", _codecs),
     "curves": ("rate-quality curves", _curves),
+    "memory": ("memory of each profile", _memory),
     "scaling": ("growing scenes", _scaling),
 }
 

@@ -720,7 +720,7 @@ main()
 @pytest.mark.parametrize(
     ("command", "place"),
     [
-        ("encode scene.ply out.egs -p paper-m", "gs_codec.codec.encode encode_colour"),
+        ("encode scene.ply out.egs -p paper-m", "gs_codec.codec.channel_encode encode_colour"),
         ("encode scene.ply out.egs", "os fsync"),
         ("decode scene.egs out.ply", "gs_codec.codec.channel_decode decode_colour"),
         ("decode scene.egs out.ply", "os fsync"),

@@ -138,3 +138,19 @@ def test_pages_render_without_warnings(tmp_path):
     index = (tmp_path / "pages" / "index.html").read_text()
     for module, name in NAMES:
         assert f'href="{module.replace(".", "/")}.html#{name}"' in index
+
+
+@pytest.mark.parametrize("name", ["encode", "decode", "prepare"])
+def test_in_memory_and_file_to_file_arguments_are_the_same(name):
+    """In the same order, by the same names; files have a few more, by name alone."""
+    both = [gs_codec.__getattr__(each) for each in (name, f"{name}_file")]
+    memory, files = (dict(inspect.signature(each).parameters) for each in both)
+    assert next(iter(memory)) == next(iter(files)) == "source"
+    assert list(files)[1] == "target"
+    del files["target"]
+    shared = [each for each in files if each in memory]
+    assert shared == list(memory)
+    for each in shared:
+        assert files[each].kind == memory[each].kind
+        assert files[each].default == memory[each].default
+    assert all(p.kind == p.KEYWORD_ONLY for each, p in files.items() if each not in memory)

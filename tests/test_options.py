@@ -47,6 +47,7 @@ IGNORED = {
     "batch scene.ply out": ("views", "width", "background", "gt-images", *_GPCC, "allow-prune"),
     "batch scene.ply out -p paper-m": ("cameras", "views", "width", "background", "keep-order"),
     "batch scene.ply out --resume": ("overwrite",),
+    "batch scene.ply out --target-ratio 9": ("max-memory",),
     "convert scene.ply o.splat": ("profile", "depth", "coarseness", "block-size", *_GPCC),
     "convert scene.egs o.ply": ("keep-order",),
     "compare scene.ply scene.egs": (

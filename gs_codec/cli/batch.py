@@ -53,6 +53,8 @@ def command(
     if resume and asked["overwrite"]:
         raise InvalidInput("--overwrite: --resume replaces what has changed, expected one of them")
     plan, config, rate = plan_of(asked), config_of(asked), target_of(asked)
+    if plan is not None or rate is not None:
+        asked.refuse(["max_memory"], "not with views, preparation, or a target to meet")
     from gs_codec.batch.redaction import redact_process
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options

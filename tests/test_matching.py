@@ -37,7 +37,7 @@ def test_a_decoded_scene_is_matched_with_its_own_encoding(decoded, tmp_path, fir
     for pair in (scenes, scenes[::-1]):
         one, other, _ = put_side_by_side(*pair)
         np.testing.assert_array_equal(one.extra["label"], other.extra["label"])
-    assert compare_files(source, target).count == 1500
+    assert compare_files(source, target).counts == (1500, 1500)
 
 
 def test_other_scenes_that_were_decoded_alike_are_not_matched(decoded, tmp_path):

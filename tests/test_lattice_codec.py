@@ -322,7 +322,7 @@ def test_a_file_is_matched_with_its_original(tmp_path, monkeypatch, second):
     decode_file("scene.egs", "decoded.ply")
     for pair in (("scene.ply", second), (second, "scene.ply")):
         result = compare_files(*pair)
-        assert (result.count, result.matched_by) == (1500, "stored order")
+        assert (result.counts, result.matched_by) == ((1500, 1500), "stored order")
         errors = {(group.name, group.unit): group.rms for group in result.groups}
         assert 0 < errors["positions", "scene units"] < 0.01
         assert 0 < errors["opacity", "0-1"] < 0.005

@@ -64,7 +64,7 @@ def state(driver: Driver) -> list:
 
 if __name__ == "__main__":
     os.chdir(sys.argv[1])  # where pictures are saved
-    driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images", size=(560, 360))
+    driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images")
     driver.rest()
     found = {"pressed": many(driver)}
     driver.rest()

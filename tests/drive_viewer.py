@@ -39,9 +39,7 @@ def tell(found: dict) -> NoReturn:
 
 
 class Driver:
-    def __init__(
-        self, folder: Path, images: Path | None = None, size: tuple[int, int] = (760, 480)
-    ) -> None:
+    def __init__(self, folder: Path, images: Path | None = None) -> None:
         self.folder = folder
         self.app = gui.Application.instance
         self.app.initialize()
@@ -52,7 +50,7 @@ class Driver:
             images=images,
             pruned=folder / "report",
             layers=("splats",),
-            size=size,
+            size=(760, 480),
         )
         self.viewer = Viewer(request)
 

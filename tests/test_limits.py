@@ -169,9 +169,10 @@ def test_commands_that_read_scenes_take_a_limit(command, folder: Folder):
 def test_functions_that_read_scenes_take_a_limit(tmp_path):
     path = tmp_path / "a.ply"
     write_scene(path, random_scene(40, 0), Config())
-    for read in (gs_codec.read, gs_codec.render, gs_codec.prepare):
+    plan = gs_codec.Plan(gs_codec.Steps(rectify=True))
+    for read, *others in ((gs_codec.read,), (gs_codec.render,), (gs_codec.prepare, plan)):
         with pytest.raises(InvalidInput, match="at most 999 are read"):
-            read(path, max_bytes=999)
+            read(path, *others, max_bytes=999)
     with pytest.raises(InvalidInput, match="of scenes in files"):
         gs_codec.render(gs_codec.read(path), max_bytes=999)
 

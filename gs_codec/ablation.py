@@ -18,9 +18,9 @@ def coding_steps(
 ) -> list[StepReport]:
     """Size and quality after quantisation, entropy coding, and coding of the geometry.
 
-    Quantised attributes take the bits of their depths; with entropy coding, all but positions and
-    SH-DC; with geometry coding these too, and the file is whole. Quality is lost at the first.
-    Profiles without depths have one step. `data` and `report` are what encoding the scene gave.
+    Quantised attributes take the bits of their depths. Entropy coding then codes all but positions
+    and SH-DC; geometry coding codes these too, and gives the size of the file. Only quantisation
+    loses quality. Profiles without depths have one step. `data` and `report` are from encoding.
     """
     quality = held_out.quality(decode_scene(data))
     if config.profile not in PROFILES:

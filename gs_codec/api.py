@@ -28,18 +28,18 @@ def read(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> PointCloud:
-    """Read a scene: PLY, `.egs`, `.splat`, `.spz` or SOG, told apart by content.
+    """Read a scene: PLY, `.egs`, `.splat`, `.spz` or SOG, recognised by content.
 
     Parameters
     ----------
     path : str or Path
-        A suffix matters only where content does not tell the format.
+        The suffix matters only if the content does not identify the format.
     extra : {"error", "keep", "drop"}
         What to do with properties of a PLY beyond the INRIA layout: refuse the file, keep them as
         attributes ``(N, 1)``, or leave them out.
     progress : callable, optional
-        Called as ``progress(stage, done, total)`` while an `.egs` file is decoded, in the calling
-        thread; what it raises ends that.
+        Called as ``progress(stage, done, total)`` in the calling thread while an `.egs` file is
+        decoded; an exception from it stops decoding.
     max_bytes : int, optional
         Largest size of the scene's floats; by default 1 GiB or 1000 times the file.
 
@@ -49,28 +49,29 @@ def read(
         Float32 attributes ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)`` with
         K = 0, 3, 8, 15 for SH degree 0 to 3, ``opacity (N, 1)`` (logit), ``log_scale (N, 3)``,
         ``scale (N, 3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down,
-        forward: a scene that states others, as `.spz` does, is turned.
+        forward: a scene that states another system, as `.spz` does, is converted.
 
     Raises
     ------
     InvalidInput
-        If the file cannot be read, is of no known format, unfolds to more than `max_bytes`, or has
-        properties to be refused.
+        If the file cannot be read, is of no known format, decodes to more than `max_bytes`, or has
+        properties that `extra` refuses.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If it is an `.egs` file that is damaged, or newer than this version.
     MissingTool, ToolFailed
-        If its points are coded by G-PCC, and ``tmc3`` is not there or does not decode them.
+        If its points are coded by G-PCC, and ``tmc3`` is not installed or does not decode them.
 
     Notes
     -----
-    What Open3D's methods change is what is encoded and written, with these limits of Open3D 0.20:
+    A cloud may be edited with Open3D's methods before it is encoded or written. Open3D 0.20 has
+    these limits:
 
-    - ``translate``, and those that select or append points, are right as they are.
-    - ``scale`` changes ``scale`` but not ``log_scale``, which keeps every bit of a file. Delete the
-      one that is out of date, or `encode` and `write` raise `InvalidInput`.
-    - ``rotate`` is right for SH degree 0. It turns ``f_rest`` wrongly, so that colours no longer
-      follow directions, which cannot be told from an edit.
-    - ``transform`` moves ``positions`` alone, as its warning says, which cannot be told either.
+    - ``translate``, and the methods that select or append points, are correct.
+    - ``scale`` changes ``scale`` but not ``log_scale``, which keeps the exact values of the file.
+      Delete the one that is out of date, or `encode` and `write` raise `InvalidInput`.
+    - ``rotate`` is correct for SH degree 0. It rotates ``f_rest`` wrongly, so view-dependent
+      colours become wrong. gs_codec cannot detect this.
+    - ``transform`` changes only ``positions``, as its warning says. gs_codec cannot detect this.
 
     Examples
     --------
@@ -95,22 +96,24 @@ def write(
     Parameters
     ----------
     path : str or Path
-        Its suffix says the format. A PLY has the INRIA trainer's layout.
+        The suffix selects the format. A PLY has the INRIA trainer's layout.
     cloud : open3d.t.geometry.PointCloud
-        With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough, two agree.
+        With the attributes that `read` gives. One of ``log_scale`` and ``scale`` is enough; if
+        both are present, they must agree.
     config : Config, optional
-        How to encode an ``.egs`` file. Its `extra` says what becomes of other attributes there; a
-        PLY keeps them, and a log message tells what ``.splat`` cannot hold.
+        How to encode an ``.egs`` file. Its `extra` says what to do with other attributes. A PLY
+        keeps them; for ``.splat``, a log message names what the format cannot hold.
     overwrite : bool
-        Whether a file that exists is replaced, once the new one is whole, or else refused.
+        Whether to replace an existing file, once the new one is complete. If False, an existing
+        file is an error.
 
     Raises
     ------
     InvalidInput
-        If the suffix is another, an attribute is missing, ``log_scale`` and ``scale`` disagree, a
-        value that is to be coded is not finite, or the file cannot be written.
+        If the suffix is unknown, an attribute is missing, ``log_scale`` and ``scale`` disagree, a
+        value to be coded is not finite, or the file cannot be written.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC, and its program is not there or fails.
+        If `config` asks for G-PCC, and its program is not installed or fails.
 
     Examples
     --------
@@ -155,7 +158,7 @@ def encode(
 ) -> bytes | tuple[bytes, RateReport]:
     """Encode a cloud as an `.egs` stream; `encode_file` has the same arguments.
 
-    The same cloud, options and version give the same bytes. Profiles ``paper-*`` are the method of
+    The same cloud, options and version give the same bytes. Profiles ``paper-*`` use the method of
     EntropyGS (arXiv 2508.10227, Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
 
     Parameters
@@ -168,9 +171,9 @@ def encode(
         How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` then spend
         bits where its views see it.
     rate : Target or mapping, optional
-        One of ``size`` (bytes), ``ratio``, ``bits`` (for each Gaussian) and ``psnr_drop`` (dB) for
-        profiles ``l``, ``m`` and ``s`` to come to, and ``allow_prune``; a ratio is to the PLY that
-        `write` writes.
+        Rate target for profiles ``l``, ``m`` and ``s``: one of ``size`` (bytes), ``ratio``,
+        ``bits`` (per Gaussian) and ``psnr_drop`` (dB); and ``allow_prune``. The ratio is relative
+        to the PLY that `write` writes.
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
 
@@ -187,7 +190,7 @@ def encode(
         If an attribute is missing or of a wrong type, ``log_scale`` and ``scale`` disagree, a value
         is not finite, or the rate cannot be reached.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC, and its program is not there or fails.
+        If `config` asks for G-PCC, and the program is missing or fails.
 
     Examples
     --------
@@ -218,7 +221,7 @@ def decode(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> PointCloud:
-    """Decode an `.egs` stream; the Gaussians come in Morton order, if theirs was not kept.
+    """Decode an `.egs` stream; Gaussians are in Morton order unless their order was stored.
 
     The same bytes give the same floats on every machine. `decode_file` has the same arguments.
 
@@ -250,7 +253,7 @@ def decode(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the stream is damaged, decodes to more than `max_bytes`, or is newer than this version.
     MissingTool, ToolFailed
-        If points are coded by G-PCC, and its program is not there or does not decode them.
+        If points are coded by G-PCC, and its program is not installed or does not decode them.
 
     Examples
     --------
@@ -265,7 +268,7 @@ def decode(
 
 
 def inspect(source: bytes | str | Path) -> Info:
-    """What an `.egs` file or stream says of itself, without decoding it.
+    """Describe an `.egs` file or stream, without decoding it.
 
     Parameters
     ----------
@@ -275,8 +278,8 @@ def inspect(source: bytes | str | Path) -> Info:
     Returns
     -------
     Info
-        Profile, number of Gaussians, bounds, bytes of each attribute, steps, models, and what
-        takes no bits.
+        Profile, number of Gaussians, bounds, bytes of each attribute, step sizes, models, and
+        channels that take no bits.
 
     Raises
     ------

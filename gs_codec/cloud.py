@@ -19,10 +19,10 @@ _KNOWN = {*GROUPS, "scale", "normals"}
 
 
 def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
-    """A point cloud whose attributes are views of the scene's planes.
+    """A point cloud whose attributes share memory with the scene where layouts allow.
 
-    A cloud cannot tell its coordinate system, so that every one is ``RDF``: a scene that states
-    another is turned.
+    A cloud cannot state its coordinate system, so every cloud is ``RDF``: a scene in another
+    system is converted.
 
     Attributes are ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)``, ``opacity (N, 1)``
     (logit), ``log_scale (N, 3)``, ``scale (N, 3)`` (its exponential, for Open3D's shader),
@@ -41,14 +41,14 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
         "opacity": scene.opacity.T,
         "log_scale": scene.log_scale.T,
         "scale": _exponential(scene.log_scale).T,
-        # A copy: Open3D's `rotate` takes quaternions for rows one after another in memory.
+        # A copy: Open3D's `rotate` expects each quaternion to be contiguous in memory.
         "rot": np.ascontiguousarray(scene.rot.T),
     }
     if scene.has_normals:
         attributes["normals"] = np.zeros((scene.count, 3), np.float32)
     taken = sorted(_KNOWN & set(scene.extra))
     if taken:
-        raise InvalidInput(f"property '{taken[0]}': the name of an attribute of every cloud")
+        raise InvalidInput(f"property '{taken[0]}': every cloud has an attribute of this name")
     attributes |= {name: column[:, None] for name, column in scene.extra.items()}
     cloud = open3d.t.geometry.PointCloud()
     for name, array in attributes.items():
@@ -59,11 +59,11 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
 def from_cloud(
     cloud: open3d.t.geometry.PointCloud, extra: Literal["error", "keep", "drop"] = "error"
 ) -> Scene:
-    """The scene of a point cloud with the attributes `to_cloud` lists.
+    """The scene of a point cloud with the attributes that `to_cloud` lists.
 
-    Of ``log_scale`` and ``scale`` one is enough; where both are there they have to agree, so that
-    no edit of one is ignored. `extra` says what to do with other attributes and with normals that
-    are not all zero.
+    One of ``log_scale`` and ``scale`` is enough. If both are present, they must agree, so that an
+    edit of one is never ignored. `extra` says what to do with other attributes and with normals
+    that are not all zero.
 
     Raises
     ------
@@ -100,15 +100,15 @@ def from_cloud(
 
 
 def turn_cloud(cloud: open3d.t.geometry.PointCloud, system: str) -> open3d.t.geometry.PointCloud:
-    """The cloud turned from a coordinate system to ``RDF``, that of every other.
+    """Convert a cloud from another coordinate system to ``RDF``, the system of all clouds.
 
-    For a cloud of a file that does not say that it is in another; scenes that do are turned when
-    they are read. The input stays as it is.
+    Use this if a file does not state its coordinate system; a scene that states it is converted
+    when it is read. The input is not changed.
 
     Parameters
     ----------
     cloud : open3d.t.geometry.PointCloud
-        With the attributes `to_cloud` lists, in `system`.
+        With the attributes that `to_cloud` lists, in `system`.
     system : str
         As for `gs_codec.transform.coordinates.turn_axes`, for example ``RUB``.
 
@@ -126,7 +126,7 @@ def _exponential(log_scale: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _check_scales(linear: NDArray[np.float32], log_scale: NDArray[np.float32]) -> None:
-    """Refuse planes ``(3, N)`` of which one was edited; libraries round exponentials unlike."""
+    """Refuse planes ``(3, N)`` if only one was edited; allow for different rounding of exp."""
     if linear.shape != log_scale.shape:
         raise InvalidInput(f"scale: {linear.shape[1]} rows, expected {log_scale.shape[1]}")
     expected, tiny = _exponential(log_scale), np.finfo(np.float32).tiny

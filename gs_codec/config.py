@@ -13,7 +13,7 @@ from gs_codec.errors import InvalidInput
 #: Depth groups in stream order. ``sh-ac`` is accepted as shorthand for the three SH bands.
 DEPTH_GROUPS = ("geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
 
-#: Those of SH-AC, one for each band.
+#: Depth groups of SH-AC, one for each band.
 SH_STREAMS = DEPTH_GROUPS[5:]
 
 #: Most bits a group may have: three 21-bit axes fill a Morton code, 12 bits fill a table.
@@ -22,7 +22,7 @@ MAX_DEPTH = {group: 21 if group == "geometry" else 12 for group in DEPTH_GROUPS}
 
 @dataclass(frozen=True)
 class Option:
-    """What a field of a dataclass is as an option: its values, and how help describes it.
+    """An option of the commands, made from a field of a dataclass: its values and help.
 
     The commands build their options from these, so that an option is written down once.
 
@@ -33,7 +33,7 @@ class Option:
     kind : type
         ``bool``, ``int``, ``float``, ``str`` or ``Path``.
     name : str, optional
-        The option's name where it is not the field's.
+        The option's name if it differs from the field's.
     metavar : str, optional
         What stands for the value in the help.
     shown : str, optional
@@ -43,13 +43,13 @@ class Option:
     expected : str, optional
         The range in words.
     values : mapping or tuple, optional
-        The words that are accepted; a mapping says what each stands for.
+        The accepted words; a mapping gives the value of each.
     keys : tuple of str
-        The keys of a mapping, for a field that is one.
+        The accepted keys, if the field is a mapping.
     unit : {"bytes"}, optional
         Sizes are typed with units: ``5MB``.
     expert : bool
-        Whether commands take it by ``--set NAME=VALUE`` where they do not list it.
+        Whether commands that do not list it take it by ``--set NAME=VALUE``.
     """
 
     help: str
@@ -66,7 +66,7 @@ class Option:
     expert: bool = True
 
     def check(self, name: str, value: Any) -> None:
-        """Refuse a value of field `name` that is none of `values`, or outside the range.
+        """Refuse a value of field `name` that is not in `values`, or outside the range.
 
         Raises
         ------
@@ -112,7 +112,7 @@ def _depths(*bits: int) -> Mapping[str, int]:
 
 
 #: Bits per group. The paper's Table 1 gives a range for SH-AC (4-5 / 3-4 / 2-4) and for the
-#: geometry of S (15-16); which are taken was decided by rendered views (bench/RESULTS.md).
+#: geometry of S (15-16); these values were chosen by rendered views (bench/RESULTS.md).
 PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
     {
         "paper-l": _depths(17, 8, 8, 8, 8, 5, 5, 5),
@@ -122,7 +122,7 @@ PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
 )
 
 
-#: Most bits of what G-PCC codes.
+#: Largest depths that G-PCC can code.
 GPCC_DEPTHS: Mapping[str, int] = MappingProxyType({"geometry": 18, "sh-dc": 8})
 
 #: The profile that keeps every bit, and so has no depths.
@@ -131,20 +131,20 @@ LOSSLESS = "lossless"
 
 @dataclass(frozen=True)
 class LatticeProfile:
-    """A profile whose steps follow how much is seen of each Gaussian.
+    """A profile with a step size for each attribute of each Gaussian, by how visible it is.
 
     Parameters
     ----------
     error : float
-        With cameras: mean squared error of an image value (0-1) that quantisation may add, as
-        far as errors add up.
+        With cameras: mean squared error of an image value (0-1) that quantisation may add,
+        assuming that errors add up.
     compaction : float
         With cameras: strength of SH compaction, see `compact_sh`.
     fineness : float
-        Without cameras: unit of all steps, see `lattice.blind`.
+        Without cameras: factor on all step sizes, see `blind_coefficients`.
     of_loss : float
-        With cameras: share of the error that a scene has already, pruned as it may be, that
-        quantisation may add too: neither is worth its bits if the other saves them at less.
+        With cameras: quantisation may also add this share of the error that the scene, pruned or
+        not, has before it is coded.
     """
 
     error: float
@@ -153,7 +153,7 @@ class LatticeProfile:
     of_loss: float
 
     def scaled(self, factor: float) -> LatticeProfile:
-        """The profile whose steps are `factor` times as large; errors go by their squares."""
+        """The profile with step sizes `factor` times as large; errors scale with its square."""
         square = factor**2
         return LatticeProfile(
             self.error * square,
@@ -165,14 +165,14 @@ class LatticeProfile:
 
 _M = LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063, of_loss=0.3)
 
-#: Half, once and 2.25 times the steps of `m`.
+#: Half, once and 2.25 times the step sizes of `m`.
 LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
     {"l": _M.scaled(0.5), "m": _M, "s": _M.scaled(2.25)}
 )
 
 PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
 
-#: Words that are accepted for the short names.
+#: Long names that are accepted for the short ones.
 PROFILE_WORDS: Mapping[str, str] = MappingProxyType({"high": "l", "medium": "m", "low": "s"})
 
 #: The profiles as help lists them.
@@ -183,23 +183,24 @@ PROFILES_SHOWN = ", ".join(
 
 @dataclass(frozen=True)
 class Target:
-    """One size or quality to come to.
+    """A rate target: a size, ratio, bits per Gaussian or PSNR loss to meet.
 
-    Sizes are met from below, by 2 % or less unless the finest steps take less.
+    Files are at most as large as a size allows, and at most 2 % smaller unless the finest step
+    sizes take less.
 
     Parameters
     ----------
     size : int, optional
-        Most bytes of the file.
+        Largest file size, in bytes.
     ratio : float, optional
-        Times that the file is at least smaller than the PLY, or than the float32 attributes of a
-        scene that comes from a compressed file.
+        Smallest compression ratio, against the PLY, or against the float32 attributes if the scene
+        comes from a compressed file.
     bits : float, optional
-        Most bits for each Gaussian of the input.
+        Most bits per Gaussian of the input.
     psnr_drop : float, optional
-        Decibels that views may lose, mean over the views.
+        Largest PSNR loss in dB, mean over the views.
     allow_prune : bool
-        Whether Gaussians may go where that leaves more to the others. Default False.
+        Whether Gaussians may be pruned to leave more bits to the others. Default False.
 
     Raises
     ------
@@ -249,7 +250,7 @@ class Target:
                 raise InvalidInput(f"target {name} {value}: expected a number above 0")
 
     def limit(self, count: int, ply_bytes: int) -> int | None:
-        """Most bytes of the file of a scene; None if the wish is a quality."""
+        """Largest file size in bytes for a scene; None if the target is a PSNR loss."""
         if self.size is not None:
             return int(self.size)
         if self.ratio is not None:
@@ -260,12 +261,12 @@ class Target:
 
 
 def as_target(wish: Target | Mapping[str, float]) -> Target:
-    """The target that a mapping of its parameters means.
+    """Make a target from a mapping of its parameters; a target is returned as it is.
 
     Raises
     ------
     InvalidInput
-        If it is not one.
+        If the mapping is not a valid target.
     """
     if isinstance(wish, Target):
         return wish
@@ -282,18 +283,19 @@ class Config:
     Parameters
     ----------
     profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s", "lossless"}
-        Steps that follow how much is seen of each Gaussian, quantisation depths of the paper's
-        Table 1, or every bit as it is. ``high``, ``medium`` and ``low`` are accepted for ``l``,
-        ``m`` and ``s``. Default ``m``.
+        ``l``, ``m``, ``s``: step sizes by how visible each Gaussian is; ``high``, ``medium`` and
+        ``low`` are other names for them. ``paper-*``: quantisation depths of the paper's Table 1.
+        ``lossless``: every bit is kept. Default ``m``.
     depths : mapping of str to int
-        Bits per group that override a paper profile (its rate control, Section 4.4). With ``l``,
-        ``m``, ``s`` a group's steps are then as coarse as those bits make them there, on average
-        (geometric), and finer where more is seen; neither `coarseness` nor a target moves them.
+        Bits per group that override those of a paper profile (its rate control, Section 4.4).
+        With ``l``, ``m``, ``s``, the geometric mean of a group's step sizes is then that of a paper
+        profile with these bits; visible Gaussians still have finer ones. Neither `coarseness` nor
+        a target changes them.
         Groups: ``geometry`` 1-21; ``sh-dc``, ``opacity``, ``scaling``, ``rotation``,
         ``sh1``, ``sh2``, ``sh3`` 1-12; ``sh-ac`` sets all three bands.
     nonfinite : {"error", "drop"}
-        What to do with Gaussians that hold NaN or infinity. Default ``error``, which
-        ``lossless`` has no need of: it keeps them.
+        What to do with Gaussians that hold NaN or infinity. Default ``error``, but
+        ``lossless`` then keeps them.
     extra : {"error", "keep", "drop"}
         What to do with properties beyond the INRIA layout and with normals that are not
         all zero. ``keep`` stores them bit-exactly. Default ``error``.
@@ -304,17 +306,17 @@ class Config:
     keep_order : bool
         With ``lossless``, keep the order of the Gaussians too, at some cost. Default False.
     coarseness : float
-        With ``l``, ``m``, ``s``, what all steps are multiplied by (their rate control) but those
-        of `depths`, 1/64-64. Default 1.
+        With ``l``, ``m``, ``s``: factor on all step sizes (their rate control) except those of
+        `depths`, 1/64-64. Default 1.
     geometry : {"octree", "gpcc", "auto"}
-        With a paper profile, what codes positions and SH-DC: our own coders, or MPEG's reference
-        software ``tmc3``, for depths up to 18 and 8. ``auto`` is ``gpcc`` for those where the
-        program is found, else ``octree``. Default ``octree``.
+        With a paper profile, the coder of positions and SH-DC: ours (``octree``) or MPEG's
+        reference software ``tmc3`` (``gpcc``), for depths up to 18 and 8. ``auto`` is ``gpcc`` if
+        the depths allow it and the program is found, else ``octree``. Default ``octree``.
     tmc3 : str or None
-        The program, for ``gpcc`` and ``auto``; None is what the environment variable
-        ``GS_CODEC_TMC3`` or PATH say.
+        Path of the program, for ``gpcc`` and ``auto``; None looks in the environment variable
+        ``GS_CODEC_TMC3``, then in PATH.
     verify : bool
-        Decode once what ``tmc3`` has coded, and compare. Default True.
+        Decode the output of ``tmc3`` once and compare. Default True.
 
     Raises
     ------
@@ -387,13 +389,13 @@ class Config:
     def _check_geometry(self) -> None:
         if self.geometry == "octree" and (self.tmc3 is not None or not self.verify):
             what = "verify" if self.tmc3 is None else "tmc3"
-            raise InvalidInput(f"{what}: geometry 'octree' has no use for it, gpcc and auto do")
+            raise InvalidInput(f"{what}: geometry 'octree' does not use it, gpcc and auto do")
         if self.geometry != "gpcc":
             return
         if self.profile not in PROFILES:
             known = ", ".join(PROFILES)
             raise InvalidInput(
-                f"geometry 'gpcc': profile '{self.profile}' has no points of plain integers, "
+                f"geometry 'gpcc': profile '{self.profile}' has no uniformly quantised positions, "
                 f"{known} have"
             )
         for group, most in GPCC_DEPTHS.items():
@@ -428,7 +430,7 @@ class Config:
         return {**PROFILES[self.profile], **self.asked_depths()}
 
     def resolved_lattice(self) -> LatticeProfile:
-        """The numbers of profile ``l``, ``m`` or ``s``, its coarseness applied."""
+        """The parameters of profile ``l``, ``m`` or ``s``, with the coarseness applied."""
         if self.profile not in LATTICE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
         return LATTICE_PROFILES[self.profile].scaled(self.coarseness)
@@ -441,5 +443,5 @@ def check_threads(threads: int | None) -> None:
 
 
 def _check_range(name: str, value: int, low: int, high: int) -> None:
-    """Refuse a value that is no integer in a range, both ends included."""
+    """Refuse a value that is not an integer in a range, both ends included."""
     Option("", int, low=low, high=high).check(name, value)

@@ -1,4 +1,4 @@
-"""From one format to another, and what that loses."""
+"""Convert scenes between formats, and report what is lost."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from gs_codec.workers import using_threads
 
 @dataclass(frozen=True)
 class ConvertReport:
-    """What converting a file gave.
+    """Result of converting a file.
 
     Attributes
     ----------
     count, sh_degree : int
-        Of what was written.
+        Number of Gaussians and SH degree of the target.
     coordinates : str
-        Coordinate system of what was written.
+        Coordinate system of the target.
     turned_from : str or None
-        The source's, where that was another.
+        Coordinate system of the source, if it was converted.
     antialiased : bool
         Whether the source asks for opacity compensation.
     dropped : int
-        Gaussians with NaN or infinity.
+        Gaussians with NaN or infinity, which were removed.
     lost : tuple of str
         What the target's format cannot hold, in words.
     file_bytes : int
@@ -68,10 +68,11 @@ def convert_file(
     source, target : str or Path
         Scenes; the target is ``.ply``, ``.egs`` or ``.splat``.
     config : Config, optional
-        For `.egs` targets; of others only what is done with extra properties and NaN.
+        How to encode an `.egs` target. Other targets use only its options for extra properties and
+        NaN.
     coordinates : str
-        Coordinate system to turn to, or ``keep``; ``RDF`` is that of PLY and ``.splat`` files.
-        ``RUB:RDF`` turns from the first, whatever the source states.
+        Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``.
+        ``RUB:RDF`` converts from the first to the second, whatever the source states.
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
     max_bytes : int, optional
@@ -89,7 +90,7 @@ def convert_file(
     InvalidInput
         If the source cannot be used, or the target cannot be written.
     CorruptStream, TruncatedStream, UnsupportedVersion
-        If the source is an unsound `.egs` file.
+        If the source is a damaged or newer `.egs` file.
 
     Examples
     --------

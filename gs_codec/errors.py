@@ -1,10 +1,10 @@
-"""Everything that can go wrong, as one small family of exceptions."""
+"""All exceptions that gs_codec raises."""
 
 
 def printable(text: str) -> str:
-    """Text in which characters are escaped that end a line, steer a terminal or turn directions.
+    """Escape characters that are not printable: line ends, terminal controls, text direction.
 
-    Names in files of strangers may hold any.
+    Names in untrusted files may contain them.
     """
     if text.isprintable():
         return text
@@ -23,7 +23,7 @@ class GsCodecError(Exception):
     missing.ply: No such file or directory
     """
 
-    #: Whether it is about another file than the one that is worked on, which its text names.
+    #: Whether the error concerns another file than the one being read; its text names that file.
     of_another_file = False
 
     def __init__(self, text: str = "") -> None:
@@ -35,25 +35,25 @@ class InvalidInput(GsCodecError):
 
 
 class CorruptStream(GsCodecError):
-    """A `.egs` stream whose bytes contradict themselves or their checksums."""
+    """An `.egs` stream with inconsistent contents or wrong checksums."""
 
 
 class TruncatedStream(GsCodecError):
-    """A `.egs` stream that ends before its header says it does."""
+    """An `.egs` stream that is shorter than its header says."""
 
 
 class UnsupportedVersion(GsCodecError):
-    """A `.egs` stream written by a later version of the format."""
+    """An `.egs` stream of a later version of the format."""
 
 
 class MissingTool(GsCodecError):
-    """An optional program or package that the request needs is not installed."""
+    """A required optional program or package is not installed."""
 
 
 class ToolFailed(GsCodecError):
-    """A program of others that was started did not do what it was asked to."""
+    """An external program failed."""
 
 
 def one_line(error: BaseException) -> str:
-    """What an exception says, on one printable line."""
+    """The message of an exception, on one printable line."""
     return printable(" ".join((getattr(error, "strerror", None) or str(error)).split()))

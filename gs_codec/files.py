@@ -127,7 +127,7 @@ def encode_file(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the source is an `.egs` file that cannot be decoded.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC, and its program is not there or fails.
+        If `config` asks for G-PCC, and the program is missing or fails.
 
     Examples
     --------
@@ -198,7 +198,7 @@ def prepare_file(
     source, target : str or Path
         Scenes; the target is ``.ply``, ``.egs`` or ``.splat``.
     plan : Plan
-        Steps, and the views they go by.
+        Steps of preparation, and the views that guide them.
     config : Config, optional
         How an ``.egs`` is coded, with the bytes that `encode_file` writes, and what the report's
         last steps are of; by default profile ``m``.

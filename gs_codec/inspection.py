@@ -1,6 +1,6 @@
-"""What a file says of itself, read from its header and the sections that describe its blocks.
+"""Describe a file from its header and the sections that describe its blocks.
 
-Those are its channels, lattices and bounds or box, the program that coded it, and comments.
+Those sections hold channels, lattices, bounds or box, the G-PCC program, and comments.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from gs_codec.skipped import skipped_by_channels, skipped_by_header, skipped_by_
 
 @dataclass(frozen=True)
 class StreamInfo:
-    """Bytes of one kind of section, blocks together, and bits for each Gaussian.
+    """Size of one kind of section, all blocks together.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class StreamInfo:
     bytes : int
         Size of all sections of that kind.
     bits_per_gaussian : float
-        The same for each Gaussian of the file.
+        The same size, in bits per Gaussian of the file.
     """
 
     name: str
@@ -45,18 +45,18 @@ class StreamInfo:
 
 @dataclass(frozen=True)
 class PassInfo:
-    """A kind of symbols of profiles `l`, `m` and `s`: its tables, and the steps of its values.
+    """A pass of profiles `l`, `m` and `s`: its tables and step sizes.
 
     Attributes
     ----------
     name : str
-        What the symbols are of.
+        What its symbols code.
     stream : str
-        What it is coded with.
+        The stream that it is in.
     tables : int
-        How many tables there are for it, chosen from by the steps.
+        Number of frequency tables that its contexts choose from.
     finest_step, coarsest_step : float
-        Distance of neighbouring values, in the attribute's own domain.
+        Step sizes, in the attribute's own domain.
     """
 
     name: str
@@ -68,28 +68,28 @@ class PassInfo:
 
 @dataclass(frozen=True)
 class Info:
-    """Everything `inspect` knows, from a file's header, tables and comments alone.
+    """Everything that `inspect` reports, from a file's header, tables and comments alone.
 
     Attributes
     ----------
     version : int
-        Of the format, as the file has it.
+        Format version of the file.
     count : int
         Number of Gaussians.
     sh_degree : int
         0-3.
     profile : str
-        As `Config` has it.
+        Profile, as `Config` names it.
     blocks, block_size : int
-        Parts that decode apart, and most Gaussians in one.
+        Number of independently decodable blocks, and most Gaussians in one.
     has_normals : bool
         Whether the source had normals, all zero.
     keeps_order : bool
         Whether the Gaussians come in the source's order.
     geometry : str
-        What codes positions: ``octree``, ``gpcc`` (SH-DC too), or ``columns`` (`lossless`).
+        Coder of positions: ``octree``, ``gpcc`` (SH-DC too), or ``columns`` (`lossless`).
     tool : str or None
-        With ``gpcc``, what the program that coded them said it was.
+        With ``gpcc``, the version line of the program that coded them.
     bounds : tuple of two tuples of float
         Lowest and highest x, y, z of the centres.
     file_bytes : int
@@ -101,16 +101,16 @@ class Info:
     channels : tuple of Channel
         Quantiser and model of each channel, of a `paper` profile.
     passes : tuple of PassInfo
-        Kinds of symbols, of profiles `l`, `m` and `s`.
+        Passes of profiles `l`, `m` and `s`.
     grid : PositionGrid or None
-        What positions are multiples of, likewise.
+        Grid of positions, of profiles `l`, `m` and `s`.
     coordinates : str or None
-        Where x, y and z point, if comments say: three letters, as in ``RDF`` (right, down,
+        Where x, y and z point, if a comment states it: three letters, as in ``RDF`` (right, down,
         forward) or ``RUB`` (right, up, back).
     antialiased : bool
         Whether comments ask for opacity compensation.
     skipped : tuple of str
-        What takes no bits, in words, as far as it is known without the blocks.
+        What takes no bits, in words, as far as header and tables tell.
     """
 
     version: int
@@ -136,7 +136,7 @@ class Info:
 
     @property
     def ratio(self) -> float:
-        """Raw bytes for each byte of the file."""
+        """Compression ratio: raw bytes over bytes of the file."""
         return self.raw_bytes / self.file_bytes
 
     def as_dict(self) -> dict:
@@ -150,7 +150,7 @@ class Info:
 
 
 def inspect_bytes(data: bytes | memoryview) -> Info:
-    """Read the header of a stream and what describes its blocks; the blocks are not touched.
+    """Describe a stream by its header and the sections that describe its blocks, without these.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
 
 
 def describe(file: EgsFile) -> Info:
-    """What the header of a file and its sections that describe the blocks say."""
+    """Describe a file by its header and the sections that describe its blocks."""
     header = file.header
     details = _lattice_details if header.profile in LATTICE_PROFILES else _channel_details
     stored = file.sections.get((SectionId.COMMENTS, 0))
@@ -199,7 +199,7 @@ def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
 
 
 def _lattice_details(file: EgsFile) -> dict[str, Any]:
-    """What `Info` says of profiles `l`, `m` and `s`."""
+    """Fields of `Info` for profiles `l`, `m` and `s`."""
     coefficients = SH_COEFFICIENTS[file.header.sh_degree]
     lattice, models = lattice_of(file)
     skipped = skipped_by_header(file.header)
@@ -215,7 +215,7 @@ def _lattice_details(file: EgsFile) -> dict[str, Any]:
 
 
 def _channel_details(file: EgsFile) -> dict[str, Any]:
-    """What `Info` says of the other profiles."""
+    """Fields of `Info` for the other profiles."""
     channels, bounds = _channels_and_bounds(file)
     skipped = skipped_by_header(file.header)
     if file.header.count:
@@ -250,7 +250,7 @@ def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> 
 
 
 def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
-    """The finest step of a pass's values, and by how many octaves the coarsest is larger."""
+    """The finest step size of a pass, and by how many octaves the coarsest is larger."""
     rules = {"opacity": "opacity", "rotation": "rotation", "scaling": item.name}
     if item.stream == "classes" or item.name == "SH energy":
         return 1.0, 0

@@ -1,4 +1,4 @@
-"""The one way numba is used here: compiled once, cached on disk where it can be, GIL released."""
+"""Compile functions with numba: cached on disk if possible, without the GIL."""
 
 import pickle
 from collections.abc import Callable
@@ -8,23 +8,23 @@ from typing import Any
 import numba
 from numba.core.runtime import rtsys
 
-#: What a disk without room, a folder without permission or an entry cut short give.
+#: Errors of a full disk, a folder without permission, or a truncated cache entry.
 _CACHE_ERRORS = (OSError, EOFError, pickle.UnpicklingError)
 
 
 def kernel(function: Callable) -> Any:
     """Compile a kernel. No fastmath: results must not depend on the machine."""
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
-    if compiled is function:  # where numba is told to leave everything to Python
+    if compiled is function:  # numba is disabled (NUMBA_DISABLE_JIT)
         return compiled
-    with suppress(RuntimeError):  # no folder to cache in: it is compiled in each process
+    with suppress(RuntimeError):  # no folder for a cache: each process compiles again
         compiled.enable_caching()
         _go_by_cache(compiled._cache)
     return compiled
 
 
 def _go_by_cache(cache: Any) -> None:
-    """Start fast from the cache, and do without where it fails: kernels can be compiled again."""
+    """Load quickly from the cache, and ignore its failures: a kernel can be compiled again."""
     load, save = cache.load_overload, cache.save_overload
 
     def try_to_load(signature: Any, target: Any) -> Any:
@@ -45,18 +45,18 @@ def inlined(function: Callable) -> Any:
 
 
 class _Loading:
-    """numba's target for a kernel that is loaded: half of what a start takes is left out.
+    """numba's target for loading a kernel from the cache, with half the start-up time.
 
-    numba gets everything ready that a compiler needs, 0.4 seconds with the linear algebra of
-    scipy, before it looks into the cache. Machine code needs numba's runtime alone; where the
-    kernel has to be compiled after all, the compiler calls the target's own `refresh`.
+    Before numba looks into the cache, it prepares everything that the compiler needs: 0.4 seconds,
+    with the linear algebra of scipy. Loaded machine code needs only numba's runtime. If the kernel
+    must be compiled after all, the compiler calls the target's own `refresh`.
     """
 
     def __init__(self, target: Any) -> None:
         self._target = target
 
     def refresh(self) -> None:
-        """What the target's own does for machine code."""
+        """Do the part of the target's own `refresh` that machine code needs."""
         rtsys.initialize(self._target)
 
     def __getattr__(self, name: str) -> Any:

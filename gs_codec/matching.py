@@ -1,7 +1,7 @@
-"""Which Gaussian of a decoded scene is which of the scene it was encoded from.
+"""Match the Gaussians of a decoded scene to those of the scene it was encoded from.
 
-A decoded PLY has a comment line that tells how it was sorted; sorting the original likewise
-puts the two side by side. What was decoded, encoded and decoded again has a line for each time.
+A decoded PLY has a comment line that states how it was sorted; sorting the original the same way
+aligns the two. A scene that was coded several times has a line for each time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gs_codec.scene import Scene
 from gs_codec.transform.axes import quaternions, sort_axes
 from gs_codec.transform.morton import encode_morton
 
-#: Begins the comment line.
+#: Start of the comment line.
 _MARK = "gs_codec order "
 _GRID = "grid"
 _FLOATS = "floats"
@@ -74,7 +74,7 @@ class GridOrder:
         codes = self._codes(original)
         order = np.argsort(codes, kind="stable")
         codes, coded = codes[order], self._codes(decoded)
-        # Each is alone in its cell, so that it is between what its neighbours decode to.
+        # Codes are sorted: a Gaussian lies between the decoded ones before and after it.
         outside = np.count_nonzero(coded[:-1] > codes[1:]) + np.count_nonzero(
             coded[1:] < codes[:-1]
         )
@@ -112,7 +112,7 @@ Order = DepthOrder | GridOrder | FloatOrder
 
 
 def order_of_file(info: Info) -> Order | None:
-    """The order of what a file decodes to; None where it is the original's."""
+    """The order of the scene that a file decodes to; None if it is the original's."""
     if info.keeps_order:
         return None
     if info.grid is not None:
@@ -123,12 +123,12 @@ def order_of_file(info: Info) -> Order | None:
 
 
 def order_of(scene: Scene) -> Order | None:
-    """The order that a scene's comments tell; None if it is an original.
+    """The order that a scene's comments state; None if it is an original.
 
     Raises
     ------
     InvalidInput
-        If the comment makes no sense.
+        If the comment is malformed.
     """
     marks = _marks(scene)
     if not marks:
@@ -144,7 +144,7 @@ def order_of(scene: Scene) -> Order | None:
 
 
 def _marks(scene: Scene) -> tuple[str, ...]:
-    """The comments that tell orders, the last of which the scene is in."""
+    """The comments that state orders; the scene is in the last of these."""
     return tuple(line for line in scene.comments if line.startswith(_MARK))
 
 
@@ -161,29 +161,35 @@ def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
 
 
 def with_order(scene: Scene, order: Order) -> Scene:
-    """The scene with a further comment, that tells its order."""
+    """The scene with a further comment that states its order."""
     return replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
 
 
 def without_order(scene: Scene) -> Scene:
-    """The scene without such comments."""
+    """The scene without comments that state orders."""
     marks = _marks(scene)
     return replace(scene, comments=tuple(line for line in scene.comments if line not in marks))
 
 
 def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
-    """Two scenes of which one may be the other's original, in one order, and what matched them.
+    """Bring two scenes, one perhaps the other's original, into one order.
+
+    Returns
+    -------
+    first, second : Scene
+    matched : str
+        What matched them: ``index`` or ``stored order``.
 
     Raises
     ------
     InvalidInput
-        If the orders cannot be brought together.
+        If the scenes cannot be matched.
     """
     marks = _marks(first), _marks(second)
     if first.count != second.count or marks[0] == marks[1]:
         return first, second, "index"
     orders = order_of(first), order_of(second)
-    # A scene has the lines of what it was decoded from, unless that was an original, and its own.
+    # A decoded scene keeps the lines that its source had, if any, and adds its own.
     if orders[1] is not None and marks[0] in ((), marks[1][:-1]):
         return orders[1].apply(first, second), second, "stored order"
     if orders[0] is not None and marks[1] in ((), marks[0][:-1]):

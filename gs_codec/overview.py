@@ -1,4 +1,4 @@
-"""What `inspect` tells of scenes of other formats than `.egs`, once they are read."""
+"""What `inspect` shows for scenes of formats other than `.egs`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gs_codec.scene import Scene
 
 @dataclass(frozen=True)
 class Overview:
-    """A scene in short.
+    """Summary of a scene.
 
     Attributes
     ----------
@@ -25,15 +25,16 @@ class Overview:
     sh_degree : int
         0-3.
     bounds : tuple of two tuples of float, or None
-        Lowest and highest x, y, z of the centres that are finite; None where none is.
+        Lowest and highest x, y, z of the finite centres; None if there are none.
     coordinates : str or None
-        Where x, y and z point, if the file or its format says: three letters, as in ``RUB``.
+        Directions of x, y and z as three letters (such as ``RUB``), if the file or its format
+        states them.
     antialiased : bool
         Whether it asks for opacity compensation.
     extra : tuple of str
-        Properties beyond the Gaussians'.
+        Extra properties.
     file_bytes, raw_bytes : int
-        Of all its files, and of the Gaussians' attributes as float32.
+        Bytes of all its files, and of the attributes as float32.
     """
 
     format: str
@@ -52,12 +53,12 @@ class Overview:
 
 
 def overview_of(path: str | Path, max_bytes: int | None = None) -> Overview:
-    """Read a scene of any format but `.egs`, and say what it is; of `max_bytes` see `read_ply`.
+    """Read a scene of any format but `.egs`, and summarise it; `max_bytes` is as in `read_ply`.
 
     Raises
     ------
     InvalidInput
-        If it is not a sound file of a format that is read.
+        If it is not a valid file of a supported format.
     """
     with open_scene(path) as file:
         scene, file_bytes = file.scene("keep", max_bytes), file.stored_bytes

@@ -1,4 +1,4 @@
-"""What EntropyGS publishes (arXiv 2508.10227): means over Mip-NeRF 360, other machines."""
+"""Figures published for EntropyGS (arXiv 2508.10227): means over Mip-NeRF 360, other machines."""
 
 #: Overhead of the parametric models over Shannon entropy, in percent.
 OVERHEAD_PERCENT = {"rotation": 0.29, "scaling": 0.09, "opacity": 0.08, "sh-ac": 0.41}

@@ -1,4 +1,4 @@
-"""Scenes encoded by what views see of them, or to a wanted size or quality."""
+"""Encoding with cameras, or to a rate target."""
 
 from __future__ import annotations
 
@@ -57,17 +57,16 @@ def encode_goal(
     progress: Progress | None = None,
     views: Views | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene at a wanted size or quality, which counts from the original.
+    """Encode a scene to a rate target, which is relative to the original.
 
-    Profiles go by a plan's views where there is one. A quality is measured in those that are held
-    out, against photographs if it has any. Without a plan, a quality or pruning goes by views that
-    are chosen from the scene.
-    `views` are the plan's where they are known.
+    With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
+    against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
+    that are chosen from the scene. `views` are the plan's, if they are known.
 
     Raises
     ------
     InvalidInput
-        If the goal is out of reach, or the profile has no steps to choose.
+        If the target is unreachable, or the profile has fixed steps.
     """
     from gs_codec.rate.allocate import Seen, check_searchable, encode_to_target
 
@@ -96,9 +95,9 @@ def encode_planned(
     progress: Progress | None = None,
     targets: Targets | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene by what a plan's views see, if there is a plan and the profile has steps.
+    """Encode a scene, guided by a plan's views if there is a plan and the profile has step sizes.
 
-    `targets` are what these look like, where that is known.
+    `targets` are the reference views, if they are known.
     """
     if plan is None or config.profile not in LATTICE_PROFILES or not scene.count:
         return encode_scene(scene, config, progress)
@@ -117,7 +116,7 @@ def encode_planned(
         shaped = shape_scene(clean, config, guidance.steps(clean, profile), times)
         with times.stage("recolour"):
             shaped = guidance.recolour(shaped, profile)
-        del guidance  # It holds what views see of each Gaussian.
+        del guidance  # It holds large arrays: a weight for each Gaussian in each view.
         parts, report = encode_shaped(shaped, times, progress)
     return b"".join(parts), replace(report, **changed)
 
@@ -125,10 +124,9 @@ def encode_planned(
 def wanted_of(
     scene: Scene, plan: Plan, progress: Progress | None = None, targets: Targets | None = None
 ) -> Targets:
-    """What a plan's views should look like, by which a scene is encoded.
+    """The reference views of a plan, for encoding.
 
-    Where the scene was optimised, it is itself what they should look like, else the scene it was
-    made from.
+    If the scene was optimised, they are its own renders; else `targets`, by default its renders.
     """
     from gs_codec.preparation.pipeline import draw_views
     from gs_codec.preparation.targets import draw_targets

@@ -1,7 +1,7 @@
-"""Programs of others, which are not trusted.
+"""Run external programs, which are not trusted.
 
-They abort, crash or run forever on some input: each run has a process group and limits of its own,
-and whatever goes wrong is a `ToolFailed`.
+They may abort, crash or run forever on some input. Each run has its own process group and limits,
+and every failure is a `ToolFailed`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import IO
 
 from gs_codec.errors import ToolFailed
 
-# A shell sets the limits: setting them between fork and exec is unsafe where there are threads.
+# A shell sets the limits: setting them between fork and exec is unsafe with threads.
 _LIMITED = 'ulimit -c 0; ulimit -S -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shift 3; exec "$@"'
 
 _LOG_BYTES = 4096
@@ -27,15 +27,15 @@ _LOG_BYTES = 4096
 
 @dataclass(frozen=True)
 class Limits:
-    """What one run may take.
+    """Limits of one run.
 
     Parameters
     ----------
     seconds : float
-        Wall time, which is long: other programs may keep the processors busy.
+        Wall time; generous, because other programs may keep the processors busy.
     processor_seconds : int
     memory_bytes : int or None
-        Address space; None for programs that reserve more than there is, as Node does.
+        Address space; None for programs such as Node, which reserve more than the memory there is.
     """
 
     seconds: float = 600.0
@@ -44,7 +44,7 @@ class Limits:
 
 
 def first_line(command: Sequence[str], limits: Limits) -> str:
-    """What a program says of itself first, as printable ASCII, for which it has a minute.
+    """First line that a program prints, as printable ASCII; it may run for at most a minute.
 
     Raises
     ------
@@ -64,12 +64,12 @@ def run_on_files(
     limits: Limits,
     most: int,
 ) -> bytes:
-    """The bytes of file `output` once a program ran where files `inputs` are.
+    """Run a program in a folder with the files `inputs`; return the bytes of its file `output`.
 
     Raises
     ------
     ToolFailed
-        If it fails, takes more than its limits, or writes more than `most` bytes.
+        If it fails, exceeds its limits, or writes more than `most` bytes.
     """
     try:
         with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
@@ -93,7 +93,7 @@ def plain_text(data: bytes | memoryview) -> str:
 def _run(
     command: Sequence[str], folder: str, limits: Limits, most: int
 ) -> tuple[bytes, bytes, int]:
-    """Beginning and end of what a command prints, and its exit status (-N: signal N)."""
+    """Run a command; return the start and end of what it prints, and its status (-N: signal N)."""
     import resource  # not on Windows, where the rest of gs_codec runs
 
     # In the units of the shell: seconds, KiB, 512 bytes.
@@ -126,7 +126,7 @@ def _run(
 
 
 def _read_log(pipe: IO[bytes], deadline: float) -> tuple[bytes, bytes]:
-    """The first and the last of what comes until the pipe is closed."""
+    """Read a pipe until it is closed; return the first and the last bytes."""
     first, last = b"", b""
     with selectors.DefaultSelector() as selector:
         selector.register(pipe, selectors.EVENT_READ)
@@ -142,7 +142,7 @@ def _read_log(pipe: IO[bytes], deadline: float) -> tuple[bytes, bytes]:
 
 
 def _least(limit: int | None, own: int, unit: int) -> str:
-    """A limit in a unit, no higher than this process's own, negative where there is none."""
+    """The lower of a limit and this process's own (negative: none), in units of `unit`."""
     limits = [value for value in (limit, own) if value is not None and value >= 0]
     return str(min(limits) // unit) if limits else "unlimited"
 

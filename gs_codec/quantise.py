@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.kernels import kernel
 
 #: SH-AC is rectified to this many Laplace scales on either side of the median, for each bit of
-#: depth. The paper leaves the number to its supplement. Tails that are cut off are seen, and
+#: depth. The paper leaves the number to its supplement. Cut-off tails are visible, and
 #: entropy coding makes rare levels cheap: a wide range with a bit more depth takes no more space
 #: than a narrow one, and rendered views are nearer to the original (RESULTS.md).
 LAPLACE_SCALES_PER_BIT = 3.0
@@ -55,7 +55,7 @@ class RangeQuantiser:
 
 @dataclass(frozen=True)
 class CentredQuantiser:
-    """``2**depth`` levels of which symbol ``2**(depth - 1)`` is `centre`.
+    """``2**depth`` levels; that of symbol ``2**(depth - 1)`` is `centre`.
 
     A value within `half_range` of the centre is off by at most half a step; one beyond it is
     rectified to the first or last level.
@@ -128,7 +128,7 @@ def fit_centred(
     The half range is `LAPLACE_SCALES_PER_BIT` times the depth times the mean absolute deviation
     of the values that differ from the median, but never more than the largest deviation. Values
     equal to the median are left out of the mean because trained scenes hold many exact zeros,
-    which say nothing of how far the others reach.
+    which do not tell how far the others reach.
 
     Returns
     -------

@@ -38,14 +38,14 @@ class ChannelCost:
     name : str
         The channel: its property in a PLY, or the kind of symbols.
     stream : str
-        What it is coded with, as `inspect` names it.
+        The stream that codes it, as `inspect` names it.
     model : str
-        What its table was made from.
+        Kind of model that its table was made from.
     coded_bits : float
-        What the symbols take under the table that is used.
+        Code length of the symbols under the table in use.
     parametric_bits : float
-        What they would take under the cheapest fitted distribution; of profiles ``l``, ``m`` and
-        ``s``, which send tables, the same.
+        Code length under the cheapest fitted distribution; with profiles ``l``, ``m`` and ``s``,
+        which send tables, the same as `coded_bits`.
     shannon_bits : float
         Their entropy times their number: the least that any static table can take.
     """
@@ -67,24 +67,24 @@ class RateReport:
     target : Target
         What was asked for.
     coarseness : float
-        What the profile's steps were multiplied by.
+        Factor on the profile's step sizes.
     steps : dict of str to tuple of float
-        Finest and coarsest step of each kind of symbols, as `inspect` has them.
+        Finest and coarsest step size of each pass, as `inspect` reports them.
     file_bytes : int
         Size of the file.
     predicted_bytes : int or None
         With cameras: size expected before colours were refitted.
     psnr_drop : float or None
-        Decibels that views lose, where the target is a quality.
+        PSNR loss of the views in dB, if the target is one.
     predicted_drop : float or None
         The same, expected from sensitivities.
     encodings : int
-        How often the scene was encoded, attempts with more Gaussians included.
+        Number of times the scene was encoded, including attempts with more Gaussians.
     pruned : int
-        Gaussians that went because the target allowed it.
+        Gaussians pruned to meet the target.
     at_end : bool
-        Whether no steps come nearer to the target: these are the finest that there are, or of a
-        quality the coarsest.
+        Whether no step sizes come nearer to the target: they are the finest possible, or for a
+        PSNR loss the coarsest.
     """
 
     target: Target
@@ -112,10 +112,10 @@ class EncodeReport:
     section_bytes : dict of str to int
         Bytes of the file by section, header and section table included.
     costs : list of ChannelCost
-        Code lengths of the rANS-coded channels beside their entropy.
+        Code lengths and entropies of the rANS-coded channels.
     rectified : int
-        SH-AC values moved to the edge of their Laplace range; of profiles `l`, `m` and `s`, all
-        values moved to the largest that lattices have.
+        SH-AC values moved to the edge of their Laplace range; with profiles `l`, `m` and `s`,
+        values of any attribute clamped to the largest of the lattice.
     zero_quaternions : int
         Quaternions of norm 0, coded as the identity.
     dropped : int
@@ -123,7 +123,7 @@ class EncodeReport:
     seconds : dict of str to float
         Wall time of each stage.
     rate : RateReport, optional
-        Where a target was given.
+        How the target was met, if one was given.
     """
 
     count: int

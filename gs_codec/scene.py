@@ -35,7 +35,7 @@ SH_C3 = (
     1.445305721320277,
 )
 
-#: What an extra property may be: printable, without spaces, of a scalar type of PLY.
+#: Name of an extra property: printable, without spaces; `_TYPES` has the types.
 _NAME = re.compile("[!-~]{1,255}")
 _LAYOUT = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]")
 _RENDER_MODE = re.compile(r"\s*(?:SplatRenderMode:|antialiased\s)\s*(\w+)\s*", re.IGNORECASE)
@@ -49,13 +49,13 @@ _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "flo
 
 
 def sh_bands(coefficients: int = SH_COEFFICIENTS[-1]) -> list[range]:
-    """SH-AC coefficients of each band of a scene that has so many of a colour."""
+    """SH-AC coefficients of each band, of a scene with this many per colour."""
     edges = [edge for edge in SH_COEFFICIENTS if edge <= coefficients]
     return [range(first, last) for first, last in pairwise(edges)]
 
 
 def property_names(coefficients: int = SH_COEFFICIENTS[-1]) -> dict[str, list[str]]:
-    """Channels of each group, named as in the PLY, with so many SH-AC coefficients of a colour."""
+    """Names of the channels of each group as in the PLY, for this many SH-AC per colour."""
     return {
         "positions": ["x", "y", "z"],
         "f_dc": [f"f_dc_{i}" for i in range(3)],
@@ -67,17 +67,17 @@ def property_names(coefficients: int = SH_COEFFICIENTS[-1]) -> dict[str, list[st
 
 
 def group_rows(coefficients: int) -> dict[str, int]:
-    """Number of channels of each group, with so many SH-AC coefficients of a colour."""
+    """Number of channels of each group, for this many SH-AC coefficients per colour."""
     return {group: len(names) for group, names in property_names(coefficients).items()}
 
 
 def channel_count(coefficients: int) -> int:
-    """Number of channels of all groups, with so many SH-AC coefficients of a colour."""
+    """Number of channels of all groups, for this many SH-AC coefficients per colour."""
     return sum(group_rows(coefficients).values())
 
 
 def float_bytes(count: int, sh_degree: int) -> int:
-    """Bytes of the floats of so many Gaussians."""
+    """Bytes of the floats of `count` Gaussians."""
     return 4 * count * channel_count(SH_COEFFICIENTS[sh_degree])
 
 
@@ -183,7 +183,7 @@ class Scene:
 
     @property
     def antialiased(self) -> bool:
-        """Whether it was trained with opacity compensation, as the last such comment says.
+        """Whether the scene was trained with opacity compensation, by the last comment on it.
 
         Brush and splat-transform write ``SplatRenderMode: mip``, Postshot ``antialiased 1``.
         """
@@ -191,9 +191,9 @@ class Scene:
 
     @property
     def coordinates(self) -> str | None:
-        """Where +x, +y and +z point (``RDF``: right, down, forward), if the last comment says.
+        """Where +x, +y and +z point (``RDF``: right, down, forward), by the last comment on it.
 
-        The trainer's PLY says nothing; of an `.spz` file the format does.
+        None without such a comment, as in the trainer's PLY. The `.spz` format has a fixed system.
         """
         return coordinates_of(self.comments)
 

@@ -1,4 +1,4 @@
-"""What a file spends no bits on, in words, as far as its header and tables tell."""
+"""Lines on what a file spends no bits on, as far as its header and tables tell."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from gs_codec.lattice.lattice import Lattice
 from gs_codec.lattice.plan import Pass, passes
 from gs_codec.model.sent import SentModel
 
-#: More names than these are counted instead.
+#: Longer lists of names are given as a number.
 _NAMED = 4
 
 _BANDS = {stream: band for band, stream in enumerate(SH_STREAMS, 1)}
 
-#: What a pass of zeros means where that is not a value of zero.
+#: What a pass of zero levels means, if not values of zero.
 _ZEROS = {
     "opacity": "constant",
     "scale_0": "constant",
@@ -28,7 +28,7 @@ _ZEROS = {
 
 
 def skipped_by_header(header: Header) -> list[str]:
-    """What the header alone tells."""
+    """Lines that follow from the header alone."""
     lines = []
     if header.sh_degree < 3:
         absent = _bands(range(header.sh_degree + 1, 4))
@@ -39,7 +39,7 @@ def skipped_by_header(header: Header) -> list[str]:
 
 
 def skipped_by_channels(channels: list[Channel]) -> list[str]:
-    """Channels of a `paper` profile that have no symbols, and models that do not pay."""
+    """Channels of a `paper` profile without symbols, and models that cost more than a table."""
     constant: list[str] = []
     zero_bands: list[int] = []
     tables: dict[str, list[str]] = {"mixture": [], "Laplace": []}
@@ -63,11 +63,11 @@ def skipped_by_channels(channels: list[Channel]) -> list[str]:
 
 
 def skipped_by_lattice(lattice: Lattice, models: PassModels, coefficients: int) -> list[str]:
-    """Symbols of profiles `l`, `m` and `s` that take no bits, and contexts that do not pay."""
+    """Passes of profiles `l`, `m` and `s` that take no bits, and contexts with a single table."""
     listed = passes(coefficients)
     zeros = set()
     for item, rows in zip(listed, models.rows, strict=True):
-        # A table without another symbol than token 0 says that no other level occurs.
+        # If no table has a symbol but token 0, all levels are 0.
         if not any(w[1:].any() for w in models.weights[rows[0] : rows[-1] + 1]):
             zeros.add(item.name)
     lines = []
@@ -113,7 +113,7 @@ def _shared(lattice: Lattice, listed: list[Pass], models: PassModels, zeros: set
 
 
 def _has_contexts(lattice: Lattice, item: Pass) -> bool:
-    """Whether the rule that contexts of opacity, scales and rotation go by tells anything."""
+    """Whether a pass uses several contexts; of opacity, scales and rotation, its rule tells."""
     if item.stream not in ("opacity", "scaling", "rotation"):
         return item.contexts > 1
     rule = lattice.rules["rotation" if item.stream == "rotation" else item.name]
@@ -127,7 +127,7 @@ def _bands(numbers: Iterable[int]) -> str:
 
 
 def _named(names: list[str], stream: str, number: int) -> list[str]:
-    """Some of a stream's `number` members, by name where they are few, or by the stream's."""
+    """Names of some of a stream's `number` members; the stream if all, a count if many."""
     if len(names) == number > 1:
         return [stream]
     return names if len(names) <= _NAMED else [f"{len(names)} of {number} in {stream}"]

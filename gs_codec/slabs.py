@@ -23,13 +23,13 @@ from gs_codec.scene import Scene
 from gs_codec.storage import bounded
 from gs_codec.workers import available_threads, using_threads
 
-#: Gaussians decoded at once, or as many as give each thread two blocks.
+#: Gaussians decoded at once, or two blocks for each thread if that is more.
 _SLAB = 1 << 19
 
 
 @dataclass
 class Slabs:
-    """The Gaussians of a file, in the order of its stream.
+    """An open file that is decoded slab by slab, in the order of its stream.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Slabs:
     chosen : ChosenPart
     progress : callable or None
     seconds : float
-        What decoding took so far.
+        Time spent on decoding so far.
     """
 
     path: Path
@@ -47,23 +47,23 @@ class Slabs:
 
     @property
     def sh_degree(self) -> int:
-        """SH degree that is decoded."""
+        """SH degree to which the file is decoded."""
         return self.chosen.degree
 
     @property
     def bytes_read(self) -> int:
-        """How much of the file was read."""
+        """Bytes of the file that were read."""
         return self.chosen.file.bytes_read
 
     def counted(self) -> tuple[int, Iterator[Scene]]:
-        """How many Gaussians there are, and scenes of some of them, one after another.
+        """The number of Gaussians, and the slabs.
 
-        How many are in a box is known once they are decoded: these are held in memory.
+        With a box, the number is known only after decoding, so all slabs are held in memory.
 
         Raises
         ------
         InvalidInput
-            If there are none in the box, of a scene that has some.
+            If the scene has Gaussians, but none in the box.
         """
         scenes = self.scenes()
         if self.chosen.part.box is None:
@@ -77,7 +77,7 @@ class Slabs:
         return count, iter(found)
 
     def scenes(self) -> Iterator[Scene]:
-        """Scenes of some Gaussians, one after another; what is whole tells its order."""
+        """Yield one slab after another as a scene; without a box, each states its order."""
         order = None
         start = time.perf_counter()
         with located(self.path):
@@ -109,16 +109,16 @@ def opened_slabs(
     tmc3: str | Path | None = None,
     max_memory: int | None = None,
 ) -> Iterator[Slabs]:
-    """The slabs of a file, or of a part of it, while it is open.
+    """Open a file to decode it, or a part of it, slab by slab.
 
     Raises
     ------
     InvalidInput
         If the file cannot be read.
     CorruptStream, TruncatedStream, UnsupportedVersion
-        If it is not a sound `.egs` file; of what is in its blocks, slabs tell.
+        If it is not a valid `.egs` file; damaged blocks raise when a slab is decoded.
     MissingTool
-        If it uses G-PCC, and the program (`tmc3`, or what the environment says) is not there.
+        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed.
     """
     with using_threads(threads), bounded(max_memory), open_scene(path) as file:
         start = time.perf_counter()
@@ -130,7 +130,7 @@ def opened_slabs(
 
 
 def _check_format(file: SceneFile) -> None:
-    """Refuse scenes of other formats, and say what reads them."""
+    """Refuse scenes of other formats, and name the command that reads them."""
     with suppress(InvalidInput):
         if file.format != "egs":
             raise CorruptStream(
@@ -140,14 +140,14 @@ def _check_format(file: SceneFile) -> None:
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """What a sound file holds.
+    """Result of checking a file without errors.
 
     Attributes
     ----------
     count, sh_degree, profile
         As in the header.
     blocks, sections : int
-        How many were decoded, and had the checksums that the header says.
+        Blocks that were decoded, and sections whose checksums were checked.
     file_bytes : int
     seconds : float
     """
@@ -176,15 +176,15 @@ def verify_file(
     InvalidInput
         If the file cannot be read.
     CorruptStream, TruncatedStream, UnsupportedVersion
-        If it is not a sound `.egs` file.
+        If it is not a valid `.egs` file.
     MissingTool, ToolFailed
-        If it uses G-PCC, and the program (`tmc3`, or what the environment says) is not there or
+        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed or
         does not decode it.
     """
     start = time.perf_counter()
     with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3, max_memory) as slabs:
         with located(path):
-            # Those that a decoder passes over too.
+            # Check all sections, also those that a decoder skips.
             file = slabs.chosen.file.read()
         for _ in slabs.scenes():
             pass

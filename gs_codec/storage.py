@@ -1,9 +1,9 @@
-"""Where large arrays live: in memory, or in files that need none of it but what is in use.
+"""Large arrays: in memory, or in temporary files so that a process stays below a memory limit.
 
-Stages ask for the arrays that grow with the scene by `empty`, and hand what they keep to
-`current().keep`; what they compute does not depend on where these are. Within `bounded`, arrays
-are temporary files without a name, mapped into memory, and a thread gives their pages back to
-the system, which has their content, before the process is larger than it may be.
+Code allocates arrays that grow with the scene by `empty`, and passes arrays that it keeps to
+`current().keep`; results do not depend on where the arrays are. Within `bounded`, arrays are
+memory-mapped temporary files without a name. A thread releases their pages before the process
+reaches the limit; the system reads a page again from the file when it is used.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from gs_codec.errors import InvalidInput, one_line
 
-#: Smaller arrays are plain ones, but for those that are kept.
+#: Arrays below this size stay in memory, except those passed to `keep`.
 _LARGE = 1 << 20
 
 #: Kept arrays share files of this size.
@@ -31,39 +31,39 @@ _SEGMENT = 1 << 26
 
 _ALIGNMENT = 64
 
-#: Share of the limit at which pages are given back, and how often it is looked, seconds.
+#: Pages are released above this share of the limit; seconds between two checks.
 _HIGH, _PERIOD = 0.7, 0.004
 
 
 class Memory:
-    """Plain arrays."""
+    """Arrays in memory."""
 
-    #: Most bytes the process may take, if there is a limit.
+    #: Memory limit of the process, bytes; None for no limit.
     limit: int | None = None
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """An array to be filled."""
+        """A new array, not initialised."""
         return np.empty(shape, dtype)
 
     def keep(self, array: NDArray[Any]) -> NDArray[Any]:
-        """An array as it is to be kept for long."""
+        """Move an array to where it is kept for long."""
         return array
 
     def keep_bytes(self, data: bytes) -> bytes | memoryview:
-        """Bytes as they are to be kept for long."""
+        """Move bytes to where they are kept for long."""
         return data
 
     def watch(self, mapped: mmap.mmap) -> None:
-        """Give back pages of a mapped file, too, that nobody writes to."""
+        """Register a mapped file, shared or read-only, whose pages may be released."""
 
 
 class Disk(Memory):
-    """Arrays in temporary files, each gone with the last array in it, or with the process.
+    """Arrays in temporary files; a file is deleted with its last array, or with the process.
 
     Parameters
     ----------
     limit : int, optional
-        For those who plan what they do at once; `bounded` sees to it.
+        Memory limit, bytes, for code that chooses how much to do at once. `bounded` enforces it.
     """
 
     def __init__(self, limit: int | None = None) -> None:
@@ -101,17 +101,17 @@ class Disk(Memory):
             self._maps.append(weakref.ref(mapped))
 
     def release(self) -> None:
-        """Give back all pages that are in memory; what is used again is mapped again."""
+        """Release all pages of mapped files; a page that is used again is read from its file."""
         with self._lock:
             alive = [known() for known in self._maps]
         for mapped in alive:
-            # One that was closed has no pages.
+            # A closed map has no pages.
             with suppress(ValueError):
                 if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
                     mapped.madvise(mmap.MADV_DONTNEED)
 
     def _room(self, size: int) -> tuple[mmap.mmap, int]:
-        """Room for an array in a file that it may share."""
+        """Map and offset of free space for an array, in a file shared with other arrays."""
         with self._lock:
             start = -(-self._used // _ALIGNMENT) * _ALIGNMENT
             if self._segment is not None and start + size <= len(self._segment):
@@ -123,10 +123,10 @@ class Disk(Memory):
         return mapped, 0
 
     def _file(self, size: int) -> mmap.mmap:
-        """A mapped file without a name, whose room on the disk is taken."""
+        """A memory-mapped file without a name, with its disk space allocated."""
         try:
             with tempfile.TemporaryFile(dir=self.folder) as file:
-                # Without this, a full disk would show when a page is written: by a signal.
+                # Without this, a full disk would kill the process when a page is written.
                 if hasattr(os, "posix_fallocate"):
                     os.posix_fallocate(file.fileno(), 0, size)
                 else:
@@ -150,18 +150,18 @@ _CURRENT: ContextVar[Memory] = ContextVar("storage", default=Memory())  # noqa: 
 
 
 def current() -> Memory:
-    """The storage in use."""
+    """The `Memory` in use."""
     return _CURRENT.get()
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """An array of the storage in use, to be filled."""
+    """A new array of the `Memory` in use, not initialised."""
     return current().empty(shape, dtype)
 
 
 @contextmanager
 def using(storage: Memory) -> Iterator[None]:
-    """Use a storage in the block, and in what `run_all` runs for it."""
+    """Use another `Memory` within the block, and in threads that `run_all` starts there."""
     token = _CURRENT.set(storage)
     try:
         yield
@@ -171,9 +171,9 @@ def using(storage: Memory) -> Iterator[None]:
 
 @contextmanager
 def bounded(limit: int | None) -> Iterator[None]:
-    """Keep the process below `limit` bytes in the block, as far as its arrays are what it holds.
+    """Keep the process below `limit` bytes within the block, by moving large arrays to disk.
 
-    Without a limit nothing is different.
+    Only the arrays allocated here count: other memory is not reduced. None: no limit.
     """
     if limit is None:
         yield
@@ -196,7 +196,7 @@ def _guard(disk: Disk, limit: int, done: threading.Event) -> None:
 
 
 def resident_bytes() -> int:
-    """Bytes of this process that are in memory; 0 where the system does not tell."""
+    """Resident memory of this process, bytes; 0 if the system does not say."""
     with suppress(OSError), open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * mmap.PAGESIZE
     return 0

@@ -1,4 +1,4 @@
-"""The public functions about what cameras see of scenes: drawn, compared, and made less of."""
+"""The public functions that use cameras: render, compare and prepare scenes."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ def render(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> Views:
-    """Draw a scene as the 3DGS rasteriser does, view after view as they are asked for.
+    """Render a scene as the 3DGS rasteriser does; each view is drawn when it is asked for.
 
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud, or path of a scene
-        What is drawn; other properties than the Gaussians' are left out.
+        The scene; extra properties are ignored.
     cameras : path, "auto", or sequence of Camera or mapping
-        ``cameras.json`` of the INRIA trainer, the folder of a COLMAP model, cameras chosen
-        from the scene itself, or entries of such a ``cameras.json``.
+        Path of a ``cameras.json`` of the INRIA trainer or of the folder of a COLMAP model;
+        ``auto`` for cameras chosen from the scene; or cameras, or entries of ``cameras.json``.
     split : {"all", "held-out", "test", "train"}
-        Which of the cameras; ``held-out`` is ``test`` where cameras are marked, else ``all``.
+        Which cameras to use. ``held-out`` is ``test`` if cameras are marked, else ``all``.
     width : int, optional
-        Width of the images, pixels; the height follows.
+        Width of the images, pixels; the height keeps the aspect ratio.
     background : sequence of three float
         RGB behind everything, 0-1.
     antialiased : bool, optional
-        Opacity compensation for the low-pass (Mip-Splatting); by default as the file's comments
-        say.
+        Opacity compensation for the low-pass filter (Mip-Splatting); by default as the comments of
+        the file say.
     accumulate : bool
-        Keep sums of weights for each Gaussian.
+        Keep the sum of blending weights of each Gaussian.
     device : {"auto", "cpu", "cuda"}
-        ``cuda`` draws with gsplat, ``auto`` does where that is possible.
+        ``cuda`` renders with gsplat; ``auto`` uses ``cuda`` if possible.
     progress : callable, optional
         Called as ``progress("views", done, total)``.
     max_bytes : int, optional
@@ -73,16 +73,16 @@ def render(
     Returns
     -------
     Views
-        Iterates over cameras and what they see.
+        Iterates over pairs of a camera and its rendering.
 
     Raises
     ------
     InvalidInput
-        If the scene or the cameras cannot be read, or none is of that split.
+        If the scene or the cameras cannot be read, or no camera is in the split.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the scene is an `.egs` file that cannot be decoded.
     MissingTool
-        When drawing, if ``cuda`` is asked for and not there.
+        When drawing, if ``cuda`` is asked for and not available.
 
     Examples
     --------
@@ -125,9 +125,9 @@ def compare(
     cameras, split, width, background, device, progress, max_bytes
         As for `render`; ``auto`` cameras are chosen from the first scene.
     gt_images : path, optional
-        Folder of ground-truth images, found by the cameras' names; views take their size.
+        Folder of ground-truth images, named as the cameras; views are rendered at their size.
     images : path, optional
-        Folder to write both images and their amplified difference to, for each view.
+        Output folder: for each view, both images and their amplified difference.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def compare(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If a source is an `.egs` file that cannot be decoded.
     MissingTool
-        If ``cuda`` is asked for and not there.
+        If ``cuda`` is asked for but not available.
 
     Examples
     --------
@@ -153,7 +153,7 @@ def compare(
     >>> [f"{group.name} ({group.unit})" for group in errors.groups][:3]
     ['positions (scene units)', 'f_dc (SH)', 'f_rest (SH)']
 
-    What cameras see of both:
+    Compare rendered views:
 
     >>> seen = gs_codec.compare("scene.ply", "scene.egs", "cameras.json", width=48)
     >>> seen.mean.between.psnr > 35
@@ -183,7 +183,7 @@ def prepare(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> tuple[PointCloud, PrepareReport]:
-    """Make a scene smaller before it is coded, and say what that cost (paper, Section 4.2).
+    """Make a scene smaller before it is coded, and report the quality lost (paper, Section 4.2).
 
     `prepare_file` has the same arguments.
 
@@ -192,7 +192,7 @@ def prepare(
     source : open3d.t.geometry.PointCloud, or path of a scene
         The input, which stays as it is.
     plan : Plan
-        Steps, and the views they go by.
+        Steps of preparation, and the views that guide them.
     config : Config, optional
         How the scene will be coded, whose depths ``rectify`` goes by; by default profile ``m``.
     progress : callable, optional
@@ -203,7 +203,7 @@ def prepare(
     Returns
     -------
     open3d.t.geometry.PointCloud
-        What is left, with the attributes `read` gives.
+        The smaller scene, with the attributes that `read` gives.
     PrepareReport
         A label for each input Gaussian, and size and quality after each step.
 
@@ -232,14 +232,14 @@ def prepare(
 
 
 def scene_of(source: PointCloud | str | Path, max_bytes: int | None = None) -> Scene:
-    """The scene of a cloud or file; other attributes and properties are left out."""
+    """The scene of a cloud or file in ``RDF``, without extra attributes and properties."""
     return turn_axes(_stored_scene(source, max_bytes))
 
 
 def _stored_scene(source: PointCloud | str | Path, max_bytes: int | None) -> Scene:
-    """Likewise, in the coordinate system of the file."""
+    """The scene of a cloud or file, in the coordinate system of the file."""
     if isinstance(source, str | Path):
         return files.read_scene(source, "drop", coordinates=None, max_bytes=max_bytes)
     if max_bytes is not None:
-        raise InvalidInput("max_bytes: of scenes in files, expected none with a cloud")
+        raise InvalidInput("max_bytes: limits scenes in files, expected none with a cloud")
     return from_cloud(source, "drop")

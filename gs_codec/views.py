@@ -1,4 +1,4 @@
-"""What `render` returns: views of a scene that are drawn when they are asked for."""
+"""Views of a scene, drawn on demand; what `render` returns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gs_codec.report import Progress, step_counter
 
 
 class Views:
-    """A scene's views, drawn when they are asked for; what `render` returns.
+    """A scene's views, drawn on demand; what `render` returns.
 
     Iterates over ``(Camera, Rendering)``; a `Rendering` has ``colour (H, W, 3)``,
     ``alpha (H, W)`` and ``depth (H, W)``, float32. Its length is the number of cameras.
@@ -43,7 +43,7 @@ class Views:
                 advance()
 
     def draw(self, camera: Camera | Mapping[str, Any]) -> Rendering:
-        """What any camera sees, also one that is not in `cameras`.
+        """Draw what any camera sees, including one that is not in `cameras`.
 
         Parameters
         ----------
@@ -57,9 +57,9 @@ class Views:
         Raises
         ------
         InvalidInput
-            If the mapping is no camera.
+            If the mapping is not a camera.
         MissingTool
-            If ``cuda`` was asked for and is not there.
+            If ``cuda`` was asked for but is not available.
 
         Examples
         --------

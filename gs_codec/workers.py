@@ -23,7 +23,7 @@ _SET: ContextVar[int | None] = ContextVar("threads", default=None)
 
 @contextmanager
 def using_threads(number: int | None) -> Iterator[None]:
-    """Use so many threads at once in the block, whatever it calls; None leaves what is set."""
+    """Use `number` threads in everything that the block calls; None changes nothing."""
     token = _SET.set(number or _SET.get())
     try:
         yield
@@ -32,7 +32,7 @@ def using_threads(number: int | None) -> Iterator[None]:
 
 
 def available_threads() -> int:
-    """Threads that may be used here: as `using_threads` says, else one for each processor."""
+    """Threads to use: the number set by `using_threads`, else one for each processor."""
     return _SET.get() or processors()
 
 
@@ -51,9 +51,9 @@ def run_all(
 ) -> list[Result]:
     """Map `function` over `items` in threads, in order; `advance` is called after each.
 
-    An item is taken when a thread is free for it, so that what items are made of need not all
-    be there at once. Threads see the caller's context variables. What an item calls stays in its
-    thread, which costs less than several threads for an item; one item alone has them all.
+    An item is taken when a thread is free, so a generator of items needs little memory. Threads
+    see the caller's context variables. Within an item, `run_all` uses one thread, which is faster
+    than several threads for each item; a single item may use all threads.
     """
     number = threads or available_threads()
     results: list[Result] = []
@@ -61,7 +61,7 @@ def run_all(
         items = iter(items)
         first = list(islice(items, 2))
         items, number = chain(first, items), number if len(first) > 1 else 1
-    if number == 1:  # the caller's own: nothing to wait for
+    if number == 1:  # run in the caller's thread
         for item in items:
             results.append(function(item))
             if advance is not None:

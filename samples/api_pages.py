@@ -1,9 +1,9 @@
-"""Pages of HTML on the public names of gs_codec and viewer, as `make docs` writes them.
+"""Write HTML pages on the public names of gs_codec and viewer; `make docs` runs this.
 
     python samples/api_pages.py build/docs
 
-Needs pdoc (extra ``docs``), which looks into modules and does not ask them: names that are loaded
-when first used, and those of modules that hold more than is public, are put before it here.
+Needs pdoc (extra ``docs``). It does not see names that are loaded when first used, nor which names
+of a module are public: both are set here.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ header.pdoc h1 { width: 100%; margin: 1rem 0 0; }
 
 
 def pages() -> dict[str, tuple[str, ...]]:
-    """Names on each page: those of `gs_codec` and `viewer`, then the types they speak of."""
+    """Names on each page: those of `gs_codec` and `viewer`, then types that they refer to."""
     public = {name: tuple(import_module(name).__all__) for name in ("gs_codec", "viewer")}
     return public | TYPES
 
@@ -67,7 +67,7 @@ def main(folder: Path) -> None:
     for name, names in pages().items():
         module = import_module(name)
         vars(module).update({each: getattr(module, each) for each in names}, __all__=list(names))
-    # Fields are told in the docstring of their class.
+    # Fields are documented in the docstring of their class.
     pdoc.render.configure(docformat="numpy", include_undocumented=False, show_source=False)
     own = DictLoader({"index.html.jinja2": INDEX, "custom.css": STYLE})
     pdoc.render.env.loader = ChoiceLoader([own, pdoc.render.env.loader])

@@ -35,7 +35,7 @@ MAX_COUNT = 100_000_000
 #: What the cameras look at: the middle of the objects on the table.
 TARGET = (0.0, 0.0, 0.15)
 
-# Gaussians a step; bounds the scratch memory, and is part of what a seed means.
+# Gaussians made at once: limits scratch memory. Scenes of a seed depend on it.
 _CHUNK = 1 << 17
 _PARTS = ("surface", "colour", "scale", "rot", "opacity", "f_rest", "floaters")
 _BAND_SCALE = np.repeat(np.array([0.055, 0.035, 0.025], np.float32), [3, 5, 7])

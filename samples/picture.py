@@ -32,7 +32,7 @@ _COUNT = 600_000
 _WIDTH, _HEIGHT = 420, 300
 _PROFILE = "s"
 
-#: Streams drawn as one, and Okabe and Ito's colours, which the colour-blind tell apart.
+#: Streams of each bar segment; colours of Okabe and Ito, distinct for the colour-blind too.
 _PARTS = {
     "positions": (("geometry", "low-bits"), "#000000"),
     "SH-DC": (("sh-dc",), "#e69f00"),

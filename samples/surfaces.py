@@ -82,7 +82,7 @@ class StillLife:
 
     @property
     def densities(self) -> Array:
-        """Points per unit area on each surface, for each point drawn in all, shape (P,)."""
+        """Points per unit area on each surface, divided by the number of points, shape (P,)."""
         return np.array([surface.density for surface in self.surfaces]) / self.cumulative[-1]
 
     def sample(self, count: int, rng: np.random.Generator) -> SurfacePoints:
@@ -128,7 +128,7 @@ def still_life() -> StillLife:
 
 
 def _room() -> list[Surface]:
-    # Winding is turned over: the room is seen from inside.
+    # Winding is reversed: the room is seen from inside.
     faces = _box((0, 0, 0.5), (9, 9, 3))[::-1]
     bottom = np.all(faces[:, 2] < -0.99, axis=0)
     top = np.all(faces[:, 2] > 1.99, axis=0)

@@ -271,7 +271,7 @@ def test_wrong_use_is_one_line(folder, arguments, text):
 def test_two_sources_of_one_output_are_refused(folder):
     Path("in/a.PLY").write_bytes(Path("in/a.ply").read_bytes())
     err = folder.refuse("batch", "in", "out")
-    assert f"{Path('out/a.egs').absolute()}: wanted for " in err
+    assert f"{Path('out/a.egs').absolute()}: output of " in err
     assert "in/a.PLY and " in err
 
 

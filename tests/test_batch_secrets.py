@@ -172,7 +172,7 @@ def test_files_without_an_end_are_given_up(server, tmp_path, monkeypatch, name, 
     monkeypatch.setattr("shutil.disk_usage", lambda path: type("", (), {"free": 10_000}))
     place = place_of(f"{server.url}/{name}")
     ((_, spot),) = place.find(f"{server.url}/{name}")
-    with pytest.raises(InvalidInput, match=f"/{name}: more than {most} bytes come"):
+    with pytest.raises(InvalidInput, match=f"/{name}: more than {most} bytes received"):
         place.fetch(spot, tmp_path)
 
 

@@ -440,7 +440,7 @@ def test_sog_rotation_that_says_nothing_is_reported(tmp_path, caplog):
     images["quats.webp"][0, 1, 3] = 251
     path = written(tmp_path / "a.sog", foreign.sog_file(meta, images))
     assert read_scene(path).rot[:, 1].tolist() == [1, 0, 0, 0]
-    assert f"{path}: 1 rotations say nothing, made the identity" in caplog.messages
+    assert f"{path}: 1 rotations without a value, set to the identity" in caplog.messages
 
 
 def bad_sog(change=None, image=None, drop: str = "", degree: int = 1, version: int = 2) -> bytes:

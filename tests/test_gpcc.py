@@ -168,12 +168,12 @@ def test_auto_takes_the_program_where_there_is_one(stand_in, monkeypatch):
     ("options", "message"),
     [
         ({"geometry": "kd-tree"}, "geometry 'kd-tree': expected one of octree, gpcc, auto"),
-        ({"geometry": "gpcc", "profile": "m"}, "profile 'm' has no points of plain integers"),
+        ({"geometry": "gpcc", "profile": "m"}, "profile 'm' has no uniformly quantised positions"),
         ({"geometry": "gpcc", "profile": LOSSLESS}, "profile 'lossless' has no points"),
         ({"geometry": "gpcc", "depths": {"geometry": 19}}, "depth of geometry 19, at most 18"),
         ({"geometry": "gpcc", "depths": {"sh-dc": 9}}, "depth of sh-dc 9, at most 8"),
-        ({"tmc3": "tmc3"}, "tmc3: geometry 'octree' has no use for it"),
-        ({"verify": False}, "verify: geometry 'octree' has no use for it"),
+        ({"tmc3": "tmc3"}, "tmc3: geometry 'octree' does not use it"),
+        ({"verify": False}, "verify: geometry 'octree' does not use it"),
     ],
 )
 def test_what_makes_no_sense_is_refused(options, message):
@@ -265,8 +265,8 @@ FAILURES = {
     "decode:exit": "ended with status 3",
     "decode:segfault": "was stopped by SIGSEGV",
     "decode:huge": "File too large",
-    "decode:garbage": "no PLY file",
-    "decode:empty": "no PLY file",
+    "decode:garbage": "not a PLY",
+    "decode:empty": "not a PLY",
     "decode:nothing": "wrote nothing",
     "decode:count": "gave '19' points, expected 20",
     "decode:values": "gave other points than were coded",
@@ -371,8 +371,8 @@ def test_a_sound_ply_is_read():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("ply\n", "plx\n", "no PLY file"),
-        ("end_header", "end_headers", "no PLY file"),
+        ("ply\n", "plx\n", "not a PLY"),
+        ("end_header", "end_headers", "not a PLY"),
         ("binary_little_endian", "ascii", "line 'format ascii 1.0'"),
         ("vertex 1", "vertex 2", "gave '2' points, expected 1"),
         ("vertex 1", "vertex -1", "gave '-1' points"),

@@ -27,7 +27,7 @@ def is_available() -> bool:
 
 
 def _load():
-    """Torch and torchac, which compiles itself on first import and says so on stdout.
+    """Import torch and torchac, which compiles itself the first time and reports it on stdout.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def _cdf(table: FrequencyTable, count: int):
 
 
 def _present(table: FrequencyTable) -> NDArray[np.intp]:
-    """Symbols that can occur; torchac goes astray where two steps of a CDF are equal."""
+    """Symbols that can occur; torchac fails if two values of a CDF are equal."""
     return np.flatnonzero(table.frequencies)
 
 

@@ -1,7 +1,7 @@
-"""Viewer of 3D Gaussian Splatting scenes: what was kept, what was pruned, what it cost.
+"""Viewer of 3D Gaussian Splatting scenes: compare two versions, and show what was pruned.
 
-`draw` opens a window of its own; `attach` adds the same to a window of Open3D's. Names are loaded
-when first used: Open3D takes a second.
+`draw` opens a window; `attach` adds actions to a window of Open3D. Names are loaded when first
+used, because loading Open3D takes a second.
 """
 
 from __future__ import annotations

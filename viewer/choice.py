@@ -1,4 +1,4 @@
-"""What a person has chosen to see."""
+"""The user's choices of what to show."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ class Choice:
     Attributes
     ----------
     layers : set of str
-        Of `LAYERS`.
+        Names in `LAYERS`.
     colouring : str
-        Of `COLOURINGS`.
+        One of `COLOURINGS`.
     mode : str
-        Of `MODES`.
+        One of `MODES`.
     front : {0, 1}
         Which scene ``flip`` shows.
     place : float, 0-1
-        Where ``wipe`` divides the view.
+        Position of the line of ``wipe``.
     up : str
-        Which axis is up, of `UPS`.
+        Name of the up axis, in `UPS` or "cameras".
     """
 
     layers: set[str]

@@ -1,4 +1,4 @@
-"""What a window would be drawn by, found out before Open3D would end the process over it."""
+"""Find out what can draw a window; Open3D would end the process if nothing can."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import gs_codec
 #: VkPhysicalDeviceType of a device that is a CPU.
 _CPU = 4
 
-#: Where VkPhysicalDeviceProperties has the type, bytes, and room for all of it.
+#: Byte offset of the type in VkPhysicalDeviceProperties; bytes enough for the whole structure.
 _TYPE_AT, _PROPERTIES = 16, 4096
 
 
 class NoDisplay(gs_codec.GsCodecError):
-    """There is nothing to show a window on, or to draw it with."""
+    """There is no display to show a window on, or no device to draw it."""
 
 
 def find_device() -> Literal["gpu", "cpu"]:
@@ -27,7 +27,7 @@ def find_device() -> Literal["gpu", "cpu"]:
     Raises
     ------
     NoDisplay
-        Where no window can be opened.
+        If no window can be opened.
     """
     if not sys.platform.startswith("linux"):
         return "gpu"
@@ -69,7 +69,7 @@ class _InstanceCreateInfo(ctypes.Structure):
 
 
 def _vulkan_devices() -> list[int]:
-    """The type of each device that Vulkan finds."""
+    """The types of all devices that Vulkan finds."""
     name = ctypes.util.find_library("vulkan")
     if name is None:
         return []

@@ -17,17 +17,17 @@ _WIDTH = 76
 _KEYS = (
     ("drag", "turn"),
     ("ctrl + drag, right drag", "shift"),
-    ("wheel up, down", "come nearer, go away"),
+    ("wheel up, down", "move nearer, farther"),
     ("N, P", "next, previous view"),
-    ("R", "back to the view, after moving away"),
+    ("R", "back to the view after moving away"),
     ("Home", "overview"),
-    ("U", "which axis is up"),
-    ("T", "turn B: y and z point the other way"),
+    ("U", "next up axis"),
+    ("T", "convert B: reverse its y and z axes"),
     ("M", "side by side, wipe, flip"),
-    ("F", "in one view: A or B"),
+    ("F", "one view: switch between A and B"),
     ("left, right", "move the wipe; its line can be dragged"),
     ("1 ... 5", ", ".join(LAYERS)),
-    ("C", "what centres are coloured by"),
+    ("C", "colour centres by the next quantity"),
     ("O", "open a scene"),
     ("S", "save a picture"),
     ("Backspace", "stop loading"),
@@ -39,9 +39,10 @@ HELP = "\n".join(f"{keys}: {what}" for keys, what in _KEYS)
 
 
 class Modal:
-    """The dialog of a window: while there is one, keys are for it alone.
+    """The dialog of a window; while one is open, only it gets keys.
 
-    Open3D closes a window whenever Esc goes down, repeats or goes up, before it tells the key.
+    Open3D asks to close the window whenever Esc goes down, repeats or goes up, before it reports
+    the key.
 
     Attributes
     ----------
@@ -63,7 +64,7 @@ class Modal:
         enter: Callable[[], None] | None = None,
         escape: Callable[[], None] | None = None,
     ) -> None:
-        """Show a dialog, and what Enter and Esc do in it: without `escape`, Esc closes it."""
+        """Show a dialog with actions for Enter and Esc; without `escape`, Esc closes it."""
         self.dialog, self._enter, self._escape = dialog, enter, escape or self.close_dialog
         self._window.show_dialog(dialog)
 
@@ -73,19 +74,19 @@ class Modal:
         self._window.close_dialog()
 
     def key(self, event: Any) -> bool:
-        """Whether a key is for the dialog."""
+        """Handle a key event; tell whether the dialog took it."""
         down = event.type == gui.KeyEvent.Type.DOWN
         if event.key == gui.KeyName.ESCAPE:
             self._escaping = down
         if self.dialog is None:
             return False
-        # What goes down while a text is edited is not told, only that it goes up.
+        # While a text is edited, Open3D reports only that a key goes up.
         if event.key == gui.KeyName.ENTER and not down and self._enter is not None:
             self._enter()
         return True
 
     def close(self) -> bool:
-        """Whether the window may close, now that somebody wants it to; if not, its dialog does."""
+        """Whether the window may close when asked to; if a dialog is open, close that instead."""
         if self.dialog is not None:
             self._escape()
             self._escaping = True
@@ -97,14 +98,14 @@ class Modal:
 
 
 def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:
-    """Show a text with a button that is to close it."""
+    """Show a text with an OK button, which calls `closed`."""
     dialog, box = _box(window, title, text)
     _add_button(box, "OK", closed)
     window.show_dialog(dialog, closed, closed)
 
 
 def _box(window: Modal, title: str, text: str) -> tuple[gui.Dialog, gui.Vert]:
-    """A dialog with a title and a text, and what holds them."""
+    """A dialog with a title and a text, and the box for more widgets."""
     em = window.theme.font_size
     dialog = gui.Dialog(title)
     box = gui.Vert(0.5 * em, gui.Margins(em, em, em, em))
@@ -126,7 +127,7 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
 
 
 def ask_place(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
-    """Ask which of two scenes another one is to replace."""
+    """Ask which of two scenes to replace."""
     dialog, box = _box(window, "Open", f"Show {name} in place of")
     for place, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
 
@@ -158,7 +159,7 @@ def _ask(
     kind: tuple[str, str],
     then: Callable[[str], None],
 ) -> None:
-    """Ask for a file of a kind, its suffixes and their description."""
+    """Ask for a file; `kind` has its suffixes and their description."""
     dialog = gui.FileDialog(purpose, title, window.theme)
     dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
@@ -178,7 +179,7 @@ def _ask(
 
 
 def _typed(dialog: gui.FileDialog) -> str | None:
-    """The path of the name that was typed; None without one, as where files are opened."""
+    """The path of the name that was typed; None if there is none, as when opening files."""
     widgets = list(inside(dialog))
     names = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
     if not any(names):
@@ -190,7 +191,7 @@ def _typed(dialog: gui.FileDialog) -> str | None:
 
 
 def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
-    """All that is in a widget."""
+    """All widgets inside a widget, at any depth."""
     for child in widget.get_children():
         yield child
         yield from inside(child)

@@ -11,23 +11,23 @@ from open3d.visualization import gui, rendering
 from viewer.pane import picture_of
 from viewer.picture import LINE_COLOUR
 
-#: Dots that say that the line can be dragged: their number, size and distance, pixels; RGB.
+#: Dots that show that the line can be dragged: number, size and distance in pixels; grey level.
 _DOTS, _DOT, _STEP, _DOT_COLOUR = 5, 4, 9, 0.2
 
 
 class Divider:
-    """A line that stands in a gap between two panes.
+    """A line in the gap between two panes.
 
     Parameters
     ----------
     window : gui.Window
     slide : callable
-        Called with the column of the window that it was dragged to.
+        Called with the column of the window to which the line was dragged.
     """
 
     def __init__(self, window: gui.Window, slide: Callable[[int], None]) -> None:
         self._slide = slide
-        # Of all widgets a scene alone tells of the mouse.
+        # Only scene widgets report mouse events.
         self.widget = gui.SceneWidget()
         self.widget.scene = rendering.Open3DScene(window.renderer)
         self.widget.scene.show_skybox(False)
@@ -37,8 +37,8 @@ class Divider:
         window.add_child(self.widget)
 
     def place(self, rect: gui.Rect) -> None:
-        """Put it into a part of the window; out of sight, it is `HIDDEN`."""
-        # A scene of the same size elsewhere would be drawn where it was before.
+        """Set its position in the window; to hide it, its size is `HIDDEN`."""
+        # If only the position changed, Open3D would draw the scene at the old position.
         self.widget.frame = gui.Rect(rect.x, rect.y, rect.width, rect.height + 1)
         self.widget.frame = rect
         if self._size != (rect.width, rect.height):

@@ -1,4 +1,4 @@
-"""What is drawn of a scene: centres and their colours, what was pruned, boxes."""
+"""Layers of a scene: centres and their colours, pruned Gaussians, boxes of blocks, errors."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from scipy.spatial import cKDTree
 
 from viewer.opened import Opened, Pruned
 
-#: What can be switched on and off.
+#: Layers that can be switched on and off.
 LAYERS = ("splats", "centres", "pruned", "boxes", "error")
 
-#: What centres can be coloured by.
+#: Quantities that centres can be coloured by.
 COLOURINGS = ("colour", "opacity", "scale", "error")
 
-#: Viridis at even places.
+#: The colour map viridis at evenly spaced values.
 _VIRIDIS = np.array(
     [
         (68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141),
@@ -26,25 +26,25 @@ _VIRIDIS = np.array(
     ]
 ) / 255.0  # fmt: skip
 
-#: Of the reasons for pruning, in their order.
+#: Colours of the reasons for pruning, in order.
 _REASONS = np.array([(0, 220, 255), (255, 160, 0), (255, 40, 80), (190, 90, 255)]) / 255.0
 
-#: Of a box.
+#: Edges of a box.
 EDGES = 12
 
-#: Hues of the boxes of blocks are so far apart, turns: neighbours never look alike.
+#: Step of hue between the boxes of successive blocks, turns, so that neighbours look different.
 _HUE_STEP = 0.381966
 
-#: Quantiles of the sizes that have the first and the last colour.
+#: Quantiles of the sizes that get the first and the last colour.
 _SIZES = (0.01, 0.99)
 
-#: Errors from a quarter of a level of 255 to 64 levels; each of the eight steps doubles them.
+#: The scale of errors: from a quarter of a level of 255 to 64 levels, in eight doublings.
 _LEAST_ERROR, _DOUBLINGS = 0.25 / 255, 8
 
 
 @dataclass(frozen=True)
 class Legend:
-    """What the colours of a heat map mean: five values, of its first colour to its last."""
+    """Legend of a heat map: five evenly spaced values, from the first colour to the last."""
 
     title: str
     marks: tuple[str, ...]
@@ -52,7 +52,7 @@ class Legend:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Positions and colours ``(n, 3)`` float32, colours 0-1, and their legend if they have one."""
+    """Positions and colours ``(n, 3)`` float32, colours 0-1, and an optional legend."""
 
     positions: NDArray[np.float32]
     colours: NDArray[np.float32]
@@ -69,7 +69,7 @@ def heat(values: NDArray, low: float, high: float) -> NDArray[np.float32]:
 
 
 def error_heat(errors: NDArray) -> NDArray[np.float32]:
-    """Colours ``(..., 3)`` of errors, 0-1, on a scale that never changes."""
+    """Colours ``(..., 3)`` of errors, 0-1, on a fixed logarithmic scale."""
     steps = np.log2(np.maximum(errors, _LEAST_ERROR) / _LEAST_ERROR)
     return heat(steps, 0, _DOUBLINGS)
 
@@ -86,25 +86,25 @@ def heat_bar(width: int, height: int) -> NDArray[np.float32]:
 
 
 def reason_colour(place: int) -> tuple[float, float, float]:
-    """The colour of the reason at a place."""
+    """The colour of a reason for pruning, by its index."""
     red, green, blue = _REASONS[place % len(_REASONS)].tolist()
     return red, green, blue
 
 
 def thinned(count: int, most: int) -> slice:
-    """Evenly spaced ones of many, in stored order: neighbours are there beside each other."""
+    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
     return slice(None, None, max(1, -(-count // max(most, 1))))
 
 
 def block_colour(place: int) -> tuple[float, float, float]:
-    """The colour of the block at a place."""
+    """The colour of a block, by its index."""
     return colorsys.hsv_to_rgb(place * _HUE_STEP % 1, 0.65, 0.95)
 
 
 def centres(
     scene: Opened, colouring: str, scenes: Sequence[Opened], most: int | None = None
 ) -> Points:
-    """Centres of a scene, at most so many, and their colours.
+    """Centres of a scene, at most `most`, and their colours.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ def centres(
         SH-DC; opacity; the longest axis; the distance in colour from the nearest centre of the
         other scene.
     scenes : sequence of Opened
-        All that are shown: the first has the range of sizes. With one alone errors are not known,
-        and its own colours are shown.
+        All scenes shown; the first sets the range of sizes. If there is only one, ``error`` is not
+        known, and its own colours are shown.
     most : int, optional
     """
     some = thinned(scene.count, most or scene.count)
@@ -136,7 +136,7 @@ def centres(
 
 
 def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.float32]:
-    """Root mean square over RGB of the SH-DC's distance from that of the nearest centre."""
+    """Root-mean-square difference over RGB from the SH-DC colour of the nearest centre."""
     colours = scene.colours[some]
     if not reference.count:
         return np.zeros(len(colours), np.float32)
@@ -149,7 +149,7 @@ def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.f
 
 
 def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Points:
-    """Gaussians that are gone, at most so many, in the colours of the reasons."""
+    """Pruned Gaussians, at most `most`, in the colours of the reasons."""
     gone = np.flatnonzero(pruned.labels)
     gone = gone[thinned(len(gone), most or len(gone))]
     palette = np.array([reason_colour(k) for k in range(max(len(pruned.reasons), 1))], np.float32)
@@ -168,10 +168,10 @@ def box_lines(boxes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 
 
 def error_image(first: NDArray, second: NDArray) -> NDArray[np.float32]:
-    """Heat map of how far two images ``(H, W, 3)`` are apart."""
+    """Heat map of the error of each pixel between two images ``(H, W, 3)``."""
     errors = np.sqrt(np.mean((np.clip(first, 0, 1) - np.clip(second, 0, 1)) ** 2, axis=2))
     return error_heat(errors)
 
 
-#: Of `error_image`.
+#: The legend of `error_image`.
 PIXEL_LEGEND = error_legend("error of a pixel")

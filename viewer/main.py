@@ -32,7 +32,7 @@ def command(
     cameras: Annotated[
         str | None,
         typer.Option(
-            metavar="C", help="Places to look from: cameras.json, a COLMAP folder, or auto."
+            metavar="C", help="Cameras to look from: cameras.json, a COLMAP folder, or auto."
         ),
     ] = None,
     gt_images: Annotated[
@@ -41,16 +41,16 @@ def command(
     ] = None,
     pruned: Annotated[
         Path | None,
-        typer.Option(metavar="REPORT", help="Folder that prepare --report wrote, about A."),
+        typer.Option(metavar="REPORT", help="Folder that prepare --report wrote for A."),
     ] = None,
     layers: Annotated[
         str | None,
         typer.Option(
-            metavar="L,...", help=f"What is shown: {', '.join(LAYERS)}.", show_default=False
+            metavar="L,...", help=f"Layers to show: {', '.join(LAYERS)}.", show_default=False
         ),
     ] = None,
     colour: Annotated[
-        str, typer.Option(help=f"What centres are coloured by: {', '.join(COLOURINGS)}.")
+        str, typer.Option(help=f"Colour centres by: {', '.join(COLOURINGS)}.")
     ] = "colour",
     mode: Annotated[
         str, typer.Option(help="Two scenes: side by side, wipe (one view, A left), or flip (B).")
@@ -62,13 +62,13 @@ def command(
         str | None,
         typer.Option(
             metavar="AXIS",
-            help=f"Which axis is up, where no camera says it: {', '.join(UPS)}; -y if not given.",
+            help=f"Up axis: {', '.join(UPS)}; by default from the cameras, else -y.",
             show_default=False,
         ),
     ] = None,
     screenshot: Annotated[
         Path | None,
-        typer.Option(metavar="PNG", help="Write a picture, without a display, and end."),
+        typer.Option(metavar="PNG", help="Write a picture and exit; needs no display."),
     ] = None,
     max_bytes: Annotated[
         int | None,
@@ -128,7 +128,7 @@ def main() -> None:
         print_status("gs-viewer: interrupted")
         sys.exit(130)
     except Exception as error:
-        # Typer's errors of use; releases differ in where they keep the class.
+        # Usage errors of Typer; its releases define the class in different modules.
         if not hasattr(error, "format_message"):
             raise
         print_status(f"gs-viewer: error: {' '.join(error.format_message().split())}")

@@ -1,4 +1,4 @@
-"""From moves of a mouse to poses: turn about a point ahead, shift, come nearer."""
+"""Mouse navigation: turn about a point ahead, shift, move nearer."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from numpy.typing import NDArray
 from viewer.layers import thinned
 from viewer.pose import Pose
 
-#: Angle of a drag over the height of the picture.
+#: Angle of a drag as long as the picture is high, radians.
 _TURN = np.pi
 
-#: Steepest look up or down that turning reaches, radians.
+#: Steepest view up or down that turning reaches, radians.
 _STEEPEST = np.radians(89)
 
-#: Shorter than this, a part of a unit vector has no direction.
+#: Components of unit vectors shorter than this have no reliable direction.
 _LEVEL = 1e-6
 
-#: What one step of the wheel leaves of the distance.
+#: Factor on the distance for one step of the wheel.
 _NEARER = 0.9
 
-#: Least distance, by what it was at first: there, the wheel pushes the point ahead on.
+#: Least distance, relative to the first; at it, the wheel also moves the point ahead.
 _LEAST = 0.02
 
-#: Half the width of what is straight ahead, by its depth, and centres that are looked at for it.
+#: Half width, relative to depth, of the region straight ahead; most centres to look at for it.
 _AHEAD, _SAMPLES = 0.25, 20_000
 
 
 @dataclass(frozen=True)
 class _Drag:
-    """What is held: a pose, and where the mouse took it, pixels."""
+    """A drag: the pose and the mouse position (pixels) at its start."""
 
     pose: Pose
     x: int
@@ -41,17 +41,18 @@ class _Drag:
 
 
 class Navigator:
-    """Where a mouse leads a camera.
+    """Moves a camera by the mouse.
 
-    A drag is measured from the pose and the place where it began, so it ends at the same pose
-    however many events it came in, and back at its start it is where it was.
+    A drag is measured from its start, so the resulting pose does not depend on the number of
+    events, and dragging back to the start restores the pose.
 
     Attributes
     ----------
     up : ndarray, shape (3,)
-        Unit vector that a look turns about; the horizon keeps its slope.
+        Unit vector about which the view turns; the horizon keeps its slope.
     distance : float
-        From the camera to the point straight ahead that it turns about and comes nearer to.
+        Distance to the point straight ahead, about which the camera turns and towards which it
+        moves.
     """
 
     def __init__(self) -> None:
@@ -60,7 +61,7 @@ class Navigator:
         self._drag: _Drag | None = None
 
     def aim(self, distance: float) -> None:
-        """Turn about a point so far ahead from now on; ends a drag."""
+        """Set the distance of the point ahead; ends a drag."""
         self.distance, self._least = distance, _LEAST * distance
         self._drag = None
 
@@ -73,10 +74,7 @@ class Navigator:
         self._drag = None
 
     def drag(self, x: int, y: int, width: int, height: int) -> Pose | None:
-        """The pose now that the mouse is at ``x, y``; of a picture of that size.
-
-        None where nothing is held.
-        """
+        """The pose for a mouse at ``x, y`` in a picture of this size; None without a drag."""
         held = self._drag
         if held is None:
             return None
@@ -85,12 +83,12 @@ class Navigator:
         return self.turned(held.pose, (x - held.x) / height, (y - held.y) / height)
 
     def turned(self, pose: Pose, right: float, down: float) -> Pose:
-        """Turned about the point ahead, as what is before it follows a drag, heights."""
+        """The pose turned about the point ahead by a drag, in heights of the picture."""
         ahead, up = pose.rotation[2], self.up
         across = np.cross(ahead, up)
         steep = np.linalg.norm(across) < _LEVEL
         across = pose.rotation[0] if steep else across / np.linalg.norm(across)
-        # Along the horizon and square to it, so that a rolled camera follows the mouse too.
+        # Split the drag along and across the horizon, so that a rolled camera follows the mouse.
         drag = right * pose.rotation[0] + down * pose.rotation[1]
         slope = np.arcsin(np.clip(ahead @ up, -1, 1))
         wanted = slope - _TURN * (drag @ np.cross(ahead, across))
@@ -104,13 +102,13 @@ class Navigator:
         )
 
     def shifted(self, pose: Pose, right: int, down: int, width: int, height: int) -> Pose:
-        """Shifted so that the point ahead follows a drag, pixels of a picture of that size."""
+        """The pose shifted so that the point ahead follows a drag, pixels of the picture."""
         lens = pose.intrinsics(width, height)
         moved = right / lens[0, 0] * pose.rotation[0] + down / lens[1, 1] * pose.rotation[1]
         return replace(pose, position=pose.position - self.distance * moved)
 
     def nearer(self, pose: Pose, steps: float) -> Pose:
-        """So many steps of the wheel nearer; ends a drag."""
+        """The pose moved nearer by steps of the wheel; ends a drag."""
         self._drag = None
         left = self.distance * _NEARER**steps
         position = pose.position + (self.distance - left) * pose.rotation[2]
@@ -119,7 +117,7 @@ class Navigator:
 
 
 def distance_ahead(pose: Pose, positions: NDArray) -> float:
-    """Median depth of the centres straight ahead; without any, the distance to their median."""
+    """Median depth of the centres straight ahead; if there are none, distance to the median."""
     some = positions[thinned(len(positions), _SAMPLES)].astype(np.float64)
     some = some[np.isfinite(some).all(axis=1)]
     x, y, depth = pose.rotation @ (some - pose.position).T

@@ -1,4 +1,4 @@
-"""What the panel tells: sizes, and how far the views are apart."""
+"""Text of the panel's numbers: sizes, bits, and quality of the view."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def size_text(size: float) -> str:
 
 
 def facts(scene: Opened) -> list[tuple[str, str]]:
-    """Names and values: Gaussians, SH degree, size, and bits of each attribute."""
+    """Rows for a scene: Gaussians, SH degree, size, and bits of each attribute."""
     rows = [("Gaussians", f"{scene.count:,}"), ("SH degree", str(scene.sh_degree))]
     if scene.file_bytes is not None:
         bits = 8 * scene.file_bytes / max(scene.count, 1)
@@ -35,7 +35,7 @@ def facts(scene: Opened) -> list[tuple[str, str]]:
 
 
 def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
-    """How much smaller the second scene is."""
+    """Rows that compare the sizes of two scenes."""
     rows = []
     if first.file_bytes and second.file_bytes:
         rows.append(("B is", f"{first.file_bytes / second.file_bytes:.1f}x smaller than A"))

@@ -1,4 +1,4 @@
-"""A scene that was opened: its Gaussians, and what its file says."""
+"""Open scenes for the viewer: Gaussians, facts about the file, pruning reports."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from gs_codec.transform.coordinates import CONVENTION, system_of
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
 
-#: Called with what is done, how many steps of it, and of how many.
+#: Called with the stage, the steps done, and the total.
 Progress = Callable[[str, int, int], None]
 
-#: What reading a damaged report may raise.
+#: Exceptions that reading a damaged report may raise.
 _DAMAGE = (
     OSError, EOFError, LookupError, ValueError, TypeError, SyntaxError, RecursionError, MemoryError,
     OverflowError, tokenize.TokenError,
 )  # fmt: skip
 
-#: Quantiles of the centres along each axis between which a block's box is.
+#: A block's box spans these quantiles of its centres along each axis.
 _BOX = (0.02, 0.98)
 
-#: The system that scenes are in most often which do not say theirs and are not as PLY files are.
+#: The most frequent system of scenes that do not state theirs and are not in that of PLY files.
 _OTHER = "RUB"
 
 
@@ -46,14 +46,14 @@ class Opened:
     Attributes
     ----------
     name : str
-        The file's, or what a cloud was called.
+        Name of the file, or the name given for a cloud.
     cloud : open3d.t.geometry.PointCloud
         With the attributes that `gs_codec.read` gives: right, down, forward.
     file_bytes : int or None
     info : gs_codec's Info or None
-        Of an ``.egs`` file.
+        For an ``.egs`` file.
     system : str
-        The coordinate system that the file is in.
+        The coordinate system of the file.
     """
 
     name: str
@@ -64,12 +64,12 @@ class Opened:
 
     @property
     def title(self) -> str:
-        """The name, and which coordinate system it was turned from, if it was."""
+        """The name, and the coordinate system that the scene was converted from, if any."""
         return self.name if self.system == CONVENTION else f"{self.name}, turned from {self.system}"
 
     @property
     def count(self) -> int:
-        """Gaussians."""
+        """Number of Gaussians."""
         return len(self.positions)
 
     @cached_property
@@ -79,12 +79,12 @@ class Opened:
 
     @cached_property
     def colours(self) -> NDArray[np.float32]:
-        """What SH-DC shows, RGB ``(N, 3)``, 0-1."""
+        """Colours of SH-DC, RGB ``(N, 3)``, 0-1."""
         return np.clip(0.5 + SH_C0 * self._array("f_dc"), 0, 1).astype(np.float32)
 
     @cached_property
     def opacities(self) -> NDArray[np.float32]:
-        """``(N,)``, 0-1."""
+        """Opacities ``(N,)``, 0-1."""
         return np.float32(1) / (1 + np.exp(-self._array("opacity")[:, 0]))
 
     @cached_property
@@ -94,7 +94,7 @@ class Opened:
 
     @property
     def sh_degree(self) -> int:
-        """0 to 3."""
+        """SH degree, 0 to 3."""
         return SH_COEFFICIENTS.index(self.cloud.point["f_rest"].shape[1])
 
     @property
@@ -104,10 +104,10 @@ class Opened:
 
     @cached_property
     def blocks(self) -> NDArray[np.float32]:
-        """Where most of each block's centres are, ``(blocks, 2, 3)``; blocks decode apart.
+        """Boxes ``(blocks, 2, 3)`` around most centres of each block of an ``.egs`` file.
 
-        Far ones are left out: they are few, and would make every box as large as the scene. None
-        where a file is not ``.egs``, has one block alone, or another order than its blocks'.
+        The few far centres are left out, because they would make every box as large as the scene.
+        Empty if the file is not ``.egs``, has one block, or restores the original order.
         """
         info = self.info
         if info is None or info.keeps_order or self.count <= info.block_size:
@@ -126,7 +126,7 @@ def open_scene(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> Opened:
-    """Read a scene's file, or take a cloud; `progress` and `max_bytes` are as for `gs_codec.read`.
+    """Read a scene from a file or cloud; `progress` and `max_bytes` are as for `gs_codec.read`.
 
     Raises
     ------
@@ -138,15 +138,15 @@ def open_scene(
     cloud = to_cloud(turn_scene(scene, CONVENTION))
     try:
         info = gs_codec.inspect(source)
-    except gs_codec.GsCodecError:  # a scene, but no .egs
+    except gs_codec.GsCodecError:  # not an .egs file
         info = None
     return Opened(Path(source).name, cloud, os.path.getsize(source), info, system_of(scene))
 
 
 def turned(scene: Opened) -> Opened:
-    """A scene turned as from up and back to down and forward; again, as it was.
+    """The scene converted from ``RUB`` to ``RDF``; a second call undoes it.
 
-    For a file that is in another coordinate system and does not say so.
+    For a file in another coordinate system that does not say so.
     """
     was = scene.system == _OTHER
     return replace(
@@ -156,13 +156,13 @@ def turned(scene: Opened) -> Opened:
 
 @dataclass(frozen=True, eq=False)
 class Pruned:
-    """Which Gaussians preparation took out of a scene.
+    """Which Gaussians preparation removed from a scene.
 
     Attributes
     ----------
     reasons : tuple of str
     labels : ndarray, shape (N,), uint8
-        For each Gaussian of the scene 0, or 1 + the place of the reason.
+        For each Gaussian of the scene 0 if kept, or 1 + the index of the reason.
     """
 
     reasons: tuple[str, ...]
@@ -170,18 +170,18 @@ class Pruned:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Gaussians by reason."""
+        """Number of Gaussians by reason."""
         counts = np.bincount(self.labels, minlength=len(self.reasons) + 1)[1:]
         return dict(zip(self.reasons, counts.tolist(), strict=True))
 
 
 def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
-    """The report of ``gs-codec prepare --report``, about a scene that it was made from.
+    """Read the report that ``gs-codec prepare --report`` wrote for a scene.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If there is none, or it is of another scene.
+        If there is none, or it is for another scene.
     """
     folder = Path(folder)
     try:

@@ -1,4 +1,4 @@
-"""A pane of the window: one scene, drawn by Open3D from a pose, over a picture of its splats."""
+"""A pane of the window: one scene drawn by Open3D, over a picture of its splats."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from viewer.pose import Pose
 
 _BACKGROUND = (*BACKGROUND, 1.0)
 
-#: Nearest and farthest that is drawn, by the distance of what is farthest.
+#: Near and far plane, relative to the farthest depth of the scene.
 _NEAR, _BEYOND = 1e-4, 1.1
 
-#: Size of a picture that is not to be seen, pixels. Were it taken away instead, Open3D would abort
-#: now and then: it keeps what drew a picture more in the last frame, if it skipped that one, and
-#: draws with it again although the texture is gone as soon as another picture changes its size.
+#: Size of a hidden picture, pixels. Pictures are made this small instead of being removed, because
+#: Open3D would sometimes abort: after a skipped frame it keeps the draw call of a removed picture,
+#: and uses it again, without its texture, when another picture changes its size.
 HIDDEN = 1, 1
 
-#: Where the outline of the frame is, by the nearest distance that is drawn; its width, pixels.
+#: Depth of the frame's outline, relative to the near plane; its width, pixels.
 _BEFORE, _OUTLINE = 1.5, 1.5
 
-#: Open3D's splat shader has no third degree.
+#: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2
 
 
 class Pane:
-    """A `SceneWidget` and what is in it.
+    """A `SceneWidget` and its contents.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Pane:
         self.widget.scene.set_background(_BACKGROUND)
         self.widget.scene.show_skybox(False)
         view = self.widget.scene.view
-        # Colours as they are, and frames in half the time.
+        # Off: colours stay unchanged, and frames take half the time.
         view.set_post_processing(False)
         view.set_antialiasing(False)
         self._outlined: list | None = None
@@ -62,7 +62,7 @@ class Pane:
         self._corners = np.asarray(self._box.get_box_points())
 
     def look(self, pose: Pose, width: int, height: int, left: int = 0) -> None:
-        """Look from a pose; the pane is the part of a picture that begins `left` pixels in."""
+        """Look from a pose; the pane shows the part of a picture that starts at column `left`."""
         frame = self.widget.frame
         if frame.width < 1 or frame.height < 1:
             return
@@ -75,7 +75,7 @@ class Pane:
         self.widget.force_redraw()
 
     def outline(self, pose: Pose, width: int, height: int) -> None:
-        """Draw a line around the camera's frame, in front of all; arguments as for `look`."""
+        """Draw a line around the camera's frame, in front of everything; sizes as for `look`."""
         fx, fy, cx, cy = pose.lens(width, height)
         left, top, right, bottom = pose.framed(width, height)
         corners = [
@@ -93,7 +93,7 @@ class Pane:
         self.widget.scene.set_geometry_transform("outline", place)
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
-        """Put a picture of the pane's size behind everything, or take it away."""
+        """Show a picture of the pane's size behind everything, or remove it."""
         self._replace("draft", None, None)
         if picture is None:
             self.widget.scene.set_background(_BACKGROUND)
@@ -102,7 +102,7 @@ class Pane:
         self.widget.force_redraw()
 
     def show_points(self, name: str, points: Points | None) -> None:
-        """Show points under a name, in place of those it had."""
+        """Show points under a name, replacing those with the same name."""
         if points is None or not len(points.positions):
             self._replace(name, None, None)
             return
@@ -127,7 +127,7 @@ class Pane:
         self._replace("boxes", lines, material)
 
     def show_splats(self, wanted: bool) -> None:
-        """Draw the splats by Open3D's own shader."""
+        """Draw the splats with Open3D's own shader, or stop doing so."""
         if not wanted:
             self._replace("splats", None, None)
         elif not self.widget.scene.has_geometry("splats"):
@@ -150,7 +150,7 @@ def picture_of(image: NDArray) -> o3d.geometry.Image:
 def point_geometry(
     points: Points,
 ) -> tuple[o3d.t.geometry.PointCloud, rendering.MaterialRecord]:
-    """A cloud of points, and the material that shows their colours as they are."""
+    """A cloud of points, and a material that shows their colours unchanged."""
     cloud = o3d.t.geometry.PointCloud(_tensor(points.positions))
     cloud.point["colors"] = _tensor(points.colours)
     material = rendering.MaterialRecord()
@@ -159,10 +159,10 @@ def point_geometry(
 
 
 def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
-    """What is between four outer corners and four inner ones, of one colour from both sides.
+    """The ring between four outer and four inner corners, visible from both sides, of one colour.
 
-    Lines would not do: Open3D draws none that is level. Nor would a shader that looks up a
-    texture: with one, Mesa's software driver stays in these slivers for seconds or minutes.
+    Lines are not used, because Open3D does not draw horizontal ones. The shader has no texture,
+    because Mesa's software driver would take seconds or minutes for such thin triangles.
     """
     around = [0, 2, 3, 1]
     sides = [(around[k], around[(k + 1) % 4]) for k in range(4)]
@@ -173,13 +173,13 @@ def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialR
     )
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
-    # Open3D takes this one for sRGB, and what is drawn without post-processing stays linear.
+    # Open3D takes this colour as sRGB, but output without post-processing stays linear.
     material.base_color = (*np.power(LINE_COLOUR, 1 / 2.2), 1.0)
     return mesh, material
 
 
 def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:
-    """The cloud as Open3D's splat shader wants it: of unit quaternions."""
+    """The cloud for Open3D's splat shader, which needs unit quaternions."""
     cloud = scene.cloud.clone()
     rot = cloud.point["rot"].numpy()
     length = np.linalg.norm(rot, axis=1, keepdims=True)
@@ -200,7 +200,7 @@ def _tensor(array: NDArray) -> o3d.core.Tensor:
 
 
 def _box(positions: NDArray) -> tuple[NDArray, NDArray]:
-    """Lowest and highest of the finite coordinates."""
+    """Lowest and highest coordinates of the finite centres."""
     finite = positions[np.isfinite(positions).all(axis=1)]
     if not len(finite):
         return -np.ones(3), np.ones(3)

@@ -1,4 +1,4 @@
-"""The panel beside the scenes: what is shown, and numbers."""
+"""The panel beside the scenes: controls, legends and numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DRAWN_BY = {"gpu": "splats: Open3D's shader", "cpu": "splats: our rasteriser, o
 
 
 class Panel:
-    """Checkboxes, choices and numbers of a viewer, whose methods they call.
+    """Checkboxes, choices and numbers of a viewer; they call its methods.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Panel:
             "two scenes", _MODE_NAMES, lambda place: viewer.set_mode(MODES[place])
         )
         self.up = self._choice("up axis", UPS, lambda place: viewer.set_up(viewer.ups[place]))
-        self.turned = gui.Checkbox("B's y and z the other way (T)")
+        self.turned = gui.Checkbox("reverse B's y and z axes (T)")
         self.turned.set_on_checked(lambda _: viewer.turn())
         self.widget.add_child(self.turned)
         self._views = gui.Horiz(0.3 * em)
@@ -77,7 +77,7 @@ class Panel:
         self._legends = [_LegendRow(em), _LegendRow(em)]
         bar = np.full((int(0.7 * em), 256, 4), 255, np.uint8)
         bar[..., :3] = np.rint(255 * heat_bar(bar.shape[1], bar.shape[0]))
-        # Unseen rather than taken away: see HIDDEN in pane.py.
+        # Hidden instead of removed: see HIDDEN in pane.py.
         self._bars = [picture_of(bar * np.uint8(seen)) for seen in (False, True)]
         self._bar = gui.ImageWidget(self._bars[False])
         self._bar.ui_image.scaling = gui.UIImage.Scaling.ANY
@@ -93,29 +93,29 @@ class Panel:
         self.widget.add_child(self._numbers)
 
     def say(self, text: str, progress: float | None = None) -> None:
-        """Show a line of status; of what can be stopped, how far it is, 0-1."""
+        """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""
         self.status.text = "\n".join(folded(text, 34))
         self._loading.visible = progress is not None
         self.show_progress(progress or 0.0)
         self.viewer.window.set_needs_layout()
 
     def show_progress(self, progress: float) -> None:
-        """Show how far it is, 0-1."""
+        """Set the progress bar, 0-1."""
         self.progress.value = progress
         self.viewer.window.post_redraw()
 
     def next_colouring(self) -> None:
-        """Colour centres by the next of what is known."""
+        """Colour centres by the next of `COLOURINGS`."""
         place = (COLOURINGS.index(self.viewer.choice.colouring) + 1) % len(COLOURINGS)
         self.viewer.set_colouring(COLOURINGS[place])
 
     def next_up(self) -> None:
-        """Take the next axis for up."""
+        """Select the next up axis."""
         names = self.viewer.ups
         self.viewer.set_up(names[(names.index(self.viewer.choice.up) + 1) % len(names)])
 
     def refresh(self) -> None:
-        """Show what the viewer shows."""
+        """Update all controls and numbers from the viewer."""
         viewer, choice, stage = self.viewer, self.viewer.choice, self.viewer.stage
         two = len(stage.scenes) > 1
         for layer, box in self.boxes.items():
@@ -183,7 +183,7 @@ class Panel:
 
 
 class _LegendRow:
-    """A legend below the bar of colours: its values and its title."""
+    """A legend below the colour bar: its values and title."""
 
     def __init__(self, em: float) -> None:
         self.widget = gui.Vert(0.1 * em)
@@ -207,11 +207,11 @@ class _LegendRow:
 
 
 def monospace() -> int:
-    """The font of numbers; to be asked for before there is a window."""
+    """The font for numbers; call this before a window is created."""
     description = gui.FontDescription(gui.FontDescription.MONOSPACE)
     return gui.Application.instance.add_font(description)
 
 
 def folded(text: str, width: int) -> list[str]:
-    """Its lines, none longer than so many characters."""
+    """The lines of a text, wrapped to at most `width` characters."""
     return [part for line in text.splitlines() for part in textwrap.wrap(line, width) or [""]]

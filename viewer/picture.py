@@ -1,4 +1,4 @@
-"""Pictures without a display: what the window shows, drawn in software."""
+"""Draw the contents of the window in software, without a display."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from viewer.pose import Pose
 POINT_SIZE = 2
 PRUNED_SIZE = 3
 
-#: What is nearer than this to the camera is not drawn, scene units.
+#: Nothing nearer to the camera than this is drawn, scene units.
 _NEAR = 1e-3
 
-#: Pictures of a scene that are kept: of a pane, and of the frame.
+#: Pictures kept per scene: one of a pane, one of the frame.
 _KEPT = 2
 
-#: Smaller pictures have no SSIM, pixels.
+#: SSIM needs pictures of at least this size, pixels.
 _LEAST_SIDE = 11
 
-#: Thickness of the line of a wipe, pixels, and RGB of it and of the outlines of frames.
+#: Width of the line of a wipe, pixels; RGB of this line and of the outlines of frames.
 WIPE_LINE = 8
 LINE_COLOUR = (0.85, 0.85, 0.85)
 
-#: RGB where nothing is.
+#: RGB of the background.
 BACKGROUND = (0.07, 0.07, 0.08)
 #: Height of text and length of the bar of a legend, pixels.
 _TEXT, _BAR = 13, 200
@@ -53,18 +53,18 @@ _TEXT, _BAR = 13, 200
 
 @dataclass(frozen=True)
 class Shown:
-    """What is to be seen of a scene, or of two.
+    """What to draw of one or two scenes.
 
     Attributes
     ----------
     layers : collection of str
-        Of `LAYERS`.
+        Names in `LAYERS`.
     colouring : str
-        Of `COLOURINGS`.
+        One of `COLOURINGS`.
     scenes : tuple of Opened
         One or two; errors are those of the second against the first.
     pruned : Pruned or None
-        What is gone from the first.
+        Gaussians that were removed from the first.
     """
 
     layers: Collection[str]
@@ -73,12 +73,12 @@ class Shown:
     pruned: Pruned | None = None
 
     def shows_error(self, scene: Opened) -> bool:
-        """Whether the errors of a scene's pixels are to be seen in place of it."""
+        """Whether the error of each pixel is shown instead of the scene."""
         return "error" in self.layers and scene in self.scenes[1:]
 
     @property
     def captions(self) -> list[str]:
-        """What each scene's pane is called."""
+        """The caption of each scene's pane."""
         return [
             f"{letter}: {scene.title}{', error against A' if self.shows_error(scene) else ''}"
             for letter, scene in zip("AB", self.scenes, strict=False)
@@ -88,7 +88,7 @@ class Shown:
 def draw_scene(
     scene: Opened, pose: Pose, width: int, height: int, shown: Shown, views: dict[Opened, Any]
 ) -> tuple[NDArray[np.float32], list[Legend]]:
-    """One scene's picture ``(H, W, 3)``, 0-1, and the legends of what is in it.
+    """The picture ``(H, W, 3)``, 0-1, of one scene, and its legends.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def draw_scene(
 def picture(
     views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int, shown: Shown
 ) -> NDArray[np.float32]:
-    """A scene's splats ``(H, W, 3)``, 0-1, or where that is chosen the errors of their pixels."""
+    """A scene's splats ``(H, W, 3)``, 0-1, or the heat map of their errors if that is chosen."""
     if shown.shows_error(scene):
         return error_image(*(splats(views, each, pose, width, height) for each in shown.scenes))
     return np.clip(splats(views, scene, pose, width, height), 0, 1)
@@ -125,7 +125,7 @@ def picture(
 def splats(
     views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
 ) -> NDArray[np.float32]:
-    """What the rasteriser draws of a scene; `views` keeps how, and its last pictures."""
+    """A scene drawn by the rasteriser; `views` caches its renderer and last pictures."""
     camera = pose.camera(width, height)
     if scene not in views:
         views[scene] = gs_codec.render(scene.cloud, [camera]), {}
@@ -148,7 +148,7 @@ def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> s
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
-    """Draw squares of `size` pixels into an image, the nearest over the others."""
+    """Draw points as squares of `size` pixels into an image, nearest on top."""
     height, width = image.shape[:2]
     places, depth = pose.project(points.positions, width, height)
     inside = (depth > _NEAR) & np.all((places > -size) & (places < (width, height)), axis=1)
@@ -157,7 +157,7 @@ def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
     offsets = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2)
     columns, rows = (corner[:, None] + offsets).reshape(-1, 2).T
     within = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    # Of several that fall on a pixel the last one, which is the nearest, stays.
+    # If several points fall on a pixel, keep the last, which is the nearest.
     pixels = (rows * width + columns)[within]
     last = len(pixels) - 1 - np.unique(pixels[::-1], return_index=True)[1]
     sources = order.repeat(size * size)[within][last]
@@ -182,7 +182,7 @@ def draw_boxes(image: NDArray, boxes: NDArray, pose: Pose) -> NDArray[np.float32
 
 
 def _clipped(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray] | None:
-    """The part of a line that is before the camera."""
+    """The part of a line in front of the camera; None if there is none."""
     if a[2] < _NEAR and b[2] < _NEAR:
         return None
     if a[2] < _NEAR:
@@ -193,7 +193,7 @@ def _clipped(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray] | None:
 
 
 def side_by_side(images: Sequence[NDArray]) -> NDArray[np.float32]:
-    """Images of one height beside each other, with a line between."""
+    """Images of equal height side by side, separated by lines."""
     line = np.full((images[0].shape[0], 2, 3), 0.5, np.float32)
     parts: list[NDArray] = []
     for image in images:
@@ -202,7 +202,7 @@ def side_by_side(images: Sequence[NDArray]) -> NDArray[np.float32]:
 
 
 def wiped(first: NDArray, second: NDArray, place: float) -> NDArray[np.float32]:
-    """The first image left of a place (0-1), the second right of it, and a line between."""
+    """The first image left of `place` (0-1), the second right of it, and a line between."""
     start, stop = wipe_line(place, first.shape[1])
     image = np.concatenate([first[:, :start], second[:, start:]], axis=1)
     image[:, start:stop] = LINE_COLOUR
@@ -210,7 +210,7 @@ def wiped(first: NDArray, second: NDArray, place: float) -> NDArray[np.float32]:
 
 
 def wipe_line(place: float, width: int) -> tuple[int, int]:
-    """Where the line of a wipe at a place (0-1) starts and stops in a picture so wide, pixels."""
+    """First and end column of the line of a wipe at `place` (0-1) in a picture of this width."""
     line = min(WIPE_LINE, width - 2)
     start = min(max(round(place * width) - line // 2, 1), width - line - 1)
     return start, start + line
@@ -229,7 +229,7 @@ def outlined(image: NDArray, pose: Pose) -> NDArray[np.float32]:
 def labelled(
     image: NDArray, captions: Sequence[tuple[int, str]], legends: Sequence[Legend]
 ) -> Image.Image:
-    """The image with captions at its top, each so many pixels in, and legends at its bottom."""
+    """The image with captions at its top, each with its column, and legends at its bottom."""
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
     font = ImageFont.load_default(_TEXT)
@@ -247,13 +247,13 @@ def labelled(
 
 
 def reasons_text(pruned: Pruned) -> list[tuple[str, tuple[float, float, float]]]:
-    """A line for each reason something was pruned for, and its colour."""
+    """A line of text for each reason for pruning, and its colour."""
     found = enumerate(pruned.counts.items())
     return [(f"{n:,} by {reason}", reason_colour(k)) for k, (reason, n) in found if n]
 
 
 def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
-    """Write into the upper left corner, below the caption, what was pruned for which reason."""
+    """Write the reasons for pruning, with counts, into the upper left corner below the caption."""
     pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(_TEXT)
     for row, (text, colour) in enumerate(reasons_text(pruned)):
         top = 26 + 18 * row
@@ -273,7 +273,7 @@ def _bytes(colour: tuple[float, float, float]) -> tuple[int, ...]:
 
 
 def to_pillow(image: NDArray) -> Image.Image:
-    """Pillow's image of one ``(H, W, 3)``, 0-1."""
+    """Convert an image ``(H, W, 3)``, 0-1, to Pillow's."""
     return Image.fromarray(np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8))
 
 

@@ -1,4 +1,4 @@
-"""Where one may look from: a look at all of a scene, and cameras."""
+"""The viewpoints of the viewer: an overview of the scene, and cameras."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from viewer.pose import UPS, Pose, of_camera, overview, up_of, upright
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A pose that one can go to.
+    """A named pose.
 
     Attributes
     ----------
     name : str
-        The camera's, or ``overview``.
+        Name of the camera, or ``overview``.
     pose : Pose
     """
 
@@ -28,7 +28,7 @@ class Place:
     pose: Pose
 
 
-#: What is up, by name, where cameras of a file say it.
+#: Name of the up axis that is taken from the cameras of a file.
 BY_CAMERAS = "cameras"
 
 
@@ -40,9 +40,9 @@ def find_places(scene: Opened, cameras: Sequence[Any], chosen: bool, up: str) ->
     scene : Opened
     cameras : sequence of gs_codec's Camera
     chosen : bool
-        Whether nobody gave them, so that they may be rolled until they are upright.
+        Whether cameras were chosen from the scene; these are rolled until they are upright.
     up : str
-        Of `known_ups`.
+        One of `known_ups`.
     """
     axis = up_axis(up, cameras)
     places = [Place("overview", overview(scene.positions, scene.opacities, axis))]
@@ -53,10 +53,10 @@ def find_places(scene: Opened, cameras: Sequence[Any], chosen: bool, up: str) ->
 
 
 def known_ups(cameras: Sequence[Any], chosen: bool) -> list[str]:
-    """What may be up, by name, the first by default."""
+    """Names of the possible up axes; the first is the default."""
     return [*UPS] if chosen or not cameras else [BY_CAMERAS, *UPS]
 
 
 def up_axis(up: str, cameras: Sequence[Any]) -> NDArray[np.float64]:
-    """The unit vector of what is up by one of the names of `known_ups`."""
+    """The unit vector of an up axis, by a name of `known_ups`."""
     return up_of([camera.rotation for camera in cameras]) if up == BY_CAMERAS else UPS[up]

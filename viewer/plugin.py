@@ -1,4 +1,4 @@
-"""Our actions in any Open3D visualizer, and a window of our own in one call."""
+"""Open the viewer's window by one call, or add its actions to any Open3D visualizer."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ def draw(
     width: int = 1280,
     height: int = 800,
 ) -> None:
-    """Show one scene, or two versions of one, and stay until the window is closed.
+    """Show one scene, or two versions of one, and return when the window is closed.
 
     Parameters
     ----------
     *scenes : open3d.t.geometry.PointCloud, or path
-        One or two, with the attributes `gs_codec.read` gives, or in any format it reads.
+        One or two: clouds with the attributes that `gs_codec.read` gives, or files that it reads.
     cameras : path, "auto", or sequence, optional
-        Places to look from, as for `gs_codec.render`.
+        Cameras to look from, as for `gs_codec.render`.
     pruned : path, optional
-        Folder of a report of ``gs-codec prepare`` about the first scene.
+        Folder of a report of ``gs-codec prepare`` for the first scene.
     layers : sequence of str, optional
         Of ``splats``, ``centres``, ``pruned``, ``boxes`` and ``error``; by default ``splats``, and
-        ``pruned`` where that is given.
+        ``pruned`` if a report is given.
     colour : {"colour", "opacity", "scale", "error"}
-        What centres are coloured by.
+        Quantity that centres are coloured by.
     mode : {"side", "wipe", "flip"}
-        Two scenes side by side, or in one view: the first left of a line, or either at a key.
+        Two scenes side by side, or in one view: divided by a line, or switched by a key.
     width, height : int
-        Of the window, 64-16384 pixels.
+        Size of the window, 64-16384 pixels.
 
     Raises
     ------
@@ -69,10 +69,10 @@ def draw(
 
 
 def attach(visualizer: Any) -> Actions:
-    """Add our actions to the menu of an `open3d.visualization.O3DVisualizer`.
+    """Add actions to the menu of an `open3d.visualization.O3DVisualizer`.
 
-    Open an ``.egs`` (or ``.ply``) scene, show what a report says was pruned from it, and colour
-    its centres by their error against another version. Each asks for a file.
+    The actions open an ``.egs`` (or ``.ply``) scene, show the Gaussians that a report lists as
+    pruned, and colour centres by their error against another version. Each asks for a file.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def attach(visualizer: Any) -> Actions:
     Returns
     -------
     Actions
-        The same actions as methods that are given a path; these raise `gs_codec.GsCodecError`
-        where a file cannot be read.
+        The same actions as methods that take a path; they raise `gs_codec.GsCodecError` if a file
+        cannot be read.
 
     Examples
     --------
@@ -105,12 +105,12 @@ def attach(visualizer: Any) -> Actions:
 
 
 class Actions:
-    """What `attach` adds to a visualizer.
+    """The actions that `attach` adds to a visualizer.
 
     Attributes
     ----------
     scene : Opened or None
-        The one opened last.
+        The scene opened last.
     """
 
     def __init__(self, visualizer: Any) -> None:
@@ -119,7 +119,7 @@ class Actions:
         self.scene: Opened | None = None
 
     def open(self, path: str | Path) -> None:
-        """Show a scene's centres, in place of the one before."""
+        """Show the centres of a scene, replacing the previous one."""
         scene = open_scene(path)
         self._show(centres=centres(scene, "colour", [scene]))
         self.scene = scene
@@ -130,7 +130,7 @@ class Actions:
         self._visualizer.setup_camera(60.0, centre, pose.position, -down)
 
     def pruned(self, folder: str | Path) -> None:
-        """Show which of its Gaussians preparation took out, and the others as they are."""
+        """Show the Gaussians that preparation removed, coloured by reason, and the others."""
         scene = self._needed()
         pruned = read_pruned(folder, scene)
         left = pruned.labels == 0
@@ -138,31 +138,31 @@ class Actions:
         self._show(centres=kept, pruned=pruned_centres(scene, pruned))
 
     def compare(self, path: str | Path) -> None:
-        """Show another version alone, coloured by its error against the scene.
+        """Show only another version, coloured by its error against the scene.
 
-        The window's title says what the colours mean.
+        The window's title explains the colours.
         """
         scene, other = self._needed(), open_scene(path)
         self._show(centres=centres(other, "error", [scene, other]))
 
     def detach(self) -> None:
-        """Take away what was shown; the menu, which cannot lose items, keeps ours without effect.
+        """Remove what was shown; the menu items stay, without effect, as they cannot be removed.
 
-        The other methods raise `gs_codec.GsCodecError` from then on.
+        After this, the other methods raise `gs_codec.GsCodecError`.
         """
         self._show()
         self.scene, self._attached = None, False
 
     def ask_open(self) -> None:
-        """`open` what a dialog is told."""
+        """Ask for a file and `open` it."""
         self._ask("Open a scene", self.open)
 
     def ask_pruned(self) -> None:
-        """`pruned` of the folder of the ``report.json`` that a dialog is told."""
+        """Ask for a ``report.json`` and show its folder's report by `pruned`."""
         self._ask("report.json of prepare", lambda path: self.pruned(Path(path).parent))
 
     def ask_compare(self) -> None:
-        """`compare` with what a dialog is told."""
+        """Ask for a file and `compare` with it."""
         self._ask("Compare with", self.compare)
 
     def _needed(self) -> Opened:
@@ -171,7 +171,7 @@ class Actions:
         return self.scene
 
     def _show(self, **points: Points) -> None:
-        """Show points by name, and nothing else; the title tells their legend."""
+        """Show only these points, by name; the window's title gets their legend."""
         from viewer.pane import point_geometry
 
         if not self._attached:
@@ -192,7 +192,7 @@ class Actions:
 
         if not self._attached:
             return
-        # O3DVisualizer does not tell its theme, which a file dialog needs.
+        # A file dialog needs a theme, and O3DVisualizer does not give access to its own.
         window = gui.Application.instance.create_window(title, 720, 480)
         dialog = gui.FileDialog(gui.FileDialog.OPEN, title, window.theme)
         dialog.set_on_cancel(window.close)

@@ -1,4 +1,4 @@
-"""Where one looks from, whatever the size of the picture."""
+"""Camera poses that do not depend on the size of the picture."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Focal length and frame of a camera that nobody gave: 60 degrees high, in heights; pixels.
+#: Default camera: focal length in heights of the frame (60 degrees vertically); frame in pixels.
 _FOCAL, _FRAME = 0.866, (600, 400)
 
-#: Larger frames are measured at this width, pixels, as the trainer shrinks larger photographs.
+#: Wider frames are measured at this width, pixels, because the trainer shrinks photographs to it.
 _MEASURED_WIDTH = 1600
 
-#: Shorter cross products of unit vectors say nothing about a direction.
+#: Cross products of unit vectors shorter than this have no reliable direction.
 _LEVEL = 1e-6
 
-#: Directions that may be up, by name; down is y where nobody says, as trainers have it.
+#: Unit vectors of up axes, by name. The first, -y, is the default, as in trainers.
 UPS = {
     sign + axis: np.eye(3)[k] * (-1 if sign else 1)
     for k, axis in ((1, "y"), (2, "z"), (0, "x"))
@@ -28,19 +28,19 @@ UPS = {
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A camera, for pictures of any size: they show its frame and what is around that.
+    """A camera for pictures of any size; a picture shows its frame and what surrounds it.
 
     Attributes
     ----------
     rotation : ndarray, shape (3, 3)
-        World to camera, whose axes are right, down, forward.
+        World to camera; the camera's axes are right, down, forward.
     position : ndarray, shape (3,)
     focal : tuple of two float
         Focal lengths, in heights of the frame.
     frame : tuple of two int
         Width and height of the camera's own picture, pixels.
     shift : tuple of two float
-        From the middle of the frame to the principal point, in heights of the frame.
+        Offset of the principal point from the middle of the frame, in heights of the frame.
     """
 
     rotation: NDArray[np.float64]
@@ -51,7 +51,7 @@ class Pose:
 
     @property
     def measured(self) -> tuple[int, int]:
-        """Size at which the frame is measured, pixels: its own, at most 1,600 wide."""
+        """Size at which quality is measured, pixels: that of the frame, at most 1,600 wide."""
         width, height = self.frame
         scale = min(1.0, _MEASURED_WIDTH / width)
         return round(scale * width), max(round(scale * height), 1)
@@ -116,13 +116,13 @@ def of_camera(camera: Any) -> Pose:
 
 
 def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) -> Pose:
-    """A look at most of a scene from above its front; `up` is a unit vector ``(3,)``."""
+    """A pose that sees most of a scene from above its front; `up` is a unit vector ``(3,)``."""
     seen = positions[opacities > 0.3] if np.any(opacities > 0.3) else positions
     if not len(seen):
         return Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
     centre = np.median(seen, axis=0).astype(np.float64)
     reach = float(np.quantile(np.linalg.norm(seen - centre, axis=1), 0.8)) or 1.0
-    # At -z where -y is up, as trainers' cameras stand; at z where y is; at -y where z is.
+    # The front is -z if -y is up (as for trainers' cameras), z if y is up, -y if z is up.
     front = np.cross(_other_than(up), up)
     front /= np.linalg.norm(front)
     away = 0.35 * np.cross(up, front) + 0.45 * up + 0.82 * front
@@ -130,7 +130,7 @@ def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) ->
 
 
 def look_at(position: NDArray, target: NDArray, up: NDArray = UPS["-y"]) -> Pose:
-    """From a position to a target, upright; `up` is a unit vector ``(3,)``."""
+    """An upright pose that looks from a position at a target; `up` is a unit vector ``(3,)``."""
     forward = np.subtract(target, position)
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
@@ -141,18 +141,18 @@ def look_at(position: NDArray, target: NDArray, up: NDArray = UPS["-y"]) -> Pose
 
 
 def _other_than(up: NDArray) -> NDArray[np.float64]:
-    """The x axis, or y where x is up."""
+    """The x axis, or the y axis if x is up."""
     return np.eye(3)[int(abs(up[0]) > 1 - _LEVEL)]
 
 
 def upright(pose: Pose, up: NDArray) -> Pose:
-    """The same look, rolled so that `up` is up in it."""
+    """The same pose, rolled so that `up` points up in the picture."""
     turned = look_at(pose.position, pose.position + pose.rotation[2], up)
     return replace(pose, rotation=turned.rotation)
 
 
 def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:
-    """What is up for upright cameras of these rotations: square to what is right for them."""
+    """The up vector of upright cameras with these rotations: orthogonal to their right axes."""
     right, down, _ = np.moveaxis(np.array(rotations), 1, 0)
     up = np.linalg.eigh(right.T @ right)[1][:, 0]
     return -up if np.sum(down @ up) > 0 else up

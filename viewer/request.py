@@ -1,4 +1,4 @@
-"""What was asked to be shown."""
+"""A request to the viewer: scenes, cameras, and how to show them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_SIDE = 1 << 14
 
 @dataclass(frozen=True)
 class Request:
-    """Scenes, and how they are to be shown.
+    """Scenes, and how to show them.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Request:
     layers : tuple of str
     colouring, mode : str
     view : int or None
-        Camera to begin with.
+        Index of the first camera to show.
     size : tuple of two int
         Width and height, pixels.
     max_bytes : int or None
@@ -54,7 +54,7 @@ class Request:
     up: str | None = None
 
     def check(self) -> None:
-        """Check what can be checked without opening anything.
+        """Check everything that does not need opening a file.
 
         Raises
         ------
@@ -79,11 +79,11 @@ class Request:
 
     @property
     def chosen(self) -> bool:
-        """Whether cameras are chosen from the scene, as nobody gave any."""
+        """Whether cameras are chosen from the scene, because none were given."""
         return self.cameras is None or (isinstance(self.cameras, str) and self.cameras == "auto")
 
     def scenes(self, progress: Progress | None = None) -> list[Opened]:
-        """Open what is to be shown."""
+        """Open the scenes."""
         sources = [source for source in (self.a, self.b) if source is not None]
 
         def part(k: int) -> Progress | None:
@@ -100,7 +100,7 @@ class Request:
 
 
 def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:
-    """Layers of a list with commas; by default splats, and what was pruned if that is known."""
+    """Layers from a comma-separated list; default: splats, and pruned if a report is given."""
     if text is None:
         return ("splats",) if pruned is None else ("splats", "pruned")
     return tuple(part.strip() for part in text.split(",") if part.strip())
@@ -113,12 +113,12 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
 
 
 def find_views(request: Request, scene: Opened) -> list[Any]:
-    """The cameras to look from; none where none were asked for.
+    """The cameras to look from; empty if none were requested.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If they cannot be read, or there are fewer than asked for.
+        If they cannot be read, or the requested view does not exist.
     """
     if request.cameras is None:
         return []
@@ -129,18 +129,18 @@ def find_views(request: Request, scene: Opened) -> list[Any]:
 
 
 def first_place(request: Request, cameras: list[Any]) -> int:
-    """Which place of `find_places` to begin with: the camera asked for, the first, the overview."""
+    """Index in `find_places` of the first view: the requested camera, the first, or overview."""
     if request.view is not None:
         return 1 + request.view
     return 1 if cameras and not request.chosen else 0
 
 
 def find_pruned(request: Request, scene: Opened) -> Pruned | None:
-    """What a report says was pruned; None where none was given.
+    """The pruning report; None if none was given.
 
     Raises
     ------
     gs_codec.GsCodecError
-        If it cannot be read, or is of another scene.
+        If it cannot be read, or is for another scene.
     """
     return None if request.pruned is None else read_pruned(request.pruned, scene)

@@ -1,4 +1,4 @@
-"""The window's picture without a window."""
+"""Write the picture that the window would show, without a window."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from viewer.request import Request, find_pruned, find_views, first_place
 
 
 def write_screenshot(request: Request, path: Path) -> str:
-    """Draw what is asked for and write it; what is missing in it, or nothing.
+    """Draw a request and write the picture; return a message if a photograph is missing, or "".
 
     Raises
     ------
@@ -45,7 +45,7 @@ def write_screenshot(request: Request, path: Path) -> str:
 
 
 def save_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture as a PNG, which appears whole or not at all."""
+    """Write a picture as a PNG, complete or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         picture.save(partial, "PNG")
@@ -57,7 +57,7 @@ def save_picture(picture: Image.Image, path: Path) -> None:
 
 
 def draw_request(request: Request) -> tuple[Image.Image, str]:
-    """The picture that is asked for, and which photograph is missing in it, if one is."""
+    """The requested picture, and a message if a photograph is missing, or ""."""
     scenes = request.scenes()
     if not scenes:
         raise gs_codec.GsCodecError("screenshot: no scene to draw")
@@ -95,9 +95,9 @@ def compose(
     shown : Shown
     mode : {"side", "wipe", "flip"}
     place : float, 0-1
-        Where a wipe is.
+        Position of the line of a wipe.
     size : tuple of two int
-        Width and height of it all, pixels.
+        Width and height of the whole picture, pixels.
     photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
     front : {0, 1}
         Which of two scenes ``flip`` shows.
@@ -130,7 +130,7 @@ def _arrange(
     place: float,
     front: int,
 ) -> list[Image.Image]:
-    """Each pane, labelled."""
+    """The labelled picture of each pane."""
     if len(drawn) > 1 and mode == "wipe":
         image = wiped(drawn[0][0], drawn[1][0], place)
         _, right = wipe_line(place, image.shape[1])
@@ -144,7 +144,7 @@ def _arrange(
 
 
 def _fitted(image: NDArray, width: int, height: int) -> NDArray[np.float32]:
-    """An image as large as fits, in the middle of a picture of this size."""
+    """An image scaled to fit a picture of this size, and centred in it."""
     scale = min(width / image.shape[1], height / image.shape[0])
     size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
     resized = to_pillow(image).resize(size, Image.Resampling.LANCZOS)

@@ -1,4 +1,4 @@
-"""The panes of a window: where they are, where they look from, and their pictures."""
+"""The panes of a window: their layout, common pose, and pictures."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from viewer.picture import Shown, measure, picture, wipe_line
 from viewer.pose import Pose
 from viewer.worker import Stale, Worker
 
-#: Most centres a pane shows, by what draws them.
+#: Most centres that a pane shows, by device.
 _MOST = {"gpu": 5_000_000, "cpu": 250_000}
 
-#: Seconds without a move after which pictures are drawn in full; before, by one pixel of so many.
+#: Seconds without a move until pictures are drawn in full; reduction of size before that.
 _REST, _COARSE = 0.25, 4
 
 
-#: Height of the line above the panes, pixels: what Open3D draws a label's ground over at least.
+#: Least height of the captions above the panes, pixels: Open3D draws label backgrounds this high.
 _CAPTION = 32
 
 
 class Stage:
-    """Panes beside each other, or over each other, that look from one pose.
+    """Panes, side by side or in one view, that look from the same pose.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ class Stage:
     worker : Worker
     choice : Choice
     device : {"gpu", "cpu"}
-        What draws splats: Open3D's shader, or our own rasteriser.
+        What draws splats: Open3D's shader, or gs_codec's rasteriser.
     changed : callable
-        Called when a picture has come, with what is known of it.
+        Called when a picture or measurement is ready.
     failed : callable
-        Called with what went wrong.
+        Called with the exception of a failed job.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Stage:
     pose : Pose or None
     navigator : Navigator
     captions : list of gui.Label
-        What is above each of the panes.
+        The captions above the panes.
     divider : Divider
     """
 
@@ -105,24 +105,24 @@ class Stage:
             self.window.add_child(pane.widget)
             pane.widget.set_on_mouse(self._mouse)
             if self.by_hand:
-                # Something to see until the first picture is drawn.
+                # A draft until the first picture is drawn.
                 pane.show_points("draft", centres(pane.scene, "colour", scenes, self._most))
 
     @property
     def shown(self) -> Shown:
-        """What is to be seen."""
+        """What to draw."""
         choice = self.choice
         return Shown(tuple(choice.layers), choice.colouring, tuple(self.scenes), self.pruned)
 
     @property
     def quality(self) -> str:
-        """PSNR and SSIM of B against A in the frame of the present view, once measured."""
+        """PSNR and SSIM of B against A in the frame of the present view; empty until measured."""
         pose, text = self._measured
         return text if pose is self.pose else ""
 
     @property
     def legends(self) -> list[Legend]:
-        """Of what is shown."""
+        """The legends of the layers shown."""
         layers, known = self.choice.layers, []
         if "centres" in layers and self._coloured == self.choice.colouring:
             known = [p.points["centres"].legend for p in self.panes[:1]]
@@ -132,17 +132,17 @@ class Stage:
 
     @property
     def by_hand(self) -> bool:
-        """Whether splats are to be drawn by our own rasteriser."""
+        """Whether splats are drawn by gs_codec's rasteriser."""
         return self.device == "cpu" and "splats" in self.choice.layers
 
     @property
     def resting(self) -> bool:
-        """Whether all that is to be seen was asked for."""
+        """Whether the full pictures of this pose have been started."""
         return self.pose is None or self._drawn == "full"
 
     @property
     def visible(self) -> list[Pane]:
-        """The panes that are seen, from left to right."""
+        """The visible panes, from left to right."""
         if len(self.panes) > 1 and self.choice.mode == "flip":
             return [self.panes[self.choice.front]]
         return self.panes
@@ -154,7 +154,7 @@ class Stage:
     # Layers
 
     def refresh(self) -> None:
-        """Bring the panes up to what was chosen."""
+        """Update the panes to the choice."""
         layers = self.choice.layers
         for pane in self.panes:
             pane.show_splats(self.device == "gpu" and "splats" in layers)
@@ -166,7 +166,7 @@ class Stage:
         self.arrange()
 
     def _colour_centres(self) -> None:
-        """Have centres coloured, unless they are already."""
+        """Start colouring centres, unless they have the chosen colours."""
         shown, panes, most = self.shown, list(self.panes), self._most
         if self._coloured == shown.colouring:
             return
@@ -186,19 +186,19 @@ class Stage:
     # Layout and cameras
 
     def look_from(self, pose: Pose) -> None:
-        """Look from somewhere else."""
+        """Look from another pose."""
         self.pose = pose
         self.navigator.aim(distance_ahead(pose, self.scenes[0].positions))
         self.arrange()
 
     def arrange(self) -> None:
-        """Lay panes out, and draw their pictures anew."""
+        """Lay out the panes and redraw their pictures."""
         self._moved_at, self._drawn, self._coming = time.monotonic(), None, None
         self.window.set_needs_layout()
         self.window.post_redraw()
 
     def lay_out(self, left: int, top: int, width: int, height: int) -> None:
-        """Put the panes into a part of the window, each below what it is called."""
+        """Put the panes into a part of the window, each below its caption."""
         visible, places = self.visible, self._places(width)
         line = self.caption_height
         below, high = top + line, max(height - line, 1)
@@ -212,7 +212,7 @@ class Stage:
             label.visible = k < len(visible)
             if label.visible:
                 start, stop = places[k][:2]
-                # Characters; a longer text would be folded.
+                # Most characters: a longer text would be wrapped.
                 most = 2 * (stop - start) // self.window.theme.font_size
                 label.text = f" {names[visible[k]]}"[:most]
                 label.frame = gui.Rect(left + start, top, stop - start, line)
@@ -226,7 +226,7 @@ class Stage:
 
     @property
     def caption_height(self) -> int:
-        """Of the line above the panes, pixels."""
+        """Height of the captions above the panes, pixels."""
         return max(_CAPTION, int(1.5 * self.window.theme.font_size))
 
     def _slide(self, x: int) -> None:
@@ -239,7 +239,7 @@ class Stage:
         self.arrange()
 
     def _places(self, width: int) -> list[tuple[int, int, int, int]]:
-        """For each visible pane: where it starts and stops, the picture's width, and its left."""
+        """For each visible pane: start and stop column, picture width, and first picture column."""
         count = len(self.visible)
         if count == 2 and self.choice.mode == "wipe":
             stop, start = wipe_line(self.choice.place, width)
@@ -257,10 +257,10 @@ class Stage:
                 pane.outline(self.pose, wide, height)
 
     def _mouse(self, event: Any) -> Any:
-        """Turn by dragging; shift with ctrl or another button; come nearer by the wheel.
+        """Turn by dragging, shift with ctrl or another button, move nearer with the wheel.
 
-        All panes follow the one pose. Open3D's own control is left out: it measures from a
-        camera that it alone may set.
+        All panes follow one pose. Open3D's own mouse control is not used, because it works from a
+        camera that only Open3D can set.
         """
         pose, navigator, kind = self.pose, self.navigator, gui.MouseEvent.Type
         if pose is None:
@@ -289,12 +289,12 @@ class Stage:
             return False
         looked = self._laid_out
         if looked:
-            # Open3D sets near and far planes of its own when it draws a pane of another size.
+            # Open3D sets its own near and far planes when the size of a pane changes.
             self._laid_out = False
             self._look()
         rested = time.monotonic() - self._moved_at > _REST
         wanted: Literal["coarse", "full"] = "full" if rested else "coarse"
-        # A coarse picture that is being drawn is waited for, or none came while moves do.
+        # Let a coarse picture finish; otherwise none would appear during continuous moves.
         if self._drawn in ("full", wanted) or wanted == self._coming == "coarse":
             return looked
         self._drawn = wanted
@@ -304,7 +304,7 @@ class Stage:
     # Pictures
 
     def _draw(self, coarse: int) -> None:
-        """Have the pictures of all visible panes drawn; after full ones B is measured."""
+        """Start drawing the pictures of all visible panes; after full ones, measure B."""
         visible, shown, by_hand = list(self.visible), self.shown, self.by_hand
         views, pose, (width, height) = self._views, self.pose, self.size
         places = self._places(width)
@@ -340,7 +340,7 @@ class Stage:
             self._measure()
 
     def _measure(self) -> None:
-        """Have B measured in the frame of the present view, unless it was."""
+        """Start measuring B in the frame of the present view, unless that is done."""
         views, scenes, pose = self._views, list(self.scenes), self.pose
         if len(scenes) < 2 or pose is None or self._measured[0] is pose:
             return
@@ -356,7 +356,7 @@ class Stage:
 
 
 def _cut(image: NDArray, place: tuple[int, int, int, int], coarse: int) -> NDArray[np.float32]:
-    """A pane's part of its picture."""
+    """The part of a picture that a pane shows."""
     start, stop, _, left = place
     first = min(left // coarse, image.shape[1] - 1)
     return image[:, first : first + max((stop - start) // coarse, 1)]

@@ -23,10 +23,10 @@ from viewer.screenshot import compose, save_picture
 from viewer.stage import Stage
 from viewer.worker import Stale, Worker
 
-#: Width of the panel, in heights of a line.
+#: Width of the panel, in font sizes.
 _PANEL_EMS = 19
 
-#: How far a key moves the wipe.
+#: Distance by which a key moves the wipe, relative to the width.
 _WIPE = 0.02
 
 
@@ -37,18 +37,18 @@ class Viewer:
     ----------
     request : Request
     device : {"gpu", "cpu"}
-        What the window is drawn by; splats by Open3D's shader or by our own rasteriser.
+        What draws the window; splats are drawn by Open3D's shader or by gs_codec's rasteriser.
 
     Attributes
     ----------
     choice : Choice
     stage : Stage
     places : list of Place
-        To look from: the overview, and cameras.
+        The overview, and cameras.
     number : int
-        Of the one that was gone to last.
+        Index of the viewpoint visited last.
     photographed : bool
-        Whether a photograph is beside the scenes.
+        Whether a photograph is shown beside the scenes.
     modal : Modal
         The dialog that is open, if one is.
     message : tuple of str or None
@@ -99,9 +99,9 @@ class Viewer:
         self.worker.submit("load", read, lambda found: self.show(*found), self.fail)
 
     def open(self, path: str, place: int | None = None) -> None:
-        """Open a file: as the first scene, as the second, or in place of one of two (0 or 1).
+        """Open a file as the first scene, the second, or in place of one of two (0 or 1).
 
-        Which one is asked for where two are there already.
+        If two scenes are open and `place` is None, a dialog asks which one to replace.
         """
         before = list(self.stage.scenes)
         if len(before) > 1 and place is None:
@@ -126,16 +126,16 @@ class Viewer:
         self.worker.submit("load", read, done, self.fail)
 
     def stop_loading(self) -> None:
-        """Leave what is being loaded; what was shown stays."""
+        """Stop loading; the scenes shown stay."""
         self.worker.cancel("load")
         self.panel.say("")
 
     def show(self, scenes: list[Opened], cameras: list[Any], pruned: Pruned | None) -> None:
-        """Show opened scenes in place of those that are there."""
+        """Show opened scenes instead of the present ones."""
         same = self.stage.scenes[:1] == scenes[:1]
         self.stage.put(scenes, pruned)
         self.panel.say("")
-        if same:  # it is looked at from where one is
+        if same:  # keep the present pose
             self.refresh()
             return
         self.worker.cancel("cameras")
@@ -144,14 +144,14 @@ class Viewer:
         self._find_places()
         self.refresh()
         self.go_to(first_place(self.request, cameras))
-        # Places to look from take seconds to choose: after the first picture, where one is drawn.
+        # Choosing cameras takes seconds; if the rasteriser draws, do it after the first picture.
         self._without_cameras = not cameras
         if not self.stage.by_hand:
             self._choose_cameras()
 
     @property
     def ups(self) -> list[str]:
-        """What may be up, by name."""
+        """Names of the possible up axes."""
         return known_ups(self.cameras, self.request.chosen)
 
     def _find_places(self) -> None:
@@ -164,7 +164,7 @@ class Viewer:
         self._choose_cameras()
 
     def _choose_cameras(self) -> None:
-        """Choose places to look from where there are none; the overview stays the first."""
+        """Choose cameras from the scene if there are none; the overview does not change."""
         if not self._without_cameras:
             return
         self._without_cameras = False
@@ -185,7 +185,7 @@ class Viewer:
         self.worker.submit("cameras", choose, done, lambda error: self.panel.say(str(error)))
 
     def fail(self, error: Exception) -> None:
-        """Say what went wrong; what was shown stays."""
+        """Show an error in a dialog; the scenes shown stay."""
         if not isinstance(error, (gs_codec.GsCodecError, OSError, MemoryError)):
             raise error
         self.panel.say("")
@@ -204,7 +204,7 @@ class Viewer:
     # What is shown
 
     def refresh(self) -> None:
-        """Bring panes and panel up to what was chosen."""
+        """Update panes and panel to the choice."""
         self.stage.refresh()
         self.panel.refresh()
 
@@ -214,12 +214,12 @@ class Viewer:
         self.refresh()
 
     def set_colouring(self, colouring: str) -> None:
-        """Colour centres by something else."""
+        """Colour centres by another quantity."""
         self.choice.colouring = colouring
         self.refresh()
 
     def set_mode(self, mode: str) -> None:
-        """Show two scenes in another way."""
+        """Set how two scenes are shown."""
         self.choice.mode = mode
         self.refresh()
 
@@ -228,20 +228,20 @@ class Viewer:
         self.stage.wipe_to(place)
 
     def flip(self) -> None:
-        """Show the other scene in the one view."""
+        """Show the other of two scenes, in one view."""
         choice = self.choice
         choice.mode, choice.front = "flip", 1 - choice.front if choice.mode == "flip" else 0
         self.refresh()
 
     def set_up(self, up: str) -> None:
-        """Take another axis for up: in the overview, and in views that nobody gave."""
+        """Set the up axis, for the overview and for cameras chosen from the scene."""
         self.choice.up = up
         if self.places:
             self._find_places()
             self.go_to(self.number if self.request.chosen else 0)
 
     def turn(self) -> None:
-        """Turn B as from another coordinate system, or back: for files that do not say theirs."""
+        """Convert B from the other coordinate system, or back; for files that do not state it."""
         if len(self.stage.scenes) < 2:
             return
         first, second = self.stage.scenes
@@ -252,12 +252,12 @@ class Viewer:
         self.worker.submit("load", lambda stale: turned(second), done, self.fail)
 
     def go(self, step: int) -> None:
-        """Go to the next place or the one before."""
+        """Go to the next or previous viewpoint."""
         if self.places:
             self.go_to((self.number + step) % len(self.places))
 
     def reset(self) -> None:
-        """Go back to the place that was gone to last."""
+        """Go back to the viewpoint visited last."""
         if self.places:
             self.go_to(self.number)
 
@@ -267,7 +267,7 @@ class Viewer:
             self.go_to(0)
 
     def go_to(self, number: int) -> None:
-        """Go to one of the places."""
+        """Go to a viewpoint by its index."""
         self.number = number
         self._show_photograph()
         self.stage.look_from(self.places[number].pose)
@@ -275,12 +275,12 @@ class Viewer:
 
     @property
     def moved(self) -> bool:
-        """Whether somebody has moved since a place was gone to."""
+        """Whether the pose has moved away from the viewpoint visited last."""
         return bool(self.places) and self.stage.pose is not self.places[self.number].pose
 
     @property
     def where(self) -> str:
-        """Where one looks from."""
+        """Text that describes the present viewpoint."""
         count = len(self.places) - 1
         text = f"overview; {count} views"
         if self.number:
@@ -296,7 +296,7 @@ class Viewer:
 
     @property
     def busy(self) -> bool:
-        """Whether what is seen is not yet all that is to be seen."""
+        """Whether the window is still loading or drawing."""
         return self.worker.busy or not self.stage.resting
 
     def _show_photograph(self) -> None:
@@ -320,7 +320,7 @@ class Viewer:
         wide = min(wide, rect.width // 2)
         self.panel.widget.frame = gui.Rect(rect.get_right() - wide, rect.y, wide, rect.height)
         width = rest = rect.width - wide
-        # Behind the panel, as Open3D makes it larger than that.
+        # Hide it behind the panel, because Open3D makes it larger than HIDDEN.
         self.photograph.frame = gui.Rect(rect.get_right() - wide // 2, rect.y, *HIDDEN)
         self._caption.visible = self.photographed
         if self.photographed:
@@ -342,7 +342,7 @@ class Viewer:
         return event.type == gui.KeyEvent.Type.DOWN and self.press(event.key)
 
     def press(self, key: int) -> bool:
-        """Do what a key asks for; whether it asks for anything."""
+        """Do the action of a key; tell whether it has one."""
         place = self.choice.place
         modes = MODES[1:] + MODES[:1]
         actions: dict[int, Callable[[], None]] = {

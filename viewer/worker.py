@@ -1,4 +1,4 @@
-"""Work beside the window's thread: of each kind the newest job only."""
+"""Run jobs in a background thread; of each kind only the newest counts."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 
 from viewer.opened import Progress
 
-#: Tells a job that its result is not wanted any more.
+#: Tells a job whether its result is still wanted: True if not.
 Stale = Callable[[], bool]
 
 Job = Callable[[Stale], Any]
 
 
 class Cancelled(Exception):
-    """Ends a job whose result is not wanted any more."""
+    """Ends a job whose result is no longer wanted."""
 
 
 class Worker:
-    """A thread that runs jobs and gives their results back to the window's thread.
+    """A thread that runs jobs and passes their results to the window's thread.
 
     Parameters
     ----------
     post : callable
-        Given a function without arguments, has the window's thread call it.
+        Takes a function without arguments and makes the window's thread call it.
     """
 
     def __init__(self, post: Callable[[Callable[[], None]], None]) -> None:
@@ -45,7 +45,7 @@ class Worker:
         done: Callable[[Any], None],
         failed: Callable[[Exception], None],
     ) -> None:
-        """Run a job in place of those of its kind that have not ended.
+        """Run a job; it replaces unfinished jobs of its kind.
 
         `done` is called with its result, or `failed` with its exception.
         """
@@ -55,13 +55,13 @@ class Worker:
             self._changed.notify()
 
     def cancel(self, kind: str) -> None:
-        """Drop what is waiting of a kind, and the result of what is running."""
+        """Drop the waiting job of a kind, and the result of the running one."""
         with self._changed:
             self._wanted[kind] = self._wanted.get(kind, 0) + 1
             self._waiting.pop(kind, None)
 
     def progress(self, stale: Stale, show: Callable[[float], None]) -> Progress:
-        """For a job to tell how far it is, 0-1; ends the job if it has become stale."""
+        """A callback by which a job reports progress, 0-1; it ends the job if it is stale."""
 
         def progress(stage: str, done: int, total: int) -> None:
             if stale():
@@ -72,12 +72,12 @@ class Worker:
 
     @property
     def busy(self) -> bool:
-        """Whether anything waits or runs."""
+        """Whether any job waits or runs."""
         with self._changed:
             return bool(self._waiting) or self._running is not None
 
     def end(self) -> None:
-        """Let the thread end after its job."""
+        """Let the thread end after its current job."""
         with self._changed:
             self._ended = True
             self._waiting.clear()

@@ -1,1 +1,1 @@
-"""Why coding works on a scene, and where it does not (paper, Section 3): numbers, plots, report."""
+"""Analyse why coding works on a scene, and where not (paper, Section 3): numbers, plots, report."""

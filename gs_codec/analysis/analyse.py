@@ -1,4 +1,4 @@
-"""Everything that the report of a scene says."""
+"""Compute everything that the analysis report of a scene contains."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene, channel_count
 
-#: The profile whose depths histograms, models and marks on curves are of.
+#: The profile whose depths are used for histograms, models and the marks on curves.
 REFERENCE = "paper-m"
 
-#: Views that sensitivities are measured in.
+#: Number of views in which sensitivities are measured.
 VIEWS = 8
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to look at.
+    """Options of an analysis.
 
     Parameters
     ----------
     cameras : path, "auto", or sequence of Camera, optional
-        As for `find_cameras`; without any, sensitivities are left out.
+        As for `find_cameras`; without cameras, sensitivities are not measured.
     width : int, optional
         Width of the views, pixels.
     sample : int
-        Most Gaussians that statistics go by, 2 or more. Default 200,000.
+        Most Gaussians to use for maps and fits, 2 or more. Default 200,000.
     seed : int
-        Of sample, shuffling and noise, 0 or more. Default 0.
+        Random seed for sample, shuffling and noise, 0 or more. Default 0.
 
     Raises
     ------
@@ -67,24 +67,25 @@ class Options:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What a scene is like to a coder.
+    """Results of analysing a scene.
 
     Attributes
     ----------
     name : str
-        Of the scene.
+        Name of the scene.
     count, sh_degree, sampled, seed, bins : int
-        Gaussians, and how many of them maps and fits go by; bins of a channel in maps.
+        Gaussians, SH degree, Gaussians used for maps and fits, random seed, and bins per channel
+        in maps.
     maps : dict of str to Map
         See `maps_of`.
     fits : list of Fit
-        Of each channel.
+        One for each channel.
     entropy : dict of str to dict
         For each paper profile, its depths and `entropy_by_group`.
     bits : dict of str to dict of str to float
         For each profile, `bits_by_attribute`.
     sensitivity : Sensitivity or None
-        Where there are cameras.
+        Only with cameras.
     notes : tuple of str
         What was left out, and why.
     """
@@ -103,7 +104,7 @@ class Analysis:
     notes: tuple[str, ...]
 
     def means(self) -> dict[str, dict[str, float | None]]:
-        """Mean information of the pairs of each map of SH-AC, by what they have in common."""
+        """Mean information of the channel pairs of each SH-AC map, by kind of pair."""
         return {
             name: mean_by_attribute(found) if "others" in name else mean_by_relation(found)
             for name, found in self.maps.items()
@@ -140,9 +141,9 @@ class Analysis:
 def analyse_scene(
     scene: Scene, name: str, options: Options | None = None, progress: Progress | None = None
 ) -> Analysis:
-    """Analyse a scene; Gaussians with NaN or infinity are left out, and that is noted.
+    """Analyse a scene; Gaussians with NaN or infinity are left out, and a note says so.
 
-    Maps and fits go by a sample; entropies, bits and views by the whole scene.
+    Maps and fits use a sample of the Gaussians; entropies, bits and views use all of them.
 
     Raises
     ------
@@ -200,9 +201,9 @@ def _sample(scene: Scene, options: Options) -> Scene:
 def _encode(
     scene: Scene, progress: Progress | None
 ) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, float]]]:
-    """Entropies of the paper's profiles, and where the bits of all go."""
+    """Entropies of the paper's profiles, and bits per attribute of all profiles."""
     advance = step_counter(progress, "profiles", len(PROFILE_CHOICES))
-    # Properties and comments beside the attributes would count as bits.
+    # Extra properties and comments would count as bits.
     scene = replace(scene, extra={}, comments=())
     entropy, bits = {}, {}
     for profile in PROFILE_CHOICES:
@@ -220,26 +221,26 @@ def _encode(
 def _notes(
     scene: Scene, dropped: int, sample: Scene, fits: list[Fit], options: Options
 ) -> tuple[str, ...]:
-    """What a reader of the numbers should know."""
+    """Notes that a reader of the numbers should know."""
     notes = []
     if dropped:
         notes.append(f"{dropped:,} Gaussians with NaN or infinity were left out.")
     if sample.count < scene.count:
         notes.append(
-            f"Mutual information and histograms go by {sample.count:,} of the {scene.count:,} "
-            f"Gaussians, chosen at random (seed {options.seed}); all else by every one."
+            f"Mutual information and histograms use {sample.count:,} of the {scene.count:,} "
+            f"Gaussians, chosen at random (seed {options.seed}); all else uses every Gaussian."
         )
     if sample.count < 1000:
-        notes.append(f"{sample.count:,} Gaussians are few: statistics of them say little.")
+        notes.append(f"{sample.count:,} Gaussians are few: the statistics are unreliable.")
     if not scene.sh_degree:
-        notes.append("SH degree 0: there are no SH-AC, and nothing is said of them.")
+        notes.append("SH degree 0: there are no SH-AC, so their sections are absent.")
     elif scene.sh_degree < 3:
         notes.append(f"SH degree {scene.sh_degree}: higher bands are absent.")
     constant = [fit.channel.name for fit in fits if not fit.channel.quantiser.depth]
     if constant:
         notes.append(
-            f"Constant channels, which tell nothing of others (mutual information is not defined, "
-            f"and given as 0) and have no histogram: {', '.join(constant)}."
+            f"Constant channels have no histogram; their mutual information is not defined and "
+            f"is given as 0: {', '.join(constant)}."
         )
     if options.cameras is None:
         notes.append("No cameras were given (--cameras), so sensitivities were not measured.")

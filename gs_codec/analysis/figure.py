@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of so many inches.
+    """A new figure; width and height in inches.
 
     Raises
     ------

@@ -20,41 +20,41 @@ from gs_codec.quantise import ConstantQuantiser, Quantiser, quantise, quantise_p
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
 
-#: Bars of a histogram, between these quantiles of the values.
+#: Number of bars of a histogram, and the quantiles between which values are shown.
 _BARS = 96
 _SHOWN = (0.001, 0.999)
 
-#: A further component must save this share of the code, as in the codec's own choice.
+#: Another component must save at least this share of the code length, as in the codec.
 _WORTHWHILE = 2e-4
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A channel, its histogram, and the model that the paper has for it.
+    """A channel, its histogram, and the paper's model fitted to it.
 
     Attributes
     ----------
     channel : Channel
-        With the quantiser that a paper profile would have for these values.
+        With the quantiser that a paper profile would use for these values.
     model : {"laplace", "mixture", "none"}
         ``none`` for positions, which are coded as a tree, and constant channels.
     parameters : dict
         In units of the attribute: ``median`` and ``scale`` (mean absolute deviation), or
         ``weights``, ``means``, ``sigmas``.
     edges, density : ndarray
-        Of the histogram, ``(B + 1,)`` and ``(B,)``; none for a constant channel.
+        The histogram, ``(B + 1,)`` and ``(B,)``; empty for a constant channel.
     entropy_bits : float
-        Shannon entropy of a symbol.
+        Shannon entropy per symbol.
     ks : float or None
         Kolmogorov-Smirnov distance of the values from the model: the largest difference of
         their cumulative distributions.
     kl_bits : float or None
-        Kullback-Leibler divergence of the model from the histogram of the symbols: what coding
-        by the model costs over the entropy, for each symbol.
+        Kullback-Leibler divergence of the model from the histogram of the symbols: cost of coding
+        with the model beyond the entropy, bits per symbol.
     zeros : float
-        Share of the values that are zero, or as good as that; see `is_zero`.
+        Share of the values that are zero or nearly zero; see `is_zero`.
     ks_nonzero : float or None
-        As `ks`, of the others alone, under a Laplace distribution of their own.
+        As `ks`, for the other values only, with a Laplace distribution fitted to them.
     """
 
     channel: Channel
@@ -95,7 +95,7 @@ class Fit:
 
 
 def fits_of(scene: Scene, config: Config, advance: Callable[[], None] | None = None) -> list[Fit]:
-    """A fit for each channel, at the depths of a paper profile, in stream order."""
+    """One fit per channel, at the bit depths of a paper profile, in stream order."""
     depths = config.resolved_depths()
     places = channel_places(len(scene.f_rest) // 3)
 
@@ -138,7 +138,7 @@ def _fit(values: NDArray[np.float32], channel: Channel, scale: float | None) -> 
 
 
 def _costs(model: LaplaceModel | MixtureModel, counts: NDArray[np.int64]) -> tuple[float, float]:
-    """Entropy of a symbol, and what coding it by the model costs over that, bits."""
+    """Entropy per symbol, and the cost of coding with the model beyond that, bits."""
     total = int(counts.sum())
     entropy = shannon_bits(counts)
     cost = model.frequencies(len(counts)).code_length(counts)
@@ -146,7 +146,7 @@ def _costs(model: LaplaceModel | MixtureModel, counts: NDArray[np.int64]) -> tup
 
 
 def _histogram(values: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Edges and density of the bulk of the values, as a share of all."""
+    """Edges and density of a histogram without the outermost values, normalised to all values."""
     wide = values.astype(np.float64)
     low, high = np.quantile(wide, _SHOWN)
     if low == high:
@@ -156,7 +156,7 @@ def _histogram(values: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArra
 
 
 def _mixture(counts: NDArray[np.int64]) -> MixtureModel:
-    """The fewest components by which coding costs hardly more than by more."""
+    """The mixture with the fewest components whose code length is close to the best."""
     fitted = [fit_mixture(counts, k + 1, MAX_PRECISION) for k in range(MAX_COMPONENTS)]
     costs = [model.frequencies(len(counts)).code_length(counts) for model in fitted]
     enough = min(costs) * (1 + _WORTHWHILE)
@@ -184,7 +184,7 @@ def _ks_mixture(values: NDArray[np.float32], known: dict[str, list[float]]) -> f
 
 
 def _laplace(values: NDArray[np.float32]) -> tuple[dict[str, float], float | None]:
-    """Median and mean absolute deviation, and the distance from that distribution."""
+    """Median, mean absolute deviation, and KS distance from that Laplace distribution."""
     from scipy.stats import ks_1samp, laplace
 
     if values.size == 0:

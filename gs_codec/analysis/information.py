@@ -1,4 +1,4 @@
-"""How much channels tell of each other: normalised mutual information (paper, Section 3.1)."""
+"""Normalised mutual information between channels (paper, Section 3.1)."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from gs_codec.kernels import kernel
 from gs_codec.workers import run_all
 
-#: Most bins of a channel, and how many values each pair of bins should have, were they independent.
+#: Most bins per channel; values that each pair of bins should hold if channels are independent.
 MAX_BINS = 32
 _VALUES_A_CELL = 50
 
-# Values counted at a time: what several channels have of them stays in the cache.
+# Values counted at a time, so that those of several channels stay in the cache.
 _CHUNK = 1 << 14
 
 
@@ -26,13 +26,13 @@ class Information:
     Attributes
     ----------
     corrected : ndarray, shape (A, B)
-        What is left of `raw` without `bias`, so that independent channels have 0 (and a little
-        more or less) and equal ones 1: ``(raw - bias) / (1 - bias)``.
+        `raw` corrected for `bias`: ``(raw - bias) / (1 - bias)``. About 0 for independent
+        channels, 1 for equal ones.
     raw : ndarray, shape (A, B)
-        ``2 I(X; Y) / (H(X) + H(Y))`` of the binned values; 0 where a channel is constant.
+        ``2 I(X; Y) / (H(X) + H(Y))`` of the binned values; 0 if a channel is constant.
     bias : ndarray, shape (A, B)
-        The same with the second channel shuffled: what a sample of this size shows of channels
-        that have nothing in common.
+        The same with the second channel shuffled: the value that a sample of this size gives for
+        independent channels.
     """
 
     corrected: NDArray[np.float64]
@@ -46,9 +46,9 @@ def bin_count(samples: int) -> int:
 
 
 def into_bins(planes: NDArray[np.floating], bins: int) -> NDArray[np.int8]:
-    """Bins ``(C, N)`` of channels ``(C, N)``: each holds about as many values, equal ones one bin.
+    """Bins ``(C, N)`` of channels ``(C, N)`` with about equal counts; equal values share a bin.
 
-    A value that takes the place of several bins leaves those empty; a constant channel has one.
+    A frequent value that fills several bins leaves some empty; a constant channel has one bin.
     """
     codes = np.zeros(planes.shape, np.int8)
     shares = np.arange(1, bins) / bins
@@ -68,12 +68,12 @@ def mutual_information(
 ) -> Information:
     """Normalised mutual information of binned channels ``(A, N)`` with others ``(B, N)``.
 
-    Normalised by the mean entropy of the two, the usual way.
+    It is normalised by the mean entropy of the two channels.
     """
     raw = _normalised(first, second, bins)
     shuffled = np.ascontiguousarray(second[:, rng.permutation(second.shape[1])])
     bias = _normalised(first, shuffled, bins)
-    # A sample so small that shuffling changes nothing tells nothing.
+    # With a bias of 1 the sample is too small to show anything: the result is 0.
     room = np.where(bias < 1.0, 1.0 - bias, np.inf)
     return Information((raw - bias) / room, raw, bias)
 

@@ -1,4 +1,4 @@
-"""Which channels of a scene are set against which (paper, Section 3.1)."""
+"""Maps of mutual information between the channels of a scene (paper, Section 3.1)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gs_codec.transform.ycocg import to_ycocg
 
 _RGB, _YCOCG = ("R", "G", "B"), ("Y", "Co", "Cg")
 
-#: Attributes that SH-AC are set against.
+#: Attributes that SH-AC are compared with.
 _OTHERS = {"rot": "rotation", "log_scale": "scaling", "opacity": "opacity", "f_dc": "SH-DC"}
 _COMPONENTS = {"rot": "wxyz", "log_scale": "012", "opacity": " ", "f_dc": "RGB"}
 
@@ -45,12 +45,12 @@ class Map:
 def maps_of(
     scene: Scene, bins: int, seed: int, advance: Callable[[], None] | None = None
 ) -> dict[str, Map]:
-    """The maps of a scene, by name; those of SH-AC only where it has such.
+    """The maps of a scene, by name; SH-AC maps only if it has SH-AC.
 
-    ``sh-ac`` and ``sh-dc`` set the three colours against themselves and each other, as stored and
-    (``-ycocg``) after the transform; ``sh-ac-others`` sets SH-AC against the other attributes.
-    ``coloured`` leaves out the Gaussians that have a colour whose SH-AC are all (as good as) zero:
-    these make channels alike that otherwise are not.
+    ``sh-ac`` and ``sh-dc`` compare the channels of the three colours with each other, as stored
+    and, with ``-ycocg``, after the colour transform. ``sh-ac-others`` compares SH-AC with the
+    other attributes. ``coloured`` leaves out Gaussians that have a colour channel whose SH-AC are
+    all (nearly) zero, because these make otherwise independent channels look dependent.
     """
     rng = np.random.default_rng(seed)
     maps: dict[str, Map] = {}
@@ -82,15 +82,16 @@ def maps_of(
 
 
 def map_count(sh_degree: int) -> int:
-    """How many maps `maps_of` makes."""
+    """Number of maps that `maps_of` makes."""
     return 8 if sh_degree else 2
 
 
 def mean_by_relation(of_colours: Map) -> dict[str, float | None]:
-    """Mean information of pairs of SH-AC channels, by what they have in common.
+    """Mean information of pairs of SH-AC channels, by kind of pair.
 
-    Of the same colour, one for each colour, and of two colours: the same coefficient, one for each
-    pair of colours, and different ones. None where there are no such pairs.
+    Kinds: different coefficients of one colour, for each colour; the same coefficient of two
+    colours, for each pair of colours; different coefficients of two colours. None if there are no
+    such pairs.
     """
     size = len(of_colours.rows) // 3
     blocks = of_colours.information.corrected.reshape(3, size, 3, size).transpose(0, 2, 1, 3)
@@ -108,14 +109,14 @@ def mean_by_relation(of_colours: Map) -> dict[str, float | None]:
 
 
 def mean_by_attribute(of_others: Map) -> dict[str, float | None]:
-    """Mean information of SH-AC channels with those of each other attribute."""
+    """Mean information of SH-AC channels with the channels of each other attribute."""
     owners = np.array([name.split()[0] for name in of_others.rows])
     values = of_others.information.corrected
     return {name: _mean(values[owners == name]) for name in dict.fromkeys(owners.tolist())}
 
 
 def _coloured(colours: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Gaussians of which no colour has SH-AC ``(3, K, N)`` that are all zero."""
+    """Gaussians without a colour channel whose SH-AC ``(3, K, N)`` are all zero."""
     return ~np.any(np.all(is_zero(colours), axis=1), axis=0)
 
 

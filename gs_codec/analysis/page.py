@@ -1,4 +1,4 @@
-"""One page of HTML that needs nothing beside itself."""
+"""Build a self-contained page of HTML."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ figcaption { font-size: .87rem; color: #333; }
 
 
 def page(title: str, parts: Sequence[str]) -> str:
-    """A document of such parts, whose markup is theirs."""
+    """An HTML document with a title; `parts` are HTML already."""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -40,12 +40,12 @@ def page(title: str, parts: Sequence[str]) -> str:
 
 
 def heading(text: str) -> str:
-    """The title of a section, which `contents` lead to."""
+    """The title of a section, with an anchor that `contents` links to."""
     return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
 
 
 def contents(headings: Sequence[str]) -> str:
-    """Where sections of these titles are."""
+    """Links to the sections with these titles."""
     links = (f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
     return "<nav>" + "\n".join(links) + "</nav>"
 
@@ -55,12 +55,12 @@ def _anchor(text: str) -> str:
 
 
 def paragraph(text: str) -> str:
-    """Running text."""
+    """A paragraph of text."""
     return f"<p>{escape(text)}</p>"
 
 
 def listing(lines: Sequence[str]) -> str:
-    """Points, one below the other."""
+    """A bulleted list."""
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
@@ -77,7 +77,7 @@ def table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 
 def picture(png: bytes, caption: str, instead: str = "") -> str:
-    """A picture, its bytes in the page; `instead` says what it shows, else the caption does."""
+    """An embedded PNG; `instead` is its alternative text, by default the caption."""
     data = base64.b64encode(png).decode("ascii")
     text = escape(instead or caption, quote=True)
     return (
@@ -87,5 +87,5 @@ def picture(png: bytes, caption: str, instead: str = "") -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number for a cell; a dash where there is none."""
+    """A number as text for a cell; a dash for None."""
     return "-" if value is None else f"{value:.{digits}f}"

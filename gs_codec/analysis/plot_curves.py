@@ -1,4 +1,4 @@
-"""Quality against error, and where the bits go."""
+"""Plots of sensitivity curves and of bits per attribute."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _HATCHES = ("", "//", "", "\\\\", "", "xx", "", "..", "")
 
 
 def plot_sensitivity(sensitivity: Sensitivity) -> Figure:
-    """PSNR against the error of each attribute; hollow marks show the profile's own."""
+    """PSNR against the error of each attribute; hollow marks show the profile's own errors."""
     from matplotlib import colormaps
 
     figure = new_figure(9.5, 5.6)
@@ -35,7 +35,7 @@ def plot_sensitivity(sensitivity: Sensitivity) -> Figure:
             axis.plot(curve.profile_level, at, linestyle="none", **hollow)
     axis.set_xscale("log")
     axis.set_xlabel("error, root mean square, in standard deviations of the channel")
-    axis.set_ylabel("PSNR of views against the scene as it is, dB")
+    axis.set_ylabel("PSNR of views against the unchanged scene, dB")
     axis.grid(alpha=0.3)
     axis.legend(title=f"error in (hollow: {sensitivity.profile})", fontsize=9)
     figure.tight_layout()
@@ -43,13 +43,13 @@ def plot_sensitivity(sensitivity: Sensitivity) -> Figure:
 
 
 def plot_bits(bits: dict[str, dict[str, float]]) -> Figure:
-    """Stacked bars of bits a Gaussian, the lossless profile's on an axis of its own."""
+    """Stacked bars of bits per Gaussian; the lossless profile has its own axis."""
     lossy = {profile: parts for profile, parts in bits.items() if profile != "lossless"}
     figure = new_figure(9.5, 5.4)
     above, below = figure.subplots(2, 1, height_ratios=(len(lossy), 1.3))
     _stack(above, lossy)
     _stack(below, {"lossless": bits["lossless"]})
-    below.set_xlabel("bits a Gaussian")
+    below.set_xlabel("bits per Gaussian")
     handles, labels = above.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper center", ncols=5, fontsize=8, frameon=False)
     figure.tight_layout(rect=(0, 0, 1, 0.9))

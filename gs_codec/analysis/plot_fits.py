@@ -1,4 +1,4 @@
-"""Histograms of channels under the curves of their models."""
+"""Plots of histograms of channels with the curves of their models."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TITLES = {
 
 
 def plot_attributes(fits: Sequence[Fit]) -> Figure:
-    """All channels but SH-AC, a row for each attribute."""
+    """Histograms of all channels except SH-AC, one row per attribute."""
     groups = list(_TITLES)
     figure = new_figure(10.5, 10.5)
     axes = figure.subplots(len(groups), 4)
@@ -42,7 +42,7 @@ def plot_attributes(fits: Sequence[Fit]) -> Figure:
 
 
 def plot_sh(fits: Sequence[Fit], colour: int) -> Figure:
-    """SH-AC of one colour, a row for each band, densities on a logarithmic axis."""
+    """Histograms of SH-AC of one colour, one row per band, with logarithmic densities."""
     members = [fit for fit in fits if fit.channel.group == "f_rest"]
     size = len(members) // 3
     mine = [fit for fit in members if fit.channel.index // size == colour]

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Dark to bright alike for all eyes, and in grey.
+#: A colour map that also reads well in greyscale and with colour blindness.
 _COLOURS = "cividis"
 
 
 def plot_within_colours(every: Map, coloured: Map) -> Figure:
-    """SH-AC x SH-AC of each colour, of all Gaussians and of the coloured ones."""
+    """SH-AC x SH-AC of each colour, for all Gaussians and for the coloured ones."""
     size = len(every.rows) // 3
     figure = new_figure(10.5, 7.4)
     axes = figure.subplots(2, 3, squeeze=False)
@@ -39,7 +39,7 @@ def plot_within_colours(every: Map, coloured: Map) -> Figure:
 
 
 def plot_across_colours(maps: Sequence[tuple[str, Map]]) -> Figure:
-    """All SH-AC channels of the three colours, a panel for each of four maps."""
+    """All SH-AC channels of the three colours, one panel for each of four maps."""
     figure = new_figure(10.5, 9.6)
     axes = figure.subplots(2, 2)
     top = _top([found for _, found in maps], len(maps[0][1].rows))
@@ -80,12 +80,12 @@ def plot_others(maps: Sequence[tuple[str, Map]]) -> Figure:
 
 
 def _draw(axis: Axes, values: NDArray, top: float) -> Any:
-    axis.set_facecolor("0.75")  # what a channel tells of itself
+    axis.set_facecolor("0.75")  # grey: a channel with itself
     return axis.imshow(values, cmap=_COLOURS, vmin=0.0, vmax=top, interpolation="nearest")
 
 
 def _mark_bands(axis: Axes, size: int) -> None:
-    """Ticks in the middle of SH bands, lines between them."""
+    """Put ticks in the middle of SH bands, and lines between them."""
     bands = sh_bands(size)
     middles = [(band[0] + band[-1]) / 2 for band in bands]
     names = [f"degree {band}" for band in range(1, 1 + len(bands))]
@@ -102,7 +102,7 @@ def _without_self(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _top(maps: Sequence[Map], size: int) -> float:
-    """The largest value beside those of channels with themselves, in blocks of `size`."""
+    """The largest value in the diagonal blocks of `size`, without the diagonal itself."""
     values = [
         _without_self(found.information.corrected)[start : start + size, start : start + size]
         for found in maps

@@ -1,4 +1,4 @@
-"""The report of an analysis in words, tables and pictures."""
+"""Write the report of an analysis as HTML: text, tables and pictures."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _GROUPS = ("rotation", "scaling", "opacity", "sh-ac", "total")
 
 
 def write_page(analysis: Analysis, pictures: Mapping[str, bytes]) -> str:
-    """The report as HTML; `pictures` are PNG files by name, those of `draw_pictures`."""
+    """The report as HTML; `pictures` are PNG data by file name, from `draw_pictures`."""
     parts = [
         paragraph(
-            f"{analysis.count:,} Gaussians of SH degree {analysis.sh_degree}. What EntropyGS "
-            "(arXiv 2508.10227, Section 3) says of trained scenes, measured on this one."
+            f"{analysis.count:,} Gaussians of SH degree {analysis.sh_degree}. The observations of "
+            "EntropyGS (arXiv 2508.10227, Section 3) on trained scenes, measured on this scene."
         )
     ]
     if analysis.notes:
@@ -30,13 +30,13 @@ def write_page(analysis: Analysis, pictures: Mapping[str, bytes]) -> str:
 
 
 def _information(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
-    yield heading("What channels tell of each other")
+    yield heading("Mutual information between channels")
     bias = max(float(found.information.bias.max()) for found in analysis.maps.values())
     yield paragraph(
         "Normalised mutual information, 2 I(X; Y) / (H(X) + H(Y)): 0 for independent channels, 1 "
-        f"where each follows from the other. Values fall into at most {analysis.bins} bins that "
-        f"hold equally many. A finite sample shows some even of independent channels, here up to "
-        f"{bias:.4f}; this is measured with one of the two shuffled, and taken off: "
+        f"if each channel determines the other. Values are put into at most {analysis.bins} bins "
+        f"of equal counts. A finite sample gives a small value even for independent channels, here "
+        f"up to {bias:.4f}; it is measured with one channel shuffled, and removed: "
         "(NMI - shuffled) / (1 - shuffled)."
     )
     yield _colour_table(analysis)
@@ -44,10 +44,10 @@ def _information(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
         return
     every, coloured = analysis.maps["sh-ac"], analysis.maps["sh-ac-coloured"]
     yield paragraph(
-        f"Coloured Gaussians ({coloured.gaussians:,} of {every.gaussians:,}) are those none of "
-        "whose colours has SH-AC that are all zero (at most a hundredth of the channel's mean "
-        "magnitude). Training leaves a colour's SH-AC at zero where it is stuck at black; that "
-        "makes channels alike which otherwise are not."
+        f"Coloured Gaussians ({coloured.gaussians:,} of {every.gaussians:,}) are those without a "
+        "colour channel whose SH-AC are all zero (at most a hundredth of the channel's mean "
+        "magnitude). Training leaves the SH-AC of a colour at zero if it is stuck at black; this "
+        "makes otherwise independent channels look dependent."
     )
     yield _relation_table(analysis)
     yield _attribute_table(analysis)
@@ -58,8 +58,8 @@ def _information(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
     yield picture(pictures["sh_ac_others.png"], "SH-AC with rotation, scaling, opacity and SH-DC.")
     yield picture(
         pictures["sh_ac_across_colours.png"],
-        "SH-AC across colours, before (R, G, B) and after YCoCg. Diagonals off the centre: the "
-        "same coefficient of two colours.",
+        "SH-AC across colours, before (R, G, B) and after YCoCg. Diagonals of the blocks off the "
+        "main diagonal: the same coefficient of two colours.",
     )
 
 
@@ -92,15 +92,15 @@ def _attribute_table(analysis: Analysis) -> str:
 
 
 def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
-    yield heading("How values are distributed")
+    yield heading("Distributions of values")
     yield paragraph(
         "Bars: the values, without the outermost 0.1 % on either side. Curves: mixtures of at most "
-        f"four Gaussians by expectation maximisation on the histogram of {REFERENCE}'s symbols, as "
-        "the codec fits them; for SH-AC a Laplace distribution by median and mean absolute "
-        "deviation, on a logarithmic axis, where it is a tent. KS is the Kolmogorov-Smirnov "
+        f"four Gaussians, fitted by expectation maximisation to the histogram of {REFERENCE}'s "
+        "symbols, as in the codec; for SH-AC a Laplace distribution from median and mean absolute "
+        "deviation, which is tent-shaped on the logarithmic axis. KS is the Kolmogorov-Smirnov "
         "distance of the values from the curve. KL is the divergence of the model's table from the "
-        "symbols' histogram: what coding by the model costs over the entropy, bits a symbol. "
-        "Positions are coded as a tree, without a model of a channel."
+        "symbols' histogram: the cost of coding with the model beyond the entropy, bits per "
+        "symbol. Positions are coded as a tree, without a model per channel."
     )
     yield picture(pictures["histograms.png"], "All channels but SH-AC.")
     shaped = [fit for fit in analysis.fits if fit.channel.group != "f_rest"]
@@ -115,12 +115,12 @@ def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[s
     zeros = float(np.mean([fit.zeros for fit in flat]))
     yield paragraph(
         f"{zeros:.1%} of all SH-AC values are zero (as above). No Laplace distribution has such a "
-        "step: half of that share can appear in KS of all values, which is why KS of the others is "
-        "given too. Quantised, the zeros fall into the bin that is fullest anyway, so KL is small."
+        "step, so KS of all values may contain half of that share; KS of the other values is "
+        "given too. After quantisation the zeros are in the fullest bin, so KL stays small."
     )
     for letter in "RGB":
         name = f"histograms_sh_ac_{letter.lower()}.png"
-        yield picture(pictures[name], f"SH-AC of {letter}, a row for each SH degree.")
+        yield picture(pictures[name], f"SH-AC of {letter}, one row per SH degree.")
     yield table(
         f"SH-AC at the depths of {REFERENCE}",
         ["channel", "median", "scale", "zeros", "entropy", "KS", "KS of others", "KL"],
@@ -155,12 +155,12 @@ def _laplace_row(fit: Fit) -> list[str]:
 
 
 def _entropy(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
-    yield heading("Entropy, and what coding takes")
+    yield heading("Entropy and coded size")
     yield paragraph(
-        "Bits a symbol. Coded: the streams of a group in the file, of all Gaussians. Overheads are "
-        "over the Shannon entropy: of what is coded, of the best parametric model alone, and the "
-        "paper's (means over Mip-NeRF 360, SH-AC at 4 bits). The last row counts what it takes to "
-        "decode, too: models, quantisers, coder states."
+        "Bits per symbol, for all Gaussians. Coded: the streams of a group in the file. Overheads "
+        "are relative to the Shannon entropy: of the coded streams, of the best parametric model "
+        "alone, and the paper's (means over Mip-NeRF 360, SH-AC at 4 bits). The last row also "
+        "counts what a decoder needs: models, quantisers, coder states."
     )
     columns = [
         "group",
@@ -198,18 +198,18 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
     found = analysis.sensitivity
     if found is None:
         return
-    yield heading("What views lose by errors")
+    yield heading("Sensitivity of views to errors")
     width, height = found.cameras[0].width, found.cameras[0].height
     yield paragraph(
-        "Uniform noise, as quantisation makes it, in all channels of one attribute at a time. PSNR "
-        f"is against the scene as it is, mean over {len(found.cameras)} views of {width} x "
+        "Uniform noise, like quantisation error, in all channels of one attribute at a time. PSNR "
+        f"is against the unchanged scene, mean over {len(found.cameras)} views of {width} x "
         f"{height} pixels; seed {found.seed}. Most sensitive first: "
         f"{', '.join(curve.attribute for curve in found.ranked())}."
     )
     yield picture(
         pictures["sensitivity.png"],
-        f"Quality against normalised error; 120 dB stands for more, and for equal views. Large "
-        f"hollow marks: the error of {found.profile}.",
+        f"Quality against normalised error; 120 dB stands for 120 dB or more, and for equal views. "
+        f"Large hollow marks: the error of {found.profile}.",
     )
     yield _tolerance_table(found)
 
@@ -223,20 +223,20 @@ def _tolerance_table(found: Sensitivity) -> str:
         for c in found.ranked()
     ]
     columns = ["attribute", "standard deviations", "of the range", f"{found.profile}: std."]
-    return table(f"Error at which views come to {THRESHOLD:.0f} dB", columns, rows)
+    return table(f"Error at which views fall to {THRESHOLD:.0f} dB", columns, rows)
 
 
 def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
-    yield heading("Where the bits go")
+    yield heading("Bits by attribute")
     yield paragraph(
-        "Bits a Gaussian of each profile's file, encoded without cameras. The rest: header, "
+        "Bits per Gaussian in a file of each profile, encoded without cameras. The rest: header, "
         "checksums, tables, coder states, bounds, normals."
     )
-    yield picture(pictures["bits.png"], "Bits a Gaussian by attribute.")
+    yield picture(pictures["bits.png"], "Bits per Gaussian by attribute.")
     profiles = list(analysis.bits)
     rows = [
         [part, *(number(analysis.bits[profile][part], 2) for profile in profiles)]
         for part in analysis.bits[profiles[0]]
     ]
     totals = [number(sum(analysis.bits[profile].values()), 2) for profile in profiles]
-    yield table("Bits a Gaussian", ["attribute", *profiles], [*rows, ["total", *totals]])
+    yield table("Bits per Gaussian", ["attribute", *profiles], [*rows, ["total", *totals]])

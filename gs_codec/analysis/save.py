@@ -1,4 +1,4 @@
-"""From a scene's file to a folder with its report."""
+"""Analyse the file of a scene, and write a folder with the report."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def analyse_file(
     Returns
     -------
     dict
-        What ``report.json`` holds.
+        Contents of ``report.json``.
 
     Raises
     ------
     InvalidInput
-        If the scene cannot be used, or the folder not be written to.
+        If the scene cannot be used, or the folder cannot be written to.
     MissingTool
         If matplotlib is not installed.
     """
-    # What would keep the report from being written is refused before the work is done.
+    # Find out that the report cannot be written before doing the work.
     new_figure(1, 1)
     target = Path(folder)
     there = next(path for path in (target, *target.absolute().parents) if path.exists())
@@ -62,7 +62,7 @@ def analyse_file(
 
 
 def draw_pictures(analysis: Analysis, progress: Progress | None = None) -> dict[str, bytes]:
-    """PNG files of an analysis by name."""
+    """Draw the plots of an analysis: PNG data by file name."""
     plots = _plots(analysis)
     advance = step_counter(progress, "pictures", len(plots))
     pictures = {}

@@ -1,4 +1,4 @@
-"""What views lose when one attribute is off (paper, Section 3.3)."""
+"""Measure how errors of one attribute lower the quality of views (paper, Section 3.3)."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
 
-#: Root mean square of the error, in standard deviations of the channel.
+#: Root-mean-square errors, in standard deviations of the channel.
 LEVELS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 
-#: The quality at which attributes are ranked, dB.
+#: PSNR at which attributes are ranked, dB.
 THRESHOLD = 40.0
 
 #: Attributes by the name of their group in a scene.
@@ -35,7 +35,7 @@ ATTRIBUTES = {
     "rot": "rotation",
 }
 
-# Nothing is nearer to the original than this: PSNR of equal images is infinite.
+# Cap, because PSNR of equal images is infinite.
 _HIGHEST = 120.0
 
 
@@ -47,15 +47,15 @@ class Curve:
     ----------
     attribute : str
     psnr : tuple of float
-        At each of `LEVELS`: dB against the views of the scene as it is, mean over the views; at
+        PSNR at each of `LEVELS`, dB, against views of the unchanged scene, mean over the views; at
         most 120.
     tolerance : float or None
-        The level at which views have `THRESHOLD`: the least of `LEVELS` where they have less even
-        there, None where they have more at all.
+        The error level at which PSNR falls to `THRESHOLD`; the lowest of `LEVELS` if PSNR is below
+        `THRESHOLD` even there; None if it never falls so far.
     range_tolerance : float or None
-        The same error in shares of the channel's range, lowest to highest value.
+        The same error as a share of the channel's range, from lowest to highest value.
     profile_level : float
-        The level of the error that the paper's profile makes by quantisation.
+        The level of the quantisation error of the paper's profile.
     """
 
     attribute: str
@@ -67,7 +67,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Curves of the attributes of a scene, and the views they were measured in."""
+    """Sensitivity curves of the attributes of a scene, and the views used."""
 
     cameras: tuple[Camera, ...]
     profile: str
@@ -75,7 +75,7 @@ class Sensitivity:
     curves: tuple[Curve, ...]
 
     def ranked(self) -> list[Curve]:
-        """The curves, the one that tolerates least first; those never below `THRESHOLD` last."""
+        """The curves, most sensitive first; curves that stay above `THRESHOLD` come last."""
         return sorted(
             self.curves, key=lambda c: (math.inf if c.tolerance is None else c.tolerance, c.psnr)
         )
@@ -103,18 +103,18 @@ def measure_sensitivity(
     seed: int,
     progress: Progress | None = None,
 ) -> Sensitivity:
-    """Add noise to one attribute after the other, draw, and compare with the scene as it is.
+    """Add noise to one attribute at a time, render, and compare with the unchanged scene.
 
-    Noise is uniform, as the error of a quantiser is, independent in each value, and of the same
-    size relative to the channel's standard deviation in all channels of an attribute.
+    The noise is uniform, like the error of a quantiser, and independent for each value. Relative
+    to the channel's standard deviation it is equal in all channels of an attribute.
 
     Parameters
     ----------
     scene : Scene
-        Of finite values.
+        All values must be finite.
     cameras : sequence of Camera
     config : Config
-        A paper profile, whose errors are placed on the curves.
+        A paper profile, whose quantisation errors are marked on the curves.
     seed : int
     progress : callable, optional
     """
@@ -128,7 +128,7 @@ def measure_sensitivity(
         noise = _noise(deviations, planes.shape[1], seed)
         qualities = []
         for level in LEVELS:
-            # What leaves the range of floats is not drawn.
+            # Values that overflow become infinite; such Gaussians are not drawn.
             with np.errstate(over="ignore"):
                 noisy = replace(scene, **{group: planes + np.float32(level) * noise})
             qualities.append(_quality(_views(noisy, cameras), original))
@@ -139,7 +139,7 @@ def measure_sensitivity(
 
 
 def _noise(deviations: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float32]:
-    """Uniform noise ``(C, N)`` of such standard deviations ``(C,)``."""
+    """Uniform noise ``(C, N)`` with the given standard deviations ``(C,)``."""
     noise = np.random.default_rng(seed).random((len(deviations), count), np.float32)
     noise -= np.float32(0.5)
     with np.errstate(over="ignore"):
@@ -187,7 +187,7 @@ def _curve(
 
 
 def level_at(quality: float, qualities: tuple[float, ...]) -> float | None:
-    """Where a curve first falls to a quality, straight between levels on a logarithmic axis."""
+    """The level at which a curve first falls to a quality, interpolated in log(level)."""
     if qualities[0] < quality:
         return LEVELS[0]
     for i, (above, below) in enumerate(zip(qualities, qualities[1:], strict=False)):

@@ -1,4 +1,4 @@
-"""Entropy of each group beside what is published, and where the bits of a file go."""
+"""Entropy of each group beside the paper's figures, and bits of a file by attribute."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gs_codec import paper
 from gs_codec.config import SH_STREAMS, Config
 from gs_codec.report import ChannelCost, EncodeReport
 
-#: Sections of each attribute; what is left describes the others.
+#: Sections of each attribute; all other sections count as "the rest".
 _SECTIONS = {
     "positions": ("geometry", "low-bits"),
     "SH-DC": ("sh-dc",),
@@ -22,9 +22,9 @@ _SECTIONS = {
 
 
 def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
-    """Bits of each rANS-coded group beside Shannon entropy and the paper's figures.
+    """Coded bits of each rANS-coded group, its Shannon entropy, and the paper's figures.
 
-    ``total`` counts everything it takes to decode: words, states, models and quantisers.
+    ``total`` counts everything that a decoder needs: words, states, models and quantisers.
     """
     groups: dict[str, list[ChannelCost]] = {}
     for cost in report.costs:
@@ -50,7 +50,7 @@ def entropy_by_group(report: EncodeReport) -> dict[str, dict[str, Any]]:
 
 
 def depths_by_group(config: Config, sh_degree: int) -> dict[str, str]:
-    """Bits of a symbol of each group of a paper profile; SH bands that differ as ``4/3/3``."""
+    """Bits per symbol of each group of a paper profile; if SH bands differ, as ``4/3/3``."""
     depths = config.resolved_depths()
     bands = [str(depths.pop(band)) for band in SH_STREAMS][:sh_degree]
     named = {group: str(bits) for group, bits in depths.items()}
@@ -58,10 +58,10 @@ def depths_by_group(config: Config, sh_degree: int) -> dict[str, str]:
 
 
 def bits_by_attribute(report: EncodeReport, sh_degree: int) -> dict[str, float]:
-    """Bits that each attribute of a scene takes of a file, for each Gaussian.
+    """Bits per Gaussian of each attribute in a file.
 
-    ``the rest`` is what describes the others: header, checksums, tables, coder states, classes,
-    bounds, comments.
+    ``the rest`` is everything else: header, checksums, tables, coder states, classes, bounds,
+    comments.
     """
     count = max(report.count, 1)
     bits = {

@@ -1,17 +1,18 @@
-"""Values that are as good as zero: what training leaves where a colour is stuck at black."""
+"""Values that are nearly zero, as training leaves them if a colour is stuck at black."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: In means of the channel's magnitude. Formats that store levels have several next to zero; of
-#: values that follow a Laplace distribution one in a hundred is as small, all of a colour never.
+#: Threshold relative to the channel's mean magnitude. Quantised formats store several values next
+#: to zero. With a Laplace distribution, one value in a hundred is below it, but never all of a
+#: colour.
 _SHARE = 0.01
 
 
 def is_zero(planes: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which values of channels ``(..., N)`` are at most a hundredth of the mean magnitude."""
+    """Which values of channels ``(..., N)`` are at most 1/100 of the channel's mean magnitude."""
     if not planes.size:
         return np.zeros(planes.shape, bool)
     magnitude = np.abs(planes)

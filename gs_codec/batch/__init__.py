@@ -1,1 +1,1 @@
-"""Folders of scenes, here or elsewhere: what to encode, where it runs, and the report of it."""
+"""Batches: encode folders of scenes, on this machine or a cluster, and report each scene."""

@@ -1,4 +1,4 @@
-"""The same work on a Dask cluster; its scheduler tries again what a lost worker had."""
+"""Run a batch on a Dask cluster; the scheduler retries the scenes of a lost worker."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.batch.work import encode_one
 from gs_codec.errors import InvalidInput, MissingTool, one_line
 
-#: Dask stops a worker that takes more of its limit than this from starting tasks.
+#: Dask starts no tasks on a worker that uses more than this share of its memory limit.
 _SHARE = 0.7
 
 
 class Cluster:
-    """Workers of an existing scheduler, or of one on this machine.
+    """Encodes scenes on the workers of a Dask scheduler, or of one started on this machine.
 
     A worker runs as many scenes at once as it has threads, but no more than fit into 70 % of its
-    memory limit; a scene that its limit could not hold is refused. Each scene has its share of
-    the processors of the worker's host.
+    memory limit. A scene that needs more than the limit is refused. The scenes that run on a host
+    share its processors equally.
 
     Parameters
     ----------
     address : str
-        Of the scheduler, or ``local``.
+        Address of the scheduler, or ``local``.
     jobs : int
-        Worker processes of a local one.
+        Worker processes of a local cluster.
     folder : str
-        What a local one writes there.
+        Where a local cluster keeps its temporary files.
     options : Options
     watcher : Watcher
 
@@ -64,7 +64,7 @@ class Cluster:
         self._futures: dict[Any, Task] = {}
         self._client: Any = None
         self._topic = f"gs-codec-{secrets.token_hex(8)}"
-        # What it has to say of workers that come and go is not for those who encode.
+        # Dask's messages about workers that come and go do not concern the user of a batch.
         for name in ("distributed", *logging.getLogger("distributed").manager.loggerDict):
             if name.startswith("distributed"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -81,7 +81,7 @@ class Cluster:
                     _encode_there, task, self._options, hosts, self._topic, pure=False
                 )
                 self._futures[future] = task
-            # Those that were not asked for are not left to the cluster.
+            # Cancel what is still queued, also when the caller stops iterating early.
             stack.callback(self.stop)
             done = self._distributed.as_completed(self._futures, loop=self._client.loop)
             for future in done:
@@ -92,12 +92,12 @@ class Cluster:
                 yield task, self._record(task, future)
 
     def stop(self) -> None:
-        """Start no more."""
+        """Start no more scenes."""
         if self._futures and self._client.status == "running":
             self._client.cancel(list(self._futures))
 
     def _hear(self, names: dict[str, Task], said: dict[str, Any]) -> None:
-        """Progress of a worker, which comes on Dask's own thread and before the record."""
+        """Pass on progress of a worker; called on Dask's own thread, before the record comes."""
         task = names[said["name"]]
         self._watcher.stage(task, said["stage"], said["done"], said["total"])
 
@@ -123,7 +123,7 @@ class Cluster:
             yield client
 
     def _hosts(self) -> Counter[str]:
-        """Scenes that each host works on at once, by its name.
+        """Number of scenes that each host encodes at once, by host name.
 
         Raises
         ------
@@ -154,19 +154,19 @@ class Cluster:
 
 
 def _introduced(dask_worker: Any) -> tuple[str, str, int]:
-    """What a worker has, where it is, and how many scenes it takes at once."""
+    """Version of gs_codec on a worker, name of its host, and number of its threads."""
     return __version__, platform.node(), dask_worker.state.nthreads
 
 
 class _Gate:
-    """Lets tasks of a worker's threads in as they fit into its memory."""
+    """Makes the threads of a worker wait until their tasks fit into its memory."""
 
     def __init__(self) -> None:
         self._taken, self._running, self._changed = 0, 0, threading.Condition()
 
     @contextmanager
     def passed(self, need: int, room: int | None) -> Iterator[None]:
-        """Wait until there is room, or nothing else runs."""
+        """Wait until the task fits into memory, or nothing else runs."""
         with self._changed:
             self._changed.wait_for(
                 lambda: not self._running or room is None or self._taken + need <= room
@@ -187,12 +187,12 @@ _GATE = _Gate()
 
 @lru_cache
 def _free_at_first() -> int | None:
-    """Memory for all tasks of this worker, where it has no limit of its own."""
+    """Memory for all tasks of this worker if Dask sets no limit for it."""
     return available_bytes()
 
 
 def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str) -> Record:
-    """Encode a scene on a worker, with its share of the host; its stages are events."""
+    """Encode a scene on a worker, with its share of the host; progress is sent as Dask events."""
     import distributed
 
     worker = distributed.get_worker()
@@ -204,7 +204,7 @@ def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str)
         )
         return Record(*task.shown, error={"kind": "InvalidInput", "text": text})
     room = _free_at_first() if limit is None else int(limit * _SHARE)
-    # A worker that came later is not counted among those of its host.
+    # A worker that joined later is not counted in `hosts`.
     at_once = max(hosts[platform.node()], worker.state.nthreads)
     options = options.with_share(at_once)
 

@@ -1,4 +1,4 @@
-"""The report of a batch: a line of JSON for each scene that was tried, the latest counting."""
+"""The report of a batch: a line of JSON for each attempt at a scene; the latest line counts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gs_codec.io.atomic import check_writable
 
 try:
     import fcntl
-except ImportError:  # Windows, where two batches with one report are not told apart
+except ImportError:  # Windows: two batches with the same report are not detected
     fcntl = None  # type: ignore[assignment]
 
 log = logging.getLogger(__name__)
@@ -28,27 +28,27 @@ _START = b'{"source": '
 
 @dataclass(frozen=True)
 class Record:
-    """What came of a scene.
+    """Result of encoding one scene.
 
     Attributes
     ----------
     source, output : str
         Paths or URLs, without secrets.
     options : str
-        Digest of the options that bytes depend on.
+        Digest of the options that the output bytes depend on.
     versions : dict of str to str
-        Of gs_codec and what computes for it.
+        Versions of gs_codec and of the packages that it computes with.
     input_bytes, input_modified, input_sha256
-        The source as it was read; what is not known is -1, or empty.
+        The source as it was read; -1 or empty if unknown.
     output_bytes, output_sha256, gaussians, ratio, bits_per_gaussian
-        What was written, and of how many Gaussians; -1 or empty where nothing was.
+        The output; -1 or empty if nothing was written.
     seconds : dict of str to float
-        By stage.
+        Seconds per stage.
     changed : dict of str to int
-        Gaussians and values that are not what they were, by reason.
+        Number of Gaussians or values that were changed, by reason.
     warnings : list of str
     error : dict of str to str, optional
-        ``kind`` and ``text`` of what went wrong.
+        ``kind`` and ``text`` of the error.
     """
 
     source: str
@@ -70,20 +70,20 @@ class Record:
 
 
 class Ledger:
-    """An open report; nobody else writes to it.
+    """An open report, locked so that no other batch writes to it.
 
     Attributes
     ----------
     path : Path
     records : dict of (str, str) to Record
-        The latest by source and output, of those found when it was opened.
+        The latest record of each source and output, from the lines found when it was opened.
     """
 
     def __init__(self, path: Path, file: BinaryIO, records: dict[tuple[str, str], Record]) -> None:
         self.path, self._file, self.records = path, file, records
 
     def add(self, record: Record) -> None:
-        """Append a record, which is on the disk when this returns.
+        """Append a record; it is on the disk when this returns.
 
         Raises
         ------
@@ -101,13 +101,13 @@ class Ledger:
 
 @contextmanager
 def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Iterator[Ledger]:
-    """Open a report to go on with, or else to begin anew.
+    """Open a report: to continue it (`resume`), or to start it again from empty.
 
     Raises
     ------
     InvalidInput
-        If it cannot be written, another batch writes to it, it is some other file, or it would
-        begin anew and may not be overwritten.
+        If it cannot be written, another batch writes to it, the file is not a report, or it has
+        lines and neither `resume` nor `overwrite` is given.
     """
     check_writable(path)
     try:
@@ -124,7 +124,7 @@ def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Itera
             if content and not overwrite:
                 raise InvalidInput(f"{path}: exists, expected --resume or --overwrite")
             content = b""
-        # The process that wrote a line without an end was ended meanwhile.
+        # A last line without a line end was cut off when its process died.
         content = content[: content.rfind(b"\n") + 1]
         file.truncate(len(content))
         yield Ledger(Path(path), file, _read_records(path, content))
@@ -150,12 +150,12 @@ def _read_records(path: str | Path, content: bytes) -> dict[tuple[str, str], Rec
         else:
             records[record.source, record.output] = record
     if broken:
-        log.warning("%s: %d lines are not records, left aside", path, broken)
+        log.warning("%s: %d lines are not records, skipped", path, broken)
     return records
 
 
 def parse_record(line: bytes) -> Record | None:
-    """The record of a line, whatever that is; None if it is none."""
+    """The record in a line, or None if the line is not a record."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):
@@ -168,7 +168,7 @@ def parse_record(line: bytes) -> Record | None:
 
 
 def _is_sound(name: str, value: Any) -> bool:
-    """Whether a field has the type that it should."""
+    """Whether a field has the expected type."""
     kind, inner = _TYPES[name]
     if not isinstance(value, kind) or isinstance(value, bool):
         return False
@@ -181,7 +181,7 @@ def _is_sound(name: str, value: Any) -> bool:
 
 _NUMBER = (int, float)
 
-#: Type of each field, and of what is in it.
+#: Type of each field, and of its items.
 _TYPES: dict[str, tuple[Any, Any]] = {
     "source": (str, None),
     "output": (str, None),

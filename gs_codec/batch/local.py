@@ -1,4 +1,4 @@
-"""Scenes in folders of this machine."""
+"""Storage on this machine: scenes in local folders."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class LocalPlace:
     local = True
 
     def find(self, pattern: str) -> list[tuple[str, Spot]]:
-        """See `Place.find`; hidden files and folders match only where a dot is written.
+        """See `Place.find`; hidden files and folders match only if the pattern writes the dot.
 
         A file or folder that several links lead to is taken once.
         """
@@ -74,7 +74,7 @@ class LocalPlace:
         return file_sha256(spot.path)
 
     def fetch(self, spot: Spot, folder: Path) -> Path:
-        """See `Place.fetch`; what could not be read to an end is refused."""
+        """See `Place.fetch`; only regular files are accepted."""
         try:
             mode = os.stat(spot.path).st_mode
         except OSError as error:
@@ -84,11 +84,11 @@ class LocalPlace:
         return Path(spot.path)
 
     def store(self, file: Path, spot: Spot, mark: str) -> None:
-        """Files of this machine are written where they belong."""
+        """Not used: outputs on this machine are written directly to their path."""
         raise NotImplementedError
 
     def sweep(self, spots: Iterable[Spot], mark: str) -> None:
-        """See `Place.sweep`; here any file that no process has open for writing is left over."""
+        """See `Place.sweep`; on this machine, any file that no process is writing is left over."""
         for folder, names in by_folder(spots).items():
             try:
                 entries = os.listdir(folder)
@@ -99,7 +99,7 @@ class LocalPlace:
 
 
 def matching_paths(pattern: str) -> list[str]:
-    """Paths that an absolute glob matches; ``**`` are any folders, each real one once."""
+    """Paths that an absolute glob matches; ``**`` visits each real folder once."""
     pattern = re.sub(r"(/\*\*)+/", "/**/", f"{pattern}/")
     head, wild, rest = pattern.partition("/**/")
     if not wild:
@@ -110,7 +110,7 @@ def matching_paths(pattern: str) -> list[str]:
 
 
 def _folders(root: str) -> list[str]:
-    """A folder and those below it that are not hidden; links are followed last, and once."""
+    """A folder and its subfolders that are not hidden; each link is followed once, after them."""
     found: list[str] = []
     waiting, seen = deque([root]), set[str]()
     while waiting:
@@ -119,7 +119,7 @@ def _folders(root: str) -> list[str]:
         for folder, names, _ in os.walk(start, onerror=_warn):
             real = os.path.realpath(folder)
             if real in seen or f"{above}/".startswith(f"{real.rstrip('/')}/"):
-                log.warning("%s: leads to %s, above it or read before; skipped", folder, real)
+                log.warning("%s: leads to %s, a parent or read before; skipped", folder, real)
                 names.clear()
                 continue
             seen.add(real)
@@ -135,7 +135,7 @@ def _warn(error: OSError) -> None:
 
 
 def _each_once(root: str, paths: Iterable[str]) -> list[str]:
-    """Those that are other files than those before; a file counts before links to it."""
+    """The paths without duplicates of the same file; a file itself is preferred to its links."""
     real_root, taken = os.path.realpath(root), dict[str, str]()
     real = {path: os.path.realpath(path) for path in paths}
 
@@ -168,7 +168,7 @@ def file_sha256(path: str | Path) -> str:
 
 
 def fixed_part(pattern: str, wild: str = "*?[") -> str:
-    """The folder of a glob up to which nothing in it is wild."""
+    """The leading folders of a glob that have no wildcards."""
     fixed = []
     for part in pattern.split("/")[:-1]:
         if any(sign in part for sign in wild):
@@ -178,7 +178,7 @@ def fixed_part(pattern: str, wild: str = "*?[") -> str:
 
 
 def by_folder(spots: Iterable[Spot]) -> dict[str, set[str]]:
-    """Names of files by the folder they are in."""
+    """File names, grouped by folder."""
     folders: dict[str, set[str]] = {}
     for spot in spots:
         folder, _, name = spot.path.rpartition("/")

@@ -1,4 +1,4 @@
-"""A Dask cluster of this machine that only the process that starts it can talk to."""
+"""A private Dask cluster on this machine: only the process that starts it can connect."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ _HOST = "127.0.0.1"
 
 
 class _Silent:
-    """Dask's nodes serve pages, without a dashboard too; these serve none."""
+    """Keeps a Dask node from serving web pages, which it does even without a dashboard."""
 
     def start_http_server(self, *arguments: Any, **options: Any) -> None:
         """Open no port."""
 
 
 class LocalScheduler(_Silent, Scheduler):
-    """A scheduler without pages."""
+    """A scheduler without web pages."""
 
 
 class LocalWorker(_Silent, Worker):
-    """A worker without pages."""
+    """A worker without web pages."""
 
 
 def start_cluster(jobs: int, folder: str) -> SpecCluster:
     """Start a scheduler and `jobs` worker processes that keep their files in `folder`.
 
-    They and their client know each other by a key of this process: whoever lacks it cannot
-    connect, though every user of the machine reaches their ports.
+    They and their client authenticate with a key that only this process has. Other users of the
+    machine can reach the ports, but cannot connect without the key.
     """
     security = Security.temporary()
     common = {"host": _HOST, "protocol": "tls://", "security": security}
@@ -46,7 +46,7 @@ def start_cluster(jobs: int, folder: str) -> SpecCluster:
             "silence_logs": logging.CRITICAL,
         },
     }
-    # Dask imports from its folder first; that of its choice may be another user's.
+    # Dask imports modules from its folder first; its default folder may belong to another user.
     with dask.config.set({"temporary-directory": folder}):
         return SpecCluster(
             workers=dict.fromkeys(range(jobs), worker),

@@ -1,4 +1,4 @@
-"""Worker processes: as many at once as fit into memory, ended with the process that began them."""
+"""Worker processes: as many as fit into memory, ended with the process that started them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gs_codec.batch.scenes import Task
 from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.report import Progress
 
-#: What a worker does with a task; importable by name, or a partial of such.
+#: What a worker does with a task: a function that can be pickled, or a partial of one.
 Work = Callable[[Task, Progress], Record]
 
 _SPAWN = multiprocessing.get_context("spawn")
@@ -27,7 +27,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 class Pool:
     """Processes that work on one task after another.
 
-    A task whose process is ended from outside is tried once more, after all others and alone.
+    A task whose process is killed from outside is tried once more, alone, after all others.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Pool:
     jobs : int
         Most processes.
     room : int, optional
-        Bytes of memory for all tasks at once; one that needs more runs alone. None: no limit.
+        Bytes of memory for all running tasks; a task that needs more runs alone. None: no limit.
     watcher : Watcher
     """
 
@@ -48,7 +48,7 @@ class Pool:
         self._tried: set[Task] = set()
 
     def run(self, tasks: Iterable[Task]) -> Generator[tuple[Task, Record], None, None]:
-        """Tasks with what came of them, as they are done; ends all processes at the end."""
+        """Yield each task and its record when it is done; end all processes at the end."""
         self._waiting.extend(tasks)
         try:
             while self._start() or self._busy:
@@ -61,12 +61,12 @@ class Pool:
                 worker.end()
 
     def stop(self) -> None:
-        """Start no more."""
+        """Start no more scenes."""
         self._waiting.clear()
         self._again.clear()
 
     def _start(self) -> bool:
-        """Start what fits."""
+        """Start tasks while they fit; tell whether any was started."""
         started = False
         while len(self._busy) < self._jobs and (task := self._next()) is not None:
             worker = self._idle.pop() if self._idle else _Worker(self._work)
@@ -77,7 +77,7 @@ class Pool:
         return started
 
     def _next(self) -> Task | None:
-        """The first task that fits beside those that run."""
+        """The first waiting task that fits into memory beside the running ones."""
         taken = sum(worker.task.need for worker in self._busy)
         for task in self._waiting:
             if not self._busy or self._room is None or taken + task.need <= self._room:
@@ -86,7 +86,7 @@ class Pool:
         return self._again.popleft() if self._again and not self._busy else None
 
     def _hear(self, worker: _Worker) -> Record | None:
-        """A record, if that is what the worker sent."""
+        """Receive a message: return a record, or pass progress to the watcher."""
         try:
             said = worker.connection.recv()
         except (EOFError, OSError):
@@ -120,17 +120,17 @@ class _Worker:
         self.process = _SPAWN.Process(target=_serve, args=(other, work), daemon=True)
         with _without_interrupt():
             self.process.start()
-        # The worker's end has to be its own alone, so that it is closed when that dies.
+        # Only the worker may hold its end of the pipe, so that it closes when the worker dies.
         other.close()
 
     def give(self, task: Task) -> None:
-        """Start a task; that the process is gone shows when its answer is read."""
+        """Send a task; if the process is gone, reading its answer shows that."""
         self.task = task
         with suppress(OSError):
             self.connection.send(task)
 
     def end(self) -> str:
-        """End the process, whatever it does, and tell how it ended."""
+        """Kill the process, whatever it does, and say how it ended."""
         self.process.kill()
         self.process.join()
         self.connection.close()
@@ -143,11 +143,11 @@ class _Worker:
 
 @contextmanager
 def _without_interrupt() -> Iterator[None]:
-    """Children that are started here do not hear Ctrl-C: whoever started them ends them."""
+    """Children started in the block ignore Ctrl-C; their parent ends them."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    # It is started with the first process, and leaves signals unblocked.
+    # The tracker would start with the first process, and it unblocks signals: start it now.
     multiprocessing.resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
@@ -157,7 +157,7 @@ def _without_interrupt() -> Iterator[None]:
 
 
 def _serve(connection: Connection, work: Work) -> None:
-    """Work on what comes until nobody is there."""
+    """Work on the tasks that come until the parent is gone."""
     redact_process()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:

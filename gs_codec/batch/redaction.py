@@ -1,4 +1,4 @@
-"""Texts without the secrets of URLs: passwords, accounts that are tokens, queries that sign."""
+"""Remove the secrets of URLs from text: passwords, tokens used as accounts, signed queries."""
 
 from __future__ import annotations
 
@@ -11,51 +11,51 @@ from functools import lru_cache
 from types import TracebackType
 from urllib.parse import unquote
 
-#: Where a URL of a chain ends, as in ``simplecache::https://host/scene.ply``.
+#: Separator of chained URLs, as in ``simplecache::https://host/scene.ply``.
 _CHAIN = re.compile(r"::(?=[A-Za-z][\w+.-]*(?:://|::))")
 
 _URL = re.compile(r"([A-Za-z][\w+.-]*://)(.*)", re.DOTALL)
 
-#: A URL in a text, and the quotes, brackets and stops that may follow it.
+#: A URL in a text, and the quotes, brackets and punctuation that may follow it.
 _URL_IN_TEXT = re.compile(r"[A-Za-z][\w+.-]{0,30}://\S+")
 _AFTER = "'\"()<>[],.;:"
 
 _HEADER = re.compile(r"(?i)(authorization['\"]?\s*[:=,]\s*['\"]?(?:(?:basic|bearer)\s+)?)[^\s'\"]+")
 
-#: The query of a path alone, as a server may name it.
+#: The query after a path without its host, as a server may print it.
 _QUERY = re.compile(r"(?<=[\w/])\?[^\s'\"=]*=[^\s'\"]*")
 
-#: Protocols whose accounts may be tokens, and whose queries are no part of a name.
+#: Protocols whose accounts may be tokens, and whose queries are not part of a file name.
 _WEB = ("http://", "https://")
 
-#: Protocols whose paths are names of files, which may have any sign.
+#: Protocols whose paths are file names, which may contain any character.
 _FILES = ("file://", "local://", "sftp://", "ssh://", "ftp://", "memory://")
 
-#: A secret with fewer signs may be part of any word; it is hidden where it is a word.
+#: A secret with fewer characters may occur inside other words; it is hidden only as a whole word.
 _SHORT = 8
 
-#: What signs a URL has more signs than a number of a page.
+#: Query values with fewer characters, such as page numbers, cannot be signatures.
 _SIGNATURE = 4
 
 _HIDDEN = "***"
 
 
 def without_secrets(url: str) -> str:
-    """A URL, or a chain of them, without passwords and without queries that may sign it.
+    """A URL, or a chain of URLs, without passwords and without queries that may sign it.
 
-    Accounts of the web go too. What is no URL is returned as it is.
+    Accounts of web addresses are removed too. Text that is not a URL is returned unchanged.
     """
     return "::".join(_parted(part)[0] for part in _links(url))
 
 
 def redacted(text: str, *urls: str) -> str:
-    """A text of a library or a server, without the secrets of the URLs in it.
+    """A message of a library or server, without the secrets of the URLs in it.
 
     Parameters
     ----------
     text : str
     urls : str
-        URLs whose secrets are hidden wherever they stand, in any spelling.
+        URLs whose secrets are hidden everywhere in the text, however they are escaped.
     """
     for url in urls:
         if (shown := without_secrets(url)) != url:
@@ -69,7 +69,7 @@ def redacted(text: str, *urls: str) -> str:
 
 
 def redact_process() -> None:
-    """Keep secrets of URLs out of the logs and tracebacks that this process writes."""
+    """Keep secrets of URLs out of this process's logs and tracebacks."""
     for handler in (*logging.root.handlers, logging.lastResort):
         if handler is not None and not isinstance(handler.formatter, _Redacting):
             handler.setFormatter(_Redacting(handler.formatter))
@@ -77,7 +77,7 @@ def redact_process() -> None:
 
 
 class _Redacting(logging.Formatter):
-    """What another formatter writes, tracebacks included, without secrets."""
+    """Removes secrets from the output of another formatter, tracebacks included."""
 
     def __init__(self, inner: logging.Formatter | None) -> None:
         super().__init__()
@@ -99,7 +99,7 @@ def _write_traceback(
 
 
 def _links(url: str) -> list[str]:
-    """The URLs of a chain; one of the web is its end, whatever stands in its query."""
+    """The URLs of a chain; a web URL is always the last, because its query may hold ``::``."""
     web = re.search("(?i)(?:^|::)https?://", url)
     if web is None:
         return _CHAIN.split(url)
@@ -108,18 +108,18 @@ def _links(url: str) -> list[str]:
 
 
 def _parted(url: str) -> tuple[str, list[str]]:
-    """A URL as it is shown, and the secrets that are left out of it."""
+    """A URL without its secrets, and the secrets."""
     if (match := _URL.fullmatch(url)) is None:
         return url, []
     scheme, rest = match[1].lower(), match[2]
     account, rest = _without_account(rest)
     user, _, password = re.sub("%3[aA]", ":", account).partition(":")
-    # Others take a sign that should be escaped for the end of a part.
+    # Other parsers end a part at a character that should have been escaped.
     secrets = [password, *re.split("[/?#@]", password)]
     if scheme in _WEB:
         token, user = user, ""
         pair = f"{token}:{password}" if password else token
-        # The second is what the header of a request has.
+        # The second is what the Authorization header of a request contains.
         secrets += [pair, base64.b64encode(unquote(pair).encode()).decode()]
     rest, query = _without_query(scheme, rest)
     parts = [*re.split("[?#&]", query), *re.split("[?#&;]|::", query)]
@@ -130,13 +130,13 @@ def _parted(url: str) -> tuple[str, list[str]]:
 
 
 def _without_account(rest: str) -> tuple[str, str]:
-    """What a URL has before the host, and what follows."""
+    """Split a URL without its scheme into its account and the rest."""
     authority = re.split("[/?#]", rest, maxsplit=1)[0]
     port = authority.rpartition("]")[2].partition(":")[2]
     if "@" in authority:
         account = authority.rpartition("@")[0]
     elif "@" in rest and port and not port.isdigit():
-        # A password with signs that should be escaped, as a slash.
+        # A password with characters that should be escaped, such as a slash.
         account = rest.rpartition("@")[0]
     else:
         return "", rest
@@ -144,7 +144,7 @@ def _without_account(rest: str) -> tuple[str, str]:
 
 
 def _without_query(scheme: str, rest: str) -> tuple[str, str]:
-    """The path of a URL with its host, and its query where it is no part of the name."""
+    """Split host and path from the query, unless the query is part of a file name."""
     path = re.split("[?#]", rest, maxsplit=1)[0]
     query = rest[len(path) :]
     if scheme in _WEB or (scheme not in _FILES and "=" in query):
@@ -154,7 +154,7 @@ def _without_query(scheme: str, rest: str) -> tuple[str, str]:
 
 @lru_cache
 def _spellings(url: str) -> list[re.Pattern[str]]:
-    """What finds each secret of a URL, however its signs are escaped; the longest first."""
+    """Patterns that find each secret of a URL, however it is escaped; the longest first."""
     secrets = {unquote(one) for part in _links(url) for one in _parted(part)[1]}
     return [_spelling(secret) for secret in sorted(secrets, key=len, reverse=True)]
 
@@ -162,7 +162,7 @@ def _spellings(url: str) -> list[re.Pattern[str]]:
 def _spelling(secret: str) -> re.Pattern[str]:
     signs = []
     for sign in secret:
-        # A plus may stand for a space, and an escape be escaped once more.
+        # A plus may stand for a space, and an escape may itself be escaped.
         meant = "+ " if sign in "+ " else sign
         escaped = ["".join(f"%(?:25){{0,3}}(?i:{b:02x})" for b in one.encode()) for one in meant]
         signs.append(rf"(?:\\{{0,4}}(?:{'|'.join(map(re.escape, meant))})|{'|'.join(escaped)})")

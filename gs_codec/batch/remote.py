@@ -1,4 +1,4 @@
-"""Scenes at URLs, through fsspec and what it finds installed."""
+"""Storage at URLs, through fsspec and the protocols it finds installed."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ log = logging.getLogger(__name__)
 
 _READ_ONLY = ("http", "https")
 
-#: Stores that show a file when it is closed, and know neither folders nor moving.
+#: Object stores: a file appears when it is closed; there are no folders and no renaming.
 _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory")
 
-#: Hosts are known by ~/.ssh/known_hosts, as ssh has it, since sshfs alone trusts any; one that
-#: does not answer is given up.
+#: Check hosts against ~/.ssh/known_hosts, as ssh does (sshfs by itself trusts any host), and give
+#: up on a host that does not answer.
 _SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
 
-#: Folders in folders, where links may lead up again.
+#: Deepest level of folders to read: links may lead up again.
 _DEEPEST = 32
 
-#: How much of the room on a disk a file may take that does not say how large it is.
+#: Share of the free disk space that a file of unknown size may take.
 _FILLED = 0.9
 
-#: Characters of an error that a server may have written.
+#: Longest error text to show: a server may have written it.
 _MOST = 1000
 
 _INSTALL = "pip install 'gs-codec[cluster]'"
 
 
 def place_of(text: str) -> Place:
-    """The place that a path or URL is at.
+    """The storage of a path or URL.
 
     Raises
     ------
     InvalidInput, MissingTool
-        If it is of no known kind, or cannot be reached.
+        If its protocol is unknown, or it cannot be reached.
     """
     return RemotePlace(text) if is_url(text) else LocalPlace()
 
@@ -59,14 +59,14 @@ class RemotePlace:
     Raises
     ------
     InvalidInput, MissingTool
-        If its protocol is unknown, or what speaks it is not installed, or it cannot be reached.
+        If its protocol is unknown, the package for it is not installed, or it cannot be reached.
     """
 
     local = False
 
     def __init__(self, base: str) -> None:
         self._base = base
-        # fsspec's chains: the first protocol reads from what the next one gives.
+        # In a chain of fsspec, each protocol reads from what the next one gives.
         self._protocols = [part.partition("://")[0] for part in base.split("::")]
         self._name = without_secrets(base)
         self._read_only = [name for name in self._protocols if name in _READ_ONLY]
@@ -94,7 +94,7 @@ class RemotePlace:
 
     @contextmanager
     def _named(self, spot: Spot | None = None) -> Iterator[None]:
-        """Errors name the place or file and are one line; backends raise whatever they like."""
+        """Turn any error of a backend into one line that names the storage or file."""
         path = self._base if spot is None else spot.path
         shown = self._name if spot is None else self.shown(spot)
         try:
@@ -109,7 +109,7 @@ class RemotePlace:
             raise InvalidInput(f"{shown}: {text}") from error
 
     def find(self, pattern: str) -> list[tuple[str, Spot]]:
-        """See `Place.find`; a folder of the web is told by its slash."""
+        """See `Place.find`; a web address is a folder if it ends in a slash."""
         wild = "*[" if self._read_only else "*[?"
         root = self._root
         with self._named():
@@ -142,7 +142,7 @@ class RemotePlace:
         Raises
         ------
         InvalidInput
-            If folders go too deep, as they do without an end where links lead up again.
+            If folders go too deep, as they do when a link leads up again.
         """
         if self._is_store:
             return self._fs.find(root, detail=True)
@@ -161,10 +161,10 @@ class RemotePlace:
         return found
 
     def _listed(self, folder: str, depth: int) -> list[tuple[str, dict[str, Any]]]:
-        """What a folder has; one below the first that cannot be read is warned of."""
+        """Entries of a folder; a subfolder that cannot be read gives a warning."""
         try:
             entries = self._fs.ls(folder, detail=True)
-        except FileNotFoundError:  # how fsspec has an empty folder of the web
+        except FileNotFoundError:  # what fsspec raises for an empty web folder
             return []
         except OSError as error:
             if not depth:
@@ -216,7 +216,7 @@ class RemotePlace:
             return file_sha256(self.fetch(spot, Path(folder)))
 
     def fetch(self, spot: Spot, folder: Path) -> Path:
-        """See `Place.fetch`; there must be room for the copy, and no more comes than was said."""
+        """See `Place.fetch`; checks that the copy fits the disk and has the stated size."""
         from fsspec.callbacks import Callback
 
         shown, stamp = self.shown(spot), self.stamp(spot)
@@ -230,13 +230,13 @@ class RemotePlace:
 
         def check(_: int | None, value: int, **__: Any) -> None:
             if value > most:
-                raise InvalidInput(f"{shown}: more than {most} bytes come")
+                raise InvalidInput(f"{shown}: more than {most} bytes received")
 
         with self._named(spot):
             self._fs.get_file(spot.path, str(target), callback=Callback(hooks={"most": check}))
             size = target.stat().st_size
         if stamp.size not in (-1, size):
-            raise InvalidInput(f"{shown}: {size} bytes came, expected {stamp.size}")
+            raise InvalidInput(f"{shown}: {size} bytes received, expected {stamp.size}")
         return target
 
     def store(self, file: Path, spot: Spot, mark: str) -> None:
@@ -271,6 +271,6 @@ class RemotePlace:
 
 
 def _cause(error: BaseException, *urls: str) -> str:
-    """What went wrong, which some backends tell by the kind of error alone."""
+    """Text of an error, or its type if it has no text; without the secrets of `urls`."""
     text = redacted(one_line(error), *urls) or type(error).__name__
     return text if len(text) <= _MOST else f"{text[:_MOST]}..."

@@ -1,4 +1,4 @@
-"""A batch from its options to its report."""
+"""Run a batch: from its options to its report."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from gs_codec.workers import available_threads
 
 _REPORT = "report.jsonl"
 
-#: Tasks with what came of them.
+#: Tasks with their records.
 Results = Generator[tuple[Task, Record], None, None]
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What to encode, where to, and how.
+    """Options of a batch: what to encode, where to write it, and how.
 
     Parameters
     ----------
@@ -46,21 +46,21 @@ class Batch:
     target : str
         A folder, or a URL of one, for the same tree of ``.egs`` files.
     options : Options
-        With `threads` None, a scene has its share of the processors.
+        If `threads` is None, scenes that run at once share the processors equally.
     jobs : int, optional
-        Most scenes at once. Default as many as there are processors for their threads.
+        Most scenes at once. Default: processors divided by the threads of a scene.
     resume : bool
-        Go on with the report that is there. Default False: a new one takes its place.
+        Continue the existing report. Default False: start a new one.
     report : str, optional
-        A file of this machine. Default ``report.jsonl`` in the target's folder, or here if that
-        is elsewhere.
+        A file on this machine. Default ``report.jsonl`` in the target folder, or in the current
+        folder if the target is remote.
     on_error : {"continue", "stop"}
-        Whether others are started after a scene that failed.
+        Whether more scenes are started after one has failed.
     dask : str, optional
         Address of a scheduler, or ``local`` for a cluster of `jobs` processes.
     overwrite : bool
-        Whether a report and outputs that exist are replaced where `resume` does not tell which are
-        complete. Default True, see `encode_file`; the command line refuses them.
+        Without `resume`, whether an existing report and existing outputs are replaced. Default
+        True, as for `encode_file`; the command line refuses them.
 
     Raises
     ------
@@ -92,16 +92,16 @@ class Batch:
 
 @dataclass(frozen=True)
 class Summary:
-    """What came of a batch.
+    """Result of a batch.
 
     Attributes
     ----------
     report : str
-        Where its lines are.
+        Path of the report.
     done, skipped, failed, not_started : int
-        Scenes encoded now, complete before, failed, and left after a failure.
+        Scenes encoded now, complete before, failed, and not started because one failed.
     input_bytes, output_bytes : int
-        Of those that are complete.
+        Total bytes of the complete scenes.
     ratio : float
         How many times smaller all of these are, PLY files counted whole and compressed ones by
         their floats; -1 if there are none.
@@ -120,24 +120,25 @@ class Summary:
 
 
 class Runner(Protocol):
-    """What works on tasks somewhere."""
+    """Runs tasks: in processes, on a cluster, or in this process."""
 
     def run(self, tasks: Sequence[Task]) -> Results:
-        """Tasks with what came of them, as they are done."""
+        """Yield each task and its record when it is done."""
 
     def stop(self) -> None:
-        """Start no more."""
+        """Start no more scenes."""
 
 
 def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
-    """Encode the scenes of a folder or glob; one that fails leaves the others alone.
+    """Encode the scenes of a folder or glob; a failed scene does not stop the others.
 
-    Outputs appear whole or not at all. The report has a line for each scene as soon as it is done.
+    An output appears complete or not at all. The report gets a line for each scene when it is
+    done.
 
     Raises
     ------
     InvalidInput, MissingTool
-        If there is nothing to do, or a place cannot be used, or the report cannot be written.
+        If no scene matches, a storage cannot be used, or the report cannot be written.
     """
     start, watcher = time.perf_counter(), watcher or Watcher()
     sources, targets = place_of(batch.source), place_of(batch.target)
@@ -146,7 +147,7 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
     mark = batch_mark(path)
     tasks = find_tasks(batch.source, batch.target, sources, targets, options, mark)
     if batch.dask is not None and not (sources.shared and targets.shared):
-        raise InvalidInput("memory: is this process's own, expected a place that workers see")
+        raise InvalidInput("memory: this process's own storage, expected one that workers reach")
     targets.check_folder(batch.target)
     if not (batch.resume or batch.overwrite):
         _refuse_existing(tasks, targets)
@@ -191,7 +192,7 @@ def _work(
 
 
 def _completed(record: Record, task: Task, digest: str) -> Record:
-    """With what is known of every scene, however early it failed, and without secrets."""
+    """The record with options and versions filled in, and with secrets removed from its texts."""
     record = replace(record, options=digest, versions=record.versions or versions())
     urls = [url for spot in (task.source, task.target) for url in (spot.base, spot.path)]
     record = replace(record, warnings=[redacted(text, *urls) for text in record.warnings])
@@ -203,7 +204,7 @@ def _completed(record: Record, task: Task, digest: str) -> Record:
 
 
 def _refuse_existing(tasks: Sequence[Task], targets: Place) -> None:
-    """Refuse to replace what an earlier batch may have written."""
+    """Refuse to replace outputs that exist."""
     for task in tasks:
         if targets.stamp(task.target) is not None:
             raise InvalidInput(f"{task.shown[1]}: exists, expected --resume or --overwrite")
@@ -236,7 +237,7 @@ def _encode_in(
 
 
 class _Here:
-    """One task after another in this process, for places that no other sees."""
+    """Runs tasks one after another in this process, for storage that no other process sees."""
 
     def __init__(
         self, work: Callable[[Task, Callable[[str, int, int], None]], Record], watcher: Watcher
@@ -257,14 +258,14 @@ class _Here:
 
 
 def batch_mark(report: str) -> str:
-    """What tells a batch from others that write to the same place: the report, and its host."""
+    """An identifier of the batch, made from its report and host; marks its unfinished files."""
     text = f"{platform.node()} {uuid.getnode()} {os.path.abspath(report)}"
     return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:8]
 
 
 @contextmanager
 def _scratch(report: str) -> Iterator[str]:
-    """A folder for copies; those of batches with this report that were killed go first."""
+    """A temporary folder for copies; removes those of killed batches with this report first."""
     digest = hashlib.sha256(os.path.abspath(report).encode("utf-8", "surrogateescape"))
     prefix = f"gs-codec-{digest.hexdigest()[:16]}-"
     for old in glob.glob(os.path.join(glob.escape(tempfile.gettempdir()), prefix + "*")):
@@ -276,7 +277,7 @@ def _scratch(report: str) -> Iterator[str]:
 def _complete(
     task: Task, ledger: Ledger, digest: str, sources: Place, targets: Place
 ) -> Record | None:
-    """The record of a scene that is done, and neither it nor its output has changed since."""
+    """The record of a scene that is done, if neither source nor output has changed since."""
     record = ledger.records.get(task.shown)
     if record is None or record.error is not None or record.options != digest:
         return None
@@ -290,13 +291,13 @@ def _complete(
         if task.stamp != was and not _same_bytes(task, was, record, sources):
             return None
         same = targets.sha256(task.target) == record.output_sha256
-    except GsCodecError:  # what cannot be read is not complete
+    except GsCodecError:  # a file that cannot be read is not complete
         return None
     return record if same else None
 
 
 def _same_bytes(task: Task, was: Stamp, record: Record, sources: Place) -> bool:
-    """Whether a file of this machine, touched since, still says the same."""
+    """Whether a local file with a new modification time still has the same content."""
     if not sources.local or task.stamp.size != was.size:
         return False
     return sources.sha256(task.source) == record.input_sha256

@@ -1,4 +1,4 @@
-"""Which scenes a batch encodes, how, and what they become."""
+"""The tasks of a batch: its scenes, their outputs, and their options."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Options:
     max_memory: int | None = None
 
     def digest(self) -> str:
-        """What tells options apart that may give other bytes; the number of threads does not."""
+        """Digest of all options that the output bytes depend on; threads are not among them."""
         parts = {
             "config": asdict(replace(self.config, threads=None)),
             "plan": self.plan and asdict(self.plan),
@@ -43,17 +43,17 @@ class Options:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
     def with_share(self, jobs: int) -> Options:
-        """The same with the threads that a scene has where `jobs` of them are encoded at once."""
+        """The same options, with the threads for each of `jobs` scenes that run at once."""
         threads = self.config.threads or max(available_threads() // jobs, 1)
         return replace(self, config=replace(self.config, threads=threads))
 
     def pixels(self) -> int:
-        """Pixels of all views that are drawn of a scene, at most.
+        """Upper bound on the pixels of all views that are drawn of a scene.
 
         Raises
         ------
         InvalidInput
-            If there are no cameras where they should be.
+            If the cameras cannot be read.
         """
         plan, rate = self.plan, self.rate
         if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
@@ -73,7 +73,7 @@ class Options:
         return plan.views * max(areas, default=0)
 
     def absolute(self) -> Options:
-        """The same where processes may have another working folder."""
+        """The same options with absolute paths, for processes with another working folder."""
         plan, config = self.plan, self.config
         if config.tmc3 is not None and os.path.dirname(config.tmc3):  # else it is in PATH
             config = replace(config, tmc3=os.path.abspath(config.tmc3))
@@ -88,7 +88,7 @@ class Options:
         return replace(self, config=config, plan=plan)
 
     def _files(self) -> Iterator[tuple[str, str]]:
-        """What the files are like that a plan names: those of cameras, the list of pictures."""
+        """Name and stamp of each file that the plan uses: cameras and photographs."""
         if self.plan is None:
             return
         for path in (self.plan.cameras, self.plan.gt_images):
@@ -107,16 +107,16 @@ class Task:
     Parameters
     ----------
     name : str
-        Below the folder or the fixed part of the glob.
+        Relative to the folder or the fixed part of the glob.
     source, target : Spot
     shown : tuple of str
-        Both, without secrets: what they are called in reports.
+        Names of both for reports, without secrets.
     stamp : Stamp
-        The source when the batch was planned.
+        Stamp of the source when the batch was planned.
     need : int
-        Bytes of memory that it takes, about.
+        Estimated memory, bytes.
     mark : str
-        What tells unfinished uploads of the batch from those of others: 8 hexadecimal digits.
+        Marks unfinished uploads of this batch: 8 hexadecimal digits.
     """
 
     name: str
@@ -131,12 +131,12 @@ class Task:
 def find_tasks(
     source: str, target: str, sources: Place, targets: Place, options: Options, mark: str = ""
 ) -> list[Task]:
-    """The scenes that a file, folder or glob matches, and their places in the target's folder.
+    """The scenes that a file, folder or glob matches, with their outputs below the target.
 
     Raises
     ------
     InvalidInput
-        If there are none, or two would be written to the same file or one over itself.
+        If there are none, if two have the same output, or if an output is its own source.
     """
     found = sources.find(source)
     if not found:
@@ -145,11 +145,11 @@ def find_tasks(
     for name, spot in found:
         written = targets.spot(target, os.path.splitext(name)[0] + ".egs")
         shown = sources.shown(spot), targets.shown(written)
-        if ".." in name.split("/"):  # which keys of a store may have
+        if ".." in name.split("/"):  # keys of object stores may contain it
             raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")
         if shown[1] in taken:
             both = f"{taken[shown[1]]} and {shown[0]}"
-            raise InvalidInput(f"{shown[1]}: wanted for {both}, expected one source for a file")
+            raise InvalidInput(f"{shown[1]}: output of {both}, expected one source for a file")
         if shown[0] == shown[1]:
             raise InvalidInput(f"{shown[1]}: the source itself")
         taken[shown[1]] = shown[0]
@@ -164,7 +164,7 @@ def find_tasks(
 
 
 def _stamp(sources: Place, spot: Spot) -> Stamp:
-    """What a file is like; one that is gone or cannot be reached fails when it is read, alone."""
+    """Stamp of a file; empty if it cannot be reached, so that only this scene fails later."""
     try:
         return sources.stamp(spot) or Stamp(-1, "")
     except GsCodecError:
@@ -172,12 +172,12 @@ def _stamp(sources: Place, spot: Spot) -> Stamp:
 
 
 def _stated(sources: Place, spot: Spot) -> int | None:
-    """Bytes of floats that the header of a file of this machine states; others are not opened."""
+    """Bytes of floats that the header of a local file states; None if remote or unreadable."""
     if not sources.local or not os.path.isfile(spot.path):
         return None
     from gs_codec.files import stated_bytes
 
     try:
         return stated_bytes(spot.path)
-    except GsCodecError:  # told when it is read
+    except GsCodecError:  # reported when the scene is read
         return None

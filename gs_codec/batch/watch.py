@@ -1,4 +1,4 @@
-"""What a batch tells while it runs."""
+"""Events of a running batch."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from gs_codec.batch.ledger import Record
 from gs_codec.batch.scenes import Task
 from gs_codec.report import Progress
 
-#: Seconds between two reports of a stage, which nobody could read faster.
+#: Least seconds between two progress reports of a stage.
 _EVERY = 0.1
 
 
 class Watcher:
-    """Hears what happens; this one does nothing about it."""
+    """Gets the events of a batch; this base class ignores them."""
 
     def begun(self, total: int, skipped: int, report: str) -> None:
-        """Work begins on so many scenes, besides those that are done already."""
+        """The batch begins: `total` scenes to encode, `skipped` already done."""
 
     def started(self, task: Task) -> None:
-        """A scene is begun."""
+        """A scene was started."""
 
     def stage(self, task: Task, stage: str, done: int, total: int) -> None:
-        """A stage of encoding it has come so far."""
+        """Progress of a stage of encoding a scene."""
 
     def ended(self, task: Task, record: Record) -> None:
         """A scene is done, or failed."""
 
     def said(self, text: str) -> None:
-        """Something to know."""
+        """A message for the user."""
 
 
 def throttled(progress: Progress) -> Progress:
-    """Every new stage, but of what is done of one no more than can be read."""
+    """Pass on every new stage, and at most ten updates a second within a stage."""
     last = ("", 0.0)
 
     def tell(stage: str, done: int, total: int) -> None:

@@ -1,4 +1,4 @@
-"""One scene, from where it lies to where it belongs."""
+"""Encode one scene of a batch: fetch it, encode it, store the output."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.report import EncodeReport, Progress
 
-#: Packages that compute.
+#: Packages whose versions may change the output bytes.
 _COMPUTING = ("numpy", "numba", "llvmlite", "scipy", "pcodec")
 
 
 def encode_one(
     task: Task, options: Options, scratch: str | None = None, progress: Progress | None = None
 ) -> Record:
-    """Encode a scene; whatever goes wrong is in the record.
+    """Encode a scene; any error becomes part of the record.
 
-    Copies of what lies elsewhere are in folders of their own in `scratch`, and go.
+    Copies of remote files are in a temporary folder in `scratch`.
     """
     blank = Record(*task.shown, versions=versions())
     warnings: list[str] = []
@@ -40,7 +40,7 @@ def encode_one(
         with tempfile.TemporaryDirectory(dir=scratch) as folder:
             record = _encode(task, options, Path(folder), progress, blank, warnings)
     except Exception as error:
-        # Others are to be encoded all the same, whatever this was.
+        # The other scenes must still be encoded, whatever the error.
         kind = "InvalidInput" if isinstance(error, OSError) else type(error).__name__
         text = one_line(error) or kind
         if not isinstance(error, GsCodecError) and task.shown[0] not in text:
@@ -62,7 +62,7 @@ def _encode(
 
     sources, targets = place_of(task.source.base), place_of(task.target.base)
     if task.name.lower().endswith(".json"):
-        # The files beside it would neither be copied nor missed when they change.
+        # The other files of the scene would not be copied, nor checked for changes.
         raise InvalidInput(f"{task.shown[0]}: SOG of several files, expected a bundle (.sog)")
     start = time.perf_counter()
     before = sources.stamp(task.source)
@@ -84,7 +84,7 @@ def _encode(
         packed = opened.is_compressed
     after = sources.stamp(task.source)
     if before is None or before != after:
-        # What was read may be neither the old scene nor the new one.
+        # The bytes that were read may be a mix of the old and the new scene.
         output.unlink()
         raise InvalidInput(f"{task.shown[0]}: changed while it was read")
     start = time.perf_counter()
@@ -114,7 +114,7 @@ def _changed(report: EncodeReport) -> dict[str, int]:
 
 @lru_cache
 def versions() -> dict[str, str]:
-    """Versions of what the bytes of a scene may depend on."""
+    """Versions of gs_codec and the packages that the output bytes may depend on."""
     return {"gs_codec": __version__} | {
         name: importlib.metadata.version(name) for name in _COMPUTING
     }
@@ -122,7 +122,7 @@ def versions() -> dict[str, str]:
 
 @contextmanager
 def _named(names: dict[str, str], warnings: list[str]) -> Iterator[None]:
-    """Let errors and warnings name what files are copies of; copies mean nothing to anybody."""
+    """In errors and warnings, replace the paths of temporary copies by the original names."""
 
     def named(text: str) -> str:
         for file, shown in names.items():
@@ -141,7 +141,7 @@ def _named(names: dict[str, str], warnings: list[str]) -> Iterator[None]:
 
 @contextmanager
 def _collected(warnings: list[str]) -> Iterator[None]:
-    """Warnings that this thread logs meanwhile go to a list."""
+    """Collect the warnings that this thread logs within the block in a list."""
     thread = threading.get_ident()
 
     class Collector(logging.Handler):

@@ -92,7 +92,7 @@ def main() -> None:
     except typer.Abort:
         status = 130
     except Exception as error:
-        # Typer's errors of use; releases differ in where they keep the class.
+        # Usage errors of Typer; its releases define the class in different modules.
         if not hasattr(error, "format_message"):
             raise
         if message := " ".join(error.format_message().split()):  # none: help was shown

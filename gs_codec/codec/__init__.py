@@ -1,4 +1,4 @@
-"""The order of the stages, in both directions. Nothing else knows it."""
+"""Scene to stream and back: the order of the stages is decided here alone."""
 
 from gs_codec.codec.decode import decode_part, decode_scene
 from gs_codec.codec.encode import encode_parts, encode_scene

@@ -1,4 +1,4 @@
-"""Stream to scene, for profiles that code channel by channel."""
+"""Decoder of profiles ``paper-*``, which code channel by channel."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ def decode_channels(
     progress: Progress | None = None,
     tool: Tmc3 | None = None,
 ) -> dict[str, NDArray[np.float32]]:
-    """The attribute groups of blocks, in the order of the stream.
+    """Decode blocks to attribute groups, in stream order.
 
-    `spans` tells where each block goes; SH is decoded up to `degree`. `tool` decodes points that
-    are coded by G-PCC.
+    `spans` gives each block's range in the result; SH is decoded up to `degree`. `tool` decodes
+    points that are coded by G-PCC.
     """
     count = max((span.stop for span in spans.values()), default=0)
     decoder = _Blocks.of(file, channels_of(file), degree, count, tool)
@@ -88,11 +88,11 @@ def decode_channels(
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Decoder of single blocks into the planes of a scene.
+    """Decodes single blocks into the planes of a scene.
 
-    ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``;
-    ``varying``, ``tables`` and ``levels`` are of the channels that rANS codes, `whole` tells
-    whether those are all that were coded.
+    ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``.
+    ``varying`` lists the channels that rANS codes; ``tables`` and ``levels`` hold their frequency
+    tables and the values of their symbols. ``whole`` tells whether all coded SH is decoded.
     """
 
     file: EgsFile
@@ -114,7 +114,7 @@ class _Blocks:
         count: int,
         tool: Tmc3 | None,
     ) -> _Blocks:
-        """Set up tables, and constant planes of `count` Gaussians, for SH up to a degree."""
+        """Set up tables, and fill constant planes of `count` Gaussians, for SH up to a degree."""
         kept, coded = SH_COEFFICIENTS[degree], SH_COEFFICIENTS[file.header.sh_degree]
         channels = [
             replace(c, index=c.index // coded * kept + c.index % coded)
@@ -139,7 +139,7 @@ class _Blocks:
         return cls(file, channels, groups, planes, varying, packed, levels, whole, tool)
 
     def stages(self) -> list[Callable[[int, int, int], None]]:
-        """What there is to do for each block."""
+        """The functions that decode a block."""
         stages: list[Callable[[int, int, int], None]] = []
         if any(channel.quantiser.depth for channel in self.channels[:6]):
             stages.append(self.decode_points)
@@ -168,7 +168,7 @@ class _Blocks:
         return [*cells, *decode_colour(data, cells, depths, f"sh-dc of block {block}")]
 
     def decode_attributes(self, block: int, start: int, stop: int) -> None:
-        """Fill everything else of a block."""
+        """Fill the rANS-coded channels of a block."""
         streams = [self.channels[row].stream for row in self.varying]
         groups = [
             (streams.count(stream), self.file.section(SectionId.of_stream(stream), block))

@@ -1,4 +1,4 @@
-"""What is done to a scene before it is coded, because no coder could keep it."""
+"""Clean a scene before coding: no NaN or infinity, no quaternions of norm 0."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gs_codec.workers import run_all
 
 
 def clean_scene(scene: Scene, config: Config) -> tuple[Scene, dict[str, Any]]:
-    """The scene as it can be coded, and what was changed: fields of `EncodeReport`.
+    """Clean a scene; returns it and the fields of `EncodeReport` that count the changes.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def clean_scene(scene: Scene, config: Config) -> tuple[Scene, dict[str, Any]]:
 
 
 def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
-    """The scene without Gaussians that hold NaN or infinity, and how many there were.
+    """Drop Gaussians that hold NaN or infinity; returns the scene and their number.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
 
 
 def identity_for_zero(scene: Scene) -> tuple[Scene, int]:
-    """The scene with quaternions of norm 0 made the identity, and how many there were."""
+    """Replace quaternions of norm 0 by the identity; returns the scene and their number."""
     zero = ~scene.rot.any(axis=0)
     count = int(np.count_nonzero(zero))
     if count:

@@ -58,8 +58,8 @@ def decode_part(
 ) -> tuple[Scene, EgsFile]:
     """Decode a part of an `.egs` stream.
 
-    SH above the part's degree is not read, and neither are blocks that have nothing in its box,
-    but for their positions in other profiles than `l`, `m` and `s`, which tell so.
+    SH above the part's degree is not read, nor are blocks without a Gaussian in its box. Only
+    profiles `l`, `m` and `s` store bounds of blocks: of the others, all positions are read.
 
     Parameters
     ----------
@@ -68,26 +68,26 @@ def decode_part(
     threads : int, optional
         Worker threads, 1-256; by default one for each available processor.
     max_bytes : int, optional
-        Refuse a stream that would be larger decoded; by default as `most_bytes` says.
+        Largest decoded size that is accepted; `most_bytes` gives the default.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
     tmc3 : path, optional
-        The program for streams that use G-PCC; by default ``GS_CODEC_TMC3`` or PATH say where.
+        The program for streams that use G-PCC; by default from ``GS_CODEC_TMC3`` or PATH.
 
     Returns
     -------
     scene : Scene
         In the order of the stream.
     file : EgsFile
-        What of the stream was read.
+        The header, and the sections that were read.
 
     Raises
     ------
     InvalidInput
-        If there can be no such number of threads.
+        If the number of threads is out of range.
     CorruptStream, TruncatedStream, UnsupportedVersion
     MissingTool, ToolFailed
-        If the stream uses G-PCC, and its program is not there or does not decode it.
+        If the stream uses G-PCC, and the program is missing or fails.
     """
     check_threads(threads)
     with using_threads(threads):
@@ -102,7 +102,7 @@ def choose_part(
     max_bytes: int | None = None,
     tmc3: str | Path | None = None,
 ) -> ChosenPart:
-    """Read and check what of a stream is to be decoded; see `decode_part`."""
+    """Read and check the sections that a part needs; see `decode_part`."""
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
     limit = most_bytes(len(data), max_bytes)
@@ -126,9 +126,9 @@ def choose_part(
 
 @dataclass(frozen=True)
 class ChosenPart:
-    """A file, what of it is read and checked, and the blocks that are to be decoded.
+    """A file whose needed sections are read and checked, and the blocks to decode.
 
-    Where nothing is ``coded`` of them, a small file may have any number of blocks.
+    ``coded`` tells whether blocks have sections. If not, a small file may have any number of them.
     """
 
     file: EgsFile
@@ -139,9 +139,9 @@ class ChosenPart:
     tool: Tmc3 | None
 
     def slabs(self, size: int, progress: Progress | None = None) -> Iterator[Scene]:
-        """Scenes that follow one another in the stream: whole blocks, `size` Gaussians or less.
+        """Decode to consecutive scenes of whole blocks, at most `size` Gaussians each.
 
-        There is at least one block in each, and at least one slab, if an empty one.
+        A larger block is a scene of its own. If there are no blocks, one empty scene is given.
         """
         header = self.file.header
         decode, extra = _decoder(header.profile, self.tool), _read_extra(self.file)
@@ -176,7 +176,7 @@ class ChosenPart:
 
 @dataclass(frozen=True)
 class _Run:
-    """Blocks that are decoded together: where they go, and where they are in the stream."""
+    """Blocks that are decoded together: their ranges in the result and in the stream."""
 
     spans: dict[int, slice]
     ranges: list[slice]
@@ -186,7 +186,7 @@ class _Run:
         return max((span.stop for span in self.spans.values()), default=0)
 
     def of(self, columns: dict[str, NDArray]) -> dict[str, NDArray]:
-        """Its Gaussians of columns of the whole scene."""
+        """The rows of these Gaussians in columns of the whole scene."""
         return {
             name: np.concatenate([column[:0], *(column[where] for where in self.ranges)])
             for name, column in columns.items()
@@ -194,7 +194,7 @@ class _Run:
 
 
 def _part_of(progress: Progress | None, first: int, count: int, total: int) -> Progress | None:
-    """Progress of a slab of `count` Gaussians after `first`, as that of all."""
+    """Progress of all Gaussians, from that of a slab of `count` after `first`."""
     if progress is None:
         return None
     return lambda stage, done, steps: progress(stage, first + count * done // steps, total)
@@ -207,7 +207,7 @@ def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray
 
 
 def _choose_blocks(file: EgsFile, part: Part, tool: Tmc3 | None) -> tuple[EgsFile, Sequence[int]]:
-    """Blocks that may have something in the part's box, and the file with what tells so read."""
+    """Blocks that may have Gaussians in the part's box, and the file with the sections read."""
     every = range(file.header.block_count)
     if part.box is None or not every:
         return file, every
@@ -231,7 +231,7 @@ def _check_size(header: Header, limit: int) -> None:
 
 
 def _check_extra(file: EgsFile, limit: int) -> None:
-    """Refuse extra properties that would take more than the floats leave."""
+    """Refuse extra properties that, with the floats, would exceed the limit."""
     extra = file.sections.get((SectionId.EXTRA, 0))
     size = 0 if extra is None else extra_bytes(extra, file.header.count)
     if size > limit - file.header.float_bytes:
@@ -241,7 +241,7 @@ def _check_extra(file: EgsFile, limit: int) -> None:
 
 
 def _check_sections(file: EgsFile) -> set[SectionId]:
-    """Refuse a file that has not exactly its profile's sections; those that its blocks have."""
+    """Check that a file has exactly its profile's sections; returns those of its blocks."""
     header = file.header
     if header.profile == LOSSLESS:
         own, expected = {SectionId.BOX}, set(block_sections(header.sh_degree))
@@ -273,7 +273,7 @@ def _read_extra(file: EgsFile) -> dict[str, NDArray]:
 def _assemble(
     file: EgsFile, groups: dict[str, NDArray[np.float32]], extra: dict[str, NDArray]
 ) -> Scene:
-    """The scene of the decoded groups, and what the file carries beside them."""
+    """The scene of the decoded groups, with the file's comments and extra properties."""
     comments = file.sections.get((SectionId.COMMENTS, 0))
     return Scene(
         **groups,

@@ -1,4 +1,4 @@
-"""Depths asked of profiles whose steps follow how much is seen."""
+"""Bit depths given with profiles ``l``, ``m`` and ``s``, as step sizes."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from gs_codec.lattice.fit import Steps
 from gs_codec.scene import Scene
 from gs_codec.transform.linear import combine
 
-#: No step is so many octaves from another.
+#: SH-AC step sizes are at most this many octaves from those of SH-DC.
 _OCTAVES = 64.0
 
 
 def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
-    """Log2 of the mean step (geometric) that groups have in paper profiles of such depths.
+    """Log2 of the geometric mean step size of each group in a paper profile of these depths.
 
-    Quaternions are taken as unit ones; a group that is constant has no step.
+    Quaternions are normalised first. A constant group has no step size.
     """
     planes = {}
     if "rotation" in depths:
-        # In float64, where no norm is too small or too large for its square.
+        # In float64, where the squares neither underflow nor overflow.
         norms = np.sqrt(np.sum(np.square(scene.rot, dtype=np.float64), axis=0))
         planes["rot"] = (scene.rot / norms).astype(np.float32)
     octaves: dict[str, list[float]] = {}
@@ -42,17 +42,17 @@ def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
 def as_deep(
     steps: Steps, some: slice, known: NDArray[np.float64], octaves: Mapping[str, float]
 ) -> Steps:
-    """The same steps but for groups whose mean, log2, is to be another.
+    """Scale the step sizes of some groups so that their mean (log2) is the one given.
 
     Parameters
     ----------
     steps : Steps
     some : slice
-        The Gaussians to take the mean of.
+        The Gaussians that the mean is taken over.
     known : ndarray, shape (5, n)
         Features of these.
     octaves : mapping of str to float
-        By group.
+        Log2 of the mean step size, by group.
     """
     coefficients = {name: row.copy() for name, row in steps.coefficients.items()}
 

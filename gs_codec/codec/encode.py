@@ -31,8 +31,8 @@ def encode_scene(
     progress : callable, optional
         Called as ``progress(stage, done, total)`` from the calling thread.
     steps : Steps, optional
-        Step sizes for profiles ``l``, ``m`` and ``s``, of each Gaussian; by default they follow
-        from its attributes.
+        Step sizes of each Gaussian, for profiles ``l``, ``m`` and ``s``; by default a rule based
+        on opacity and scale is used.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def encode_scene(
     InvalidInput
         If values are not finite and `config` does not say to drop them.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC, and its program is not there or fails.
+        If `config` asks for G-PCC, and the program is missing or fails.
     """
     parts, report = encode_parts(scene, config, progress, steps)
     return b"".join(parts), report
@@ -56,7 +56,7 @@ def encode_parts(
     progress: Progress | None = None,
     steps: Steps | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene to what follows one another in the file; see `encode_scene`."""
+    """Encode a scene to the consecutive pieces of a file; see `encode_scene`."""
     config = config or Config()
     with using_threads(config.threads):
         return _encode_parts(scene, config, progress, steps)

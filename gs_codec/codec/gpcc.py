@@ -22,12 +22,12 @@ from gs_codec.transform.morton import canonical_order, encode_morton
 
 _CHECKSUM = "<I"
 
-#: Gaussians in a block where there are several: each takes a run of the program.
+#: Fewest Gaussians in a block if there are several: the program runs once for each.
 _LEAST_BLOCK = 512
 
 
 def tool_of(config: Config) -> Tmc3 | None:
-    """The program that a configuration asks for; None where the octree codes the points.
+    """Find the program that a configuration asks for; None if our octree codes the points.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def tool_of(config: Config) -> Tmc3 | None:
 
 
 def tool_section(tool: Tmc3 | None, ordered: Ordered) -> list[Section]:
-    """What says that points are coded by a program, if any are."""
+    """The section `tool`, if points are coded by a program."""
     if tool is None or not any(map(sum, ordered.depths)):
         return []
     return [Section(SectionId.TOOL, 0, write_tool(tool.version))]
@@ -80,7 +80,7 @@ def is_gpcc(file: EgsFile) -> bool:
 
 
 def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:
-    """The program that decodes a file's points; None where it has no need of one.
+    """Find the program that decodes a file's points; None if the file needs none.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def decode_gpcc(
     ------
     TruncatedStream, CorruptStream
     ToolFailed
-        Whether stream or program is to blame cannot be told.
+        If decoding fails; the cause may be the stream or the program.
     """
     quantisers = [channel.quantiser for channel in channels[:6]]
     axes, colours = triple_depths(quantisers[:3]), triple_depths(quantisers[3:])

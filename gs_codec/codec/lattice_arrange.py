@@ -1,4 +1,4 @@
-"""From a scene to its lattices and the order of its stream."""
+"""Choose the lattices and the stream order of a scene."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from gs_codec.transform.linear import combine
 from gs_codec.transform.morton import canonical_order, encode_morton
 from gs_codec.workers import run_all
 
-#: Log2 of the coarsest steps: of logits, log-scales, quaternion components, colours.
+#: Log2 of the coarsest step sizes: of logits, log-scales, quaternion components, colours.
 _COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
 
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18
 
-#: Units are such that steps, in their integers, have no more bits.
+#: Most bits of a step size as a fixed-point integer.
 _STEP_BITS = 31
 
 _AXIS_BITS = 21
 
 _LARGEST = float(np.finfo(np.float32).max)
 
-#: Units and centres are chosen by at most twice so many Gaussians.
+#: Units and centres are chosen from a sample of at most twice this many Gaussians.
 _SAMPLE = 100_000
 
-#: Gaussians that go to the grid at once.
+#: Gaussians that are put on the grid at once.
 _CHUNK = 1 << 16
 
 
@@ -51,14 +51,14 @@ class Arranged:
     Attributes
     ----------
     source : Scene
-        As given.
+        The scene to code.
     order : ndarray, shape (N,), uint32
-        Which Gaussian of it each of the stream is.
+        Index in it of each Gaussian of the stream.
     lattice : Lattice
     codes : ndarray, shape (N,), int64
         Morton codes, ascending.
     classes : ndarray, shape (2, N), uint8
-        Of shape and of colour, in stream order.
+        Shape class and colour class, in stream order.
     """
 
     source: Scene
@@ -69,12 +69,12 @@ class Arranged:
 
 
 def arrange_scene(scene: Scene, config: Config, asked: Steps | None) -> Arranged:
-    """Choose the lattices and the stream order of a scene, by its attributes if no steps are asked.
+    """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
 
     Raises
     ------
     ValueError
-        If the steps are of another number of Gaussians.
+        If `asked` is of another number of Gaussians.
     """
     some = slice(None, None, max(1, scene.count // _SAMPLE))
     _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
@@ -112,7 +112,7 @@ def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:
 
 
 def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: Steps) -> Lattice:
-    """Lattices by some of the Gaussians, whose features are `known`."""
+    """Choose the lattices from a sample of the Gaussians, whose features are `known`."""
 
     def wanted(name: str) -> NDArray[np.float64]:
         octaves = steps.colour_class if name == "colour" else steps.shape_class
@@ -151,7 +151,7 @@ def _median(values: NDArray) -> int:
 
 
 def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[PositionGrid, StepRule]:
-    """The grid of positions, and the rule of how many bits of them are dropped."""
+    """The grid of positions, and the rule for how many low bits are dropped."""
     if not scene.count:
         return PositionGrid((0.0, 0.0, 0.0), 1.0, (0, 0, 0)), make_rule(np.zeros(5), 0, 0)
     low = scene.positions.min(axis=1).astype(np.float64)
@@ -160,7 +160,7 @@ def _grid(scene: Scene, steps: Steps, wanted: NDArray[np.float64]) -> tuple[Posi
     unit = finest_step(wanted, max(widest - _AXIS_BITS, -120), min(widest, 127))
     step = float(np.float32(2.0**unit))
     bits = [max(math.frexp(size / step)[1], 0) for size in extent]
-    # The middle of the one cell of a flat axis is where it is.
+    # A flat axis has one cell, whose middle is the coordinate.
     flat = extent == 0
     origin = np.maximum(low - 0.5 * step * flat, -_LARGEST).astype(np.float32).astype(float)
     grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))

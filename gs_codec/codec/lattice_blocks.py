@@ -30,7 +30,7 @@ from gs_codec.transform.ycocg import take_colours, to_ycocg
 class PassData:
     """A pass: the token of each symbol ``(n,)``, its context, and the raw bits of some.
 
-    ``raw_levels`` and ``raw_widths`` are of the symbols that have raw bits, in their order.
+    ``raw_levels`` and ``raw_widths`` belong to the symbols with raw bits, in symbol order.
     """
 
     tokens: NDArray[np.uint8]
@@ -42,12 +42,12 @@ class PassData:
     def of(cls, levels: NDArray[np.integer], contexts: NDArray[np.integer]) -> PassData:
         """Tokenise levels."""
         tokens, raw_levels, raw_widths = tokenise(levels)
-        # The same array for all passes of SH-AC, where it is of this type already.
+        # Passes of SH-AC share one array: it is not copied if it has this type already.
         return cls(tokens, contexts.astype(np.uint16, copy=False), raw_levels, raw_widths)
 
     @property
     def arrays(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """Everything of it."""
+        """All arrays of the pass."""
         return self.tokens, self.contexts, self.raw_levels, self.raw_widths
 
     def histograms(self, contexts: int) -> NDArray[np.int64]:
@@ -70,19 +70,19 @@ class ShapedBlock:
     Attributes
     ----------
     start, stop : int
-        Its Gaussians, in stream order.
+        Range of its Gaussians, in stream order.
     tree, low_bits : bytes
-        Its positions.
+        Coded positions.
     places : ndarray, shape (3, n), int64
-        What these decode to, in half steps.
+        Decoded positions, in half steps of the grid.
     shape : Shape
-        What opacity, scales and rotation decode to.
+        Decoded opacity, scales and rotation.
     shifts : ndarray, shape (n,), int64
-        Of its colours.
+        Of the step sizes of its colours.
     passes : list of PassData
         Of classes, opacity, scales and rotation.
     clamped : int
-        How many values were beyond the largest.
+        Number of values clamped to the largest.
     """
 
     start: int
@@ -98,7 +98,7 @@ class ShapedBlock:
 
 @dataclass(frozen=True)
 class Block:
-    """Everything of a block that is to be coded; ``box (6,)`` are its lowest and highest places."""
+    """Everything of a block to be coded; ``box (6,)``: lowest and highest x, y, z, half steps."""
 
     tree: bytes
     low_bits: bytes
@@ -107,7 +107,7 @@ class Block:
     clamped: int
 
     def kept(self) -> Block:
-        """The block where the storage in use keeps it."""
+        """The block with its arrays in the storage in use, memory or disk."""
         storage, done = current(), dict[int, NDArray]()
 
         def keep(array: NDArray) -> NDArray:
@@ -147,7 +147,7 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
 
 
 def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Block:
-    """Round the colours of a block, handing on errors of SH-AC to neighbours if `diffusing`."""
+    """Round the colours of a block; `diffusing` spreads the errors of SH-AC to neighbours."""
     source, units = arranged.source, arranged.lattice.units
     members = arranged.order[shaped.start : shaped.stop]
     nearest = find_all_nearest(shaped.places)
@@ -170,7 +170,7 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
 
 
 def _ac_passes(levels: NDArray[np.int32], shifts: NDArray[np.int64]) -> list[PassData]:
-    """Passes of SH-AC ``levels (3, K, n)``: energy, then each coefficient where there is any."""
+    """Passes of SH-AC ``levels (3, K, n)``: energy class, then coefficients if it is above 0."""
     coefficients = levels.shape[1]
     energy = energy_class(levels.reshape(3 * coefficients, -1))
     listed = [PassData.of(energy, shift_context(shifts))]

@@ -1,4 +1,4 @@
-"""Stream to scene, for profiles whose steps follow what is seen."""
+"""Decoder of profiles ``l``, ``m`` and ``s``: stream to scene."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gs_codec.workers import run_all
 
 
 def lattice_sections(sh_degree: int) -> set[SectionId]:
-    """Sections that each block of a scene has, or that are read for a lower degree."""
+    """Sections that each block has for SH up to a degree."""
     streams = {item.stream for item in passes(SH_COEFFICIENTS[sh_degree])}
     listed = {SectionId.of_stream(stream) for stream in streams}
     return {*listed, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
@@ -42,9 +42,9 @@ def decode_lattice(
     degree: int,
     progress: Progress | None = None,
 ) -> dict[str, NDArray[np.float32]]:
-    """The attribute groups of blocks, in the order of the stream.
+    """Decode blocks to attribute groups, in stream order.
 
-    `spans` tells where each block goes; SH is decoded up to `degree`.
+    `spans` gives each block's range in the result; SH is decoded up to `degree`.
     """
     count = max((span.stop for span in spans.values()), default=0)
     decoder = LatticeDecoder.of(file, degree, count)
@@ -57,7 +57,7 @@ def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]
     """Lowest and highest x, y, z of the centres of each block, each ``(blocks, 3)``."""
     lattice, _ = lattice_of(file)
     boxes = bounds_of(file)
-    # As positions are: rounded to float32.
+    # Rounded to float32, as decoded positions are.
     corners = [
         from_grid(part.T, np.array(lattice.grid.origin), lattice.grid.step).T.astype(np.float64)
         for part in (boxes[:, :3], boxes[:, 3:])
@@ -67,10 +67,10 @@ def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LatticeDecoder:
-    """Decoder of single blocks into the groups of a scene.
+    """Decodes single blocks into the attribute groups of a scene.
 
-    ``coefficients`` of SH-AC are coded for each colour, of which ``kept`` are decoded; ``boxes``
-    are the blocks' bounds, in half steps.
+    ``coefficients`` is the number of coded SH-AC coefficients of a colour, of which ``kept`` are
+    decoded; ``boxes`` are the blocks' bounds, in half steps of the grid.
     """
 
     file: EgsFile
@@ -84,7 +84,7 @@ class LatticeDecoder:
 
     @classmethod
     def of(cls, file: EgsFile, sh_degree: int, count: int) -> LatticeDecoder:
-        """Read how blocks are coded, and make room for `count` Gaussians of a degree."""
+        """Read lattices and tables, and allocate `count` Gaussians of an SH degree."""
         coefficients = SH_COEFFICIENTS[file.header.sh_degree]
         lattice, models = lattice_of(file)
         kept = SH_COEFFICIENTS[sh_degree]
@@ -134,7 +134,7 @@ class LatticeDecoder:
         classes: NDArray[np.int64],
         shape: Shape,
     ) -> NDArray[np.int64]:
-        """Positions in half steps: the tree's codes, and the bits that are not dropped."""
+        """Positions in half steps, from the tree's codes and the low bits that are kept."""
         rule = self.lattice.rules["position"]
         dropped = np.minimum(rule.shifts(classes, 3, shape.opacity, shape.scales), lefts)
         where = f"low bits of block {block}"
@@ -143,7 +143,7 @@ class LatticeDecoder:
         bits.close()
         places = centres(codes, dropped, self.lattice.grid.bits)
         if np.any(self.boxes[block] != [*places.min(axis=1), *places.max(axis=1)]):
-            raise CorruptStream(f"section 'bounds': not those of block {block}")
+            raise CorruptStream(f"section 'bounds': does not match block {block}")
         return places
 
     def _decode_ac(
@@ -167,7 +167,7 @@ class LatticeDecoder:
 
 
 class _Streams:
-    """The streams of a block, pass after pass."""
+    """Reads the streams of a block, pass after pass."""
 
     def __init__(self, decoder: LatticeDecoder, block: int) -> None:
         self.decoder = decoder
@@ -181,7 +181,7 @@ class _Streams:
         self.next = 0
 
     def open(self, stream: str) -> None:
-        """Go on with a stream, all of the one before having been read."""
+        """Open a stream, after a check that the one before was read to its end."""
         if stream == self.stream:
             return
         self._close()
@@ -202,7 +202,7 @@ class _Streams:
             self.bits.close()
 
     def _rows(self) -> NDArray[np.int64]:
-        """Tables of the contexts of the next pass."""
+        """Number of the table of each context of the next pass."""
         self.open(self.passes[self.next].stream)
         self.next += 1
         return self.decoder.models.rows[self.next - 1]
@@ -236,7 +236,7 @@ class _Streams:
         return decode_colours(places, unit, shifts, rows, self.reader, self.bits)
 
     def finish(self, whole: bool) -> None:
-        """Check that everything is read, and how it ends if that is the whole of the block."""
+        """Check that the stream was read to its end; if `whole`, check the final states too."""
         self._close()
         if whole:
             self.reader.finish()

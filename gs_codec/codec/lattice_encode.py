@@ -1,4 +1,4 @@
-"""Scene to stream, for profiles whose steps follow what is seen."""
+"""Encoder of profiles ``l``, ``m`` and ``s``: scene to stream."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from gs_codec.workers import run_all
 
 @dataclass(frozen=True)
 class ShapedScene:
-    """A scene whose colours alone are not rounded yet.
+    """A scene of which everything but the colours is rounded.
 
     Attributes
     ----------
@@ -54,11 +54,11 @@ class ShapedScene:
 
     @property
     def order(self) -> NDArray[np.uint32]:
-        """Which Gaussian of the source each of the stream is, ``(N,)``."""
+        """Index in the source of each Gaussian of the stream, ``(N,)``."""
         return self.arranged.order
 
     def decoded(self) -> Scene:
-        """The scene as it decodes, in stream order, but for its SH, which are the source's."""
+        """The decoded scene in stream order, except for its SH, which are the source's."""
         grid = self.arranged.lattice.grid
         shapes = [block.shape for block in self.blocks]
         places = np.concatenate([block.places for block in self.blocks], axis=1)
@@ -71,13 +71,13 @@ class ShapedScene:
         )
 
     def sh_steps(self) -> NDArray[np.float32]:
-        """Step sizes that SH-AC will have, the finest of all bands, ``(N,)`` in stream order."""
+        """Step sizes of SH-AC, those of the finest band, ``(N,)`` in stream order."""
         shifts = np.concatenate([block.shifts for block in self.blocks])
         finest = min(self.arranged.lattice.units[f"sh{band}"] for band in (1, 2, 3))
         return to_float(finest << shifts).astype(np.float32)
 
     def with_colours(self, coloured: Scene) -> ShapedScene:
-        """The same with the SH of `coloured`, a scene in stream order."""
+        """The scene with the SH of `coloured`, which is in stream order."""
         place = np.empty_like(self.order)
         place[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
         f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)
@@ -92,7 +92,7 @@ def encode_lattice(
     times: StageTimes,
     progress: Progress | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene that `clean_scene` gave; see `encode_parts`."""
+    """Encode a scene cleaned by `clean_scene`; see `encode_parts`."""
     if steps is not None:
         return encode_shaped(shape_scene(scene, config, steps, times), times, progress)
     header, arranged = _arrange(scene, config, None, times)
@@ -107,7 +107,7 @@ def encode_lattice(
 
 
 def shape_scene(scene: Scene, config: Config, steps: Steps, times: StageTimes) -> ShapedScene:
-    """Round all of a scene that `clean_scene` gave but its colours, by finished step sizes."""
+    """Round everything but the colours of a cleaned scene, with finished step sizes."""
     header, arranged = _arrange(scene, config, steps, times)
     with times.stage("quantise"):
         blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header))
@@ -117,7 +117,7 @@ def shape_scene(scene: Scene, config: Config, steps: Steps, times: StageTimes) -
 def encode_shaped(
     shaped: ShapedScene, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene that `shape_scene` gave, with the colours that it has now."""
+    """Encode a scene from `shape_scene`, with the colours that it has now."""
     header, arranged = shaped.header, shaped.arranged
     advance = step_counter(progress, "quantise", header.block_count)
 
@@ -211,7 +211,7 @@ def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[C
 
 
 def _fit_weights(histogram: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Weights of a table that is sent."""
+    """Weights of the table to send for a histogram."""
     used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
     return SentModel.fit(used, MANTISSA, PRECISION).weights
 

@@ -14,9 +14,9 @@ Index = TypeVar("Index", bound=np.integer)
 
 
 def in_stream_order(scene: Scene, order: NDArray[Index]) -> tuple[Scene, NDArray[Index]]:
-    """The scene, and which Gaussian of it each of the stream is.
+    """The scene, and the index in it of each Gaussian of the stream.
 
-    On disk it is sorted: what a block gathers from all over the scene would read all of it.
+    A scene on disk is sorted first: otherwise each block would read all over the file.
     """
     storage = current()
     if not isinstance(storage, Disk):

@@ -39,7 +39,7 @@ from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows, sh_bands
 from gs_codec.transform.float_bits import float_order
 from gs_codec.workers import run_all
 
-#: Attribute group of each section but those of SH-AC.
+#: Attribute group of each section, except those of SH-AC.
 _GROUP_OF = {
     SectionId.GEOMETRY: "positions",
     SectionId.SH_DC: "f_dc",
@@ -54,7 +54,7 @@ _BANDS = {
     for stream, band in zip(SH_STREAMS, sh_bands(), strict=True)
 }
 
-#: Green tells most of the other two, so it is coded first.
+#: Green predicts red and blue best, so it is coded first.
 _RED, _GREEN, _BLUE = range(3)
 
 
@@ -104,9 +104,9 @@ def decode_lossless(
     degree: int,
     progress: Progress | None = None,
 ) -> dict[str, NDArray[np.float32]]:
-    """The attribute groups of blocks of a file of this profile, in the order of the stream.
+    """Decode blocks to attribute groups, in stream order.
 
-    `spans` tells where each block goes; SH is decoded up to `degree`.
+    `spans` gives each block's range in the result; SH is decoded up to `degree`.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def lossless_positions(file: EgsFile, block: int) -> NDArray[np.float32]:
 
 
 def lossless_order(scene: Scene) -> NDArray[np.int64]:
-    """The order in which a scene is coded, unless its own is kept."""
+    """Stream order of a scene, unless its own order is kept."""
     others = [getattr(scene, group) for group in GROUPS if group != "positions"]
     return float_order(scene.positions, others)
 
@@ -171,7 +171,7 @@ def _encode_section(section_id: SectionId, columns: Bits) -> bytes:
 
 
 def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
-    """A band of SH-AC; the first says of which colours a Gaussian has any."""
+    """Code a band of SH-AC; band 1 holds the mask of the colours that are not all zero."""
     colours = f_rest.reshape(3, -1, f_rest.shape[1])
     there = np.any(colours, axis=1)
     mask = b""
@@ -181,7 +181,7 @@ def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
 
 
 def _encode_colours(colours: Bits, there: NDArray[np.bool_]) -> bytes:
-    """Coefficients ``(3, C, n)`` of Gaussians that have the colour ``(3, n)``."""
+    """Code coefficients ``(3, C, n)``; ``there (3, n)`` tells which Gaussians have a colour."""
     green = colours[_GREEN]
     parts = [write_stack(green[:, there[_GREEN]])]
     parts += [write_guided(colours[c][:, there[c]], green[:, there[c]]) for c in (_RED, _BLUE)]
@@ -191,7 +191,7 @@ def _encode_colours(colours: Bits, there: NDArray[np.bool_]) -> bytes:
 def _decode_section(
     file: EgsFile, planes: dict[str, Bits], section_id: SectionId, block: int, span: slice
 ) -> None:
-    """Fill what a section holds."""
+    """Decode a section into its planes."""
     where = f"section '{section_id.label}' of block {block}"
     reader = ByteReader(file.section(section_id, block), where)
     if section_id in _BANDS:
@@ -226,7 +226,7 @@ def _decode_band(
 def _decode_colours(
     reader: ByteReader, there: NDArray[np.bool_], colours: Bits, where: str
 ) -> None:
-    """Fill coefficients ``(3, C, n)``; those that are not there are 0."""
+    """Decode coefficients ``(3, C, n)``; those of absent colours are 0."""
     colours[:] = 0
     green = colours[_GREEN]
     shape = green.shape[0], int(np.count_nonzero(there[_GREEN]))

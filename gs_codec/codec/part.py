@@ -1,4 +1,4 @@
-"""A part of a scene: the Gaussians in a box, and no SH above a degree."""
+"""A part of a scene: the Gaussians in a box, with SH up to a degree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gs_codec.scene import SH_COEFFICIENTS
 
 @dataclass(frozen=True)
 class Part:
-    """What of a scene is to be decoded; all of it when nothing is given.
+    """The part of a scene to decode; by default all of it.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class Part:
     Raises
     ------
     InvalidInput
-        If a corner is not finite or the lowest is above the highest, or the degree is none.
+        If a corner is not finite, the lowest is above the highest, or the degree is not 0-3.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class Part:
             raise InvalidInput(f"SH degree {self.sh_degree}: expected 0-3")
 
     def degree_of(self, degree: int) -> int:
-        """The degree that is decoded of a scene's."""
+        """The degree to decode, of a scene of this degree."""
         return degree if self.sh_degree is None else min(degree, self.sh_degree)
 
     def contains(self, positions: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -57,7 +57,7 @@ class Part:
         return np.all((low <= positions) & (positions <= high), axis=0)
 
     def meets(self, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which boxes from ``lowest (B, 3)`` to ``highest (B, 3)`` have something in this one."""
+        """Which boxes from ``lowest (B, 3)`` to ``highest (B, 3)`` overlap this one."""
         if self.box is None:
             return np.ones(len(lowest), np.bool_)
         return np.all((lowest <= self.box[3:]) & (self.box[:3] <= highest), axis=1)

@@ -9,15 +9,15 @@ from gs_codec.scene import float_bytes
 from gs_codec.storage import current
 from gs_codec.workers import available_threads
 
-#: Python, its packages and compiled kernels; what a thread works on. Measured, and rounded up.
+#: Bytes of Python, packages and compiled kernels; bytes of each thread. Measured, rounded up.
 _FIXED, _THREAD = 280_000_000, 45_000_000
 
-#: Bytes for each Gaussian, to put a scene in order, of lattices, `paper` profiles, `lossless`.
+#: Bytes for each Gaussian to sort a scene: profiles `l`, `m`, `s`; `paper-*`; `lossless`.
 _LATTICES, _CHANNELS, _EXACT = 40, 55, 55
 
 
 def least_memory(count: int, config: Config) -> int:
-    """Bytes with which a scene of so many Gaussians can be encoded."""
+    """Lowest memory limit, in bytes, that a scene of `count` Gaussians can be encoded in."""
     each = _CHANNELS
     if config.profile in LATTICE_PROFILES:
         each = _LATTICES
@@ -27,7 +27,7 @@ def least_memory(count: int, config: Config) -> int:
 
 
 def check_encoding(count: int, config: Config) -> None:
-    """Refuse to encode so many Gaussians within a limit that is too low.
+    """Check that the memory limit is high enough to encode `count` Gaussians.
 
     Raises
     ------
@@ -37,14 +37,14 @@ def check_encoding(count: int, config: Config) -> None:
 
 
 def slab_within(header: Header, degree: int, wanted: int) -> int:
-    """How many Gaussians to decode at once, if as many as wanted do not fit.
+    """Number of Gaussians to decode at once: `wanted`, or fewer if the memory limit is lower.
 
     Raises
     ------
     InvalidInput
-        If one block does not.
+        If one block does not fit.
     """
-    # While one slab is written, the next is not there yet, but what it is written from may be.
+    # A slab, and a copy of it that is being written.
     each = 2 * float_bytes(1, degree)
     working = _working()
     _check(working + header.block_size * each, "decoding")

@@ -1,8 +1,7 @@
 """Stacks of float columns to bytes and back, bit-exactly. FORMAT.md, "Columns".
 
-Columns are coded one by one; or by classes, where sign and exponent of another column (the
-guide) tell what a value may be; or, of quaternions, with w as its difference from what a unit
-quaternion would have.
+Columns are coded one by one; or split into classes by sign and exponent of another column (the
+guide); or, for quaternions, with w as its difference from the w of a unit quaternion.
 """
 
 from __future__ import annotations
@@ -125,7 +124,7 @@ def read_quaternions(reader: ByteReader, count: int, where: str) -> Bits:
 
 
 def _unit_w(columns: Bits) -> Bits:
-    """The w >= 0 that makes x, y, z ``(3, n)`` a unit quaternion; 0 where none does."""
+    """The w >= 0 that makes x, y, z ``(3, n)`` a unit quaternion; 0 if there is none."""
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = columns.view(np.float32).astype(np.float64)
         square = 1.0 - x * x - y * y - z * z

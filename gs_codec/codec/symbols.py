@@ -33,7 +33,7 @@ class Coded:
     tables : list of FrequencyTable
     costs : list of ChannelCost
     constants : list of Channel
-        Those that are.
+        Those that are constant.
     rectified : int
         SH-AC values moved to the edge of their Laplace range.
     """
@@ -118,5 +118,5 @@ def _cost(channel: Channel, choice: Choice) -> ChannelCost:
 
 
 def sent_table_bytes(model: SentModel) -> int:
-    """Bytes one sent table takes, if it were alone."""
+    """Bytes of one sent table, coded on its own."""
     return 1 + len(encode_tables([model.weights], [model.mantissa]))

@@ -17,7 +17,7 @@ Box = tuple[tuple[float, ...], tuple[float, ...]]
 def write_box(positions: NDArray[np.float32]) -> bytes:
     """Serialise the box of the finite coordinates of ``positions (3, N)``; zeros without any."""
     finite = [row[np.isfinite(row)] for row in positions]
-    # Adding 0 makes one zero of the two: which of them is least depends on the machine.
+    # Adding 0 turns -0 into 0: which of the two is the minimum depends on the machine.
     low = [row.min() + np.float32(0) if row.size else 0.0 for row in finite]
     high = [row.max() + np.float32(0) if row.size else 0.0 for row in finite]
     return struct.pack(_LAYOUT, *low, *high)

@@ -22,7 +22,7 @@ _EXTRA = "section 'extra'"
 
 
 def carried_sections(scene: Scene, order: NDArray[np.integer]) -> list[Section]:
-    """Sections of what a scene has beside its attributes, Gaussians in the given order."""
+    """Sections `comments` and `extra` of a scene, with Gaussians in the given order."""
     sections = []
     if scene.comments:
         sections.append(Section(SectionId.COMMENTS, 0, write_comments(scene.comments)))
@@ -81,7 +81,7 @@ def read_extra(data: memoryview, count: int) -> dict[str, NDArray]:
 
 
 def extra_bytes(data: memoryview, count: int) -> int:
-    """What `read_extra` would take, told without inflating anything."""
+    """Bytes that `read_extra` would return, without inflating anything."""
     return count * sum(dtype.itemsize for dtype, _ in _unpack(data).values())
 
 
@@ -94,7 +94,7 @@ def _unpack(data: memoryview) -> dict[str, tuple[np.dtype, memoryview]]:
         kind, size = reader.unpack("BQ")
         name = label.decode("ascii", "replace")
         if not is_extra_name(name) or name in packed:
-            raise CorruptStream(f"{_EXTRA}: {name!a} is no name, or there already")
+            raise CorruptStream(f"{_EXTRA}: {name!a} is not a valid name, or occurs twice")
         if kind >= len(_DTYPES):
             raise CorruptStream(f"{_EXTRA}: type {kind}, expected 0-{len(_DTYPES) - 1}")
         packed[name] = _DTYPES[kind], reader.take(size)
@@ -115,7 +115,7 @@ def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
                 break
             plane[:] = np.frombuffer(found, np.uint8)
             filled += count
-        # What follows the last value may be the stream's checksum alone.
+        # Only the stream's checksum may follow the last value.
         surplus = inflater.decompress(rest, 1) or inflater.unused_data or inflater.unconsumed_tail
     except zlib.error as error:
         raise CorruptStream(f"{_EXTRA}: {error}") from None

@@ -39,13 +39,13 @@ class Channel:
     group : str
         Attribute: ``positions``, ``f_dc``, ``f_rest``, ``opacity``, ``log_scale`` or ``rot``.
     index : int
-        Place in the attribute.
+        Row in the attribute.
     stream : str
-        What it is coded with, named as the groups of depths are.
+        The stream that codes it, named like its depth group.
     quantiser : Quantiser
         Kind, depth (bits), origin and step.
     model : Model or None
-        Mixture, Laplace or the table itself; None for constants and what rANS does not code.
+        Mixture, Laplace or sent table; None if constant or not coded by rANS.
     """
 
     group: str
@@ -107,7 +107,7 @@ def channels_of(file: EgsFile) -> list[Channel]:
 
 
 def read_channels(data: memoryview, coefficients: int) -> list[Channel]:
-    """The inverse of `write_channels` for a scene of so many SH-AC coefficients a colour.
+    """The inverse of `write_channels`, for a number of SH-AC coefficients per colour.
 
     Raises
     ------

@@ -54,7 +54,7 @@ class SectionId(IntEnum):
 
     @property
     def label(self) -> str:
-        """Name in messages and reports; of a stream, its depth group."""
+        """Name in messages and reports; for a section of a stream, the stream's name."""
         return self.name.lower().replace("_", "-")
 
     @classmethod
@@ -87,13 +87,13 @@ DESCRIPTIONS = frozenset(
     }
 )
 
-#: Whether a section, of an id and a block, is to be read.
+#: ``wanted(id, block)`` tells whether to read a section.
 Wanted = Callable[[int, int], bool]
 
 
 @dataclass(frozen=True)
 class Header:
-    """What is known of a scene before anything of it is decoded."""
+    """What the header states about a scene."""
 
     count: int
     sh_degree: int
@@ -129,12 +129,12 @@ class Section:
 
     @classmethod
     def kept(cls, section_id: SectionId, block: int, data: bytes) -> Section:
-        """A section whose bytes are where the storage in use keeps them."""
+        """A section with its bytes in the storage in use, memory or disk."""
         return cls(section_id, block, current().keep_bytes(data))
 
 
 class Entry(NamedTuple):
-    """Where a section is, and what its bytes must sum up to."""
+    """Position, size and checksum of a section."""
 
     position: int
     size: int
@@ -143,7 +143,7 @@ class Entry(NamedTuple):
 
 @dataclass(frozen=True)
 class EgsFile:
-    """A file whose header is checked, and of its sections those that were read and checked."""
+    """A file with its checked header and those of its sections that were read and checked."""
 
     header: Header
     data: memoryview
@@ -154,7 +154,7 @@ class EgsFile:
     _parsed: dict[SectionId, Any] = field(default_factory=dict, repr=False)
 
     def parsed(self, section_id: SectionId, parse: Callable[[memoryview], Parsed]) -> Parsed:
-        """What a section of the whole scene says, parsed once however often it is asked for."""
+        """A parsed section of the whole scene; it is parsed only once."""
         if section_id not in self._parsed:
             self._parsed[section_id] = parse(self.section(section_id))
         return self._parsed[section_id]
@@ -170,14 +170,14 @@ class EgsFile:
         return self.header_size + sum(len(content) for content in self.sections.values())
 
     def section(self, section_id: SectionId, block: int = 0) -> memoryview:
-        """Bytes of a section that must be there."""
+        """Bytes of a section; it is an error if it is missing."""
         try:
             return self.sections[section_id, block]
         except KeyError:
             raise CorruptStream(f"section '{section_id.label}' of block {block}: missing") from None
 
     def read(self, wanted: Wanted | None = None) -> EgsFile:
-        """The file with sections read that were not; see `read_file`."""
+        """The file with further sections read; see `read_file`."""
         sections = dict(self.sections)
         known = set(SectionId)
         for (section_id, block), (position, size, checksum) in self.table.items():
@@ -198,13 +198,13 @@ PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
 
 
 def even_block_size(count: int, limit: int) -> int:
-    """Size of blocks as large as the limit allows, all of nearly the same size."""
+    """Block size that splits a scene evenly into the fewest blocks of at most `limit`."""
     blocks = max(-(-count // limit), 1)
     return max(-(-count // blocks), 1)
 
 
 def section_sizes(sections: Sequence[Section]) -> dict[str, int]:
-    """Bytes of a file by section, header and section table together first."""
+    """Bytes of a file by section; ``header`` includes the section table."""
     sizes = Counter({"header": _header_size(len(sections))})
     for section in sections:
         sizes[section.id.label] += len(section.data)
@@ -221,7 +221,7 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
 
 
 def file_parts(header: Header, sections: Sequence[Section]) -> list[bytes | memoryview]:
-    """What a file is put together from: its header, then its sections in the order given."""
+    """The consecutive pieces of a file: its header, then its sections in the order given."""
     header_size = _header_size(len(sections))
     head = bytearray()
     head += struct.pack(
@@ -252,8 +252,8 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     ----------
     data : bytes
     wanted : callable, optional
-        ``wanted(id, block)`` tells whether a section is to be read and checked; all are when not
-        given, and those that are not are not touched.
+        ``wanted(id, block)`` tells whether to read and check a section; by default all are. The
+        others are not touched.
 
     Raises
     ------
@@ -288,7 +288,7 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
 
 
 def _available(reader: ByteReader, view: memoryview, entries: int) -> int:
-    """The number of entries, once it is known that the file is long enough for them."""
+    """The number of entries, after a check that the file is long enough for them."""
     needed = entries * struct.calcsize(_ENTRY) + 4
     if len(view) - reader.position < needed:
         left = len(view) - reader.position

@@ -29,13 +29,13 @@ _WHERE = "section 'lattice'"
 #: Mantissa bits of a sent table's weights.
 MANTISSA = 3
 
-#: A step is below 2 to this, in 1 / 2**20.
+#: Step sizes are below 2 to this power, in units of 1 / 2**20.
 _STEP_BITS = 31
 
-#: Intercept, of opacity, of three scales, limit.
+#: Intercept; factors of opacity and of three scales; limit.
 _RULE = "5iB"
 
-#: What has a rule of its own.
+#: The rules of a scene, in the order of the section.
 RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
 
 
@@ -43,8 +43,8 @@ RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "co
 class PassModels:
     """Tables of a scene's passes.
 
-    ``rows[p]`` is the table of each context of pass p; ``weights`` are those of the tables, one
-    after the other.
+    ``rows[p]`` is the number of the table of each context of pass p; ``weights`` lists the weights
+    of each table.
     """
 
     rows: list[NDArray[np.int64]]
@@ -59,7 +59,7 @@ UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
 
 
 def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
-    """Serialise what a scene is decoded by."""
+    """Serialise the lattices and tables of a scene."""
     grid = lattice.grid
     out = bytearray(struct.pack("<4f3B", *grid.origin, grid.step, *grid.bits))
     out += struct.pack("<2B2i", *lattice.classes, *lattice.centres)
@@ -68,7 +68,7 @@ def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
         rule = lattice.rules[name]
         out += struct.pack("<" + _RULE, rule.intercept, rule.opacity, *rule.scales, rule.limit)
     for rows in models.rows:
-        # Tables of neighbours: whether a context begins the next one.
+        # Neighbours may share a table: a bit is 1 where a context begins the next one.
         out += np.packbits(np.diff(rows, prepend=rows[:1]).astype(bool)).tobytes()
     out += struct.pack("<H", len(models.weights))
     out += struct.pack(f"<{len(models.weights)}H", *(len(w) for w in models.weights))
@@ -121,7 +121,7 @@ def _read_rule(reader: ByteReader) -> StepRule:
 
 
 def _check_steps(lattice: Lattice) -> None:
-    """Refuse units and limits that could leave the range of integers."""
+    """Refuse units and limits with which step sizes could overflow."""
     limits = {name: rule.limit for name, rule in lattice.rules.items()}
     of_unit = {
         "opacity": limits["opacity"],
@@ -166,7 +166,7 @@ def read_bounds(data: memoryview, blocks: int) -> NDArray[np.int64]:
     Raises
     ------
     CorruptStream
-        If there are not as many, or one is empty.
+        If their number is wrong, or a lowest corner is above its highest.
     """
     if len(data) != 24 * blocks:
         raise CorruptStream(f"section 'bounds': {len(data)} bytes, expected {24 * blocks}")

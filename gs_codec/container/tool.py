@@ -19,7 +19,7 @@ def read_tool(data: memoryview) -> str:
     Raises
     ------
     CorruptStream
-        If it is no such line.
+        If it is not such a line.
     """
     text = bytes(data[: MAX_LENGTH + 1])
     if not 1 <= len(text) <= MAX_LENGTH or any(not 32 <= byte < 127 for byte in text):

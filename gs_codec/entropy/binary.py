@@ -1,9 +1,9 @@
 """Adaptive binary arithmetic coder: one function walks a model in both directions.
 
-A model is a kernel that calls `code_bit` for each decision. Encoding, `code_bit` takes the
-decision and returns it; decoding, it ignores the argument and returns what the stream says.
-So a model is written once and cannot differ between encoder and decoder. FORMAT.md, section
-"Binary coder", is the normative text.
+A model is a kernel that calls `code_bit` for each decision. When encoding, `code_bit`
+codes the decision and returns it; when decoding, it ignores the argument and returns the decision
+that it reads. So a model is written once and cannot differ between encoder and decoder. FORMAT.md,
+section "Binary coder", is the normative text.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def new_contexts(count: int) -> NDArray[np.int32]:
 def encode_binary(model: Callable[[NDArray, NDArray], None], capacity: int) -> bytes:
     """Run ``model(state, data)`` as an encoder and return its bytes.
 
-    `capacity` is a guess of their number; the model runs once more if it was too low.
+    `capacity` is an estimate of their number; if it is too low, the model runs again.
     """
     capacity += 1024
     while True:

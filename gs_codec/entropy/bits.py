@@ -28,7 +28,7 @@ def _read_fields(widths, position, bits, values):
 
 
 class BitWriter:
-    """Raw bits of a section, first bit of a byte first."""
+    """Collects raw bits of a section, most significant bit of a byte first."""
 
     def __init__(self) -> None:
         self.parts: list[tuple[NDArray[np.int64], NDArray[np.uint8]]] = []
@@ -56,13 +56,13 @@ class BitReader:
         self.where = where
 
     def fields(self, widths: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Numbers ``(n,)`` of so many bits."""
+        """Read numbers ``(n,)`` of ``widths (n,)`` bits."""
         values = np.empty(len(widths), np.int64)
         self.position = _read_fields(widths, self.position, self.bits, values)
         return values
 
     def close(self) -> None:
-        """Check that just the padding is left, and is 0."""
+        """Check that only padding is left, and that it is 0."""
         if self.bits.size != (self.position + 7) // 8:
             raise CorruptStream(
                 f"{self.where}: {self.bits.size} raw bytes, expected {(self.position + 7) // 8}"

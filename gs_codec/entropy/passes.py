@@ -83,7 +83,7 @@ class PassWriter:
 
 
 class PassReader:
-    """Decodes the passes of a block, a section after the other."""
+    """Decodes the passes of a block, section by section."""
 
     def __init__(self, states: memoryview, tables: PassTables, where: str) -> None:
         if len(states) != 4 * LANES:
@@ -97,7 +97,7 @@ class PassReader:
         self.end = self.position = 0
 
     def open(self, data: memoryview) -> None:
-        """Go on with the words of the next section."""
+        """Continue with the words of the next section."""
         if len(data) % 2:
             raise CorruptStream(f"{self.where}: an odd number of bytes, expected 16-bit words")
         self.end, self.position = len(data) // 2, 0
@@ -105,7 +105,7 @@ class PassReader:
         self.words[: self.end] = np.frombuffer(data, "<u2")
 
     def advance(self, position: int) -> None:
-        """Take note of what a kernel has read; -1 or beyond the end is corrupt."""
+        """Set the position that a kernel has reached; -1 or beyond the end is corrupt."""
         if not 0 <= position <= self.end:
             raise CorruptStream(f"{self.where}: more symbols than words")
         self.position = position
@@ -116,6 +116,6 @@ class PassReader:
             raise CorruptStream(f"{self.where}: {self.end - self.position} words are left")
 
     def finish(self) -> None:
-        """Check that the states end as the encoder began, after the last section."""
+        """Check, after the last section, that the states are those the encoder began with."""
         if np.any(self.states != LOWEST):
             raise CorruptStream(f"{self.where}: the rANS states do not end where they must")

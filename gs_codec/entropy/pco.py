@@ -1,8 +1,7 @@
 """Sequences of 32-bit integers coded by pcodec; the one place that knows it.
 
-FORMAT.md, "Columns". Of pcodec's modes only the classic one is used, without differences or with
-those of consecutive values: nothing a stream says of itself then asks for more memory than its
-values take.
+FORMAT.md, "Columns". Only pcodec's classic mode is used, without deltas or with consecutive ones:
+then no stream can demand more memory than its values take.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ _LEVEL = 10
 _FORMAT = 4
 _CONSECUTIVE = 1
 
-#: As many values tell whether differences are smaller than the values.
+#: Number of values that are coded both ways, to decide whether to code differences.
 _SAMPLE = 8192
 _DELTAS = (DeltaSpec.no_op(), DeltaSpec.try_consecutive(1))
 
@@ -62,5 +61,5 @@ def read_integers(data: memoryview, count: int, where: str) -> NDArray[np.uint32
     except RuntimeError as error:
         raise CorruptStream(f"{where}: {' '.join(str(error).split())}") from None
     if progress.n_processed != count or not progress.finished or size + used != len(packed):
-        raise CorruptStream(f"{where}: {len(packed)} bytes, {count} values end elsewhere")
+        raise CorruptStream(f"{where}: {len(packed)} bytes do not hold exactly {count} values")
     return values

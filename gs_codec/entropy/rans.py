@@ -31,7 +31,7 @@ class TableSet:
 
     @classmethod
     def pack(cls, tables: list[FrequencyTable]) -> TableSet:
-        """Pack `tables`; None where there are none."""
+        """Pack `tables`; there may be none."""
         precisions = np.array([t.precision for t in tables], np.int64)
         alphabet = max((t.frequencies.size for t in tables), default=0)
         spans = np.zeros((len(tables), alphabet), np.uint32)
@@ -47,7 +47,7 @@ class TableSet:
 
 @inlined
 def push(words, position, states, lane, span, precision):
-    """Code a symbol of a span, backwards; returns where the words begin now."""
+    """Code a symbol, given its span, backwards; returns where the words begin now."""
     frequency = span & 0xFFFF
     state = states[lane]
     full = np.int64(state >= frequency << (32 - precision))
@@ -69,7 +69,7 @@ def pull(words, position, states, lane, spans, slots, precision):
     span = np.int64(spans[symbol])
     state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
     short = np.int64(state < LOWEST)
-    # No branch, which would often be missed; unsigned, as a sign would be looked at.
+    # No branch: it would often be mispredicted. Unsigned: a signed index is tested for < 0.
     word = np.int64(words[np.uint64(position)]) & -short
     states[lane] = (state << (short << 4)) | word
     return symbol, position + short
@@ -77,7 +77,7 @@ def pull(words, position, states, lane, spans, slots, precision):
 
 @kernel
 def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
-    """Code symbols[:, start:stop] backwards into the end of `words`; fills each channel's first."""
+    """Code symbols[:, start:stop] backwards, from the end of `words`; fills `firsts`."""
     position = words.size
     for channel in range(symbols.shape[0] - 1, -1, -1):
         precision = precisions[channel]
@@ -91,7 +91,7 @@ def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
 def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, symbols):
     """Fill `symbols` (C, n); returns the first channel that does not end at its bound, or C.
 
-    `words` is padded by a row of zeros, so that a row needs no check of its own.
+    `words` is padded by a row of zeros, so that one check per row is enough.
     """
     position = 0
     count = symbols.shape[1]

@@ -15,7 +15,7 @@ from gs_codec.kernels import kernel
 from gs_codec.model.sent import MAX_EXPONENT, MAX_MANTISSA
 
 _STEPS = MAX_EXPONENT + 1
-_SAME = 0  # contexts: is the length unchanged; by whether it was, and by alphabet
+_SAME = 0  # contexts of 'length unchanged', by whether the last one was, and by alphabet
 _SIGN = 6
 _SIZE = 12
 _MANTISSA = _SIZE + 2 * _STEPS

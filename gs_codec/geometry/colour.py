@@ -65,7 +65,7 @@ def predict(values, near, weights, found, step, activities):
     spread = 0
     for k in range(found):
         spread += weights[k] * abs(values[near[k]] - mean)
-    # The bit length of what the spread is in quarter steps, without a division or a branch.
+    # The bit length of the spread in quarter steps, without a division or a branch.
     activity = 0
     for length in range(activities - 1):
         activity += np.int64(4 * spread >= (mass * step) << length)

@@ -20,7 +20,7 @@ from gs_codec.lattice.fixed import PLACES, TOO_LARGE
 from gs_codec.lattice.plan import ACTIVITIES, COLOUR_SHIFTS
 from gs_codec.lattice.tokens import raw_width, value_of
 
-#: No value of a sound block is as large.
+#: Values of a valid block are smaller.
 _TOO_LARGE = int(TOO_LARGE) << PLACES
 
 
@@ -44,7 +44,7 @@ def _code(near, distances, colours, unit, shifts, levels, contexts, values):
 def _decode(
     cells, unit, shifts, rows, words, position, end, states, spans, slots, bits, used, values
 ):  # fmt: skip
-    """Fill ``values (3, n)``; positions after what is read of words (-1: beyond them) and bits."""
+    """Decode ``values (3, n)``; returns the positions reached in words (-1: too few) and bits."""
     near = np.zeros(NEIGHBOURS, np.int64)
     distances = np.zeros(NEIGHBOURS, np.int64)
     weights = np.zeros(NEIGHBOURS, np.int64)
@@ -69,7 +69,7 @@ def _decode(
             if width:
                 rest = code_raw(bits, used, width, 0, False)
                 used += width
-            # Kept where sums cannot overflow; what is refused stays to be seen.
+            # Clamped so that sums cannot overflow; the caller refuses values at the limit.
             value = mean + value_of(token, rest) * step
             values[channel, i] = min(max(value, -_TOO_LARGE), _TOO_LARGE)
     return position, used
@@ -83,7 +83,7 @@ def code_colours(
     Parameters
     ----------
     nearest : Nearest
-        Of decoded positions in half steps of the grid.
+        Neighbours by decoded positions, in half steps of the grid.
     colours : ndarray, shape (3, n), int64
         Fixed-point Y, Co, Cg.
     unit : int

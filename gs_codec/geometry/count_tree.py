@@ -2,7 +2,7 @@
 
 Every node holds the number of points that share a Morton prefix. A node of two or more
 points codes how many go to its low half; a node of one point is a leaf, whose remaining bits
-are no longer the tree's; a node at the last bit holds duplicates. FORMAT.md, section "Geometry".
+are coded elsewhere; a node without bits left holds duplicates. FORMAT.md, section "Geometry".
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CONTEXTS = _SPLIT_CONTEXTS + _CLASSES * _BISECT_NODES
 
 @inlined
 def _count_class(count):
-    """2..9 apart, then one class for each doubling: 0..23."""
+    """Class 0..23 of a count: one for each of 2..9, then one for each doubling."""
     if count < 10:
         return count - 2
     size = 0
@@ -81,7 +81,7 @@ def _low_half(codes, start, stop, bit):
 
 @kernel
 def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
-    """Code all of `codes`, depth first, low half first, but for the bits `lefts` at the leaves."""
+    """Code `codes` depth first, low half first; leaves leave out their ``lefts`` low bits."""
     depth = total_bits + 2
     starts = np.zeros(depth, np.int64)
     counts = np.zeros(depth, np.int64)
@@ -130,7 +130,7 @@ def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
 
 
 def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArray[np.int64]]:
-    """Code sorted Morton codes down to where each is alone.
+    """Code sorted Morton codes down to the bit where each is alone.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArr
 def decode_tree(
     data: memoryview, count: int, total_bits: int, where: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The inverse of `encode_tree`: codes, 0 in the bits that are left out, and their numbers.
+    """The inverse of `encode_tree`: codes with 0 in the bits left out, and how many these are.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Rounding whose errors neighbours make up for: splats overlap, and their errors add up.
+"""Rounding with error diffusion to neighbours: splats overlap, and their errors add up.
 
-An encoder's choice; decoders do not know of it.
+Only the encoder does this; the format does not depend on it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _CHUNK = 64
 @kernel
 def _diffuse(near, distances, values, share, levels):
     channels, count = values.shape
-    # Errors of the last Gaussians, twice what neighbours are looked for in.
+    # Errors of the last Gaussians: twice the window in which neighbours are found.
     errors = np.zeros((2 * WINDOW, channels), np.float32)
     chunk = np.empty((_CHUNK, channels), np.float32)
     for first in range(0, count, _CHUNK):
@@ -54,7 +54,7 @@ def _diffuse(near, distances, values, share, levels):
 
 
 def round_diffusing(nearest: Nearest, values: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Levels ``(C, n)`` of values ``(C, n)``, in steps, of Gaussians in stream order."""
+    """Round values ``(C, n)``, in steps, of Gaussians in stream order to levels ``(C, n)``."""
     levels = np.empty(values.shape, np.int32)
     _diffuse(*nearest, values, _SHARE, levels)
     return levels

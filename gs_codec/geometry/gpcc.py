@@ -1,6 +1,6 @@
 """Coder of coloured points by `tmc3` (G-PCC), lossless; the order of the points is not kept.
 
-What it is given and gives back are PLY files, of which those it writes are not trusted.
+`tmc3` reads and writes PLY files; the files that it writes are not trusted.
 FORMAT.md, section "G-PCC".
 """
 
@@ -18,7 +18,7 @@ _AXES = ("x", "y", "z")
 _COLOURS = ("red", "green", "blue")
 _ROW = np.dtype([(name, "<f4") for name in _AXES] + [(name, "u1") for name in _COLOURS])
 
-#: Lossless geometry, duplicates kept; lossless 8-bit colour. An attribute's options come first.
+#: Lossless geometry, duplicates kept; lossless 8-bit colour, its options before its name.
 _ENCODE = (
     "--mode=0", "--uncompressedDataPath=in.ply", "--compressedStreamPath=out.bin",
     "--trisoupNodeSizeLog2=0", "--mergeDuplicatedPoints=0", "--positionQuantizationScale=1",
@@ -82,7 +82,7 @@ def decode_points(
     Raises
     ------
     ToolFailed
-        If the program fails, or gives anything else than so many points.
+        If the program fails, or does not give exactly `count` points.
     """
     most = _HEADER_BYTES + 64 * count
     ply = tool.run(_DECODE, {"in.bin": data}, "out.ply", most)
@@ -96,7 +96,7 @@ def _read_rows(ply: bytes, count: int) -> NDArray:
     """The rows of a binary PLY that has `count` vertices, and nothing else."""
     end = ply.find(b"end_header\n", 0, _HEADER_BYTES)
     if not ply.startswith(b"ply\n") or end < 0:
-        raise ToolFailed("wrote something that is no PLY file")
+        raise ToolFailed("wrote a file that is not a PLY")
     dtype = _row_type(ply[:end].decode("ascii", "replace").splitlines()[1:], count)
     start = end + len(b"end_header\n")
     if len(ply) - start != count * dtype.itemsize:
@@ -106,7 +106,7 @@ def _read_rows(ply: bytes, count: int) -> NDArray:
 
 
 def _row_type(lines: list[str], count: int) -> np.dtype:
-    """What a vertex is, of the lines of a header."""
+    """The dtype of a vertex, from the lines of a header."""
     fields: dict[str, str] = {}
     element = ""
     for line in lines:
@@ -133,9 +133,9 @@ def _row_type(lines: list[str], count: int) -> np.dtype:
 
 
 def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
-    """A column of symbols of so many bits."""
+    """A column as symbols of `depth` bits."""
     column = rows[name]
-    # NaN is in no range.
+    # NaN fails both comparisons.
     if not np.all((column >= 0) & (column < 1 << depth)) or np.any(column % 1):
         raise ToolFailed(f"gave a value of {name} that is no integer of {depth} bits")
     return column.astype(np.uint32)

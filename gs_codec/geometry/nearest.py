@@ -18,7 +18,7 @@ _AGE_BITS = 5
 
 @inlined
 def _ordered(first, second):
-    """The lesser and the greater, without a branch: it would often be missed."""
+    """The lesser and the greater, without a branch: it would often be mispredicted."""
     less = first < second
     return (first if less else second), (second if less else first)
 
@@ -48,7 +48,7 @@ def _merge_lanes(keys):
     while other > 1:
         other >>= 1
         for lane in range(other):
-            # The lesser of one lane and the other, reversed, rise and then fall.
+            # The lesser of one lane and of the other reversed are bitonic: they rise, then fall.
             a = _lesser(keys[lane], keys[lane + other + 3 * _LANES])
             b = _lesser(keys[lane + _LANES], keys[lane + other + 2 * _LANES])
             c = _lesser(keys[lane + 2 * _LANES], keys[lane + other + _LANES])
@@ -66,7 +66,7 @@ def find_nearest(places, i, near, distances, keys):
     """Fill `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
 
     Ties go to the later point; `distances` are squared, in position steps, and exact while
-    ``places (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is for its own use.
+    ``places (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is scratch memory.
     """
     known = min(i, WINDOW)
     x, y, z = np.float64(places[0, i]), np.float64(places[1, i]), np.float64(places[2, i])
@@ -74,7 +74,7 @@ def find_nearest(places, i, near, distances, keys):
         dx = np.float64(places[0, i - known + j]) - x
         dy = np.float64(places[1, i - known + j]) - y
         dz = np.float64(places[2, i - known + j]) - z
-        # A distance, and below it how long ago its point was.
+        # The distance; in the low bits, how many points ago its point came.
         keys[j] = (dx * dx + dy * dy + dz * dz) * WINDOW + np.float64(known - 1 - j)
     for j in range(known, WINDOW):
         keys[j] = np.inf
@@ -96,9 +96,9 @@ def _find_all(places, near, distances):
 
 
 class Nearest(NamedTuple):
-    """The nearest before each point and their squared distances, both ``(n, NEIGHBOURS)``.
+    """The nearest points before each point, and squared distances, both ``(n, NEIGHBOURS)``.
 
-    Zeros where there are fewer.
+    Zeros if there are fewer.
     """
 
     near: NDArray[np.int32]
@@ -106,7 +106,7 @@ class Nearest(NamedTuple):
 
 
 def find_all_nearest(places: NDArray[np.int64]) -> Nearest:
-    """Those of all points; ``places (3, n)``, in position steps, are below 2**23."""
+    """Find the nearest of all points; ``places (3, n)``, in position steps, are below 2**23."""
     near = np.zeros((places.shape[1], NEIGHBOURS), np.int32)
     distances = np.zeros(near.shape, np.int64)
     _find_all(places, near, distances)

@@ -1,6 +1,6 @@
-"""MPEG's G-PCC reference software as a program of its own, which is not trusted.
+"""Run MPEG's G-PCC reference software, `tmc3`, as a program that is not trusted.
 
-It aborts, crashes or runs forever on some input: whatever goes wrong is a `ToolFailed`.
+It aborts, crashes or runs forever on some input; every failure becomes a `ToolFailed`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MISSING = (
 
 @dataclass(frozen=True)
 class Tmc3:
-    """A program that was found, and what it says it is.
+    """A program that was found, and its version line.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Tmc3:
 
     @classmethod
     def find(cls, path: str | Path | None = None, limits: Limits | None = None) -> Tmc3:
-        """The program at `path`, or where the environment variable or PATH say.
+        """Find the program at `path`, or by the environment variable or PATH.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Tmc3:
         output: str,
         most: int,
     ) -> bytes:
-        """The bytes of file `output` once the program ran where files `inputs` are.
+        """Run the program in a folder with the files `inputs`; returns the bytes of file `output`.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Outputs that appear whole or not at all."""
+"""Write files atomically: an output appears complete or not at all."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ except ImportError:  # Windows
 
 
 def check_writable(path: str | Path, overwrite: bool = True) -> None:
-    """Refuse a path that no file can be written to, or none but in place of another.
+    """Check that a file can be written to a path.
 
     Raises
     ------
     InvalidInput
         If it is a directory or device, its directory is missing or not writable, or, without
-        `overwrite`, it is there already.
+        `overwrite`, it exists.
     """
     target = Path(path)
     if os.path.isdir(target):
@@ -41,7 +41,7 @@ def check_writable(path: str | Path, overwrite: bool = True) -> None:
 
 
 def check_folder(path: str | Path, overwrite: bool = True) -> None:
-    """Refuse a folder for results that has files already, if these may not be overwritten.
+    """Check that a folder for results is empty, unless files may be overwritten.
 
     Raises
     ------
@@ -52,12 +52,12 @@ def check_folder(path: str | Path, overwrite: bool = True) -> None:
 
 
 def make_folder(path: str | Path) -> Path:
-    """The folder `path`, made if it is missing.
+    """Make the folder `path` if it is missing.
 
     Raises
     ------
     InvalidInput
-        If it cannot be.
+        If it cannot be made.
     """
     try:
         os.makedirs(path, exist_ok=True)
@@ -67,19 +67,19 @@ def make_folder(path: str | Path) -> Path:
 
 
 def temporary_name(name: str, mark: str = "") -> str:
-    """What a file is called, beside its place, until it is whole; `mark` tells whose it is."""
+    """Hidden name of a file until it is complete; `mark` identifies its writer."""
     return f".{name[:100]}.{mark}{secrets.token_hex(4)}"
 
 
 def leftovers(entries: Iterable[str], names: Iterable[str], mark: str = "") -> list[str]:
-    """Those entries of a folder that are temporary names of these files with this mark."""
+    """The entries of a folder that are temporary names, with this mark, of the files `names`."""
     begun, pattern = {name[:100] for name in names}, rf"\.(.*)\.{mark}[0-9a-f]{{8}}"
     found = [(entry, re.fullmatch(pattern, entry, re.DOTALL)) for entry in entries]
     return [entry for entry, match in found if match and match[1] in begun]
 
 
 def remove_leftover(path: str | Path) -> None:
-    """Remove a temporary file, unless a process is still writing it, or it is no file of ours."""
+    """Remove a temporary file, unless another process is writing it or it cannot be opened."""
     try:
         descriptor = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
     except OSError:
@@ -89,12 +89,12 @@ def remove_leftover(path: str | Path) -> None:
     finally:
         os.close(descriptor)
     if unused:
-        with suppress(OSError):  # Windows, where what another process writes cannot be removed
+        with suppress(OSError):  # Windows does not remove a file that another process writes
             os.unlink(path)
 
 
 def _lock(descriptor: int) -> bool:
-    """Lock a file, as what is being written is; False if another process has."""
+    """Lock a file that is being written; False if another process has locked it."""
     try:
         if fcntl:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -107,7 +107,7 @@ def _lock(descriptor: int) -> bool:
 
 @contextmanager
 def _locked(descriptor: int) -> Iterator[None]:
-    """Keep a file locked, beyond its being closed."""
+    """Keep a file locked within the block, even after it is closed."""
     own = os.dup(descriptor)
     try:
         _lock(own)
@@ -118,16 +118,16 @@ def _locked(descriptor: int) -> Iterator[None]:
 
 @contextmanager
 def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a new file that becomes `path`, safely on disk, if the block succeeds.
+    """Open a new file that becomes `path` if the block succeeds; it is flushed to disk.
 
-    Where the system can, it has no name before it is whole, so that a process killed at any
-    moment leaves nothing behind; where `path` is there already, a second, whole, hidden copy
-    could be left between the two system calls that name and move it.
+    If the system supports it, the file has no name until it is complete, so a process killed at
+    any moment leaves nothing behind. Exception: if `path` exists, a process killed between the two
+    system calls that name and move the file leaves a complete, hidden copy.
 
     Raises
     ------
     InvalidInput
-        If the file cannot be written; nothing is left behind then.
+        If the file cannot be written; then nothing is left behind.
     """
     check_writable(path)
     target = Path(path)
@@ -153,7 +153,7 @@ def atomic_writer(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def _create(folder: Path, hidden: Path) -> tuple[int, bool]:
-    """A new file in a folder, and whether it is named `hidden`; without a name if possible."""
+    """Create a file, without a name if possible; tell whether it is named `hidden`."""
     nameless = getattr(os, "O_TMPFILE", None)
     if nameless is not None and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):
@@ -163,11 +163,11 @@ def _create(folder: Path, hidden: Path) -> tuple[int, bool]:
 
 
 def _name(descriptor: int, target: Path, hidden: Path) -> None:
-    """Name a file without a name `target`; if that is there already, by way of `hidden`."""
+    """Give a file without a name the name `target`; replace an existing one through `hidden`."""
     source, moved = f"/proc/self/fd/{descriptor}", (os.fspath(hidden), os.fspath(target))
     folder = os.open(target.parent, getattr(os, "O_PATH", os.O_RDONLY))
     try:
-        # Python follows the link to the file only where a folder is given.
+        # Python follows the link to the file only if a folder is given.
         try:
             os.link(source, target.name, dst_dir_fd=folder, follow_symlinks=True)
         except FileExistsError:
@@ -178,7 +178,7 @@ def _name(descriptor: int, target: Path, hidden: Path) -> None:
 
 
 def _keep_name(folder: Path) -> None:
-    """Write a folder to disk, where folders can be: the file is there in any case."""
+    """Flush the entry of a new file in its folder to disk, if the system supports it."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -193,7 +193,7 @@ def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
     Raises
     ------
     InvalidInput
-        If the folder cannot be made, or one of them not be written; those before it stay.
+        If the folder cannot be made, or a file cannot be written; files written before it stay.
     """
     target = make_folder(folder)
     for name, content in files.items():

@@ -1,4 +1,4 @@
-"""Formats of scenes, told apart by content first and by suffix second."""
+"""Recognise scene formats by content, then by suffix; read scenes of any format but `.egs`."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (ZIP, "sog"),
 )
 
-#: So few bytes that a `.splat`, which begins with a number, may begin with them.
+#: Signatures so short that a `.splat`, which begins with a number, may begin with them by chance.
 _BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((GZIP, "spz"), (b"{", "sog"))
 
 
 @dataclass(frozen=True)
 class SceneFile:
-    """A scene's file, opened once: what it is, and what its first bytes say.
+    """An open file of a scene: its format, header and scene.
 
     Attributes
     ----------
@@ -61,12 +61,12 @@ class SceneFile:
 
     @cached_property
     def format(self) -> Format:
-        """The format, told by content and suffix.
+        """The format, recognised by content, then by suffix.
 
         Raises
         ------
         InvalidInput
-            If it is none that is read.
+            If the format is not supported.
         """
         head, suffix = bytes(self.data[:16]), self.path.suffix.lower()
         known = _BY_CONTENT if suffix == ".splat" else _BY_CONTENT + _BY_LITTLE
@@ -82,36 +82,36 @@ class SceneFile:
 
     @property
     def is_egs(self) -> bool:
-        """Whether it is an `.egs` file, sound or not."""
+        """Whether it is an `.egs` file by content or suffix; it may be damaged."""
         return self.data[: len(EGS)] == EGS or self.path.suffix.lower() == ".egs"
 
     @cached_property
     def ply(self) -> Ply:
-        """The file as a PLY."""
+        """The file as a PLY, with its header read."""
         return ply_of(self.path, self.data)
 
     @property
     def is_compressed(self) -> bool:
-        """Whether the file has anything but plain numbers of a PLY."""
+        """Whether the file is in a compressed format, which is any but plain PLY."""
         return self.is_egs or self.format != "ply" or is_packed(self.ply.header)
 
     @property
     def is_read_in_parts(self) -> bool:
-        """Whether it can be read without all of it being in memory."""
+        """Whether it can be read part by part: a plain binary PLY."""
         return not self.is_compressed and bool(self.ply.header.byte_order)
 
     @property
     def stored_bytes(self) -> int:
-        """Size of the scene: of this file, or of all its files."""
+        """Size of the scene, bytes: of this file, or of all files of a SOG scene."""
         return sog_bytes(self.path) if self.format == "sog" else len(self.data)
 
     def stated_bytes(self) -> int:
-        """Bytes of floats that a file that is no `.egs` says it holds; nothing else of it is read.
+        """Bytes of floats that the header states (not for `.egs`); reads only the header.
 
         Raises
         ------
         InvalidInput
-            If it does not say so.
+            If the header cannot be read.
         """
         sizes = {"spz": spz.stated_size, "sog": sog.stated_size}
         if self.format in sizes:
@@ -126,12 +126,12 @@ class SceneFile:
     def scene(
         self, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
     ) -> Scene:
-        """Read a scene of any format but `.egs`; of `extra` and `max_bytes` see `read_ply`.
+        """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`.
 
         Raises
         ------
         InvalidInput
-            If it is not a sound file of a format that is read.
+            If it is not a valid file of a supported format.
         """
         if self.format == "ply":
             return scene_of(self.ply, extra, max_bytes)
@@ -141,7 +141,7 @@ class SceneFile:
 
 @contextmanager
 def open_scene(path: str | Path) -> Iterator[SceneFile]:
-    """A scene's file, of any format, while it is open.
+    """Open the file of a scene, in any format.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Images that nobody vouches for, as pixels: the one place where Pillow opens any."""
+"""Read the pixels of untrusted images; the only module that opens images with Pillow."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 
-#: Refuses an image of this width and height, by an error of ours.
+#: Checks width and height of an image; raises a `GsCodecError` to refuse it.
 CheckSize = Callable[[int, int], None]
 
 
 def read_pixels(
     source: str | Path | BinaryIO, formats: Sequence[str], check_size: CheckSize
 ) -> NDArray[np.uint8]:
-    """Pixels ``(H, W, 4)`` of an image, RGBA; the first of several.
+    """Pixels ``(H, W, 4)``, RGBA, of an image, or of the first image of a file with several.
 
     Parameters
     ----------
     source : str, Path or binary file
     formats : sequence of str
-        Pillow's names of the formats to accept. Others never get to their reader: that of
-        PostScript runs the file as a program.
+        Pillow's names of the formats to accept. Pillow's readers of other formats never see the
+        file; its PostScript reader would run the file as a program.
     check_size : callable
         Called as ``check_size(width, height)`` before pixels are decoded.
 
     Raises
     ------
     InvalidInput
-        If it cannot be opened, or is no sound image of these formats; and what `check_size` raises.
+        If it cannot be opened, or is not a valid image of these formats; or if `check_size` raises.
     """
     from PIL import Image, UnidentifiedImageError
 
     try:
         if "WEBP" in formats:
-            # Its reader takes memory for all pixels when it opens a file.
+            # Pillow's WebP reader allocates all pixels when it opens a file.
             _check_webp(source, check_size)
         with _warnings_ignored(), Image.open(source, formats=tuple(formats)) as image:
             check_size(*image.size)
@@ -52,13 +52,13 @@ def read_pixels(
     except UnidentifiedImageError:
         raise InvalidInput(f"not an image ({', '.join(formats)})") from None
     except Exception as error:
-        # Readers of formats raise what they like at bytes that they do not expect.
+        # Pillow's readers may raise any exception on unexpected bytes.
         reason = one_line(error)[:200] or type(error).__name__
         raise InvalidInput(reason) from error
 
 
 def _check_webp(source: str | Path | BinaryIO, check_size: CheckSize) -> None:
-    """Check the size that a WebP file states; other files pass."""
+    """Check the size that the header of a WebP file states; other files are not checked."""
     if isinstance(source, str | Path):
         with open(source, "rb") as file:
             _check_webp(file, check_size)
@@ -87,9 +87,10 @@ _inside: list[warnings.catch_warnings] = []
 
 @contextmanager
 def _warnings_ignored() -> Iterator[None]:
-    """No warnings of what is odd in a file, but does not keep it from being read.
+    """Ignore Pillow's warnings about odd but readable files.
 
-    Filters belong to the process: the first thread sets them, the last one restores them.
+    Warning filters are global to the process: the first thread in sets them, the last one out
+    restores them.
     """
     with _lock:
         context = _inside[0] if _inside else warnings.catch_warnings()

@@ -1,4 +1,4 @@
-"""What a file may unfold to, and the one error of all that can go wrong inside a library."""
+"""Limits on the decoded size of a file; and turn the exceptions of libraries into one error."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.scene import float_bytes
 
-#: A file may unfold to this many bytes, or to `EXPANSION` times its size if that is more.
+#: A file may decode to this many bytes, or to `EXPANSION` times its size if that is more.
 DECODED_BYTES = 1 << 30
 EXPANSION = 1000
 
-#: What libraries raise at data that they cannot read.
+#: What libraries raise if they cannot read data.
 FAILURES: tuple[type[Exception], ...] = (
     ArithmeticError,
     EOFError,
@@ -24,19 +24,19 @@ FAILURES: tuple[type[Exception], ...] = (
     RuntimeError,  # nested too deep, or not implemented
     SyntaxError,  # Pillow's for broken images
     TypeError,
-    ValueError,  # text that is no UTF-8, too
+    ValueError,  # also text that is not UTF-8
     struct.error,
     zlib.error,
 )
 
 
 def most_bytes(file_bytes: int, max_bytes: int | None) -> int:
-    """How many bytes of floats and extra properties a file of this size may unfold to."""
+    """Most bytes of floats and extra properties that a file of this size may decode to."""
     return max(DECODED_BYTES, EXPANSION * file_bytes) if max_bytes is None else max_bytes
 
 
 def check_count(count: int, sh_degree: int, file_bytes: int, max_bytes: int | None = None) -> None:
-    """Refuse more Gaussians than a file of this size may hold, before memory is taken.
+    """Refuse more Gaussians than a file of this size may hold, before memory is allocated.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def check_count(count: int, sh_degree: int, file_bytes: int, max_bytes: int | No
 
 
 def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None) -> None:
-    """Refuse Gaussians that take more than a file of this size may unfold to.
+    """Refuse Gaussians whose data is larger than a file of this size may decode to.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None)
 
 @contextmanager
 def refusing(what: str, *more: type[Exception]) -> Iterator[None]:
-    """Turn what libraries raise at data that they cannot read, and `more`, into one error.
+    """Turn the exceptions of libraries that cannot read data, and `more`, into one error.
 
     Raises
     ------

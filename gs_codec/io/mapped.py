@@ -1,4 +1,4 @@
-"""Files as bytes in memory, and errors that name them."""
+"""Map files into memory, and put their names into errors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def opened(path: str | Path) -> Iterator[memoryview]:
     try:
         yield view
     finally:
-        # An error on its way may still hold parts of the view; they go with it.
+        # An exception being raised may still hold parts of the view; they are freed with it.
         with suppress(BufferError):
             view.release()
             mapped.close()
@@ -40,7 +40,7 @@ def opened(path: str | Path) -> Iterator[memoryview]:
 
 @contextmanager
 def other_files() -> Iterator[None]:
-    """Mark errors that name the files they are about, for `located`."""
+    """Mark errors about other files, which already name them, so that `located` skips them."""
     try:
         yield
     except GsCodecError as error:
@@ -50,7 +50,7 @@ def other_files() -> Iterator[None]:
 
 @contextmanager
 def located(path: str | Path) -> Iterator[None]:
-    """Put the file's name before the errors of reading it, but not of other files."""
+    """Put the name of the file before errors within the block, except errors about other files."""
     try:
         yield
     except GsCodecError as error:

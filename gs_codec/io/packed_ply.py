@@ -1,7 +1,8 @@
-"""PlayCanvas' PLY of packed properties (`.compressed.ply`): chunks of 256 Gaussians have bounds.
+"""PlayCanvas' PLY of packed properties (`.compressed.ply`), in chunks of 256 Gaussians.
 
-Values are bits between the bounds of their chunk, 11, 10 and 11 for x, y and z, quaternions three
-components of 10 bits and which of the four is left out, colours and opacities a byte each.
+Centres and scales are stored relative to the bounds of their chunk, with 11, 10 and 11 bits for x,
+y and z. A quaternion is stored as three components of 10 bits and the index of the fourth, a
+colour channel or opacity as a byte.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ def is_packed(header: PlyHeader) -> bool:
 
 
 def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
-    """Read the Gaussians of such a file; floats may take `max_bytes`, see `most_bytes`.
+    """Read the Gaussians of a packed PLY; floats may take `max_bytes`, see `most_bytes`.
 
     Raises
     ------
     InvalidInput
-        If elements or properties are missing, of another type, or of another number.
+        If elements or properties are missing, or have the wrong type or number.
     """
     elements = {element.name: element for element in ply.header.elements}
     vertex, chunk, sh = (elements.get(name) for name in ("vertex", "chunk", "sh"))
@@ -42,7 +43,7 @@ def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
         raise InvalidInput("packed properties without element 'chunk'")
     bounds = [f"{end}_{axis}" for axis in "xyz" for end in ("min", "max")]
     bounds += [f"{end}_scale_{axis}" for axis in "xyz" for end in ("min", "max")]
-    # Writers before 2024 have no bounds of colours, which are then 0 and 1.
+    # Files written before 2024 have no bounds for colours; these are then 0 and 1.
     colours = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
     if any(name in chunk.types for name in colours):
         bounds += colours
@@ -72,7 +73,7 @@ def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
 
 
 def stated_size(header: PlyHeader) -> tuple[int, int]:
-    """Gaussians and SH degree that the header of such a file says there are."""
+    """Number of Gaussians and SH degree that the header of a packed PLY states."""
     elements = {element.name: element for element in header.elements}
     sh = elements.get("sh")
     coefficients = 0 if sh is None else len(sh.types) // 3
@@ -91,7 +92,7 @@ def _check_types(element: str, types: dict[str, str], names: tuple | list, code:
 
 
 def _check_sh(types: dict[str, str], count: int, gaussians: int) -> int:
-    """Coefficients of a colour."""
+    """Check element `sh`; return its SH-AC coefficients per colour channel."""
     if len(types) not in [3 * k for k in SH_COEFFICIENTS]:
         raise InvalidInput(f"element 'sh': {len(types)} properties, expected 9, 24 or 45")
     if count != gaussians:
@@ -101,15 +102,15 @@ def _check_sh(types: dict[str, str], count: int, gaussians: int) -> int:
 
 
 def _split(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """Shares of 11, 10 and 11 bits, from the highest."""
+    """Split into 11, 10 and 11 bits, from the highest, each scaled to 0-1."""
     return np.stack([(packed >> 21) / 2047, ((packed >> 11) & 1023) / 1023, (packed & 2047) / 2047])
 
 
 def _between(limits: NDArray, prefix: str, axes: str, shares: NDArray) -> NDArray[np.float64]:
-    """Values at shares between the bounds of their chunks."""
+    """Interpolate shares (0-1) between the bounds of their chunks."""
     values = np.empty_like(shares)
     for value, share, axis in zip(values, shares, axes, strict=True):
-        with np.errstate(invalid="ignore"):  # a bound that is infinite, or no number
+        with np.errstate(invalid="ignore"):  # a bound that is infinite or NaN
             ends = [limits[f"{end}_{prefix}{axis}"].astype(np.float64) for end in ("min", "max")]
             low, high = (np.repeat(end, _CHUNK)[: len(share)] for end in ends)
             value[:] = low * (1 - share) + high * share
@@ -122,7 +123,7 @@ def _quaternions(packed: NDArray[np.uint32]) -> NDArray[np.float32]:
 
 
 def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
-    """SH-AC; a byte is the middle of its 256th of -4 to 4, but the first and last are the ends."""
+    """SH-AC: a byte is the middle of one of 256 equal bins of -4 to 4; 0 and 255 are the ends."""
     planes = np.empty((3 * coefficients, count), np.float32)
     if not coefficients:
         return planes

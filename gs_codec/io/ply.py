@@ -1,4 +1,4 @@
-"""INRIA-layout PLY files, read in any order and written in the trainer's."""
+"""PLY files of the INRIA layout: read with properties in any order, written in the trainer's."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ def read_ply(
 ) -> Scene:
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
-    The trainer's layout in any order of properties, or PlayCanvas' of packed properties.
+    The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
 
     Parameters
     ----------
     path : str or Path
     extra : {"error", "keep", "drop"}
-        What to do with properties beyond the INRIA layout, normals that are not all zero, and
-        elements beside the Gaussians, which cannot be kept.
+        What to do with properties beyond the INRIA layout, with normals that are not all zero, and
+        with elements other than ``vertex``. Such elements are never kept.
     max_bytes : int, optional
-        Largest size of floats and kept properties; by default as `most_bytes` says.
+        Largest size of floats and kept properties; default: see `most_bytes`.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def read_ply(
 def scene_of(
     ply: Ply, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
 ) -> Scene:
-    """The scene of a PLY; see `read_ply`."""
+    """The scene of an open PLY; see `read_ply`."""
     path = ply.path
     if ply.header.obj_info:
         log.warning("%s: %d obj_info lines not kept", path, ply.header.obj_info)
@@ -114,7 +114,7 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
     if "scale_0" in names and "scale_1" in names and "scale_2" not in names:
         raise InvalidInput(f"{path}: a scene of flat Gaussians (2DGS): no scale_2, expected 3DGS")
     groups = property_names(rest // 3)
-    # Trainers without SH write colours so (nerfstudio).
+    # Trainers without SH (nerfstudio) write colours as bytes.
     colours = "f_dc_0" not in names and all(
         name in names and dtype[name] == np.uint8 for name in _COLOURS
     )
@@ -127,7 +127,7 @@ def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]
 
 
 def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[np.float32]:
-    """Planes of the wanted properties, straight from the mapped rows where all are float32."""
+    """Planes of the wanted properties; fast, directly from the mapped rows, if all are float32."""
     names = list(data.dtype.names or ())
     packed = data.dtype.itemsize == 4 * len(names)
     if packed and all(data.dtype[name] == np.dtype("<f4") for name in names):
@@ -146,11 +146,11 @@ def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[
 def _read_rest(
     path: str | Path, data: NDArray, used: set[str], extra: str
 ) -> tuple[bool, dict[str, NDArray]]:
-    """Whether there are (all-zero) normals, and the properties to keep beside them."""
+    """Whether there are normals to restore as zeros, and the extra properties to keep."""
     rest = [name for name in data.dtype.names or () if name not in used]
     normals = [name for name in _NORMALS if name in rest]
     has_normals = len(normals) == 3
-    # Zeros are written back as +0: who asks to keep what is there may have others.
+    # Normals are written back as +0, so with "keep" a -0 makes them extra properties.
     differs = np.signbit if extra == "keep" else np.zeros_like
     if has_normals and not any(np.any(data[n]) or np.any(differs(data[n])) for n in normals):
         rest = [name for name in rest if name not in normals]
@@ -179,7 +179,7 @@ def write_ply(path: str | Path, scene: Scene) -> None:
 
 
 def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
-    """Write a PLY of `count` Gaussians to a file: slabs of the same layout, one after another."""
+    """Write a PLY of `count` Gaussians from slabs of the same layout, one after another."""
     for number, slab in enumerate(slabs):
         if not number:
             file.write(_header(slab, count).encode("ascii"))
@@ -188,7 +188,7 @@ def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
 
 
 def _header(scene: Scene, count: int) -> str:
-    """The header of a file of `count` Gaussians that are like the scene's."""
+    """The header of a PLY of `count` Gaussians with the properties of the scene."""
     row = np.zeros((), vertex_rows(scene.between(0, 0)).dtype)
     element = plyfile.PlyElement.describe(np.broadcast_to(row, (count,)), "vertex")
     return plyfile.PlyData([element], byte_order="<", comments=list(scene.comments)).header + "\n"

@@ -36,12 +36,12 @@ class Ply:
     data: NDArray[np.uint8]
 
     def rows(self, name: str) -> NDArray:
-        """Structured rows of an element; those of a binary file are where it is mapped.
+        """Structured rows of an element; for a binary file, a view of the mapped file.
 
         Raises
         ------
         InvalidInput
-            If they are not all there, or hold lists.
+            If rows are missing, or have list properties.
         """
         index = self.header.names.index(name)
         element = self.header.elements[index]
@@ -76,7 +76,7 @@ class Ply:
 
     def _text_rows(self, element: Element, skipped: int) -> NDArray:
         body = self.data[self.header.size :].tobytes()
-        # A digit and a space is the least a number takes.
+        # A number takes at least a digit and a space.
         if 2 * (skipped + element.count * max(len(element.types), 1)) > len(body) + 1:
             raise InvalidInput(
                 f"element '{element.name}': {element.count} rows of {len(element.types)} numbers "
@@ -87,7 +87,7 @@ class Ply:
         table = np.empty((0, len(element.types)))
         if element.count:
             with refusing(f"element '{element.name}'"), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of no line at all, which is told below
+                warnings.simplefilter("ignore")  # no lines at all: reported below
                 table = np.loadtxt(wanted, np.float64, comments=None, ndmin=2, encoding="latin-1")
         if table.shape != (element.count, len(element.types)):
             raise InvalidInput(
@@ -98,7 +98,7 @@ class Ply:
 
 
 def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
-    """Rows of the types the header says, of numbers read from text."""
+    """Convert numbers read from text to rows of the types that the header states."""
     rows = np.empty(len(table), element.dtype("<"))
     for column, name in zip(table.T, element.types, strict=True):
         with np.errstate(all="ignore"):
@@ -109,12 +109,12 @@ def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
 
 
 def ply_of(path: str | Path, data: memoryview) -> Ply:
-    """The PLY of a file's bytes, its header read.
+    """Read the header of a PLY file from its bytes.
 
     Raises
     ------
     InvalidInput
-        If it is no PLY file.
+        If it is not a PLY file.
     """
     array = np.frombuffer(data, np.uint8)
     with located(path):

@@ -1,4 +1,4 @@
-"""Headers of PLY files: what elements there are, and where."""
+"""Headers of PLY files: elements, their properties, and where the body begins."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 
-#: No header is longer: `.egs` files keep comments of 2^20 bytes, each line a word longer here.
+#: Longest header. `.egs` files keep up to 2^20 bytes of comments; PLY adds a word to each line.
 _HEADER_BYTES = 1 << 24
 _PROPERTIES = 1 << 16
 _ELEMENTS = 64
@@ -42,7 +42,7 @@ class Element:
     types : dict of str to str
         NumPy's code of each scalar property, without byte order.
     lists : dict of str to str
-        The same of properties that are lists: NumPy's code of their items.
+        NumPy's code of the items of each list property.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Element:
 
 @dataclass
 class PlyHeader:
-    """What a header says.
+    """Contents of a PLY header.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class PlyHeader:
     elements : list of Element
     comments : tuple of str
     obj_info : int
-        Lines of object information.
+        Number of ``obj_info`` lines.
     size : int
         Bytes of the header.
     """
@@ -122,7 +122,7 @@ def _split_lines(head: bytes) -> tuple[list[str], int]:
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
     if not start:
         raise _error(1, f"{head[:20]!a}, expected 'ply'")
-    # One kind of line end throughout: after the last, a byte of the body may look like another.
+    # Use one kind of line end: the first byte of the body may look like part of another kind.
     newline = start[1]
     end = re.compile(rb"(?<=[\r\n])end_header[ \t]*" + newline).search(head, start.end())
     if not end:

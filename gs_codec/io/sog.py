@@ -1,7 +1,8 @@
-"""SOG scenes, versions 1 and 2: values are pixels of lossless WebP images, `meta.json` says how.
+"""SOG scenes, versions 1 and 2: values are pixels of WebP images that `meta.json` describes.
 
-In one zip (`.sog`), or as files beside `meta.json`. Centres are 16 bits of their logarithm, SH-AC
-are rows of a palette; the rest is a byte each, in version 2 of a table, before between bounds.
+The files are in one zip (`.sog`), or beside `meta.json`. Centres are stored as 16-bit logarithms,
+SH-AC as rows of a palette. All other values are bytes: indices of a table in version 2, shares
+between two bounds in version 1.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ log = logging.getLogger(__name__)
 _META_BYTES = 1 << 22
 _PALETTE_COLUMNS = 64
 
-#: The last byte of a quaternion says which component is left out, from here.
+#: The last byte of a quaternion is this value plus the index of the omitted component.
 _FIRST_TAG = 252
 
-#: Pixels of an image, by its name and most pixels.
+#: Loads the pixels of an image, given its name and the most pixels it may have.
 _Load = Callable[[str, int], NDArray[np.uint8]]
 
 
@@ -41,7 +42,7 @@ def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
     Raises
     ------
     InvalidInput
-        If a file cannot be read, or is not as `meta.json` says.
+        If a file cannot be read, or does not match `meta.json`.
     """
     path = Path(path)
     with opened(path) as data:
@@ -54,7 +55,7 @@ def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
             log.warning("%s: model '%s' not known, not kept", path, ascii(meta.model)[1:40])
 
         def load(name: str, most: int) -> NDArray[np.uint8]:
-            # Pixels are four bytes; a file of twice as many is none that anyone has written.
+            # A pixel is four bytes; no writer makes a file twice as large as its pixels.
             return read_pixels(read(name, 8 * most), name, most)
 
         file_bytes = path.stat().st_size if is_zip else stored_bytes(path, meta.files)
@@ -83,7 +84,7 @@ def sog_bytes(path: str | Path) -> int:
 
 
 def stated_size(path: str | Path) -> tuple[int, int]:
-    """Gaussians and SH degree that `meta.json` says there are; 3 where it does not say."""
+    """Number of Gaussians and SH degree that `meta.json` states; degree 3 if it states none."""
     path = Path(path)
     with opened(path) as data:
         is_zip = bytes(data[:4]) == ZIP
@@ -93,9 +94,9 @@ def stated_size(path: str | Path) -> tuple[int, int]:
 
 
 def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.uint8]:
-    """Bytes ``(4, N)`` of the Gaussians, whose pixels follow each other."""
+    """Bytes ``(4, N)`` of the Gaussians: one pixel each, in order."""
     name = meta.files[group][image]
-    # Sides are rounded up to multiples of four.
+    # The sides of images are rounded up to multiples of four.
     pixels = load(name, 2 * meta.count + (1 << 16)).reshape(-1, 4)
     if len(pixels) < meta.count:
         raise InvalidInput(f"image '{name}': {len(pixels)} pixels, expected {meta.count}")
@@ -103,7 +104,7 @@ def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.u
 
 
 def _looked_up(table: NDArray[np.float32], values: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Values of the first three bytes, each by its column of a table."""
+    """Look up the first three bytes of each Gaussian in the columns of a table."""
 
     def look_up(some: slice) -> NDArray[np.float32]:
         planes = np.stack([table[values[i, some], i] for i in range(3)])
@@ -123,7 +124,7 @@ def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
         logarithm = ends[0] * (1 - share) + ends[1] * share
         return np.sign(logarithm) * np.expm1(np.abs(logarithm))
 
-    with np.errstate(over="ignore"):  # infinite, as a PLY may say: told later
+    with np.errstate(over="ignore"):  # infinite centres, as in a PLY, are reported later
         return planes_of(3, meta.count, unfold)
 
 
@@ -143,14 +144,14 @@ def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
         return rot
 
     if untold.any():
-        log.warning("%s: %d rotations say nothing, made the identity", path, untold.sum())
+        log.warning("%s: %d rotations without a value, set to the identity", path, untold.sum())
     return planes_of(4, len(untold), restore)
 
 
 def _read_palette(
     meta: Meta, load: _Load, file_bytes: int, max_bytes: int | None
 ) -> NDArray[np.float32]:
-    """SH-AC ``(3 * K, N)``: of each Gaussian a row of the palette."""
+    """SH-AC ``(3 * K, N)``: each Gaussian has a row of the palette."""
     if "shN" not in meta.files:
         return np.empty((0, meta.count), np.float32)
     name = meta.files["shN"][0]

@@ -1,4 +1,4 @@
-"""Files of a SOG scene, of a zip or a folder, and the pixels of its images."""
+"""Read the files of a SOG scene, from a zip or a folder, and the pixels of its images."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from gs_codec.io.mapped import located
 
 ZIP = b"PK\x03\x04"
 
-#: Reads a file of this name, of at most so many bytes.
+#: Reads a file, given its name and the most bytes it may have.
 Files = Callable[[str, int], bytes]
 
 _ENTRIES = 1000
 
-#: Flag of an extended WebP file.
+#: Animation flag of an extended WebP file.
 _ANIMATION = 2
 
 
 @contextmanager
 def sog_files(path: Path, is_zip: bool) -> Iterator[Files]:
-    """What reads the files of a scene: of a zip, or beside its `meta.json`.
+    """A function that reads the files of a scene, from a zip or beside its `meta.json`.
 
     Raises
     ------
     InvalidInput
-        If the zip is none; in reading, if a file is missing, encrypted, or too large.
+        If the zip is not valid; when reading, if a file is missing, encrypted, or too large.
     """
     if not is_zip:
         yield lambda name, limit: _read_beside(path, name, limit)
@@ -45,19 +45,19 @@ def sog_files(path: Path, is_zip: bool) -> Iterator[Files]:
         entries = archive.infolist()
         if len(entries) > _ENTRIES:
             raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
-        # Some bundles have all in one folder.
+        # Some bundles have all files in one folder.
         folder = _folder_of({e.filename for e in entries})
         yield lambda name, limit: _read_entry(archive, folder + name, limit)
 
 
 def stored_bytes(meta: Path, files: Mapping[str, Iterable[str]]) -> int:
-    """Size of a `meta.json` and the files of a scene beside it, as far as they are there."""
+    """Total size of a `meta.json` and the existing files of its scene."""
     paths = [meta, *(meta.parent / name for names in files.values() for name in names)]
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 
 def _folder_of(names: Iterable[str]) -> str:
-    """Where in a zip the scene is."""
+    """The folder of the scene in a zip."""
     by_base: dict[str, list[str]] = {}
     for name in names:
         by_base.setdefault(name.rpartition("/")[2], []).append(name)
@@ -90,7 +90,7 @@ def _read_entry(archive: zipfile.ZipFile, name: str, limit: int) -> bytes:
         with archive.open(entry) as file:
             data = file.read(entry.file_size + 1)
     if len(data) != entry.file_size:
-        raise InvalidInput(f"zip entry '{name[:60]}': {len(data)} bytes, not as many as it says")
+        raise InvalidInput(f"zip entry '{name[:60]}': {len(data)} bytes of {entry.file_size}")
     return data
 
 
@@ -100,14 +100,14 @@ def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:
     Raises
     ------
     InvalidInput
-        If it is not a still WebP image, or of more than `most` pixels.
+        If it is not a still WebP image, or has more than `most` pixels.
     """
 
     def check_size(width: int, height: int) -> None:
         if width * height > most:
             raise InvalidInput(f"{width}x{height} pixels, expected at most {most}")
 
-    # Lossy images of version 1 exist; values that are only about right are.
+    # Lossy images are accepted: some files of version 1 have them.
     with located(f"image '{name}'"):
         if data[12:16] == b"VP8X" and data[20:21] and data[20] & _ANIMATION:
             raise InvalidInput("an animation, expected a still image")

@@ -1,4 +1,4 @@
-"""`meta.json` of SOG scenes: JSON that nobody vouches for, as numbers and names of files."""
+"""Parse `meta.json` of SOG scenes: untrusted JSON with numbers and file names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.io.limits import refusing
 
-#: Files of each group.
+#: Number of files of each group.
 _FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 
 _TABLE = 256
@@ -22,21 +22,21 @@ _FLOAT32 = float(np.finfo(np.float32).max)
 
 @dataclass(frozen=True)
 class Meta:
-    """What `meta.json` says.
+    """Contents of `meta.json`.
 
     Attributes
     ----------
     version : {1, 2}
     count : int
     model : str
-        ``default``, or how it is to be rendered.
+        How to render the scene: ``default``, ``antialiased`` or other.
     files : dict of str to list of str
-        Names of images of each group there is.
+        Image names of each group present.
     means : ndarray, shape (2, 3)
-        Bounds of the centres' logarithms.
+        Lower and upper bounds of the logarithms of centres.
     tables : dict of str to ndarray
-        Values of the bytes of ``scales``, ``sh0`` and ``shN``, shape (256, 3); in version 1
-        ``sh0`` has a fourth column, of opacities.
+        Values that the bytes of ``scales``, ``sh0`` and ``shN`` stand for, shape (256, 3); in
+        version 1 ``sh0`` has a fourth column for opacities.
     bands : int or None
         SH degree; version 1 does not say.
     palette : int
@@ -145,7 +145,7 @@ def _list(group: dict[str, Any], name: str, key: str, length: int | None) -> lis
 def _names(group: dict[str, Any], name: str, number: int) -> list[str]:
     names = _list(group, name, "files", number)
     for item in names:
-        # No way out of the folder, nor a stream of a file on Windows.
+        # Refuse paths to other folders, and alternate streams of a file on Windows.
         plain = isinstance(item, str) and item.isprintable() and not set(item) & set("/\\:")
         if not plain or item.strip(".") == "" or len(item) > 255:
             raise InvalidInput(f"meta.json: {name}.files has {item!a:.60}, expected a file's name")
@@ -153,7 +153,7 @@ def _names(group: dict[str, Any], name: str, number: int) -> list[str]:
 
 
 def _numbers(group: dict[str, Any], name: str, key: str, length: int) -> list[float]:
-    """As many numbers; one may stand alone."""
+    """A list of `length` numbers; if `length` is 1, a plain number is accepted too."""
     where = f"{name}.{key}"
     if length == 1 and not isinstance(group.get(key), list):
         return [_number(group.get(key), where)]
@@ -163,7 +163,7 @@ def _numbers(group: dict[str, Any], name: str, key: str, length: int) -> list[fl
 def _number(value: Any, where: str) -> float:
     usable = isinstance(value, int | float) and not isinstance(value, bool)
     if not usable or not abs(value) <= _FLOAT32 or not math.isfinite(value):
-        raise InvalidInput(f"meta.json: {where} has {value!a:.40}, expected a number of float32")
+        raise InvalidInput(f"meta.json: {where} has {value!a:.40}, expected a float32 number")
     return float(value)
 
 

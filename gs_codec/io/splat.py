@@ -1,7 +1,7 @@
-"""`.splat` files: 32 bytes a Gaussian, without SH-AC, as antimatter15's viewer has them.
+"""`.splat` files of antimatter15's viewer: 32 bytes per Gaussian, without SH-AC.
 
-Centre and scales are float32, the scales linear; then red, green, blue, opacity and a quaternion
-wxyz are a byte each.
+Centre and scales (linear) are float32. Red, green, blue, opacity and the components wxyz of the
+quaternion are a byte each.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ROW = np.dtype(
 #: Bytes of a Gaussian.
 RECORD = _ROW.itemsize
 
-#: Log-scale beyond which a scale is no float32.
+#: Largest log-scale whose scale is a finite float32.
 _LARGEST = 88.0
 
 
@@ -33,7 +33,7 @@ def read_splat(path: str | Path, max_bytes: int | None = None) -> Scene:
     Raises
     ------
     InvalidInput
-        If it cannot be opened, or is no whole number of records.
+        If it cannot be opened, or its size is not a multiple of the record size.
     """
     with opened(path) as data, located(path):
         if len(data) % RECORD:
@@ -42,7 +42,7 @@ def read_splat(path: str | Path, max_bytes: int | None = None) -> Scene:
             )
         check_count(len(data) // RECORD, 0, len(data), max_bytes)
         rows = np.frombuffer(bytes(data), _ROW)
-    with np.errstate(divide="ignore", invalid="ignore"):  # not finite, as in a PLY: told later
+    with np.errstate(divide="ignore", invalid="ignore"):  # non-finite values are reported later
         log_scale = np.log(rows["scale"].T)
     colour = rows["colour"].T
     return Scene(

@@ -1,9 +1,9 @@
 """Niantic's `.spz` files, versions 1 to 4.
 
-Up to version 3 all is one gzip stream, in version 4 each attribute is a zstd stream. Attributes
-follow each other: centres in fixed point of 24 bits (version 1: float16), opacities, colours,
-log-scales and SH a byte each, quaternions xyzw as their first three components in bytes, from
-version 3 as all but the largest in 10 bits and which that is.
+Up to version 3 a file is one gzip stream; in version 4 each attribute is a zstd stream. Centres
+are 24-bit fixed point (version 1: float16). Opacities, colours, log-scales and SH are a byte per
+value. Quaternions xyzw are stored as their first three components, a byte each; from version 3, as
+the index of the largest component and the other three in 10 bits each.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene, coordinates_comm
 
 log = logging.getLogger(__name__)
 
-#: What attributes are in, of which parts are no copies.
+#: Data of attributes; parts of a memoryview are not copies.
 Bytes = bytes | memoryview
 
 MAGIC = b"NGSP"
@@ -37,7 +37,7 @@ _ANTIALIASED, _EXTENSIONS = 1, 2
 _FRACTION_BITS = 24
 _COLOUR_SCALE = 0.15
 
-#: Adobe's extension that names another system than the format's own; its values from 1.
+#: Adobe's extension for other coordinate systems than the format's own; its values start at 1.
 _SYSTEM_EXTENSION = 0xADBE0003
 _SYSTEM = "RUB"
 _SYSTEMS = (
@@ -56,21 +56,21 @@ class _Header:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Bytes of centres, opacities, colours, scales, rotations and SH of a Gaussian."""
+        """Bytes per Gaussian of centres, opacities, colours, scales, rotations and SH."""
         coefficients = SH_COEFFICIENTS[self.sh_degree]
         position = 6 if self.version == 1 else 9
         return position, 1, 3, 3, 3 if self.version < 3 else 4, 3 * coefficients
 
 
 def read_spz(path: str | Path, max_bytes: int | None = None) -> Scene:
-    """Read an `.spz` file; a comment names its coordinate system, which is not changed.
+    """Read an `.spz` file in its own coordinate system, which a comment of the scene names.
 
     Floats may take `max_bytes`; see `most_bytes`.
 
     Raises
     ------
     InvalidInput
-        If it cannot be opened, or is no sound `.spz` file of version 1 to 4 and SH degree 0 to 3.
+        If it cannot be opened, or is not a valid `.spz` file of version 1 to 4, SH degree 0 to 3.
     """
     with opened(path) as view, located(path):
         data = bytes(view)
@@ -101,7 +101,7 @@ def _check_header(
 
 
 def stated_size(path: str | Path) -> tuple[int, int]:
-    """Gaussians and SH degree that a file says it has; see `read_spz` for what is refused."""
+    """Number of Gaussians and SH degree that the header states; raises as `read_spz` does."""
     with opened(path) as view, located(path):
         if view[: len(MAGIC)] == MAGIC:
             head = bytes(view[: _HEADER.size])
@@ -163,8 +163,8 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[_Header, list[Bytes
         packed, stated = next(entries) if size else (0, 0)
         if stated != size or packed > len(data) - place:
             raise InvalidInput(
-                f"stream '{name}': {packed} bytes packed, of {stated}; expected at most "
-                f"{len(data) - place}, of {size}"
+                f"stream '{name}': {packed} bytes packed, {stated} unpacked; expected at most "
+                f"{len(data) - place} and {size}"
             )
         streams.append(_decompress_stream(data[place : place + packed], name, size))
         place += packed
@@ -177,7 +177,7 @@ _STREAMS = ("positions", "opacities", "colours", "scales", "rotations", "SH")
 
 
 def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
-    """One zstd frame, which says its size, or says none, before memory is taken."""
+    """Decompress one zstd frame; check the size that it may state before memory is allocated."""
     if not size:
         return b""
     import zstandard
@@ -194,7 +194,7 @@ def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
 
 
 def _read_extensions(path: str | Path, data: bytes) -> str:
-    """The coordinate system; what is not understood is reported."""
+    """The coordinate system from the extensions; unknown extensions give a warning."""
     system, place = _SYSTEM, 0
     while place < len(data):
         if len(data) - place < 8:
@@ -236,14 +236,14 @@ def _scene_of(path: str | Path, header: _Header, streams: list[Bytes], system: s
 
 
 def _f_rest(rows: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """SH-AC ``(3 * K, n)``: all coefficients of a colour, colour by colour."""
+    """SH-AC ``(3 * K, n)``, reordered: all coefficients of one colour channel after another."""
     by_colour = rows.reshape(len(rows) // 3, 3, rows.shape[1]).transpose(1, 0, 2)
     return (by_colour.reshape(rows.shape).astype(np.float32) - 128) / 128
 
 
 def _positions(rows: NDArray[np.uint8], header: _Header) -> NDArray[np.float32]:
     if header.version == 1:
-        with np.errstate(invalid="ignore"):  # a NaN that signals
+        with np.errstate(invalid="ignore"):  # signalling NaN
             return np.ascontiguousarray(rows.T).view("<f2").T.astype(np.float32, order="C")
     low, middle, high = (rows[i::3].astype(np.int32) for i in range(3))
     fixed = low | middle << 8 | (high ^ 128) - 128 << 16

@@ -1,9 +1,9 @@
 """Steps without views: what opacity and size tell of how much is seen.
 
-Log2 of a step is that of the unit, less a constant, less a linear function of the logit where it
-is below 0 and of the log-scales over the scene's median. The numbers are rounded from gamma
-regressions on rendered sensitivities of five scenes (RESULTS.md), with the constants moved so
-that a bit saves about the same error wherever it is spent.
+Without cameras, log2 of a step size is log2 of the profile's fineness, minus a constant, minus a
+linear function of min(logit, 0) and of the log-scales relative to the scene's median. The numbers
+are rounded from gamma regressions on rendered sensitivities of five scenes (RESULTS.md), with the
+constants moved so that a bit saves about the same error wherever it is spent.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gs_codec.scene import SH_C0
 #: SH-DC for a unit of colour.
 _BY_COLOUR = math.log2(1 / SH_C0)
 
-#: Constant, then octaves for an octave of opacity (where it is low) and of each scale, longest
+#: Constant; then octaves per octave of opacity (where it is low) and of each scale, longest
 #: first.
 _LEVELS = {
     "opacity": (-3.0,),
@@ -30,7 +30,7 @@ _LEVELS = {
     "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
 }
 
-#: Steps of SH-AC over those of SH-DC.
+#: Ratio of the step sizes of SH-AC to those of SH-DC.
 SH_RATIO = 2.0**-0.25
 
 
@@ -44,7 +44,7 @@ def blind_coefficients(
     scales : ndarray, shape (3, N)
         Log-scales, descending.
     fineness : float
-        What all steps are multiples of.
+        Factor on all step sizes.
     """
     octave = math.log(2)
     middle = float(np.median(scales.mean(axis=0))) / octave if scales.size else 0.0

@@ -1,9 +1,9 @@
 """Choice of classes, units and rules, so that every bit saves about the same error.
 
-The error of a parameter of sensitivity s on a lattice of step d is s d^2 / 12, and halving the
-step costs a bit: total error is least for its bits where all errors are equal. A class for each
-Gaussian takes most of how sensitivities differ, and what is left a rule takes from the
-attributes that are decoded before. FORMAT.md, section "Notes on our encoder".
+A parameter of sensitivity s adds the error s d^2 / 12 if its step size is d, and halving d costs a
+bit: the total error is least for a given size if all errors are equal. The class of a Gaussian
+covers most of the differences of sensitivities; a rule predicts the rest from attributes that are
+decoded before. FORMAT.md, section "Notes on our encoder".
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from gs_codec.lattice.sensitivity import Sensitivity
 from gs_codec.scene import SH_C0
 from gs_codec.transform.linear import combine, fitting
 
-#: Classes that are kept apart: what these views hardly see must not fall apart in others.
+#: Number of classes: what these views hardly see must not become too coarse for others.
 _CLASSES = 9
 
-#: Share of Gaussians above the finest class, and of the least seen.
+#: Share of Gaussians more sensitive than the finest class; share whose sensitivity is raised.
 _FINEST, _LEAST_SEEN = 1e-4, 0.02
 
-#: Share of Gaussians whose steps may come out coarser than asked.
+#: Share of Gaussians whose step sizes may be coarser than wanted.
 _COARSER = 1e-3
 
-#: Rules are fitted on about so many Gaussians.
+#: Rules are fitted to a sample of about this many Gaussians.
 _SAMPLE = 20_000
 _ROUNDS, _TURNS = 4, 12
 
@@ -46,7 +46,7 @@ _FEATURES = {
 
 @dataclass(frozen=True)
 class Steps:
-    """Classes and wanted steps of a scene.
+    """Classes and coefficients that give the wanted step sizes of a scene.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Steps:
     coefficients : dict of str to ndarray, shape (5,)
         ``log2(step) = class + coefficients @ features`` for each rule.
     sh_ratios : tuple of three float
-        Steps of each band of SH-AC over those of SH-DC.
+        Ratio of the step sizes of each SH-AC band to those of SH-DC.
     """
 
     shape_class: NDArray[np.uint8]
@@ -65,17 +65,17 @@ class Steps:
 
 
 def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:
-    """What rules are linear in, ``(5, N)``, of logits ``(N,)`` and log-scales ``(3, N)``."""
+    """Features ``(5, N)`` of the rules, from logits ``(N,)`` and log-scales ``(3, N)``."""
     return np.stack([np.ones(len(opacity)), np.minimum(opacity, 0), *scales])
 
 
 def fit_steps(sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error: float) -> Steps:
-    """Steps at which each parameter of each Gaussian adds about the same error.
+    """Choose step sizes with which each parameter of each Gaussian adds about the same error.
 
     Parameters
     ----------
     sensitivity : Sensitivity
-        With scales in the order of `scales`.
+        Its scales are in the order of `scales`.
     opacity, scales : ndarray, shape (N,) and (3, N)
         Logits; log-scales, descending.
     error : float
@@ -85,11 +85,11 @@ def fit_steps(sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error
     shape = {
         "opacity": sensitivity.opacity,
         **{f"scale_{k}": sensitivity.log_scale[k] for k in range(3)},
-        # Half the angle is what the quaternion's vector has.
+        # The quaternion's vector has half the angle.
         "rotation": 4 * sensitivity.rot,
         "position": sensitivity.positions,
     }
-    # What hardly any view sees would pull the fit, and may have any step.
+    # Gaussians that hardly any view sees would distort the fit; any step size suits them.
     shape = {name: np.maximum(s, _least(s)) for name, s in shape.items()}
     some = slice(None, None, max(1, len(opacity) // _SAMPLE))
     offsets = _fit_offsets({name: s[some] for name, s in shape.items()}, known[:, some])
@@ -99,7 +99,7 @@ def fit_steps(sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error
     wanted = 0.5 * math.log2(12 * error)
     first = np.eye(5)[0]
     coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
-    # A unit of SH-DC is so much colour, and one of SH-AC, root of the mean square.
+    # SH_C0 is the change of colour for a unit of SH-DC; for one of SH-AC, its RMS.
     by_sh = SH_C0**2 * sensitivity.colour
     colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
     finest = float(np.quantile(colour, 1 - _FINEST))
@@ -115,7 +115,7 @@ def _least(sensitivity: NDArray[np.float64]) -> float:
 def _fit_offsets(
     shape: dict[str, NDArray[np.float64]], known: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """How log2 of the root of sensitivity follows the features, the Gaussian's level aside."""
+    """Fit log2 of the root of sensitivity, minus the Gaussian's level, to the features."""
     level = np.mean([0.5 * np.log2(s) for s in shape.values()], axis=0)
     offsets: dict[str, NDArray[np.float64]] = {}
     for _ in range(_ROUNDS):
@@ -132,7 +132,7 @@ def _level(
     offsets: dict[str, NDArray[np.float64]],
     known: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """What all groups' sensitivities have in common: log2 of the root of their mean."""
+    """Level of each Gaussian: log2 of the root of its mean sensitivity, minus the offsets."""
     return 0.5 * np.log2(
         np.mean([s * 4.0 ** -combine(offsets[name], known) for name, s in shape.items()], axis=0)
     )
@@ -151,7 +151,7 @@ def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArra
 
 
 def finest_step(wanted: NDArray[np.float64], lowest: float, highest: float) -> float:
-    """Log2 of the step that all but a few of the wanted ones (log2) are not below."""
+    """Log2 of the finest step size: only a few of the wanted ones (log2) are below it."""
     finest = float(np.quantile(wanted, _COARSER)) if wanted.size else highest
     return min(max(finest, lowest), highest)
 
@@ -161,7 +161,7 @@ def make_rule(
 ) -> StepRule:
     """The rule for ``log2(step) = class + coefficients @ features``, in integers.
 
-    `unit` and `coarsest` are log2 of the unit and of the largest step; `thirds` makes shifts
+    `unit` and `coarsest` are log2 of the unit and of the largest step size; with `thirds`, shifts
     count thirds of octaves.
     """
     factor = 3 if thirds else 1

@@ -1,7 +1,7 @@
 """Values as multiples of 2**-20, on lattices whose step is a unit times a power of two.
 
-All that the decoder decides by values is decided by these integers, so that no machine can
-round it differently.
+Whatever a decoder decides from values, it decides from these integers: rounding of floats could
+differ between machines.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from gs_codec.kernels import kernel
 
-#: Binary places of a fixed-point value.
+#: Fraction bits of a fixed-point value.
 PLACES = 20
 
 #: Values beyond this are clamped to it.
 LARGEST = 400.0
 
-#: Values of this and more do not come from an encoder.
+#: No encoder writes values of this magnitude or more.
 TOO_LARGE = 4 * LARGEST
 
 

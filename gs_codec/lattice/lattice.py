@@ -18,7 +18,7 @@ class PositionGrid:
     step : float
         Side of a cell, scene units.
     bits : tuple of three int
-        Of the cell's number on each axis.
+        Bits of the cell's number on each axis.
     """
 
     origin: tuple[float, float, float]
@@ -33,7 +33,7 @@ class PositionGrid:
 
 @dataclass(frozen=True)
 class Lattice:
-    """Everything of a scene that its blocks are decoded by, but the tables.
+    """Everything that the blocks of a scene are decoded with, except the tables.
 
     ``centres`` (of opacity and the longest axis) and ``units`` are fixed-point values; units are
     of opacity, scales, rotation, SH-DC and the SH bands.

@@ -1,4 +1,4 @@
-"""Positions of unequal precision: Morton codes whose last bits a Gaussian may go without."""
+"""Positions of unequal precision: Morton codes whose low bits may be dropped."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _LARGEST = float(np.finfo(np.float32).max)
 def centres(
     codes: NDArray[np.int64], dropped: NDArray[np.int64], bits: tuple[int, int, int]
 ) -> NDArray[np.int64]:
-    """Middles ``(3, n)``, in half steps, of the cells that codes without their last bits mean.
+    """Centres ``(3, n)``, in half steps, of the cells of codes whose low bits are dropped.
 
     Parameters
     ----------
     codes : ndarray, shape (n,), int64
         Morton codes, 0 in the bits that are dropped.
     dropped : ndarray, shape (n,), int64
-        Number of low bits that are not known.
+        Number of low bits that are dropped.
     bits : tuple of int
         Bits of x, y, z.
     """

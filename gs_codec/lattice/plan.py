@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from gs_codec.kernels import kernel
 from gs_codec.scene import sh_bands
 
-#: Classes of how much is seen of a Gaussian, of its shape and of its colour.
+#: Most classes of shape, and of colour.
 MAX_CLASSES = 16
 
-#: Contexts by shift: those above share the last.
+#: Number of contexts by shift; larger shifts share the last.
 SHIFT_CONTEXTS = 32
 
 #: Contexts of SH-DC: by colour, then shift, then how much the neighbours disagree.
@@ -36,7 +36,7 @@ class Pass:
 
 
 def passes(coefficients: int) -> list[Pass]:
-    """The passes of a scene with so many SH-AC coefficients a colour, in stream order."""
+    """The passes of a scene, in stream order, for a number of SH-AC coefficients per colour."""
     listed = [
         Pass("shape class", "classes", 1),
         Pass("colour class", "classes", MAX_CLASSES),

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from gs_codec.kernels import kernel
 from gs_codec.lattice.fixed import PLACES
 
-#: Binary places of a rule's numbers.
+#: Fraction bits of a rule's numbers.
 RULE_PLACES = 16
 
-#: A step is at most its unit times two to this.
+#: A step size is at most its unit times 2 to this power.
 MAX_SHIFT = 31
 
 
@@ -21,8 +21,8 @@ MAX_SHIFT = 31
 class StepRule:
     """``shift = class + intercept + opacity * min(logit, 0) + sum of scale_k * log_scale_k``.
 
-    Rounded down, and at least 0 and at most `limit`. `intercept`, `opacity` and `scales` are in
-    1 / 2**16; a half is part of the intercept where shifts should be rounded to nearest.
+    Rounded down and clamped to 0 to `limit`. `intercept`, `opacity` and `scales` are in units of
+    1 / 2**16; the intercept includes a half where shifts should be rounded to nearest.
     """
 
     intercept: int
@@ -44,9 +44,9 @@ class StepRule:
         classes : ndarray, shape (n,)
             How many octaves coarser than the finest a Gaussian is.
         weight : int
-            What a class adds, 1 or 3.
+            Shift that one class adds, 1 or 3.
         opacity, scales : ndarray, shape (n,) and (3, n), int64
-            Fixed-point values; those a rule must not know yet have a coefficient of 0.
+            Fixed-point values; those that are not decoded yet have a coefficient of 0.
         """
         numbers = np.array([self.intercept, self.opacity, *self.scales], np.int64)
         out = np.empty(len(classes), np.int64)

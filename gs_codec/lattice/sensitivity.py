@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 
 class Sensitivity(NamedTuple):
-    """Squared error that views gain for a squared unit of change, float64.
+    """Squared error that views gain for a squared unit of change of an attribute, float64.
 
-    Summed over views, pixels and colours, image values being 0-1; errors of Gaussians and
-    attributes are taken to add up.
+    Summed over views, pixels and colours, with image values 0-1. The errors of Gaussians and
+    attributes are assumed to add up.
 
     Attributes
     ----------

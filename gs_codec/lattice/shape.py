@@ -1,4 +1,4 @@
-"""Opacity, scale and rotation on their lattices, each step by what comes before it."""
+"""Opacity, scale and rotation on their lattices; earlier attributes give the step sizes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Shape:
 def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Shape:
     """Go through the attributes in stream order; `code` gives the levels of each.
 
-    It is called with the attribute's name and its shifts ``(n,)``: an encoder's is a
+    It is called with the attribute's name and its shifts ``(n,)``; an encoder passes a
     `ShapeQuantiser`.
     """
     count = len(classes)
@@ -53,7 +53,7 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
 class ShapeQuantiser:
     """The `Coder` of an encoder: rounds the attributes, and keeps levels and shifts.
 
-    Gaussians whose axes differ by less than rounding makes them differ are not turned.
+    Gaussians whose axes differ by at most half a step are rounded to no rotation.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class ShapeQuantiser:
         elif name == "scale_0":
             values, centre = self.scales[0], self.lattice.centres[1]
         else:
-            # Each is within the largest, but not what is between them.
+            # Each scale is clamped to the largest, but their difference can be larger.
             scales = self.scales[int(name[-1])]
             self.clamped += int(np.count_nonzero(np.abs(scales) > LARGEST))
             values, limit = self._last - np.clip(scales, -LARGEST, LARGEST), TOO_LARGE

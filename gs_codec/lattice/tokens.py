@@ -1,7 +1,7 @@
 """Integers as tokens of a small alphabet and raw low bits (after JPEG XL's hybrid integers).
 
-Magnitudes below 16 are tokens of their own; of larger ones the token tells the bit length and
-the two bits below the first, and the rest is raw. FORMAT.md, section "Tokens".
+Each magnitude below 16 has a token of its own. The token of a larger one gives its bit length and
+the two bits below the first; the rest is raw. FORMAT.md, section "Tokens".
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ def _find_raw(values, tokens, raw_values, widths):
 def _read_values(
     words, position, end, states, spans, slots, rows, contexts, bits, used, places, values
 ):  # fmt: skip
-    """Decode a pass into `values[places]`; returns positions after what is read of words and bits.
+    """Decode a pass into `values[places]`; returns the positions reached in words and bits.
 
-    That of words is -1 if they end before. They are padded by a row of zeros, so that a row needs
-    no check of its own.
+    The position in words is -1 if they end too early. They are padded by a row of zeros, so that
+    one check per row is enough.
     """
     tokens = np.empty(LANES, np.uint8)
     for first in range(0, len(contexts), LANES):
@@ -109,9 +109,9 @@ def _read_values(
 def tokenise(
     values: NDArray[np.integer],
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8]]:
-    """Tokens ``(n,)`` of integers below 2**30 in magnitude, and what has raw bits.
+    """Tokens ``(n,)`` of integers below 2**30 in magnitude, and those with raw bits.
 
-    That is the integers whose tokens raw bits complete, in their order, and how many each.
+    The latter are the integers whose tokens need raw bits, in order, and the number of these bits.
     """
     tokens = np.empty(len(values), np.uint8)
     raw = _tokenise(values, tokens)

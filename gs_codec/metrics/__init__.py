@@ -1,1 +1,1 @@
-"""What was lost: errors of attributes, and of images."""
+"""Errors of attributes and of images."""

@@ -1,4 +1,4 @@
-"""How far two versions of a scene are apart, attribute by attribute; and what `compare` returns."""
+"""Errors between two versions of a scene, by attribute; and what `compare` returns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class GroupError:
     name : str
         The attribute, ``scaling`` for log-scales.
     unit : str
-        What both errors are in: ``scene units``, ``SH``, ``logit``, ``0-1``, ``log``, ``stored``
+        Unit of both errors: ``scene units``, ``SH``, ``logit``, ``0-1``, ``log``, ``stored``
         (components of quaternions) or ``degrees``.
     max : float
         Largest absolute error.
@@ -38,7 +38,7 @@ class GroupError:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far two scenes are apart: by attribute, or in what cameras see of them.
+    """Comparison of two scenes: errors by attribute, or of rendered views.
 
     Attributes
     ----------
@@ -47,12 +47,12 @@ class Comparison:
     matched_by : str or None
         ``stored order`` or ``index``; None with cameras, which need no match.
     groups : tuple of GroupError
-        Errors by attribute, empty with cameras. Opacity and rotation are in it twice, in two
+        Errors by attribute, empty with cameras. Opacity and rotation appear twice, in two
         units.
     views : tuple of View
-        What the cameras see, in their order; empty without them.
+        Comparison of each view, in the cameras' order; empty without cameras.
     systems : tuple of two str
-        Coordinate systems of the two files; where they differ, one scene was turned.
+        Coordinate systems of the two files; if they differ, one scene was converted.
     """
 
     counts: tuple[int, int]
@@ -80,7 +80,7 @@ class Comparison:
 
     @property
     def worst(self) -> View:
-        """The view of the lowest PSNR between the scenes; the first such.
+        """The view with the lowest PSNR between the scenes; the first if there are several.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""How far two images are apart: PSNR, SSIM, and LPIPS where it is installed."""
+"""Quality of images: PSNR, SSIM, and LPIPS where it is installed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SSIM_WINDOW = 11
 
 @dataclass(frozen=True)
 class Quality:
-    """Likeness of two images, or the mean over pairs, or a difference of such.
+    """Similarity of two images, a mean over pairs, or a difference of two of these.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class Quality:
     lpips: float | None = None
 
     def as_dict(self) -> dict[str, float | None]:
-        """For JSON, which knows no infinity: PSNR is None where images are equal."""
+        """Values for JSON; an infinite PSNR, of equal images, is None."""
         finite = np.isfinite(self.psnr)
         return {"psnr": self.psnr if finite else None, "ssim": self.ssim, "lpips": self.lpips}
 
     def over(self, other: Quality) -> Quality:
-        """The difference to `other`; 0 for equal values, infinite ones too."""
+        """Difference, self minus `other`; 0 for equal values, including infinite ones."""
 
         def less(a: float, b: float) -> float:
             return 0.0 if a == b else a - b
@@ -68,7 +68,7 @@ class View:
     between : Quality
         Of the second scene's image against the first's.
     first, second : Quality or None
-        Of each against the ground truth, where that is given.
+        Of each against the ground truth, if that is given.
     """
 
     name: str
@@ -78,7 +78,7 @@ class View:
 
     @property
     def delta(self) -> Quality | None:
-        """What the second scene has over the first against ground truth; the paper's deltas."""
+        """Quality of the second scene minus the first's, against ground truth (paper's deltas)."""
         if self.first is None or self.second is None:
             return None
         return self.second.over(self.first)
@@ -162,7 +162,7 @@ def _lpips(a: NDArray, b: NDArray) -> float | None:
 
 @cache
 def _lpips_network() -> Any:
-    """The network, or None: nothing is ever downloaded."""
+    """The network, or None if it or its weights are not installed; nothing is downloaded."""
     if find_spec("lpips") is None:
         return None
     import torch

@@ -1,4 +1,4 @@
-"""How far two versions of a scene are apart in what cameras see."""
+"""Compare rendered views of two versions of a scene."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
 
-#: By how much difference images are amplified.
+#: Factor by which difference images are amplified.
 DIFFERENCE_GAIN = 10
 
 
@@ -85,7 +85,7 @@ def compare_views(
 
 
 def fitted(camera: Camera, target: NDArray, path: Path) -> Camera:
-    """The camera at the size of its ground-truth image, which must have its shape."""
+    """The camera resized to its ground-truth image, which must have its aspect ratio."""
     height, width = target.shape[:2]
     if abs(width * camera.height / camera.width - height) > 1:
         raise InvalidInput(

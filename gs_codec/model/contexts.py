@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.model.table import shannon_bits
 
-#: About what a symbol in use costs in a sent table, bits.
+#: Approximate bits that each symbol in use costs in a sent table.
 _SYMBOL_BITS = 7.0
 
 
@@ -18,7 +18,7 @@ _SYMBOL_BITS = 7.0
 class ContextTables:
     """Which table each context uses, and the histogram of each table.
 
-    ``table_of (C,)`` never falls and grows by at most 1; ``histograms (T, A)``.
+    ``table_of (C,)`` rises by 0 or 1 from context to context; ``histograms (T, A)``.
     """
 
     table_of: NDArray[np.int64]
@@ -28,7 +28,7 @@ class ContextTables:
 def share_tables(histograms: NDArray[np.int64]) -> ContextTables:
     """Merge neighbours of ``histograms (C, A)`` while tables cost more than they save.
 
-    Contexts that do not occur go with the one before.
+    Contexts that do not occur share the table of the one before.
     """
     used = [int(c) for c in np.flatnonzero(histograms.any(axis=1))]
     if not used:

@@ -15,7 +15,7 @@ from gs_codec.model.table import MAX_PRECISION, FrequencyTable, shannon_bits
 
 Model = LaplaceModel | MixtureModel | SentModel
 
-#: Sums of tables that are tried; a larger one must save this share, as it decodes slower.
+#: Precisions of tables to try; a larger one must save this share, as it decodes slower.
 _PRECISIONS = (12, 14, 15)
 _WORTHWHILE = 2e-4
 
@@ -28,7 +28,7 @@ _COMPONENT_BYTES = 10
 
 @dataclass(frozen=True)
 class Choice:
-    """A channel's model, its table, and what it was chosen from.
+    """A channel's model and table, with the code lengths that it was chosen by.
 
     ``bits`` and ``parametric_bits`` are code lengths without parameters, ``shannon_bits``
     the entropy, each for all symbols of the channel.

@@ -1,4 +1,4 @@
-"""Integer frequency tables: from weights, and what coding under them costs."""
+"""Integer frequency tables made from weights, and code lengths under them."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class FrequencyTable:
 def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
     """Frequencies proportional to `weights`, at least 1 where the weight is above 0.
 
-    Shares are rounded down, what is missing goes to the largest remainders (ties: the lower
-    symbol), what is too much is taken one by one from the largest frequency (ties: the lower
-    symbol). FORMAT.md, section "Frequency tables".
+    Shares are rounded down. If the sum is too low, the largest remainders get 1 each (ties: the
+    lower symbol); if it is too high, 1 is taken from the largest frequency (ties: the lower
+    symbol) until it fits. FORMAT.md, section "Frequency tables".
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
 
 def _lower(frequencies: NDArray[np.int64], surplus: int) -> None:
     """Take `surplus` one by one from the largest (ties: the lower symbol), in place."""
-    # All above a level go down to it; the next one lower would be too much.
+    # Find the lowest level that all larger ones can be cut to without exceeding the surplus.
     low, high = 0, int(frequencies.max())
     while low < high:
         level = (low + high) // 2

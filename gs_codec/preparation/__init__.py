@@ -1,1 +1,1 @@
-"""Making a scene smaller before it is coded: pruning, and refitting what is left."""
+"""Makes a scene smaller before it is coded: pruning, then optimising what is left."""

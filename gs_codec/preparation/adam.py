@@ -12,18 +12,18 @@ from gs_codec.kernels import kernel
 _BETA_1, _BETA_2 = 0.9, 0.999
 _EPSILON = np.float32(1e-15)
 
-#: Derivatives from here on are dropped: float32 could not hold their squares.
+#: Larger derivatives count as 0: float32 cannot hold their squares.
 _LARGEST = 1e15
 
-#: Means below this are 0: a processor would be slow at what they decay to.
+#: Smaller means become 0: processors are slow with denormal floats.
 _SMALLEST = np.float32(1e-30)
 
 
 class AdamState(NamedTuple):
-    """Attributes with what Adam remembers of each.
+    """Values of the attributes, and the means that Adam keeps of their derivatives.
 
-    ``values``, ``first`` and ``second (C, N)`` float32: channels, and the decaying means of their
-    derivatives and of the squares.
+    ``values``, ``first`` and ``second``, each ``(C, N)`` float32: the channels, the decaying means
+    of their derivatives, and those of the squared derivatives.
     """
 
     values: NDArray[np.float32]
@@ -40,11 +40,13 @@ def new_state(values: NDArray[np.float32]) -> AdamState:
 def adam_step(values, first, second, step, rates, slopes, chosen, start, stop):
     """Step number `step`, from 1, of Adam (Kingma & Ba 2015, Algorithm 1).
 
-    It changes Gaussians `start` to `stop`, also those that a view does not see: what earlier
-    views asked for goes on. On bonsai that fits better than to leave them (Mallick et al. 2024).
+    It changes Gaussians `start` to `stop`, including those that the view does not see: these
+    follow the mean of their earlier derivatives. On bonsai this fits better than to skip them
+    (Mallick et al. 2024).
 
     ``rates (C,)`` are the step sizes. ``slopes (C, M)`` are the derivatives of Gaussians
-    ``chosen (M,)``, the others' are 0. A value stays finite.
+    ``chosen (M,)``; those of the others are 0. A value that would become infinite or NaN is not
+    changed.
     """
     scale = 1.0 / (1.0 - _BETA_1**step)
     root = np.float32(1.0 / (1.0 - _BETA_2**step))

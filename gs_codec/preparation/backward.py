@@ -1,7 +1,7 @@
 """From derivatives by pixel to derivatives by splat, front to back over the tiles once more.
 
-With C the colour of a pixel, S_k what is behind splat k of it, and weight w_k = alpha_k T_k:
-``dC / dc_k = w_k`` and ``dC / dalpha_k = T_k c_k - S_k / (1 - alpha_k)`` (Kerbl et al. 2023,
+Let C be the colour of a pixel, S_k the light from behind splat k, and w_k = alpha_k T_k its weight.
+Then ``dC / dc_k = w_k`` and ``dC / dalpha_k = T_k c_k - S_k / (1 - alpha_k)`` (Kerbl et al. 2023,
 Appendix C, which goes back to front).
 """
 
@@ -13,9 +13,9 @@ from gs_codec.kernels import kernel
 from gs_codec.rendering.project import BLUE, CENTRE_X, CENTRE_Y, GREEN, RED, TILE
 from gs_codec.rendering.trace import MAX_ALPHA, tile_bounds, trace_splat
 
-#: Columns of the sums over a splat's pixels: derivative by its colour; and of s = alpha
-#: dL/dalpha, with (dx, dy) from its centre to the pixel: s, s dx, s dy, s dx^2, s dx dy, s dy^2.
-#: They hold all that is needed, as alpha = opacity exp(-q / 2) with q quadratic in (dx, dy).
+#: Columns of the sums over a splat's pixels: the derivative by its colour, then moments of
+#: s = alpha dL/dalpha: s, s dx, s dy, s dx^2, s dx dy, s dy^2, with (dx, dy) from the splat's
+#: centre to the pixel. They suffice: alpha = opacity exp(-q / 2), and q is quadratic in (dx, dy).
 BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
 
 
@@ -23,8 +23,8 @@ BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOM
 def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_colour, sums):
     """Fill ``sums (pairs, 9)`` for tiles `first` to `end`.
 
-    ``colour`` and ``by_colour (H, W, 3)`` are the image, background included, and the derivative
-    of the loss by it.
+    ``colour (H, W, 3)`` is the image, background included; ``by_colour (H, W, 3)`` is the
+    derivative of the loss by it.
     """
     height, width, _ = colour.shape
     pull = np.empty((TILE * TILE, 4))
@@ -56,7 +56,7 @@ def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_
             by_red = by_green = by_blue = moment = 0.0
             moment_x = moment_y = moment_xx = moment_xy = moment_yy = 0.0
             for i in range(count):
-                # Unsigned, or each index is tested for being negative.
+                # Unsigned, so that numba does not test each index for being negative.
                 place = np.uint64(pixels[i])
                 alpha = alphas[i]
                 weight = alpha * before[i]
@@ -67,7 +67,7 @@ def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_
                 own = weight * (pull_red * red + pull_green * green + pull_blue * blue)
                 behind = pull[place, 3] - own
                 pull[place, 3] = behind
-                # At its limit alpha does not change.
+                # An alpha at its limit does not change.
                 if alpha < MAX_ALPHA:
                     change = own - behind * (alpha / (1.0 - alpha))
                     dx = np.int64(place % np.uint64(TILE)) - u

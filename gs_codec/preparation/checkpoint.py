@@ -1,4 +1,4 @@
-"""State of a refit on disk, so that it can go on after an interruption."""
+"""Checkpoints of an optimisation on disk, to resume it after an interruption."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _DAMAGE: tuple[type[Exception], ...] = (
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a refit is.
+    """State of an optimisation.
 
     Attributes
     ----------
     state : AdamState
     errors : ndarray, shape (iterations done,), float64
-        Mean squared error of each one's view before the step.
+        Mean squared error of each iteration's view, before its update.
     seconds : ndarray, shape (iterations done,), float64
-        Time taken when each was done, interruptions not counted.
+        Time from the start to the end of each iteration, interruptions not counted.
     """
 
     state: AdamState
@@ -44,7 +44,7 @@ class Checkpoint:
 
 
 def digest_of(parts: Iterable[NDArray | str]) -> str:
-    """A digest of arrays, with their types and shapes, and of texts."""
+    """Digest of arrays, including their types and shapes, and of strings."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         if isinstance(part, str):
@@ -56,7 +56,7 @@ def digest_of(parts: Iterable[NDArray | str]) -> str:
 
 
 def write_checkpoint(path: Path, digest: str, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint of a refit whose inputs have `digest`; whole or not at all.
+    """Write a checkpoint of a run whose inputs have `digest`; the file appears whole or not at all.
 
     Raises
     ------
@@ -74,19 +74,19 @@ def write_checkpoint(path: Path, digest: str, checkpoint: Checkpoint) -> None:
 
 
 def read_checkpoint(path: Path, digest: str, fresh: AdamState) -> Checkpoint | None:
-    """The checkpoint of a refit that starts from `fresh`, or None where there is no file.
+    """Read the checkpoint of a run that starts from `fresh`; None if there is no file.
 
     Raises
     ------
     InvalidInput
-        If it cannot be read, is damaged, or of other inputs.
+        If it cannot be read, is damaged, or belongs to other inputs.
     """
     if not os.path.lexists(path):
         return None
     try:
-        # Opened here, as numpy leaves a file that it cannot read open.
+        # Opened here because numpy does not close a file that it cannot read.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            # As bytes: numpy cannot make text of characters that are none.
+            # Compared as bytes: numpy fails on invalid characters.
             found, own = archive["digest"], np.array(digest)
             if (found.dtype, found.tobytes()) == (own.dtype, own.tobytes()):
                 return _unpack(archive, fresh)

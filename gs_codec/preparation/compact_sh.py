@@ -1,4 +1,4 @@
-"""SH energy compaction: as few SH-AC as show the cameras the same (POTR, arXiv 2601.14821)."""
+"""SH energy compaction: fewer non-zero SH-AC for the same images (POTR, arXiv 2601.14821)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import run_all
 
-#: Default of the SH-AC that is just not 0: half a step of coarse quantisation.
+#: Default of `smallest`: half a step of coarse quantisation.
 SMALLEST = 0.018
 
-#: Solutions, each with the penalties the one before it asks for; zeros are left out of one more.
+#: Rounds; each takes its penalties from the solution before. One more solve leaves out zeros.
 _ROUNDS = 5
 
-#: Share of the evidence that holds a solution to the one before it where nothing else does.
+#: Weight that holds a solution to the one before it, as a share of the weight of all views.
 _INERTIA = 1e-9
 
 _CHUNK = 1 << 12
@@ -46,9 +46,9 @@ class CompactReport:
     unseen : int
         Those that no camera sees; their SH-AC are 0 now.
     unsolved : int
-        Those left as they were because of values that are not finite.
+        Those left unchanged because of values that are not finite.
     without_ac : int
-        Those whose SH-AC were all 0 before: trainers leave so what is stuck at black.
+        Those whose SH-AC were all 0 before, as training leaves colours that stay black.
     zeros_before, zeros_after : int
         SH-AC that are exactly 0, of ``3 K count``.
     """
@@ -70,32 +70,32 @@ def compact_sh(
     weights: NDArray[np.float32] | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, CompactReport]:
-    """Solve for SH of which few are not 0, and that cameras see as they see the scene's.
+    """Replace SH by sparser ones that give the cameras nearly the same colours.
 
     For each Gaussian and colour, coefficients a minimise ::
 
         sum over views of S_v (colour_v(a) - colour_v)^2  +  L sum over AC of d_k a_k^2
 
     where S_v sums (alpha T)^2 over the pixels of a view, and d_k = 1 / (abs(a_k) + smallest / 2)^2
-    is taken from the solution before: at the end each coefficient that is not 0 costs at most
-    L, and one is kept where it explains more squared error than that. In views where a colour
-    is clamped at black, any colour below black is as good.
+    is taken from the solution before. At the end each non-zero coefficient costs at most L, so it
+    is kept if it explains more squared error than L. In views where a colour is clamped at black,
+    any value below black is equally good.
 
-    Where errors of Gaussians overlap in a pixel they are taken as independent; `refit_colour`
-    has their cross terms, and wins back some of what they cost.
+    Errors of Gaussians that overlap in a pixel are treated as independent. `refit_colour` includes
+    their cross terms and recovers some of the loss.
 
     Parameters
     ----------
     scene : Scene
     cameras : sequence of Camera
-        What they do not see is lost; a Gaussian that none sees keeps only its DC.
+        Colours that they do not see are lost; a Gaussian that none of them sees keeps only its DC.
     strength : float, above 0
-        Mean squared error of an image value (0-1) that is reached if every SH-AC costs all of
-        L: ``L = strength * pixels / (K N)``, with the pixels of all cameras. 1e-5 is 50 dB.
+        Mean squared error of an image value (0-1) if every SH-AC costs the full L, which is
+        ``L = strength * pixels / (K N)``, with the pixels of all cameras. 1e-5 is 50 dB.
     smallest : float or ndarray (N,), from 0 up
-        SH-AC nearer to 0 become 0, and the others make up for them: half a quantisation step.
+        SH-AC nearer to 0 become 0, and the others compensate; usually half a quantisation step.
     weights : ndarray, shape (views, N), float32, optional
-        `squared_weights` of the scene, where they are known.
+        `squared_weights` of the scene, if already computed.
     progress : callable, optional
 
     Raises
@@ -136,7 +136,7 @@ def compact_sh(
 
 
 def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
-    """Squared error that one SH-AC may cost, for cameras of so many pixels together."""
+    """Squared error that one SH-AC may cost; `pixels` is the total of all cameras."""
     return strength * pixels / max(len(scene.f_rest) // 3 * scene.count, 1)
 
 
@@ -153,7 +153,7 @@ def _check(
 
 @kernel
 def _compact(positions, before, weights, centres, penalty, smallest, after, start, stop):
-    """Solve for Gaussians `start` to `stop`; counts of those unseen and unsolved."""
+    """Solve for Gaussians `start` to `stop`; return how many are unseen, and unsolved."""
     views, size = len(weights), before.shape[1]
     rows = np.empty((views, size))
     seen = np.empty(views)
@@ -185,7 +185,7 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
 
 @kernel
 def _list_views(positions, i, weights, centres, rows, seen):
-    """List the SH basis and the weight of the views that see Gaussian i; returns how many."""
+    """List SH basis and weight of the views that see Gaussian i; return how many they are."""
     count = 0
     for view in range(len(weights)):
         if weights[view, i] > 0.0:
@@ -197,10 +197,11 @@ def _list_views(positions, i, weights, centres, rows, seen):
 
 @kernel
 def _sparsify(rows, seen, shared, penalty, smallest, solution):
-    """Solve for one colour in place; whether all solutions were found.
+    """Solve for one colour channel in place; return whether all solutions were found.
 
-    `shared` is the matrix of all views. Those where the colour is black have no say, until a
-    solution would light up there: then they count for good, lest it goes to and fro.
+    `shared` is the matrix of all views. A view where the colour is clamped at black does not count
+    until a solution is above black there. From then on it counts, so that solutions do not
+    alternate.
     """
     count, size = rows.shape
     right, sums = np.empty(size), np.empty(size)
@@ -242,7 +243,7 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
 
 @kernel
 def _penalise(matrix, right, solution, inertia, penalty, smallest, settled):
-    """Add to the system what keeps the solution small; once `settled`, zeros are left out."""
+    """Add penalty and inertia to the system; once `settled`, zero coefficients stay 0."""
     for k in range(len(solution)):
         matrix[k, k] += inertia
         right[k] += inertia * solution[k]

@@ -1,4 +1,4 @@
-"""How the loss of a view changes with every attribute of every Gaussian."""
+"""Derivatives of the loss of a view by every attribute of every Gaussian."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from gs_codec.scene import GROUPS, Scene, channel_count
 class Differentiated(NamedTuple):
     """A view of a scene, its loss, and the derivatives by splat.
 
-    ``sums (N, 9)`` are those of `differentiate_tiles`; ``chosen (M,)`` the Gaussians whose are
-    not all 0, ascending: those that were seen.
+    ``sums (N, 9)`` are the sums of `differentiate_tiles`. ``chosen (M,)`` lists, ascending, the
+    Gaussians whose sums are not all 0: those that were seen.
     """
 
     scene: Scene
@@ -64,16 +64,16 @@ def differentiate(
 ) -> Differentiated:
     """Draw a view and take its loss back to the splats (Kerbl et al. 2023, Appendix A).
 
-    Derivatives are exact but for what 3DGS also takes as constant: which splats are drawn in
-    which pixels, and in what order. Clamps have their own: 0 for an alpha at its limit and for a
-    colour below 0, and that of the edge for a Jacobian beyond 1.3 of the field of view.
+    Derivatives are exact, except that, as in 3DGS, which splats are drawn in which pixels and in
+    what order is constant. The derivative is 0 for an alpha at its limit and for a colour below 0.
+    Beyond 1.3 of the field of view, the projection's Jacobian is that of the edge.
 
     Parameters
     ----------
     scene : Scene
     camera : Camera
     target : ndarray, shape (H, W, 3)
-        What the image should be, 0-1.
+        Target image, 0-1.
     background : sequence of three float
         RGB behind everything.
     weights : LossWeights
@@ -92,7 +92,7 @@ def differentiate(
 
 
 def draw(frame: Frame, background: Sequence[float]) -> NDArray[np.float64]:
-    """The image in full precision: what is behind a splat is its difference to what is before."""
+    """Draw the image in float64: light behind a splat is the image minus the light in front."""
     shape = (frame.camera.height, frame.camera.width)
     colour, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape)
     behind = np.array(background, np.float64)
@@ -102,7 +102,7 @@ def draw(frame: Frame, background: Sequence[float]) -> NDArray[np.float64]:
 
 @kernel
 def _choose(sums, chosen):
-    """List the rows that are not all 0; return how many they are."""
+    """List the rows that are not all 0; return their number."""
     count = 0
     for i in range(len(sums)):
         for value in sums[i]:

@@ -1,4 +1,4 @@
-"""Encoding by views: steps by what they see, and colours that make up for what shapes lose."""
+"""Guidance for camera-guided encoding: sensitivities, and SH compacted and refitted to views."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from gs_codec.scene import Scene, channel_count
 from gs_codec.transform.axes import sort_axes
 from gs_codec.transform.ycocg import from_ycocg, to_ycocg
 
-#: Conjugate-gradient steps of the refit.
+#: Conjugate-gradient iterations of the refit.
 _REFIT = 10
 
-#: Compaction is tried without one of so many views, and judged by these, until all were left out.
+#: Folds of the cross-validation over views that decides whether compaction pays.
 _FOLDS = 4
 
-#: By what the error of the worst of those left out may grow.
+#: Most by which compaction may multiply the largest error of the left-out views.
 _WORST = 16.0
 
-#: Values of a Gaussian, SH-AC aside, that take a bit more when steps are halved.
+#: Values of a Gaussian without SH-AC; each takes one more bit when steps are halved.
 _OTHERS = 14
 
-#: Mean squared errors below this are not told apart.
+#: Smaller mean squared errors count as this.
 _EPS = 1e-12
 
-#: Largest level of SH-AC that is told from others where bits are estimated.
+#: Levels of SH-AC are clipped to this when bits are estimated.
 _LARGEST = 1 << 11
 
 
 @dataclass(frozen=True)
 class Guidance:
-    """What views say of a scene to be encoded.
+    """What cameras tell the encoder about a scene.
 
     Attributes
     ----------
     sensitivity : Sensitivity
     loss : float
-        Mean squared error of an image value that the scene has already, pruned as it may be.
+        Mean squared error of an image value before encoding; pruning may have caused it.
     pixels : int
         Of all views together.
     colours : Colours
@@ -64,7 +64,7 @@ class Guidance:
     colours: Colours
 
     def steps(self, scene: Scene, profile: LatticeProfile) -> Steps:
-        """Step sizes of the scene, or of it with other colours."""
+        """Step sizes of the scene; its colours may have changed."""
         return guided_steps(scene, profile, self.sensitivity, self.loss, self.pixels)
 
     def recolour(self, shaped: ShapedScene, profile: LatticeProfile) -> ShapedScene:
@@ -77,10 +77,10 @@ class Guidance:
 def guided_steps(
     scene: Scene, profile: LatticeProfile, sensitivity: Sensitivity, loss: float, pixels: int
 ) -> Steps:
-    """Step sizes at which a scene loses what a profile allows; see `Guidance`."""
+    """Step sizes that add the error which a profile allows; see `Guidance`."""
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     sorted_axes = np.take_along_axis(sensitivity.log_scale, axes.astype(np.int64), 0)
-    # What all may add together, over the parameters that there are.
+    # The error that all parameters may add, divided by their number.
     parameters = scene.count * channel_count(len(scene.f_rest) // 3)
     error = (profile.error + profile.of_loss * loss) * 3 * pixels / parameters
     return fit_steps(sensitivity._replace(log_scale=sorted_axes), scene.opacity[0], scales, error)
@@ -91,7 +91,7 @@ def guide(
     views: Targets,
     progress: Progress | None = None,
 ) -> Guidance:
-    """What views say of a scene to be encoded."""
+    """Measure what the encoder needs to know from the views of a scene."""
     cameras = views.cameras
     loss = views.error(scene, progress)
     found, weights = sensitivity(
@@ -103,12 +103,11 @@ def guide(
 
 @dataclass
 class Colours:
-    """Choice of colours for a scene whose shapes are rounded.
+    """Compaction and refit of the SH of a scene whose shapes are rounded.
 
-    Scenes are given as they decode, in an order ``(N,)`` of the one that was looked at, but for
-    their SH, which are the original's; `steps` ``(N,)`` are what these will be quantised at. SH
-    are compacted where views tell enough of them, which is found out at the steps that are asked
-    for first, sketches aside.
+    The `decoded` scene has decoded shapes and the original's SH. Its Gaussian i is number
+    ``order[i]`` of the scene whose views were measured. `steps` ``(N,)`` are the step sizes of its
+    SH. SH are compacted if this pays, which the first call of `compact` decides.
 
     Attributes
     ----------
@@ -116,9 +115,9 @@ class Colours:
     weights : ndarray, shape (views, N), float32
         Sums of (alpha T)^2 of the scene that is encoded, in its own order.
     compacts : bool or None
-        Whether compaction pays, once that is known.
+        Whether compaction pays; None until it is decided.
     operator : ImageOperator or None
-        What views see of the shapes they were asked about last.
+        Images as a function of SH, for the shapes that were used last.
     """
 
     views: Targets
@@ -134,7 +133,7 @@ class Colours:
         steps: NDArray[np.float32],
         profile: LatticeProfile,
     ) -> Scene:
-        """A scene with fewer SH that are not 0."""
+        """A scene with fewer non-zero SH, if this pays."""
         if decoded.sh_degree and self.compacts is None:
             trial = self._compaction(order, steps, profile)
             self.compacts = trial.pays(decoded, self._operator_of(decoded))
@@ -147,13 +146,13 @@ class Colours:
         steps: NDArray[np.float32],
         profile: LatticeProfile,
     ) -> Scene:
-        """As `compact`, without asking whether views tell enough: quick, for sizes."""
+        """As `compact`, without deciding whether it pays: quick, to estimate sizes."""
         if not decoded.sh_degree or self.compacts is False:
             return decoded
         return self._compaction(order, steps, profile).whole(decoded)
 
     def refit(self, decoded: Scene) -> Scene:
-        """A scene with SH that make up for what its shape, and compaction, have lost."""
+        """A scene with SH refitted to compensate for rounded shapes and compaction."""
         return refit_colour(
             decoded,
             self.views.cameras,
@@ -189,7 +188,7 @@ def _same_shapes(first: Scene, second: Scene) -> bool:
 
 @dataclass(frozen=True)
 class _Compaction:
-    """Compaction of a scene at the steps its SH will have."""
+    """Compaction of a scene for given step sizes of its SH."""
 
     views: Targets
     weights: NDArray[np.float32]
@@ -198,11 +197,11 @@ class _Compaction:
     progress: Progress | None
 
     def whole(self, scene: Scene) -> Scene:
-        """The scene compacted by all views."""
+        """Compact the scene with all views."""
         return self.by(scene, range(len(self.weights)))
 
     def by(self, scene: Scene, seen: Sequence[int]) -> Scene:
-        """The scene compacted by some of the views."""
+        """Compact the scene with some of the views."""
         return compact_sh(
             scene,
             [self.views.cameras[i] for i in seen],
@@ -213,11 +212,12 @@ class _Compaction:
         )[0]
 
     def pays(self, scene: Scene, operator: ImageOperator) -> bool:
-        """Whether views tell enough of the colours.
+        """Whether compaction pays, measured in views that it did not use.
 
-        They do if the bits saved are more than finer steps would take to win back what is lost,
-        compacted by most of the views, in the others, and none of these is spoilt, whichever are
-        left out: where views are few, or far apart, it keeps only what they see.
+        Each fold compacts with most of the views and measures in the others. Compaction pays if,
+        in every fold, it saves more bits than finer steps would take to win back the error, and
+        the largest error stays within `_WORST`. Where views are few or far apart it does not pay:
+        it keeps only the colours that these views see.
         """
         count = len(self.weights)
         if count < 2:
@@ -228,7 +228,7 @@ class _Compaction:
             most = sorted(set(range(count)) - set(others))
             sparse, sparse_bits, _ = _rounded(self.by(scene, most), self.steps)
             lost, before = (self._errors(coded, operator, others) for coded in (sparse, plain))
-            # Halving all steps takes a bit for each value not 0, and a quarter of the error.
+            # Halving all steps takes one bit for each non-zero value and divides the error by 4.
             octaves = 0.5 * math.log2(lost.mean() / before.mean())
             if sparse_bits + (_OTHERS + levels) * octaves >= plain_bits:
                 return False
@@ -247,7 +247,7 @@ class _Compaction:
 
 
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:
-    """A scene as its SH-AC are coded; for each Gaussian the bits, about, and levels not 0."""
+    """Round SH-AC to their steps; return also estimated bits and non-zero levels a Gaussian."""
     f_rest = np.empty_like(scene.f_rest)
     rounded = f_rest.reshape(3, -1, scene.count)
     bits = levels = 0.0

@@ -1,4 +1,4 @@
-"""What 3DGS minimises between an image and its target, and the derivative by the image."""
+"""The loss of 3DGS between an image and its target, and its derivative by the image."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def image_loss(
     image, goal = colour.reshape(height, -1), target.reshape(height, -1)
     by_image = np.empty_like(image)
     totals = np.zeros((height, 3))
-    # Outside the image rows stay 0.
+    # Rows outside the image stay 0.
     means = np.zeros((5, height + 2 * _HALF, 3 * width))
     slopes = np.zeros((3, height + 2 * _HALF, 3 * width))
     factors = np.array(weights) / image.size
@@ -77,7 +77,7 @@ def image_loss(
 
 @inlined
 def _blur_row(padded, out):
-    """Weigh pixels of a row of RGB with the window; `padded` has 5 more pixels at either end."""
+    """Blur a row of RGB with the window; `padded` has 5 more pixels at either end."""
     w0, w1, w2, w3, w4, w5 = _WINDOW
     for j in range(len(out)):
         out[j] = (
@@ -92,9 +92,9 @@ def _blur_row(padded, out):
 
 @inlined
 def _blur_column(plane, y, out):
-    """Weigh rows `y` to `y` + 10 of a plane with the window."""
+    """Blur rows `y` to `y` + 10 of a plane with the window."""
     w0, w1, w2, w3, w4, w5 = _WINDOW
-    # In two loops: with more arrays at once a compiler no longer vectorises.
+    # Two loops, because the compiler does not vectorise one over this many arrays.
     for j in range(len(out)):
         out[j] = (
             w5 * plane[y + 5, j]

@@ -1,7 +1,7 @@
 """Images as a linear function of SH, and its transpose.
 
-A colour below black is clamped; apart from that an image is linear in SH: its pixels sum up the
-Gaussians' colours by their weights alpha T, which the rasteriser's own trace gives.
+Apart from the clamp of colours at black, an image is linear in SH: a pixel is the sum of the
+Gaussians' colours, weighted by alpha T. The rasteriser's trace gives these weights.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ Images = Sequence[NDArray]
 
 Advance = Callable[[], None] | None
 
-#: Gaussians whose gradient one call adds up.
+#: Gaussians whose gradient one task adds up.
 _CHUNK = 1 << 14
 
-#: Views worked on at a time: each takes some 300 bytes a Gaussian.
+#: Views processed at the same time; each takes about 300 bytes a Gaussian.
 _MOST_AT_ONCE = 4
 
-#: Traced views that are kept take at most this many bytes; others are traced anew each time.
+#: Traced views are kept up to this many bytes; the others are traced again each time.
 _KEPT_BYTES = 1 << 31
 
 
 class Linear(NamedTuple):
-    """Images near some coefficients.
+    """Images linearised at some coefficients.
 
     Attributes
     ----------
     gradient : ndarray, shape (3, 1 + K, N)
-        The transposed operator on the residual: minus half the gradient of `error`.
+        The transposed operator applied to the residual: minus half the gradient of `error`.
     curvature : ndarray, shape (3, 1 + K, N)
         Diagonal of the normal equations.
     lit : ndarray, shape (views, N), uint8
@@ -59,7 +59,7 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True)
 class ImageOperator:
-    """What cameras see of a scene as a function of its SH; all else of it is fixed.
+    """Images of a scene as a function of its SH; its other attributes are fixed.
 
     Coefficients are ``(3, 1 + K, N)``, DC first, float32 or float64; results have their dtype.
 
@@ -78,12 +78,12 @@ class ImageOperator:
     rooms: list[Room] = field(default_factory=list, init=False, repr=False)
 
     def linearise(self, coefficients: NDArray, targets: Images, advance: Advance = None) -> Linear:
-        """The residual ``target - image`` of all views, and what follows from it.
+        """Linearise all views at `coefficients`; the residual is ``target - image``.
 
         Raises
         ------
         InvalidInput
-            If a target has not the shape of its camera's image.
+            If a target does not have the shape of its camera's image.
         """
         gradient, curvature = np.zeros_like(coefficients), np.zeros_like(coefficients)
         lit = np.zeros((len(self.cameras), self.scene.count), np.uint8)
@@ -102,7 +102,7 @@ class ImageOperator:
         views: Sequence[int] | None = None,
         advance: Advance = None,
     ) -> NDArray[np.float64]:
-        """Sum over pixels and colours of the squared residual of each view, or of those chosen."""
+        """Squared residual of each of the `views` (default all), summed over pixels and colours."""
 
         def measure(view: int) -> tuple[TracedView, float]:
             target = _target(targets, view, self.cameras[view])
@@ -122,7 +122,7 @@ class ImageOperator:
         return np.array(errors)
 
     def apply(self, direction: NDArray, lit: NDArray[np.uint8], advance: Advance = None) -> NDArray:
-        """The normal equations on a change of SH: transposed operator on what images change by."""
+        """Apply the normal equations to a change of SH: the operator, then its transpose."""
         product = np.zeros_like(direction)
 
         def gather(view: int) -> _Gathered:
@@ -134,7 +134,7 @@ class ImageOperator:
     def _gather(
         self, view: int, coefficients: NDArray, lit: NDArray[np.uint8], target: NDArray | None
     ) -> _Gathered:
-        """What a view's residual says; without a target, of a change of SH."""
+        """Apply the transpose to a view's residual; without a target, to minus its change by SH."""
         camera, traced = self.cameras[view], self._traced(view)
         colours = self._colours(traced, coefficients, lit, clamp=target is not None)
         if target is None:
@@ -147,7 +147,7 @@ class ImageOperator:
     def _colours(
         self, traced: TracedView, coefficients: NDArray, lit: NDArray[np.uint8], clamp: bool
     ) -> NDArray[np.float64]:
-        """Colours ``(V, 3)`` of what a view sees; see `_fill_colours`."""
+        """Colours ``(V, 3)`` of the Gaussians that a view sees; see `_fill_colours`."""
         colours = np.empty((len(traced.seen), 3))
         seen = (self.scene.positions, traced.camera.position, traced.seen)
         _fill_colours(*seen, coefficients, clamp, lit, colours)
@@ -161,7 +161,7 @@ class ImageOperator:
         curvature: NDArray,
         advance: Advance,
     ) -> float:
-        """Add views in order to the gradient and, if it is not empty, curvature; their error."""
+        """Add views in order to the gradient and, unless empty, curvature; return their error."""
         error = 0.0
         for group in self._groups(range(len(self.cameras))):
             for view, found in zip(group, run_all(gather, group, len(group), advance), strict=True):
@@ -178,7 +178,7 @@ class ImageOperator:
         return error
 
     def _groups(self, views: Sequence[int]) -> Iterator[Sequence[int]]:
-        """Views worked on together."""
+        """Groups of views that are processed together."""
         at_once = min(available_threads(), _MOST_AT_ONCE)
         for first in range(0, len(views), at_once):
             yield views[first : first + at_once]
@@ -220,10 +220,10 @@ def _target(targets: Images, view: int, camera: Camera) -> NDArray:
 
 @kernel
 def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
-    """Fill ``colours (V, 3)``: those of SH clamped at black, or the change that SH make to them.
+    """Fill ``colours (V, 3)``: colours clamped at black, or the change of colours by SH.
 
-    With `clamp`, bits 0-2 of ``lit (N,)`` are set where a colour is above black; without, they
-    are read, because a change of SH does nothing to a colour that is clamped.
+    With `clamp`, bits 0-2 of ``lit (N,)`` are set where a colour is above black. Without it they
+    are read, because a change of SH does not change a clamped colour.
     """
     row = np.empty(coefficients.shape[1])
     for j in range(len(seen)):

@@ -1,7 +1,7 @@
 """What the images lose if one Gaussian goes (after POTR, arXiv 2601.14821).
 
-Without splat k the pixels it covers change by ``S alpha / (1 - alpha) - alpha T c``, S being the
-light of everything behind it: the squared error that this adds is summed over pixels and views.
+Without splat k, the pixels that it covers change by ``S alpha / (1 - alpha) - alpha T c``, where S
+is the light of everything behind it. The squared change is summed over pixels and views.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gs_codec.rendering.project import RED, TILE
 from gs_codec.rendering.trace import tile_bounds, trace_down_to
 from gs_codec.scene import Scene
 
-#: Pixels are followed down to here: without an opaque splat, what it hid would be seen.
+#: Transmittance where a pixel ends; low, as the removal of an opaque splat shows what it hid.
 _LEAST = 1e-6
 
 
@@ -28,10 +28,10 @@ def leave_one_out(
     background: Sequence[float] = (0.0, 0.0, 0.0),
     advance: Callable[[], None] | None = None,
 ) -> NDArray[np.float64]:
-    """The squared error that the images of a scene would have without each Gaussian.
+    """Squared error that the images of a scene would have without each single Gaussian.
 
-    Errors against other images are no better a guide: what would mend the same error is then
-    removed together, and overshoots.
+    Errors against other images are not a better guide: all Gaussians whose removal reduces the
+    same error would be removed together, which is too many.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def _leave_out(fields, splats, starts, first, end, columns, width, height, backg
     behind = np.empty((TILE * TILE, 3))
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        # First all light of each pixel; then front to back, taking off what is passed.
+        # First sum all light of each pixel; then go front to back and subtract what is passed.
         behind[:] = 0.0
         left[:] = 1.0
         for pair in range(starts[tile], starts[tile + 1]):

@@ -1,7 +1,7 @@
 """Pruning by leave-one-out error, a part at a time.
 
-Errors of single Gaussians do not add up where they cover each other, so scores are taken anew
-after each round.
+Errors of single Gaussians do not add up where they cover each other, so scores are computed
+again after each round.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gs_codec.scene import Scene
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.2
 
-#: Bisections of the last round, where a limit of the loss lies within it.
+#: Bisections of the last round, where the loss reaches its limit.
 _BISECTIONS = 6
 
 
@@ -31,17 +31,17 @@ def prune_leave_one_out(
     max_drop: float | None,
     progress: Progress | None = None,
 ) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Positions of the Gaussians that stay, and what each round left.
+    """Prune in rounds; return indices of the Gaussians that stay, and details of the rounds.
 
     Parameters
     ----------
     scene : Scene
     views : Views
-        Errors are of its renders; `max_drop` is of its photographs, where there are any.
+        Scores use its renders; `max_drop` is measured on its photographs if there are any.
     percent : float
-        Most to remove; 0 with `max_drop` means as many as that allows.
+        Largest percentage to remove; 0 with `max_drop` means as many as that allows.
     max_drop : float or None
-        Most dB the views may lose; see `Targets.drop`.
+        Largest PSNR loss of the views, dB; see `Targets.drop`.
     progress : callable, optional
     """
     wanted = portion(scene.count, percent)
@@ -74,7 +74,7 @@ def _allowed(
     max_drop: float,
     progress: Progress | None,
 ) -> int:
-    """The most, up to `most`, of the lowest scores that can go within the loss allowed."""
+    """How many of the lowest scores, at most `most`, can be removed within `max_drop`."""
 
     def fits(number: int) -> bool:
         left = scene.take(keep_highest(scores, number))

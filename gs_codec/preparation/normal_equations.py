@@ -28,7 +28,7 @@ def fill_matrix(rows, evidence, matrix):
 
 @kernel
 def solve(matrix, right):
-    """Solve a positive definite system in place by Cholesky; whether it and the result are so."""
+    """Solve in place by Cholesky; False if not positive definite or the result is not finite."""
     size = len(right)
     for k in range(size):
         for m in range(k + 1):

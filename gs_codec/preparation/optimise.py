@@ -1,4 +1,4 @@
-"""Refitting a scene to images by gradient descent, without adding or removing Gaussians."""
+"""Optimise a scene's attributes to match images, without adding or removing Gaussians."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.scene import GROUPS, Scene
 from gs_codec.workers import run_all
 
-#: Gaussians that one task updates; no power of two, at which columns would share cache lines.
+#: Gaussians that one task updates; with a power of two, columns would share cache lines.
 _CHUNK = 1000
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """Iterations done, seconds, and mean PSNR (dB, colours not clipped) of views since before."""
+    """Iterations done, seconds, and mean PSNR (dB, unclipped) of the views since the last point."""
 
     iteration: int
     seconds: float
@@ -47,9 +47,9 @@ class OptimiseReport:
     updated : int
         Gaussians that were seen and so changed.
     curve : list of CurvePoint
-        One about every hundredth of the run.
+        One point for about every hundredth of the run.
     seconds : float
-        In all; those before an interruption count too.
+        Total time, including that before interruptions.
     """
 
     iterations: int
@@ -80,7 +80,7 @@ def optimise(
     Parameters
     ----------
     scene : Scene
-        Not changed; that of the result has the same Gaussians in the same order.
+        Not changed; the result has the same Gaussians in the same order.
     cameras : sequence of Camera
     targets : sequence of ndarray
         For each camera an image, shape (H, W, 3), 0-1: photographs, or renders of a scene with
@@ -91,16 +91,17 @@ def optimise(
     background : sequence of three float
         RGB behind everything.
     seed : int
-        Of the order of views.
+        Seed of the order of views.
     checkpoint : path, optional
-        Written every `checkpoint_every` iterations and at the end; gone on from if it is there.
+        Written every `checkpoint_every` iterations and at the end. If it exists, the run resumes
+        from it.
     progress : callable, optional
 
     Raises
     ------
     InvalidInput
         If there are no cameras, an image does not fit its camera or is not finite, or the
-        checkpoint is damaged, of other inputs, or cannot be written.
+        checkpoint is damaged, belongs to other inputs, or cannot be written.
     """
     _check(cameras, targets, iterations, seed, checkpoint_every)
     image = _images(cameras, targets)
@@ -134,7 +135,7 @@ def _iterate(
     every: int,
     advance: Callable[[], None] | None,
 ) -> Checkpoint:
-    """Do the steps that are left; `save` every so often and at the end."""
+    """Run the remaining iterations; `save` after `every` iterations and at the end."""
     errors, seconds = run.errors.tolist(), run.seconds.tolist()
     done = len(errors)
     start = time.perf_counter() - (seconds[-1] if done else 0.0)
@@ -166,7 +167,7 @@ def _check(
 def _images(
     cameras: Sequence[Camera], targets: Sequence[NDArray]
 ) -> Callable[[int], NDArray[np.float32]]:
-    """The target of a view, checked when it is asked for."""
+    """Return a function that gives the target of a view and checks it."""
 
     def image(view: int) -> NDArray[np.float32]:
         camera = cameras[view]
@@ -187,7 +188,7 @@ def _inputs(
     image: Callable[[int], NDArray[np.float32]],
     settings: str,
 ) -> Iterator[NDArray | str]:
-    """All that the result depends on."""
+    """Everything that the result depends on, for the digest."""
     yield settings
     yield state.values
     for view, camera in enumerate(cameras):
@@ -202,14 +203,14 @@ def _state_of(scene: Scene) -> AdamState:
 
 
 def _with_values(scene: Scene, values: NDArray[np.float32]) -> Scene:
-    """The scene with its attributes in ``values (C, N)``: when they change, it does."""
+    """The scene with views of ``values (C, N)`` as attributes: it follows their changes."""
     ends = np.cumsum([len(getattr(scene, group)) for group in GROUPS])
     planes: dict[str, Any] = dict(zip(GROUPS, np.split(values, ends[:-1]), strict=True))
     return replace(scene, **planes)
 
 
 def _view(seed: int, iteration: int, views: int) -> int:
-    """Which view an iteration looks at; without a state that checkpoints would have to keep."""
+    """Index of an iteration's view; derived from the seed, so checkpoints need not store it."""
     epoch, place = divmod(iteration, views)
     return int(np.random.default_rng([seed, epoch]).permutation(views)[place])
 

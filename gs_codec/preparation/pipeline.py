@@ -33,14 +33,14 @@ from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 
-#: What a step returns: the positions of the Gaussians that stay (None: all), the scene they
-#: make, and what it says of itself.
+#: What a step returns: the indices of the Gaussians that stay (None: all), the new scene, and
+#: details for the report.
 _Outcome = tuple[NDArray[np.int64] | None, Scene, dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class _Context:
-    """What steps look at, and how they tell their progress."""
+    """What the steps need besides the scene: options, views, and where to report progress."""
 
     steps: Steps
     views: Views
@@ -62,13 +62,13 @@ def prepare_scene(
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
 
-    `views` are those of `choose_views`, of this scene or of one it was made from; `config` is how
-    it will be coded, whose depths `rectify` goes by.
+    `views` come from `choose_views`, for this scene or for one that it was made from. `config`
+    says how the scene will be coded; `rectify` uses its depths.
 
     Raises
     ------
     InvalidInput
-        If there are no cameras, nothing would be left, or an image is broken.
+        If there are no cameras, no Gaussian would be left, or an image is broken.
     """
     steps = plan.steps
     views = views or choose_views(scene, plan, progress)
@@ -92,12 +92,12 @@ def prepare_scene(
 
 
 def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> Views:
-    """The views a plan works and measures by, drawn and read.
+    """Draw or read the views that guide a plan's steps, and those that measure quality.
 
     Raises
     ------
     InvalidInput
-        If there are no cameras, no photograph of those to measure by, or one is broken.
+        If there are no cameras, no photograph of them is found, or one is broken.
     """
     rest, test = _split(scene, plan)
     renders = draw_targets(scene, evenly(rest, plan.views), plan.background, progress)
@@ -114,13 +114,13 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
 
 
 def draw_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> Targets:
-    """The renders of `choose_views` alone."""
+    """Draw only the renders of `choose_views`."""
     cameras = evenly(_split(scene, plan)[0], plan.views)
     return draw_targets(scene, cameras, plan.background, progress)
 
 
 def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
-    """Cameras to work by, and to measure by: the same where one of these is all."""
+    """Cameras that guide the steps, and held-out ones; the same if one list would be empty."""
     cameras = find_cameras(plan.cameras, scene, "all", plan.width, plan.views)
     test = [camera for camera in cameras if camera.split == "test"]
     rest = [camera for camera in cameras if camera.split != "test"]
@@ -183,7 +183,7 @@ def _refit(scene: Scene, context: _Context) -> _Outcome:
         views.images,
         steps.refit_colour,
         strength=steps.compact_sh,
-        # Zeros of the trainer may have to stand in for Gaussians that went.
+        # SH-AC that training left at 0 may have to compensate for removed Gaussians.
         keep_zeros=steps.compact_sh > 0,
         background=views.background,
         progress=context.progress,
@@ -204,7 +204,7 @@ def _rectify(scene: Scene, context: _Context) -> _Outcome:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step: when it is run, what those it removes are labelled, and how it is done."""
+    """A step: its name, when it runs, its function, and the label of Gaussians it removes."""
 
     name: str
     is_asked: Callable[[Steps], bool]

@@ -1,7 +1,7 @@
-"""Which Gaussians go: by place, by importance, or by what images lose without them.
+"""Rules for pruning: by position, by importance, or by the error of images without a Gaussian.
 
-Every rule gives the positions of the Gaussians that stay, in the scene's order. Of equal ones the
-first in the scene goes first.
+Every rule returns the indices of the Gaussians that stay, in the scene's order. Among equal scores,
+the first in the scene is removed first.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _VOLUME_POWER, _VOLUME_QUANTILE = 0.1, 0.9
 
 
 def portion(count: int, percent: float) -> int:
-    """How many of `count` `percent` are, never more than asked.
+    """Number of Gaussians in `percent` percent of `count`, rounded down.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def portion(count: int, percent: float) -> int:
     """
     if not 0 <= percent <= 100:
         raise InvalidInput(f"{percent:g} %: expected a percentage, 0 to 100")
-    # A millionth is for percentages that binary fractions just miss: 7 % of 100 is 7.
+    # The millionth makes up for binary rounding of percentages: 7 % of 100 is 7.
     number = int(np.floor(count * percent / 100 + 1e-6))
     if number >= count > 0:
         raise InvalidInput(f"pruning {percent:g} % of {count} Gaussians would leave none")
@@ -38,12 +38,12 @@ def portion(count: int, percent: float) -> int:
 
 
 def keep_highest(scores: NDArray, number: int) -> NDArray[np.int64]:
-    """All but the `number` lowest of ``scores (N,)``."""
+    """Indices of all but the `number` lowest of ``scores (N,)``."""
     return np.sort(np.argsort(scores, kind="stable")[number:])
 
 
 def keep_near(scene: Scene, percent: float) -> NDArray[np.int64]:
-    """All but `percent` farthest from the centre along x, then of those left along y, then z.
+    """Remove the `percent` farthest from the centre along x, then of the rest along y, then z.
 
     The paper's geometry pruning (Section 4.2): N (1 - theta2)^3 stay. The centre is the median.
     """
@@ -60,8 +60,8 @@ def importance(
 ) -> NDArray[np.float64]:
     """LightGaussian's score (Fan et al. 2023, Section 3.2; the paper's Section 4.2), ``(N,)``.
 
-    Opacity times the transmittance before the Gaussian, summed over the pixels it is seen in and
-    over the views, times (volume / its 90th percentile)^0.1, volumes being cut off there.
+    Opacity times the transmittance in front of the Gaussian, summed over its pixels and the views,
+    times (volume / 90th percentile of volumes)^0.1. Larger volumes count as the 90th percentile.
     """
     seen = np.zeros(scene.count)
     for camera in cameras:

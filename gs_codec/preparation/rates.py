@@ -15,11 +15,11 @@ from gs_codec.scene import GROUPS, Scene
 
 @dataclass(frozen=True)
 class Rates:
-    """Step sizes of Adam at the start, and what is left of them at the end.
+    """Step sizes of Adam at the start, and the factor on them at the end.
 
     In between they fall exponentially. The 3DGS trainer has 1.6e-4, 2.5e-3, 1.25e-4, 0.05, 5e-3
-    and 1e-3 over 30,000 iterations, of which positions fall to 0.01 and the others not at all.
-    A refit has a tenth of those iterations; higher rates that all fall served bonsai better.
+    and 1e-3 over 30,000 iterations; its rate for positions falls to 0.01, the others are constant.
+    Here a run has a tenth of those iterations; on bonsai, higher rates that all fall were better.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Rates:
     rot : float
         Quaternion as stored.
     last : float
-        Of all at the end, as a part of those at the start; above 0.
+        Factor on all rates at the end of the run; above 0.
     """
 
     positions: float = 6.4e-5
@@ -50,12 +50,12 @@ class Rates:
 
 
 def rig_radius(cameras: Sequence[Camera]) -> float:
-    """What 3DGS measures positions by: 1.1 of the farthest camera's way from the mean of all."""
+    """Unit of position rates in 3DGS: 1.1 times the largest distance of a camera from the mean."""
     centres = np.array([camera.position for camera in cameras])
     return 1.1 * float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
 
 def step_sizes(scene: Scene, cameras: Sequence[Camera], rates: Rates) -> NDArray[np.float64]:
-    """Step sizes ``(C,)`` at the start, of each channel in the order of `GROUPS`."""
+    """Step sizes ``(C,)`` of Adam at the start, for each channel in the order of `GROUPS`."""
     sizes = asdict(rates) | {"positions": rates.positions * rig_radius(cameras)}
     return np.concatenate([np.full(len(getattr(scene, group)), sizes[group]) for group in GROUPS])

@@ -1,4 +1,4 @@
-"""SH-AC moved to their Laplace range, as coding does too."""
+"""Clip SH-AC to their Laplace range, as encoding with a `paper` profile does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Colours refitted to images by conjugate gradients: an image is linear in SH."""
+"""Refit SH to images by conjugate gradients: an image is linear in SH."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from gs_codec.workers import run_all
 
 @dataclass(frozen=True)
 class RefitReport:
-    """How near refitting came to its targets.
+    """How well a refit matches its targets.
 
     Attributes
     ----------
     psnr : tuple of float
-        Of all views together against their targets, dB, values not clipped: before, and after
-        each step as the linear model has it. Infinite where nothing is left.
+        PSNR of all views together against their targets, dB, values not clipped: before, and
+        after each step as the linear model predicts. Infinite if no error is left.
     objective : tuple of float
-        What is minimised, likewise; it never grows.
+        The minimised function, before and after each step; it never grows.
     rendered_psnr : float
-        At the end, with the colours clamped at black that have come to lie below.
+        PSNR at the end, dB, with all colours below black clamped.
     kept : bool
-        Whether the result is the scene as given, because its objective, rendered, was no worse.
+        Whether the input is returned, because the refitted scene's rendered objective is no better.
     """
 
     psnr: tuple[float, ...]
@@ -59,13 +59,13 @@ def refit_colour(
     operator: ImageOperator | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, RefitReport]:
-    """Change SH so that views come nearer to their targets.
+    """Change SH so that views match their targets better.
 
     Minimises the sum over views, pixels and colours of ``(image - target)^2``, ``ridge`` times the
     squared change of SH, and the penalty on SH-AC of `compact_sh`, by conjugate gradients on the
     normal equations, with their diagonal as preconditioner. Memory is six times the size of the
-    SH, and up to 2 GiB for the weights alpha T of views; those of views beyond are traced anew in
-    each step. A colour that is clamped at black in a view has no gradient there, and which are
+    SH, plus up to 2 GiB for the weights alpha T of views; views beyond that are traced again in
+    each step. A colour that is clamped at black in a view has no gradient there; which colours are
     clamped is decided once, at the start.
 
     Parameters
@@ -75,20 +75,20 @@ def refit_colour(
     targets : sequence of ndarray
         Image ``(H, W, 3)`` for each camera, RGB, in the values of `render`.
     steps : int, from 0 up
-        Each takes about as long as drawing all views.
+        Iterations; each takes about as long as drawing all views.
     ridge : float, from 0 up
-        Squared weight that holds SH to what they are, in pixels: a Gaussian with a sum of
-        (alpha T)^2 over all views of as much gives in to about half of what it is asked.
-        More shows held-out views less gain, and none leaves what is hardly seen without hold.
+        Weight of the squared change of SH, in pixels: a Gaussian whose sum of (alpha T)^2 over
+        all views equals it makes about half of the change that its views ask for. A larger value
+        lowers the gain in held-out views; with 0, Gaussians that are hardly seen change freely.
     strength, smallest : float, from 0 up
-        Penalty on SH-AC, as for `compact_sh`, with the scene's own in the denominators; without
-        it, what compaction left of them would grow again, and with it the cost of coding them.
+        Penalty on SH-AC as in `compact_sh`, with the scene's own SH-AC in the denominators.
+        Without it, SH-AC that compaction made small would grow again and cost more bits.
     keep_zeros : bool
-        Whether SH-AC that are exactly 0 remain so: for scenes that `compact_sh` has been over.
+        Whether SH-AC that are exactly 0 stay 0: for scenes that `compact_sh` returned.
     background : sequence of three float
         RGB behind the scene in the targets.
     operator : ImageOperator, optional
-        Of the cameras and of a scene of the same shapes, where it is known.
+        Operator of the cameras and of a scene with the same shapes, if there is one already.
     progress : callable, optional
 
     Raises
@@ -119,7 +119,7 @@ def refit_colour(
 
 
 class _Damping(NamedTuple):
-    """What holds SH back: ``ridge (x - start)^2 + penalty / (|start| + half)^2 x^2``."""
+    """Terms that damp the change: ``ridge (x - start)^2 + penalty / (|start| + half)^2 x^2``."""
 
     start: NDArray
     penalty: NDArray[np.float64]
@@ -148,9 +148,9 @@ def _descend(
     steps: int,
     advance: Callable[[], None] | None,
 ) -> tuple[NDArray, list[float], list[float]]:
-    """Conjugate gradients: the change of SH; squared errors and objectives, from the first on.
+    """Conjugate gradients; return the change of SH, and squared error and objective of each step.
 
-    Coefficients of no curvature do not change. Replaces gradient and curvature in place.
+    Coefficients with zero curvature do not change. Overwrites `near.gradient` and `near.curvature`.
     """
     residual = near.gradient
     change, direction = np.zeros_like(residual), np.zeros_like(residual)
@@ -172,7 +172,7 @@ def _descend(
 
 
 def _total(function: Callable, *arguments: Any) -> float:
-    """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, each a thread's own."""
+    """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, computed in threads."""
     rows = [
         x.reshape(x.shape[0] * x.shape[1], x.shape[2]) if isinstance(x, np.ndarray) else repeat(x)
         for x in arguments
@@ -187,7 +187,7 @@ def _pull(start, penalty, half):
 
 @kernel
 def _prepare(residual, curvature, start, penalty, ridge, half):
-    """Residual and preconditioner, from gradient and curvature; the residual's squared norm."""
+    """Turn gradient and curvature into residual and preconditioner; return its squared norm."""
     total = 0.0
     for i in range(len(residual)):
         if not 0.0 < curvature[i] < np.inf:
@@ -202,7 +202,7 @@ def _prepare(residual, curvature, start, penalty, ridge, half):
 
 @kernel
 def _cost(change, inverse, start, penalty, ridge, half):
-    """The damping's share of the objective, of coefficients that may change."""
+    """Damping terms of the objective, over the coefficients that may change."""
     total = 0.0
     for i in range(len(change)):
         if inverse[i] > 0.0:
@@ -213,7 +213,7 @@ def _cost(change, inverse, start, penalty, ridge, half):
 
 @kernel
 def _turn(direction, residual, inverse, share):
-    """Set the direction conjugate to the last, of which it takes a share."""
+    """Set the next conjugate direction; `share` is the weight of the last one in it."""
     for i in range(len(direction)):
         direction[i] = inverse[i] * residual[i] + share * direction[i]
     return 0.0
@@ -221,7 +221,7 @@ def _turn(direction, residual, inverse, share):
 
 @kernel
 def _damp(product, direction, start, penalty, ridge, half):
-    """Add the damping to a product; returns how curved the objective is along the direction."""
+    """Add the damping to a product; return the curvature of the objective along the direction."""
     total = 0.0
     for i in range(len(product)):
         if direction[i] != 0.0:
@@ -232,7 +232,7 @@ def _damp(product, direction, start, penalty, ridge, half):
 
 @kernel
 def _move(change, residual, direction, product, inverse, size):
-    """Take a step; returns the residual's squared norm under the preconditioner."""
+    """Take a step; return the residual's squared norm under the preconditioner."""
     total = 0.0
     for i in range(len(change)):
         change[i] += size * direction[i]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.metrics.images import Quality
 from gs_codec.preparation.targets import Views
 
-#: Why an input Gaussian is not in the output: its label is the place in this list.
+#: Why an input Gaussian was removed; its label is the index in this tuple.
 LABELS = ("kept", "geometry", "importance", "leave-one-out")
 
 
@@ -28,11 +28,11 @@ class StepReport:
     size_bytes : float
         Size of their attributes: float32, or at the depths of quantisation, or coded.
     quality : Quality
-        Of its held-out views, against photographs where given, else against the input's own.
+        Of its held-out views, against photographs if given, else against renders of the input.
     seconds : float
-        Time the step took, measuring not counted.
+        Time of the step, without the time to measure quality.
     details : dict
-        What the step says of itself.
+        Further results of the step.
     """
 
     name: str
@@ -55,7 +55,7 @@ class PrepareReport:
     steps : tuple of StepReport
         The first is the input.
     views : Views
-        What was worked and measured by.
+        The views that guided the steps and that measured quality.
     """
 
     labels: NDArray[np.uint8]
@@ -64,7 +64,7 @@ class PrepareReport:
 
     @property
     def removed(self) -> dict[str, int]:
-        """How many Gaussians went for each reason."""
+        """How many Gaussians were removed for each reason."""
         counts = np.bincount(self.labels, minlength=len(LABELS))
         return {label: int(n) for label, n in zip(LABELS[1:], counts[1:], strict=True)}
 
@@ -80,7 +80,7 @@ class PrepareReport:
         }
 
     def table(self) -> list[list[str]]:
-        """Rows of the ablation table in the shape of the paper's, the first with its titles."""
+        """Rows of the ablation table, in the form of the paper's; the first has the titles."""
         rows = [["step", "Gaussians", "MB", "PSNR dB", "SSIM", "s"]]
         for step in self.steps:
             numbers = (step.size_bytes / 1e6, step.quality.psnr, step.quality.ssim, step.seconds)

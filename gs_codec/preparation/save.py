@@ -16,8 +16,8 @@ from gs_codec.preparation.report import PrepareReport
 def save_report(folder: str | Path, report: PrepareReport) -> None:
     """Write ``report.json``, ``ablation.md`` and ``labels.npy``.
 
-    ``labels.npy`` has a uint8 for each input Gaussian, in the input's order: its place in
-    `LABELS`, 0 for those that are still there.
+    ``labels.npy`` has a uint8 for each input Gaussian, in the input's order: its index in
+    `LABELS`, 0 for those that were kept.
 
     Raises
     ------

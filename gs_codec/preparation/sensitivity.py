@@ -1,8 +1,8 @@
-"""How much images change with each attribute of each Gaussian, to second order.
+"""Sensitivity of images to each attribute of each Gaussian, to second order.
 
-A squared error that is 0 grows by ``sum (dC / dx)^2`` times the squared change of an attribute x:
-the diagonal of the Gauss-Newton matrix. What several Gaussians or attributes do to one pixel is
-taken to be independent, as rounding errors are.
+A small change of an attribute x adds a squared error of ``sum (dC / dx)^2`` times its square: the
+diagonal of the Gauss-Newton matrix. Changes of several Gaussians or attributes in one pixel are
+treated as independent, as rounding errors are.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 from gs_codec.workers import available_threads, run_all
 
-#: Columns of what is summed over views; log-scale has three.
+#: Columns of the sums over views; log-scale has three.
 _POSITIONS, _LOG_SCALE, _ROT, _OPACITY, _COLOUR, _COLUMNS = 0, 1, 4, 5, 6, 7
 
-#: Views whose results are kept at a time, for each thread: they are added in order.
+#: Views drawn, for each thread, before their results are added in order.
 _VIEWS_A_THREAD = 4
 
 
@@ -52,13 +52,13 @@ def sensitivity(
     progress: Progress | None = None,
     keep: bool = True,
 ) -> tuple[Sensitivity, NDArray[np.float32]]:
-    """The squared error, over views, pixels and colours, by small changes of each attribute.
+    """Squared error over views, pixels and colours from small changes of each attribute.
 
-    What is drawn where, and in what order, is taken as constant; pixels where a change takes a
-    splat over the least visible alpha add to the error, most beside that of very small changes.
-    A change of position moves the centre of the splat; what it does to the splat's shape, and to
-    a colour that depends on the direction it is seen in, is left out. An alpha at its limit does
-    not change. `colour` is the sum of (alpha T)^2, also where a colour is clamped at black.
+    Which splats are drawn in which pixels, and in what order, is treated as constant. Pixels where
+    a change takes a splat over the least visible alpha add an error that is not counted; it matters
+    most for very small changes. A change of position moves the centre of the splat; its effect on
+    the splat's shape and on view-dependent colour is left out. An alpha at its limit does not
+    change. `colour` is the sum of (alpha T)^2, also where a colour is clamped at black.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def sensitivity(
         0 for Gaussians that are not drawn in any view, and so for those with values that are
         not finite.
     ndarray, shape (views, N), float32
-        What each view adds to `colour`, as `squared_weights` has it; of no view without `keep`.
+        What each view adds to `colour`, as in `squared_weights`; shape (0, N) without `keep`.
     """
     advance = step_counter(progress, "sensitivity", len(cameras))
     totals = np.zeros((scene.count, _COLUMNS))
@@ -106,7 +106,7 @@ def sensitivity(
 def _look(
     scene: Scene, camera: Camera, background: Sequence[float]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The Gaussians that a view draws ``(V,)``, and what it adds to them ``(V, 7)``."""
+    """The Gaussians ``(V,)`` that a view draws, and what it adds to their sums ``(V, 7)``."""
     frame = make_frame(scene, camera)
     fields, gaussians = frame.splats.fields, frame.splats.gaussians
     sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
@@ -173,14 +173,14 @@ def _to_attributes(
         row[_OPACITY] = total[G] / (1.0 + math.exp(np.float64(opacity[0, i]))) ** 2
         row[_COLOUR] = total[SQUARED_WEIGHT]
         for column in range(_COLUMNS):
-            # Products of what is hardly finite may not be.
+            # Products of very large values may overflow.
             if not row[column] < np.inf:
                 row[column] = 0.0
 
 
 @inlined
 def _by_position(total, field, rotation, x, y, pixels_x, pixels_y):
-    """Mean over the axes of the world, of a splat at slopes (x, y) from the camera's axis."""
+    """Sensitivity to position, mean of the world's axes; (x, y) are slopes to the optical axis."""
     mean = 0.0
     for k in range(3):
         step = _offset(
@@ -194,16 +194,16 @@ def _by_position(total, field, rotation, x, y, pixels_x, pixels_y):
 
 @inlined
 def _offset(field, x, y):
-    """A vector of the image in the axes in which q is a sum of squares."""
+    """Transform a vector of the image to the axes in which q is a sum of squares."""
     return field[FACTOR_XX] * x + field[FACTOR_XY] * y, field[FACTOR_YY] * y
 
 
 @inlined
 def _by_covariance(total, axes, units, offsets, k, m, antialiased):
-    """Squared change by half that of the covariance along ``u_k u_m^T + u_m u_k^T``.
+    """Sensitivity to a change of the covariance by ``u_k u_m^T + u_m u_k^T``.
 
-    The units u are the Gaussian's axes of length 1, in pixels. ln alpha changes by
-    ``(o . u_k) (o . u_m)``, and where antialiased with its compensation.
+    u are the Gaussian's axes of length 1, projected to pixels. ln alpha changes by
+    ``(o . u_k) (o . u_m)``; if antialiased, its compensation changes as well.
     """
     fourth = fourth_moment(total, offsets[k], offsets[m])
     if not antialiased:

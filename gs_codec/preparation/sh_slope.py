@@ -8,9 +8,9 @@ from gs_codec.scene import SH_C1, SH_C2, SH_C3
 
 @inlined
 def sh_slope(x, y, z, coefficients, weights):
-    """Gradient of the sum of SH-AC values times ``weights (15,)``, the polynomials of `sh_basis`.
+    """Gradient by direction of the sum of SH-AC values times ``weights (15,)``; see `sh_basis`.
 
-    Of the weights the first `coefficients` count.
+    Only the first `coefficients` weights count.
     """
     by_x = by_y = by_z = 0.0
     if coefficients >= 3:

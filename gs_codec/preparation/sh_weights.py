@@ -40,7 +40,7 @@ def squared_weights(
     advance = step_counter(progress, "weights", len(cameras))
 
     def weigh(view: int) -> None:
-        # A thread for each view costs less than several for one.
+        # One thread for each view is faster than several for one view.
         drawn = render(scene, cameras[view], accumulate=True, device="cpu")
         weights[view] = drawn.accumulations.squared_weight  # type: ignore[union-attr]
 

@@ -1,4 +1,4 @@
-"""What small changes of each splat do to an image, squared and summed over its pixels."""
+"""Squared change of an image from small changes of each splat, summed over its pixels."""
 
 from __future__ import annotations
 
@@ -21,24 +21,23 @@ from gs_codec.rendering.project import (
 )
 from gs_codec.rendering.trace import MAX_ALPHA, MIN_TRANSMITTANCE, tile_bounds, trace_splat
 
-#: Columns of the sums over a splat's pixels: of g, the squared change of the pixel by that of
-#: ln alpha, times powers of the offset (e, f) from the centre in which q = e^2 + f^2: g, g e^2,
-#: g e f, g f^2, g e^4, g e^3 f, g e^2 f^2, g e f^3, g f^4; and of (alpha T)^2.
+#: Columns of the sums over a splat's pixels. g is the squared derivative of the pixel by ln alpha;
+#: (e, f) is the offset from the centre, in axes where q = e^2 + f^2. Columns: g, g e^2, g e f,
+#: g f^2, g e^4, g e^3 f, g e^2 f^2, g e f^3, g f^4, and (alpha T)^2.
 G, G_EE, G_EF, G_FF, G_EEEE, G_EEEF, G_EEFF, G_EFFF, G_FFFF, SQUARED_WEIGHT = range(10)
 
 
-#: More splats than these are never added to one pixel: each takes at least `MIN_ALPHA` of its
-#: transmittance.
+#: Most splats that are added to one pixel: each takes at least `MIN_ALPHA` of its transmittance.
 _LAYERS = math.ceil(math.log(MIN_TRANSMITTANCE) / math.log(1.0 - MIN_ALPHA))
 
 
 @kernel
 def sum_moments(fields, splats, starts, columns, width, height, background, sums):
-    """Add to ``sums (V, 10)`` what the tiles of a view hold, in their order.
+    """Add all tiles of a view, in order, to ``sums (V, 10)``.
 
-    A tile is traced front to back, and what it was made of summed back to front.
+    A tile is traced front to back, then summed back to front.
     """
-    # Only as much of these is ever touched as a tile has layers.
+    # A tile touches only as much of these as it has layers.
     pixels = np.empty(_LAYERS * TILE * TILE, np.int64)
     alphas = np.empty(_LAYERS * TILE * TILE)
     before = np.empty(_LAYERS * TILE * TILE)
@@ -71,20 +70,20 @@ def sum_moments(fields, splats, starts, columns, width, height, background, sums
 
 @inlined
 def _add_pixels(field, x0, y0, start, stop, pixels, alphas, before, behind, total):
-    """Add the pixels of one splat in one tile, and the splat to what is behind the next."""
+    """Add the pixels of one splat in one tile, and its light to `behind` for the next splat."""
     red, green, blue = field[RED], field[GREEN], field[BLUE]
     u, v = field[CENTRE_X] - x0, field[CENTRE_Y] - y0
     fxx, fxy, fyy = field[FACTOR_XX], field[FACTOR_XY], field[FACTOR_YY]
     sum_g = sum_ee = sum_ef = sum_ff = squared_weight = 0.0
     sum_eeee = sum_eeef = sum_eeff = sum_efff = sum_ffff = 0.0
     for i in range(start, stop):
-        # Unsigned, or each index is tested for being negative.
+        # Unsigned, so that numba does not test each index for being negative.
         place = np.uint64(pixels[i])
         alpha = alphas[i]
         weight = alpha * before[i]
         squared_weight += weight * weight
         own_red, own_green, own_blue = weight * red, weight * green, weight * blue
-        # At its limit alpha does not change.
+        # An alpha at its limit does not change.
         if alpha < MAX_ALPHA:
             uncovered = alpha / (1.0 - alpha)
             by_red = own_red - behind[place, 0] * uncovered

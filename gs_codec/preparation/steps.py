@@ -1,4 +1,4 @@
-"""What preparation is asked to do, and the views it goes by."""
+"""Options of preparation: its steps, and the views that guide them."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ class Steps:
     prune : float
         Percent to remove by leave-one-out error, 0 up to 100.
     prune_max_psnr_drop : float or None
-        Prune by leave-one-out error only as long as rendered views lose no more than this, dB;
-        without `prune`, up to it.
+        Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`,
+        only this limits it.
     refine : int
-        Iterations of Adam on all attributes of what is left.
+        Iterations of Adam on all attributes of the remaining Gaussians.
     compact_sh : float
         Strength of SH energy compaction, 0 and up: about the mean squared error of an image value
         (0-1) that it may cost; 3e-5 is usual.
     refit_colour : int
-        Conjugate-gradient steps on the colours, SH-DC and SH-AC.
+        Conjugate-gradient iterations on the colours, SH-DC and SH-AC.
     rectify : bool
-        Move SH-AC outside their Laplace range to its edge, as coding by a `paper` profile does: at
-        the depths of that profile, of ``paper-m`` where another codes.
+        Move SH-AC outside their Laplace range to its edge, as encoding with a `paper` profile
+        does, at the depths of that profile; for other profiles, at those of ``paper-m``.
 
     Raises
     ------
@@ -108,27 +108,27 @@ class Steps:
 
 @dataclass(frozen=True)
 class Plan:
-    """Steps, and the views they go by.
+    """Steps of preparation, and the views that guide them.
 
     Parameters
     ----------
     steps : Steps
-        What to do, nothing by default.
+        Which steps to run; none by default.
     cameras : path, "auto", or sequence of Camera
-        Quality is measured in those marked ``test``, and at most `views` of the others, evenly
-        spaced, are worked by; where none is marked, the same do for both.
+        Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced,
+        guide the steps. If none or all are marked, the same cameras do both.
     gt_images : path, optional
-        Folder of the cameras' ground-truth images; not all need to have one. Quality and losses
-        are measured against them, and `refine` fits to them; without, renders of the input take
-        their place.
+        Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
+        measured against them, and `refine` fits to them. By default renders of the input are
+        used.
     width : int, optional
-        Width of the views, pixels; not with `gt_images`, which have their own.
+        Width of the views, pixels; not allowed with `gt_images`, whose size is used.
     views : int
         1 or more.
     background : tuple of three float
         RGB behind the scene, 0-1.
     checkpoint : path, optional
-        Where `refine` keeps its state, and goes on from.
+        File to which `refine` saves its state, and from which it resumes.
 
     Raises
     ------

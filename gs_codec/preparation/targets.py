@@ -1,4 +1,4 @@
-"""The views a scene is prepared by, and what they should look like."""
+"""Reference views that guide preparation: cameras, and the images to match."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gs_codec.workers import run_all
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: MSE that a scene without photographs is taken to have against them: 30 dB.
+#: MSE against photographs that is assumed where there are none: 30 dB.
 _NOMINAL_ERROR = 1e-3
 
 
@@ -32,8 +32,8 @@ _NOMINAL_ERROR = 1e-3
 class Targets:
     """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter.
 
-    `photographs` tells whether the images are such, or renders of the scene to be prepared: of
-    `source`, if that is known.
+    `photographs` tells whether the images are photographs or renders of the scene to be prepared;
+    `source` is that scene, if it is known.
     """
 
     cameras: tuple[Camera, ...]
@@ -43,7 +43,7 @@ class Targets:
     source: Scene | None = None
 
     def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
-        """Mean over the views of PSNR and SSIM of a scene's images against them."""
+        """Quality of a scene's images against these, mean over the views."""
 
         def compare(i: int) -> Quality:
             drawn = render(scene, self.cameras[i], self.background, device="cpu")
@@ -75,8 +75,8 @@ class Targets:
     ) -> float:
         """Loss of PSNR, dB, mean over the views, from mean squared errors `before` to `errors`.
 
-        Where targets are the scene's own renders, it is taken to have 30 dB against photographs,
-        and errors of both kinds to add up.
+        If the images are the scene's own renders, the scene is assumed to have 30 dB against
+        photographs, and both errors to add up.
         """
         own = 0.0 if self.photographs else _NOMINAL_ERROR
         return 10 * float(np.mean(np.log10((own + errors) / (own + before))))
@@ -88,16 +88,16 @@ class Targets:
 
 
 class Views(NamedTuple):
-    """What a scene is prepared by.
+    """Views that guide preparation, and views that measure quality.
 
     Attributes
     ----------
     renders : Targets
-        The input's own views of the cameras to work by.
+        Renders of the input by the cameras that guide the steps.
     photographs : Targets or None
-        Those of the same cameras that are there.
+        Photographs of such cameras, where there are any.
     held_out : Targets
-        What quality is measured in.
+        The views that measure quality.
     """
 
     renders: Targets
@@ -106,7 +106,7 @@ class Views(NamedTuple):
 
     @property
     def wanted(self) -> Targets:
-        """What views should look like: photographs where there are any."""
+        """The images to match: photographs if there are any, else renders."""
         return self.photographs or self.renders
 
 
@@ -117,7 +117,7 @@ def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Ca
     Raises
     ------
     InvalidInput
-        If none is, or a name leads out of the folder.
+        If there is no image of any camera, or a name leads out of the folder.
     """
     found = []
     for camera in cameras:
@@ -135,7 +135,7 @@ def draw_targets(
     background: tuple[float, float, float],
     progress: Progress | None = None,
 ) -> Targets:
-    """A scene's own views."""
+    """Render a scene's own views."""
     images = run_all(
         lambda camera: render(scene, camera, background, device="cpu").colour,
         cameras,
@@ -148,12 +148,12 @@ def draw_targets(
 def read_targets(
     found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
 ) -> Targets:
-    """Photographs, and the cameras at their size.
+    """Read photographs, and resize the cameras to them.
 
     Raises
     ------
     InvalidInput
-        If one is broken, or of another shape.
+        If one is broken, or does not have its camera's shape.
     """
     images = run_all(lambda item: read_image(item[1]), found)
     sized = [
@@ -163,7 +163,7 @@ def read_targets(
 
 
 def evenly(items: Sequence[Item], count: int) -> list[Item]:
-    """`count` of the items, evenly spaced in their order; all if there are no more."""
+    """Choose `count` of the items, evenly spaced in their order; all if there are fewer."""
     if len(items) <= count:
         return list(items)
     return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]

@@ -1,4 +1,4 @@
-"""What a view is made of: the weight alpha T of every Gaussian in every pixel it is added to."""
+"""A traced view: the weight alpha T of every Gaussian in every pixel that it is added to."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from gs_codec.rendering.project import TILE
 from gs_codec.rendering.trace import tile_bounds, trace_splat
 from gs_codec.scene import Scene
 
-#: Column of (alpha T)^2 in what is summed over pixels, after R, G, B.
+#: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
 SQUARED = 3
 
-#: Entries that there is room for at first; at least those of a splat in a tile.
+#: Initial size of the buffers, entries; at least those of one splat in a tile.
 _FIRST_ROOM = 1 << 16
 
 
 class TracedView(NamedTuple):
-    """Weights of a view, splat-tile pair after pair; those of a tile are nearest first.
+    """Weights of a view, by splat-tile pair; the pairs of a tile are nearest first.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class TracedView(NamedTuple):
     seen : ndarray, shape (V,), int64
         Gaussians that may be seen, ascending.
     pairs : ndarray, shape (pairs,), int32
-        Which of these a pair is of.
+        Index in `seen` of each pair's Gaussian.
     starts : ndarray, shape (tiles + 1,), int64
         Where the pairs of each tile start.
     ends : ndarray, shape (pairs,), int64
@@ -59,14 +59,14 @@ class TracedView(NamedTuple):
     def transpose(
         self, colours: NDArray[np.float64], target: NDArray, background: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], float]:
-        """Sums ``(V, 4)`` of alpha T times the residual, and of (alpha T)^2; squared error.
+        """Sums ``(V, 4)`` of alpha T times the residual and of (alpha T)^2, and the squared error.
 
         Parameters
         ----------
         colours : ndarray, shape (V, 3)
             Of the Gaussians in ``seen``.
         target : ndarray, shape (H, W, 3)
-            The residual is what it has over the image.
+            The residual is this minus the image.
         background : ndarray, shape (3,)
         """
         sums = np.zeros((len(self.seen), SQUARED + 1))
@@ -75,7 +75,7 @@ class TracedView(NamedTuple):
     def error(
         self, colours: NDArray[np.float64], target: NDArray, background: NDArray[np.float64]
     ) -> float:
-        """The squared error alone: in half the time of `transpose`."""
+        """Only the squared error, in half the time of `transpose`."""
         return self._residual(colours, target, background, np.zeros((0, SQUARED + 1)))
 
     def _residual(
@@ -90,7 +90,7 @@ class TracedView(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room for entries, to be used again: memory that is new takes longer than tracing does."""
+    """Buffers for entries, reused because new memory takes longer than tracing."""
 
     pixels: NDArray[np.uint8]
     weights: NDArray[np.float32]
@@ -123,7 +123,7 @@ def trace_view(scene: Scene, camera: Camera, room: Room | None = None) -> tuple[
 
 @kernel
 def _trace(fields, splats, starts, columns, width, height, left_of, ends, pixels, weights):
-    """Fill `left_of`, `ends`, and `pixels` and `weights`; returns these, longer if need be."""
+    """Fill the outputs; return `pixels` and `weights`, which are enlarged if needed."""
     left = np.empty(TILE * TILE)
     traced = np.empty(TILE * TILE, np.int64)
     alphas = np.empty(TILE * TILE)

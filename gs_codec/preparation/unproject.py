@@ -27,8 +27,7 @@ from gs_codec.rendering.project import (
 )
 from gs_codec.scene import SH_C0
 
-#: First rows of the attribute groups among those of a Gaussian; behind f_rest come opacity,
-#: log_scale and rot.
+#: First rows of f_dc and f_rest in a column; opacity, log_scale and rot follow f_rest.
 _F_DC, _F_REST = 3, 6
 
 
@@ -39,8 +38,8 @@ def differentiate_gaussians(
 ):  # fmt: skip
     """Fill columns of ``slopes (14 + 3 K, stop - start)``, rows in the order of `GROUPS`.
 
-    They are the derivatives for Gaussians ``chosen[start:stop]``, of whose splats ``sums (N, 9)``
-    has the sums that `differentiate_tiles` makes.
+    They are the derivatives for Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
+    `differentiate_tiles`.
     """
     fx, fy, cx, cy = intrinsics
     basis, weights = np.zeros(15), np.zeros(15)
@@ -90,7 +89,7 @@ def differentiate_gaussians(
 
 @inlined
 def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j):
-    """Fill the rows of f_dc, f_rest and, by the direction it is seen in, of positions."""
+    """Fill the rows of f_dc and f_rest, and in those of positions the effect of view direction."""
     coefficients = len(f_rest) // 3
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     x, y, z = dx / distance, dy / distance, dz / distance
@@ -115,7 +114,7 @@ def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, sl
 
 @inlined
 def _differentiate_conic(axes, total, antialiased, by_axes):
-    """Fill ``by_axes (3, 2)``, the derivative by the axes in the image; return it by centre."""
+    """Fill ``by_axes (3, 2)``, derivatives by the axes in the image; return those by the centre."""
     xx, xy, yy, sharp = covariance(axes)
     determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
     a = (yy + LOW_PASS) / determinant
@@ -141,7 +140,7 @@ def _differentiate_conic(axes, total, antialiased, by_axes):
 
 @inlined
 def _to_world(rotation, x, y, z):
-    """A covector of the camera's axes in those of the world."""
+    """Transform a covector from the camera's axes to the world's."""
     return (
         rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
         rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
@@ -151,7 +150,7 @@ def _to_world(rotation, x, y, z):
 
 @inlined
 def _differentiate_turn(rot, i, quaternion, columns, slopes, row, j):
-    """Derivative by the quaternion as stored, of that by the rotation's columns."""
+    """Derivative by the stored quaternion, from the derivative by the rotation's columns."""
     norm, a, b, c, d = quaternion
     (g00, g10, g20), (g01, g11, g21), (g02, g12, g22) = (
         (columns[0, 0], columns[0, 1], columns[0, 2]),
@@ -163,7 +162,7 @@ def _differentiate_turn(rot, i, quaternion, columns, slopes, row, j):
     by_c = a * (g02 - g20) + b * (g01 + g10) + d * (g12 + g21) - 2.0 * c * (g00 + g22)
     by_d = a * (g10 - g01) + b * (g02 + g20) + c * (g12 + g21) - 2.0 * d * (g00 + g11)
     along = a * by_a + b * by_b + c * by_c + d * by_d
-    # A zero quaternion has no direction to turn from.
+    # A zero quaternion counts as the identity; its derivative is 0.
     size = max(abs(rot[0, i]), abs(rot[1, i]), abs(rot[2, i]), abs(rot[3, i]))
     factor = 2.0 / norm if size > 0.0 else 0.0
     slopes[row + 0, j] = factor * (by_a - along * a)

@@ -1,8 +1,8 @@
-"""Rate control: one number, the price of an error in bits, decides all steps of a scene.
+"""Rate control: one number, the coarseness, scales all step sizes of a scene.
 
-Profiles `l`, `m` and `s` give each parameter of each Gaussian the step at which it adds the same
-error, so that a bit saves as much wherever it is spent. What is left to choose is that error:
-the coarseness of all steps together.
+Profiles `l`, `m` and `s` give each parameter of each Gaussian the step size at which it adds the
+same error, so that one more bit reduces the error equally everywhere. The coarseness sets that
+error.
 """
 
 from __future__ import annotations
@@ -29,39 +29,39 @@ from gs_codec.rate.search import COARSEST, FINEST, expected, search
 from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes, step_counter
 from gs_codec.scene import Scene
 
-#: A size is met from below by at most this share.
+#: A file may be smaller than asked for by at most this share.
 _SIZE_TOLERANCE = 0.02
 
-#: A loss is met from below by at most this, dB.
+#: A loss may be smaller than asked for by at most this, dB.
 _DROP_TOLERANCE = 0.02
 
-#: Log2 of a size, and of a loss, for each doubling of the steps; about.
+#: Approximate change of log2 of the size, and of the loss, when the steps double.
 _SIZE_SLOPE, _DROP_SLOPE = -0.45, 1.7
 
-#: What SH compaction, and then the refit of colours, make of a file's size, about: for the first
-#: guess.
+#: For the first guess: about how many times smaller SH compaction makes a file, and then how many
+#: times larger the refit of colours makes it.
 _COMPACTION_SAVES, _REFIT_ADDS = 1.08, 1.01
 
-#: Colours are chosen again if the steps have moved by more than this, log2.
+#: Colours are refitted again if the coarseness changes by more than this, log2.
 _RECOLOUR_AGAIN = 0.05
 _MOST_RECOLOURINGS = 5
 
-#: Share of the Gaussians that goes at once, where some may, and how often.
+#: Share of the Gaussians that a round of pruning removes, and the largest number of rounds.
 _PART, _MOST_PARTS = 0.2, 10
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What is to be seen in views of a scene.
+    """Views that measure the loss, and their errors before encoding.
 
     Attributes
     ----------
     views : Views
-        A quality is measured in those held out.
+        The held-out views measure the loss.
     before : ndarray, shape (views,)
-        Mean squared errors in these at which nothing is lost.
+        Mean squared errors of the held-out views at a loss of 0 dB.
     progress : callable, optional
-        Is told of each view that is measured.
+        Called after each view that is measured.
     """
 
     views: Views
@@ -69,7 +69,7 @@ class Seen:
     progress: Progress | None = None
 
     def loss(self, data: bytes) -> float:
-        """Decibels that a file loses."""
+        """PSNR loss of a file in the held-out views, dB."""
         measured = self.views.held_out
         return measured.drop(measured.errors(decode_scene(data), self.progress), self.before)
 
@@ -83,7 +83,7 @@ def encode_to_target(
     seen: Seen | None = None,
     progress: Progress | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene with steps as coarse or fine as a target asks.
+    """Encode a scene at the coarseness that meets a target.
 
     Parameters
     ----------
@@ -92,21 +92,21 @@ def encode_to_target(
         Of profile ``l``, ``m`` or ``s``; where the search begins.
     target : Target
     limit : int or None
-        Its most bytes, if it is a size.
+        Largest file size, bytes; None if the target is a loss.
     targets : Targets, optional
-        What views should look like; without them steps follow from attributes.
+        Reference views; without them the encoder is camera-free.
     seen : Seen, optional
-        A quality, and pruning, need it.
+        Needed if the target is a loss or allows pruning.
     progress : callable, optional
 
     Raises
     ------
     InvalidInput
-        If the profile has no steps to choose, or the target is out of reach: with what is in.
+        If the profile has fixed steps, or the target is unreachable; the error gives the range.
     """
     check_searchable(scene, config)
     if seen is None and (limit is None or target.allow_prune):
-        raise InvalidInput("target: a quality, or pruning, needs views")
+        raise InvalidInput("target: a loss in dB, or pruning, needs views")
     clean, changed = clean_scene(scene, config)
     times = StageTimes()
     if seen is not None and target.allow_prune:
@@ -132,7 +132,7 @@ def encode_to_target(
 
 
 def check_searchable(scene: Scene, config: Config) -> None:
-    """Check that there are steps to choose.
+    """Check that the profile and the scene allow a target.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def check_searchable(scene: Scene, config: Config) -> None:
     """
     if config.profile not in LATTICE_PROFILES:
         known = ", ".join(LATTICE_PROFILES)
-        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, {known} have not")
+        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, expected {known}")
     if not scene.count:
         raise InvalidInput("target: the scene has no Gaussians")
 
@@ -150,12 +150,12 @@ class _OutOfReach(InvalidInput):
 
 
 class _TooLarge(_OutOfReach):
-    """Nor is any file small enough; of fewer Gaussians one may be."""
+    """All files are too large; with fewer Gaussians one may be small enough."""
 
 
 @dataclass
 class _Trials:
-    """Encodings of a scene, whose colours are those refitted last.
+    """Trial encodings of a scene, with the colours that were refitted last.
 
     Attributes
     ----------
@@ -165,15 +165,15 @@ class _Trials:
     guidance : Guidance or None
     times : StageTimes
     coloured : Scene
-        With the colours chosen last.
+        The scene with the colours refitted last.
     place : float
         Log2 of the coarseness of `last`.
     last : tuple
         File and report of the last encoding.
     number : int
-        How many there were, those for colours included.
+        Number of encodings, including those to refit colours.
     loss : float or None
-        Decibels that views lose by `last`, where that was measured.
+        PSNR loss of `last`, dB; None if it was not measured.
     compacting : bool
         Whether `refit` compacts SH first.
     """
@@ -196,7 +196,7 @@ class _Trials:
         return replace(self.config, coarseness=2.0**place)
 
     def size(self, place: float) -> int:
-        """Encode, colours as they are; the bytes of the file."""
+        """Encode with the current colours; return the file's size, bytes."""
         config = self.config_at(place)
         with self.times.stage("search"):
             steps = None
@@ -208,15 +208,15 @@ class _Trials:
         return len(self.last[0])
 
     def compact(self, place: float) -> None:
-        """Let views choose which SH are left, for steps as coarse: about, a part of `refit`."""
+        """Compact SH for steps of this coarseness, without deciding whether it pays."""
         self._recolour(place, lambda colours, *shaped: colours.sketch(*shaped))
 
     def settle(self, place: float) -> None:
-        """As `compact`, once it is asked whether views tell enough for that, which then holds."""
+        """As `compact`, but decide first whether compaction pays; the decision is kept."""
         self._recolour(place, lambda colours, *shaped: colours.compact(*shaped))
 
     def refit(self, place: float) -> None:
-        """Let views choose colours for steps as coarse."""
+        """Compact and refit SH for steps of this coarseness."""
 
         def both(colours: Colours, decoded: Scene, *steps: Any) -> Scene:
             if self.compacting:
@@ -240,9 +240,9 @@ class _Trials:
 
 @dataclass(frozen=True)
 class _Met:
-    """Trials of which the last meets a target, and what was expected of it.
+    """Trials whose last encoding meets a target, and predictions of its size or loss.
 
-    `at_end` tells that there are no steps that would come nearer to the target.
+    `at_end` tells that no steps come nearer to the target.
     """
 
     trials: _Trials
@@ -261,10 +261,10 @@ def _meet_pruning(
     times: StageTimes,
     progress: Progress | None,
 ) -> tuple[_Met, int]:
-    """Meet a target with as many Gaussians as leave the least error, or the smallest file.
+    """Meet a target with the number of Gaussians that gives the least loss, or the smallest file.
 
-    They go a part at a time, by leave-one-out error, as long as each part pays. How many encodings
-    that took is told too.
+    Each round removes the Gaussians of lowest leave-one-out error, as long as this pays. Return
+    also how many encodings it took.
     """
     renders = seen.views.renders
     best: _Met | None = None
@@ -308,7 +308,7 @@ def _begin(
     times: StageTimes,
     progress: Progress | None,
 ) -> _Trials:
-    """Trials of a scene, of which there were none yet."""
+    """New trials of a scene, with guidance from its reference views if there are any."""
     guidance = None
     if targets is not None:
         with times.stage("views"):
@@ -327,18 +327,18 @@ def _meet(
 
 
 def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
-    """Search for steps at which the file is as large as it may be."""
+    """Search for steps at which the file is just within the limit."""
     interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
     predicted = None
     if trials.guidance is not None:
-        # Colours as they are, then compaction, are quick, and tell most of what all will take.
+        # Current colours, then compacted ones, are quick and give most of the final size.
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
         plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
         search(trials.size, *plain, start, _SIZE_SLOPE)
         _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
         trials.settle(trials.place)
         if not before[0] <= trials.size(trials.place) <= before[1]:
-            # It does not pay there, and so is left out.
+            # Compaction does not pay at these steps, so it is left out.
             _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
         predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.place
     recolour = None if trials.guidance is None else trials.refit
@@ -352,7 +352,7 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
 
 
 def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
-    """Search for steps at which views lose as much as they may."""
+    """Search for steps at which the loss of views is just within the limit."""
     measured, before = seen.views.held_out, float(np.mean(seen.before))
 
     def drop(place: float) -> float:
@@ -366,7 +366,7 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     interval = (wanted - _DROP_TOLERANCE, wanted)
     found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
-        # Compaction may cost the views held out more than that, however weak it is.
+        # Compaction may cost held-out views more than the limit, even at its weakest.
         trials.compacting = False
         found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
@@ -384,7 +384,7 @@ def _search_recoloured(
     start: float,
     slope: float,
 ) -> float | None:
-    """`search`, with colours for steps about as coarse as are found."""
+    """`search`, with colours refitted for about the steps that are found."""
     place = start
     for _ in range(_MOST_RECOLOURINGS):
         if recolour is None:

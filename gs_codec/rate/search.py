@@ -1,4 +1,4 @@
-"""Search for the coarseness of steps at which a measure meets its limit."""
+"""Search for the coarseness at which a measure lies in an interval."""
 
 from __future__ import annotations
 
@@ -8,47 +8,47 @@ from functools import cache
 
 from scipy.optimize import brentq
 
-#: Log2 of the finest and of the coarsest steps tried, over those of the profile.
+#: Log2 of the smallest and the largest coarseness that is tried.
 FINEST, COARSEST = -6.0, 6.0
 
-#: Where in its interval a measure is aimed at.
+#: Point of the interval that the search aims at, 0 to 1.
 _AIM = 0.7
 
-#: How far `expected` looks from a place at most.
+#: Largest change of log2 of the coarseness that `expected` gives.
 _FARTHEST = 2.0
 
-#: How far the next place is taken, as a share of the way a line points; and the least of it.
+#: Factor on the distance to where the secant is 0, to overshoot it; and the smallest distance.
 _BEYOND, _LEAST_STEP = 1.25, 0.02
 
-#: How near to each other places are told apart; and, in such, where else a measure that is rough
-#: there is tried.
+#: Resolution of the search, log2; and further points, in units of it, that are tried where the
+#: measure is rough.
 _NARROW = 1e-3
 _BESIDE = (3, -3, 6, -6, 9, -9, 12, -12)
 
-#: Measures below this are not told apart.
+#: Smaller measures count as this.
 _LEAST = 1e-6
 
 
 def expected(value: float, low: float, high: float, place: float, slope: float) -> float:
-    """Where a measure that is `value` at a place would be well within its interval."""
+    """Log2 of a coarseness that should take a measure from `value` to within its interval."""
     aim = (1 - _AIM) * low + _AIM * high
     reach = math.log2(max(aim, _LEAST) / max(value, _LEAST)) / slope
     return min(max(place + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)
 
 
 class _Met(Exception):
-    """The measure is in its interval; holds where."""
+    """The measure is in its interval; the argument is the log2 of the coarseness."""
 
 
 def search(
     measure: Callable[[float], float], low: float, high: float, start: float, slope: float
 ) -> float | None:
-    """Log2 of a coarseness at which `measure` of it is from `low` to `high`.
+    """Find log2 of a coarseness at which `measure` is from `low` to `high`.
 
     Parameters
     ----------
     measure : callable
-        Falls or grows all the way from `FINEST` to `COARSEST`.
+        Monotonic function of log2 of the coarseness, from `FINEST` to `COARSEST`.
     low, high : float
     start : float
         Where to begin.
@@ -58,8 +58,8 @@ def search(
     Returns
     -------
     float or None
-        The last place that was measured. Where the measure jumps over the interval, there and
-        beside, that of the highest value below it; None where it never comes so far.
+        Log2 of the coarseness that was measured last. If the measure jumps over the interval,
+        that of the highest value below it; None if the interval is never reached.
     """
     aim = math.log2(max((1 - _AIM) * low + _AIM * high, _LEAST))
     below: dict[float, float] = {}
@@ -90,7 +90,7 @@ def search(
 def _bracket(
     height: Callable[[float], float], start: float, slope: float
 ) -> tuple[float, float] | None:
-    """Places between which the height changes its sign; None where it does not."""
+    """Two points between which `height` changes its sign; None if it does not."""
     found = height(start)
     before, reach = start, -found / slope
     while True:
@@ -100,7 +100,7 @@ def _bracket(
         value = height(place)
         if value * found < 0:
             return before, place
-        # On to beyond where a line through both points to, or as far again, if that is nearer.
+        # Go beyond where the secant is 0, but at most double the distance from the start.
         line = (value - found) / (place - start)
         further = abs(_BEYOND * value / line) if line * slope > 0 else math.inf
         further = min(max(further, _LEAST_STEP), abs(reach))

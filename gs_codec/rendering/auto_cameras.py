@@ -1,8 +1,8 @@
 """Virtual cameras for a scene that comes without any.
 
-Training leaves its marks: Gaussians are small where cameras were near or looked at, and from
-where cameras were a view is sharp, has no holes, and shows much of the scene. Candidates are judged
-by that at thumbnail size; of the better half, those are kept that together see the scene best.
+Training leaves traces: Gaussians are small where cameras were near or looked at, and a view from a
+training camera is sharp, has no holes, and shows much of the scene. Candidates are scored by this
+at thumbnail size. From the better half, those that together see the scene best are chosen.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from gs_codec.workers import run_all
 WIDTH, HEIGHT = 600, 400
 _FOCAL = 1.04 * WIDTH
 
-#: Candidates are judged on about so many Gaussians, grown to cover the same surfaces.
+#: Candidates are scored on about this many Gaussians, enlarged to cover the same surfaces.
 _THUMB_GAUSSIANS = 50_000
 _THUMB = (96, 64)
 _INSIDE, _ORBIT = 192, 64
 
-#: In a room, cameras looked at one thing if half of the smallest tenth of the Gaussians are within
-#: this of one place; they then are taken to have been at these distances. Units of the size.
+#: A room has a focus if half of the smallest tenth of the Gaussians lie within this distance of one
+#: point; cameras are then placed at these distances from it. Units of the scene's size.
 _FOCUSED, _AWAY = 0.25, (0.35, 0.7)
 
 #: Share of the candidates that are good enough to choose from.
 _SHARE = 0.5
 
-#: In units of the scene's size: spread of the places inside, and of what is looked at.
+#: Spread of camera positions inside, and of the points they look at; units of the scene's size.
 _SPREAD, _AIM = 0.35, 0.15
 
-#: What distance must explain of the Gaussians' sizes for a scene to be like a room.
+#: Share of the variation of Gaussians' sizes that distance must explain in a room.
 _ROOM_GAIN = 0.2
 
-#: Below this logit (opacity 0.3) a Gaussian tells little of where things are.
+#: Gaussians below this logit (opacity 0.3) say little about where surfaces are.
 _SOLID = -0.85
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where a scene is: where cameras look from or at, and how far things are from there.
+    """Layout of a scene: its centre, typical and far distances from there, and the vertical.
 
-    `focus` is what all cameras in a room looked at, if there is such a thing.
+    `focus` is the point that all cameras in a room look at, if there is one.
     """
 
     centre: NDArray[np.float64]
@@ -62,7 +62,7 @@ class _Layout:
 
 
 def auto_cameras(scene: Scene, count: int = 24) -> list[Camera]:
-    """Choose cameras: inside a scene that is like a room, around and within one that is not.
+    """Choose cameras: inside a scene that is like a room, around and inside any other.
 
     The same scene gives the same cameras, of `WIDTH` x `HEIGHT` pixels.
 
@@ -94,7 +94,7 @@ def _thinned(scene: Scene) -> Scene:
 
 
 def _layout(scene: Scene) -> _Layout:
-    """Fit size ~ distance: in a room, the farther from the cameras the larger the Gaussian."""
+    """Fit sizes to distances: in a room, Gaussians are larger farther from the cameras."""
     from scipy.optimize import minimize
 
     points = scene.positions.T.astype(np.float64)
@@ -133,7 +133,7 @@ def _log_sizes(scene: Scene) -> NDArray[np.float64]:
 
 
 def _vertical(scene: Scene, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit normal of what most flat Gaussians lie parallel to, away from where most of them are."""
+    """Up direction: the main normal of flat Gaussians, away from where most of them are."""
     from scipy.spatial.transform import Rotation
 
     flattest = np.argmin(scene.log_scale, axis=0)
@@ -149,7 +149,7 @@ def _vertical(scene: Scene, centre: NDArray[np.float64]) -> NDArray[np.float64]:
 def _candidates(layout: _Layout, count: int) -> list[Camera]:
     rng = np.random.default_rng(0)
     if layout.focus is not None:
-        # Twice what is asked for: the better half is an even orbit then, without bad sides.
+        # Twice the number asked for: the better half is then an even orbit without bad sides.
         sides = _sphere(max(2 * count, _ORBIT))
         low, high = np.log(_AWAY)
         offsets = layout.size * np.exp(rng.uniform(low, high, (len(sides), 1))) * sides
@@ -159,7 +159,7 @@ def _candidates(layout: _Layout, count: int) -> list[Camera]:
     views = [_look(position, target, layout.up) for position, target in inside]
     if not layout.is_room:
         whole = 2.2 * layout.reach
-        # What is smaller than the near plane is looked at from beyond it, with a longer lens.
+        # Scenes smaller than the near distance are seen from beyond it, with a longer lens.
         away = max(whole, 2 * NEAR)
         views += [
             _look(layout.centre + away * side, layout.centre, layout.up, away / whole)
@@ -202,7 +202,7 @@ def _judge(scene: Scene, view: Camera) -> tuple[float, NDArray[np.float32]]:
 
 
 def _best_together(scores: NDArray, weights: NDArray, count: int) -> list[int]:
-    """Greedily, views of the better half whose summed square roots of weights grow most."""
+    """Greedily choose views of the better half that most increase summed roots of weights."""
     left = [i for i in np.argsort(-scores, kind="stable") if np.isfinite(scores[i])]
     left = left[: max(int(_SHARE * len(left)), count)]
     chosen: list[int] = []

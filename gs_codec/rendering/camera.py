@@ -21,14 +21,14 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 class Camera:
     """A pinhole camera without distortion; camera axes are right, down, forward (OpenCV).
 
-    A point p of the world is at ``c = rotation @ (p - position)`` before the camera and at
-    ``(fx c_x / c_z + cx, fy c_y / c_z + cy)`` in the image, whose upper left corner is (0, 0)
-    and whose first pixel has its centre at (0.5, 0.5), as in COLMAP.
+    A point p of the world is at ``c = rotation @ (p - position)`` in camera axes, and at
+    ``(fx c_x / c_z + cx, fy c_y / c_z + cy)`` in the image. The image's upper left corner is (0, 0)
+    and the centre of its first pixel is (0.5, 0.5), as in COLMAP.
 
     Parameters
     ----------
     name : str
-        The image's name; images are found and written by it.
+        The image's name, by which image files are found and written.
     width, height : int
         Pixels, 1 to `MAX_SIDE`.
     fx, fy : float
@@ -40,12 +40,12 @@ class Camera:
     position : ndarray, shape (3,), float64
         The camera's centre in the world.
     split : {"train", "test"} or None
-        What the image was used for, where that is known.
+        What the image was used for, if known.
 
     Raises
     ------
     InvalidInput
-        If a value is out of range or not finite, or the rotation is none.
+        If a value is out of range or not finite, or `rotation` is not a rotation.
 
     Examples
     --------

@@ -17,7 +17,7 @@ from gs_codec.rendering.inria import read_inria
 #: Longest name of an image, characters.
 _MAX_NAME = 1024
 
-#: Control characters, line ends and lone surrogates: no file is found by them, no line holds them.
+#: Not allowed in names of images: control characters, line ends and lone surrogates.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 _COLMAP_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
@@ -31,17 +31,17 @@ def read_cameras(path: str | Path) -> list[Camera]:
     path : str or Path
         A ``cameras.json`` of the INRIA trainer; a COLMAP sparse model's folder or one of its
         files; a dataset's folder with a model in ``sparse/0`` or ``sparse``; or a folder with
-        ``cameras.json`` and no model. A binary model goes before a text model.
+        ``cameras.json`` and no model. A binary model is preferred to a text model.
 
     Returns
     -------
     list of Camera
-        In the file's order from JSON; by image name, split into train and test, from COLMAP.
+        From JSON in the file's order; from COLMAP by image name, split into train and test.
 
     Raises
     ------
     InvalidInput
-        If there are no cameras, or a file is broken, or a camera is no pinhole.
+        If there are no cameras, a file is broken, or a camera is not a pinhole camera.
     """
     path = Path(path)
     cameras = []
@@ -62,8 +62,8 @@ def read_cameras(path: str | Path) -> list[Camera]:
 
 
 def _entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Where each camera is, for errors, and the fields of its `Camera`."""
-    # os.path, as Path's own tests raise on names that are too long.
+    """Location of each camera for error messages, and the fields of its `Camera`."""
+    # os.path because Path's own tests raise on names that are too long.
     if os.path.isfile(path):
         if path.suffix.lower() == ".json":
             return read_inria(path)

@@ -32,14 +32,14 @@ def find_cameras(
     source : path, "auto", or sequence of Camera or mapping
         A mapping is an entry of the trainer's ``cameras.json``.
     scene : Scene
-        What ``auto`` chooses for.
+        The scene for which ``auto`` chooses cameras.
     split : {"held-out", "test", "train", "all"}
-        Which to take; ``held-out`` is ``test`` where cameras say what they were used for, else
+        Which cameras to use; ``held-out`` means ``test`` if any camera is marked ``test``, else
         ``all``.
     width : int, optional
         Width of the images, pixels; the height follows.
     auto : int
-        How many ``auto`` ones.
+        Number of ``auto`` cameras.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def find_cameras(
 
 
 def as_camera(camera: Camera | Mapping[str, Any]) -> Camera:
-    """The camera that an entry of ``cameras.json`` is.
+    """Convert an entry of ``cameras.json`` to a `Camera`.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """COLMAP sparse models, binary and text.
 
-Of a model only its cameras and images are read: the poses in the images files are whole, with
-and without the rigs and frames files that COLMAP has written beside them since version 3.12.
+Only the cameras and images of a model are read. The poses in the images files are complete; the
+rigs and frames files that COLMAP has written since version 3.12 are not needed.
 Layouts: https://colmap.github.io/format.html.
 """
 
@@ -35,10 +35,10 @@ _MODELS = (
 #: Numbers of parameters of the models that are read.
 _PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4}
 
-#: Every `_HOLDOUT`-th image is for testing, as the INRIA trainer's ``--eval`` has it.
+#: Every `_HOLDOUT`-th image is for testing, as with ``--eval`` of the INRIA trainer.
 _HOLDOUT = 8
 
-#: Longest name in a file, and longest line but those of points, bytes.
+#: Longest name in a file, and longest line other than lines of points, bytes.
 _MAX_NAME = 1 << 12
 _MAX_LINE = 1 << 13
 
@@ -65,7 +65,7 @@ class _Image(NamedTuple):
 
 
 def find_model(folder: Path) -> Path | None:
-    """The folder of the model that `folder` is or has in ``sparse/0`` or ``sparse``, if any."""
+    """The model's folder: `folder`, its ``sparse/0`` or its ``sparse``; None without a model."""
     for model in (folder, folder / "sparse" / "0", folder / "sparse"):
         if any(_is_model(model, suffix) for suffix in (".bin", ".txt")):
             return model
@@ -77,7 +77,7 @@ def _is_model(folder: Path, suffix: str) -> bool:
 
 
 def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Read the cameras of a sparse model, by image name; the binary files if there are both.
+    """Read the cameras of a sparse model, sorted by image name; prefer binary files to text.
 
     Yields
     ------
@@ -117,7 +117,7 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, float]]:
-    """The part of a `Camera` that its intrinsics make, by camera id."""
+    """The intrinsic fields of a `Camera`, by camera id."""
     views: dict[int, dict[str, float]] = {}
     distortions = []
     for camera in cameras:
@@ -131,7 +131,7 @@ def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, float]
             )
         if not all(map(math.isfinite, camera.parameters)):
             raise InvalidInput(f"{where}: parameters {camera.parameters}, expected finite numbers")
-        # All but PINHOLE have one focal length, and SIMPLE_RADIAL has k in the end.
+        # All but PINHOLE have one focal length, and SIMPLE_RADIAL has k at the end.
         one = camera.model != "PINHOLE"
         fx, fy, cx, cy = (camera.parameters[:1] * one + camera.parameters)[:4]
         if camera.model == "SIMPLE_RADIAL" and camera.parameters[3] != 0:
@@ -202,7 +202,7 @@ def _read_binary(
 def _binary_camera(path: Path, _: memoryview, reader: ByteReader) -> _Intrinsics:
     camera_id, number, width, height = reader.unpack("IiQQ")
     model = _MODELS[number] if 0 <= number < len(_MODELS) else f"number {number}"
-    # How many parameters to read is known of the models that are read alone.
+    # The number of parameters is known only for the models that are supported.
     count = _parameter_count(f"{path}: camera {camera_id}", model)
     return _Intrinsics(camera_id, model, width, height, reader.unpack(f"{count}d"))
 
@@ -221,7 +221,7 @@ def _binary_image(path: Path, data: memoryview, reader: ByteReader) -> _Image:
 
 
 class _Lines:
-    """The lines of a text file, of which none but short ones are held."""
+    """The lines of a text file; only short ones are held in memory."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path = path
@@ -251,7 +251,7 @@ class _Lines:
             end = (end + part)[-64:]
             if part.endswith(b"\n"):
                 break
-        # Where the empty lines were lost, this would pass over an image, which ends in a name.
+        # If empty lines were lost, this line describes an image, which ends in a name.
         for word in end.split()[-1:]:
             if not word.removeprefix(b"-").isdigit():
                 raise InvalidInput(f"{self.where}: {word!r} at its end, expected 2D points or none")
@@ -289,7 +289,7 @@ def _text_image(lines: _Lines, line: bytes) -> _Image:
 
 def _parse(where: str, kind: Callable[[bytes], T], field: bytes) -> T:
     try:
-        # Python alone takes 1_000 for a number, and may take long ones for ever.
+        # Python would accept 1_000, and would take very long for a long number.
         if b"_" not in field and len(field) <= 64:
             return kind(field)
     except ValueError:

@@ -1,4 +1,4 @@
-"""A scene as one camera sees it, ready for kernels that work through its tiles."""
+"""A scene projected for one camera, ready for kernels that process its tiles."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Frame(NamedTuple):
 
         It is called with ``fields (V, 11)``, the splats of the lists ``(pairs,)``, their starts
         ``(tiles + 1,)``, the first and end tile to work on, the number of tile columns, and
-        `arguments`. What it writes must be a pixel's or a pair's own.
+        `arguments`. It may write only to the pixels or pairs of its own tiles.
         """
         tiles = self.columns * self.rows
         size = -(-tiles // (16 * available_threads()))
@@ -49,14 +49,14 @@ class Frame(NamedTuple):
         run_all(run, range(0, tiles, size))
 
     def sum_pairs(self, count: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums ``(count, K)`` over the pairs of each of the scene's Gaussians of ``(pairs, K)``."""
+        """Sum ``values (pairs, K)`` over the pairs of each of `count` Gaussians: ``(count, K)``."""
         totals = np.zeros((count, values.shape[1]))
         _sum_pairs(self.splats.gaussians, self.lists.splats, values, totals)
         return totals
 
 
 def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) -> Frame:
-    """Project a scene, sort what is seen by depth, and list the tiles; see `render`."""
+    """Project a scene, sort its splats by depth, and list them by tile; see `render`."""
     if antialiased is None:
         antialiased = scene.antialiased
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
@@ -66,7 +66,7 @@ def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) ->
 
 
 def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
-    """What the camera sees, nearest first; of equal depths, the first in the scene."""
+    """Splats that the camera sees, nearest first; equal depths keep the scene's order."""
     parts = run_all(
         lambda start: project(scene, camera, antialiased, start, min(start + _CHUNK, scene.count)),
         range(0, scene.count, _CHUNK),

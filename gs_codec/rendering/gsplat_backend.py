@@ -1,4 +1,4 @@
-"""Drawing with gsplat on a CUDA device, where both are there.
+"""Drawing with gsplat on a CUDA device, if both are available.
 
 gsplat bounds a splat's extent by its opacity instead of by 3 sigma, cuts alpha at 0.999 instead of
 0.99 in recent releases, and works in float32: images agree with ours within 40 dB or better.
@@ -23,7 +23,7 @@ _DEVICE = "cuda"
 
 @cache
 def is_available() -> bool:
-    """Whether gsplat is installed and torch sees a CUDA device; torch is loaded only if so."""
+    """Whether gsplat is installed and torch sees a CUDA device; torch is loaded only if needed."""
     if find_spec("gsplat") is None or find_spec("torch") is None:
         return False
     import torch

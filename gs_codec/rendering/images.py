@@ -63,14 +63,14 @@ def write_png(path: str | Path, image: NDArray) -> None:
 
 
 def output_names(cameras: Sequence[Camera]) -> list[str]:
-    """A file name, without suffix, for each camera's image; folders become part of it.
+    """A file name, without suffix, for each camera's image.
 
-    What is not printable becomes an underscore, too.
+    Path separators and characters that are not printable become underscores.
 
     Raises
     ------
     InvalidInput
-        If two would be the same.
+        If two names would be the same.
     """
     names: dict[str, str] = {}
     for camera in cameras:
@@ -85,7 +85,7 @@ def output_names(cameras: Sequence[Camera]) -> list[str]:
 
 
 def find_image(folder: str | Path, name: str) -> Path:
-    """The image a camera was made from: its name, with the suffix it has or another.
+    """Find a camera's image in a folder: its name, with its own suffix or another.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def find_image(folder: str | Path, name: str) -> Path:
 
 
 def seek_image(folder: str | Path, name: str) -> Path | None:
-    """Likewise, but None if there is none in a folder that exists."""
+    """As `find_image`, but return None if the folder exists and has no such image."""
     if PurePath(name).anchor or ".." in re.split(r"[/\\]", name):
         raise InvalidInput(f"{folder}: image '{name}', expected a name that stays in the folder")
     named = Path(folder) / name

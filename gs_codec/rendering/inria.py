@@ -17,7 +17,7 @@ from gs_codec.io.mapped import opened
 #: Largest file, bytes: some 80,000 cameras. A hostile JSON text takes 30 times that in memory.
 _MAX_BYTES = 1 << 25
 
-#: An entry of a rotation is at most 1; what is far above would overflow in the check of it.
+#: Entries of a rotation are at most 1; much larger ones would overflow in its check.
 _MAX_ROTATION = 2.0
 
 
@@ -61,17 +61,17 @@ def _load(path: Path) -> Any:
 
 
 def _integer(text: str) -> int | float:
-    """An integer, as a float where it is so long that Python may refuse it."""
+    """Parse an integer; as a float if it is so long that Python may refuse it."""
     return int(text) if len(text) < 16 else float(text)
 
 
 def camera_fields(where: str, entry: Any) -> dict[str, Any]:
-    """The fields of the `Camera` that an entry of ``cameras.json`` is; ranges are not checked.
+    """Convert an entry of ``cameras.json`` to the fields of a `Camera`; ranges are not checked.
 
     Raises
     ------
     InvalidInput
-        Naming `where` it is.
+        If the entry is broken; the message begins with `where`.
     """
     if not isinstance(entry, dict):
         raise InvalidInput(f"{where}: {_short(entry)}, expected a camera")
@@ -111,7 +111,7 @@ def _whole(where: str, entry: dict[str, Any], key: str) -> int:
 
 
 def _number(where: str, key: str, value: Any) -> float:
-    # True is an int to Python, but no number to JSON.
+    # True is an int in Python, but not a number in JSON.
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise InvalidInput(f"{where}: {key} {_short(value)}, expected a finite number")
     return float(value)

@@ -1,7 +1,7 @@
-"""Gaussians to splats: EWA projection as the 3DGS rasteriser does it, and view-dependent colour.
+"""From Gaussians to splats: EWA projection as in the 3DGS rasteriser, view-dependent colour.
 
-All in float64: what is drawn is decided by thresholds, and a Gaussian on the wrong side of one
-is seen.
+All in float64: thresholds decide what is drawn, and a Gaussian on the wrong side of one changes
+the image visibly.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.scene import SH_C0, Scene
 
-#: Gaussians nearer than this before the camera are not drawn, scene units.
+#: Gaussians whose depth is below this are not drawn, scene units.
 NEAR = 0.2
 
 #: Added to the variance of a splat along both axes, square pixels.
 LOW_PASS = 0.3
 
-#: A splat is not seen in a pixel where its alpha is lower.
+#: A splat is not drawn in pixels where its alpha is lower.
 MIN_ALPHA = 1.0 / 255.0
 
 #: Side of a tile, pixels.
@@ -42,7 +42,7 @@ class Splats(NamedTuple):
     ``fields (V, 11)`` float64 as listed above: ``q = (FACTOR_XX dx + FACTOR_XY dy)^2 +
     (FACTOR_YY dy)^2``, alpha = OPACITY exp(-q / 2), which is below `MIN_ALPHA` where
     q > REACH. ``tiles (V, 4)`` int32: first and end tile column, first and end tile row.
-    ``gaussians (V,)`` int64: which of the scene's they are.
+    ``gaussians (V,)`` int64: their indices in the scene.
     """
 
     fields: NDArray[np.float64]
@@ -51,7 +51,7 @@ class Splats(NamedTuple):
 
 
 def project(scene: Scene, camera: Camera, antialiased: bool, start: int, stop: int) -> Splats:
-    """The splats of Gaussians `start` to `stop`, those that cannot be seen left out."""
+    """Project Gaussians `start` to `stop`; leave out those that cannot be seen."""
     count = stop - start
     fields = np.empty((count, DEPTH + 1))
     tiles = np.empty((count, 4), np.int32)
@@ -130,21 +130,21 @@ def _project(
 
 @inlined
 def _are_finite(opacity, log_scale, i):
-    """Whether the logarithms are; what else is not shows in what is made of it."""
+    """Whether opacity and log-scales are finite; other values are checked after projection."""
     largest = max(abs(log_scale[0, i]), abs(log_scale[1, i]), abs(log_scale[2, i]))
     return abs(opacity[0, i]) < np.inf and largest < np.inf
 
 
 @inlined
 def covariance(axes):
-    """Variances along x and y, covariance, and determinant of a splat before the low-pass."""
+    """Covariance xx, xy, yy of a splat before the low-pass, and its determinant."""
     xx = xy = yy = sharp = 0.0
     for axis in range(3):
         x, y = axes[axis, 0], axes[axis, 1]
         xx += x * x
         xy += x * y
         yy += y * y
-        # By Cauchy and Binet: xx yy - xy xy would cancel for needles.
+        # By the Cauchy-Binet formula: xx yy - xy xy would cancel for needles.
         other = (axis + 1) % 3
         sharp += (x * axes[other, 1] - y * axes[other, 0]) ** 2
     return xx, xy, yy, sharp
@@ -166,7 +166,7 @@ def _screen_axes(
 
 @inlined
 def clamped_slopes(x, y, fx, fy, cx, cy, width, height):
-    """Where the Jacobian is taken: beyond 1.3 of the field of view it is that of its edge."""
+    """Slopes at which the Jacobian is taken, clamped to 1.3 of the field of view."""
     margin_x = 0.15 * width / fx
     margin_y = 0.15 * height / fy
     return (
@@ -177,7 +177,7 @@ def clamped_slopes(x, y, fx, fy, cx, cy, width, height):
 
 @inlined
 def quaternion_turn(rot, i):
-    """Norm and unit quaternion wxyz, and rotation matrix by rows; of a zero quaternion, no turn."""
+    """Norm and unit quaternion wxyz, and rotation matrix by rows; zero gives the identity."""
     a, b, c, d = (
         np.float64(rot[0, i]), np.float64(rot[1, i]), np.float64(rot[2, i]), np.float64(rot[3, i]),
     )  # fmt: skip
@@ -198,7 +198,7 @@ def quaternion_turn(rot, i):
 
 @inlined
 def before_camera(rotation, x, y, z):
-    """A direction of the world in the camera's axes."""
+    """Transform a direction from the world's axes to the camera's."""
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
         rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
@@ -208,10 +208,10 @@ def before_camera(rotation, x, y, z):
 
 @inlined
 def _cover(u, v, xx, yy, determinant, reach, columns, rows, box):
-    """Tiles the splat may be seen in: 3DGS' 3-sigma square, less where alpha is too low."""
+    """Fill `box` with the splat's tiles: 3DGS' 3-sigma square, cut where alpha is too low."""
     mid = 0.5 * (xx + yy)
     radius = np.ceil(3.0 * math.sqrt(mid + math.sqrt(max(0.1, mid * mid - determinant))))
-    # A pixel more than needed, so that rounding never decides.
+    # One pixel of margin, so that rounding has no effect.
     wide = math.sqrt(reach * xx) + 1.0
     high = math.sqrt(reach * yy) + 1.0
     box[0] = max(to_tile(u - radius, columns), to_tile(u - wide, columns))
@@ -229,7 +229,7 @@ def to_tile(pixel, tiles):
 
 @inlined
 def _colour(f_dc, f_rest, i, dx, dy, dz, basis, field):
-    """Fill in the colour seen from the camera; whether it is finite."""
+    """Fill in the colour seen from the camera; return whether it is finite."""
     coefficients = len(f_rest) // 3
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     sh_basis(dx / distance, dy / distance, dz / distance, coefficients, basis)

@@ -16,7 +16,7 @@ WEIGHT, SQUARED_WEIGHT, TRANSMITTANCE, PIXELS = range(4)
 def draw_tiles(fields, splats, starts, first, end, columns, background, colour, alpha, depth, sums):
     """Draw tiles `first` to `end` into images ``(H, W, 3)``, ``(H, W)``, ``(H, W)`` float32.
 
-    `sums` is ``(pairs, 4)`` to be filled, or empty: then none are kept.
+    ``sums (pairs, 4)`` is filled too, unless it is empty.
     """
     height, width = alpha.shape
     light = np.empty((TILE * TILE, 4))

@@ -1,4 +1,4 @@
-"""Images of a scene, drawn on the CPU."""
+"""Images of a scene, drawn on the CPU or with gsplat."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Accumulations:
     Attributes
     ----------
     weight : ndarray, float64
-        Of alpha T, its share of the pixel's colour.
+        Sum of alpha T, the Gaussian's weight in the pixel's colour.
     squared_weight : ndarray, float64
-        Of (alpha T)^2.
+        Sum of (alpha T)^2.
     transmittance : ndarray, float64
-        Of T, the transmittance of what is before it.
+        Sum of T, the transmittance in front of the Gaussian.
     pixels : ndarray, int64
-        Their number.
+        Number of pixels.
     """
 
     weight: NDArray[np.float64]
@@ -41,7 +41,7 @@ class Accumulations:
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a camera sees.
+    """Image, alpha and depth that a camera sees.
 
     Attributes
     ----------
@@ -51,11 +51,11 @@ class Rendering:
         Opacity of everything together, 0-1.
     depth : ndarray, shape (H, W), float32
         Mean distance along the optical axis, weighted by alpha T, scene units; 0 where
-        nothing is.
+        nothing is drawn.
     accumulations : Accumulations or None
-        Where asked for.
+        Sums for each Gaussian, if asked for.
     pairs : int
-        Splat-tile pairs drawn; time grows with it.
+        Splat-tile pairs drawn; the time to draw grows with them.
     """
 
     colour: NDArray[np.float32]
@@ -73,10 +73,10 @@ def render(
     accumulate: bool = False,
     device: Literal["auto", "cpu", "cuda"] = "auto",
 ) -> Rendering:
-    """Draw a scene by the rule of the 3DGS rasteriser (Kerbl et al. 2023, Section 6).
+    """Draw a scene as the 3DGS rasteriser does (Kerbl et al. 2023, Section 6).
 
-    Gaussians of which an attribute is not finite, or the projection, are not drawn. On the CPU
-    the same scene and camera give the same floats whatever the number of threads.
+    Gaussians with an attribute or a projection that is not finite are not drawn. On the CPU the
+    result does not depend on the number of threads.
 
     Parameters
     ----------
@@ -88,15 +88,15 @@ def render(
         Lower the opacity of splats that the low-pass widens (Yu et al. 2023, Mip-Splatting);
         by default as the scene says it was trained.
     accumulate : bool
-        Keep sums for each Gaussian; always on the CPU.
+        Keep sums for each Gaussian; this always draws on the CPU.
     device : {"auto", "cpu", "cuda"}
-        ``cuda`` draws with gsplat, within 40 dB or better of the CPU; ``auto`` takes it where
-        it is installed and torch sees a device.
+        ``cuda`` draws with gsplat; its images agree with the CPU's within 40 dB or better.
+        ``auto`` uses it if it is installed and torch sees a device.
 
     Raises
     ------
     MissingTool
-        If ``cuda`` is asked for and not there.
+        If ``cuda`` is asked for but not available.
     """
     if antialiased is None:
         antialiased = scene.antialiased

@@ -1,4 +1,4 @@
-"""Which splats each tile has to draw, front to back."""
+"""Lists of the splats that each tile draws, front to back."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class TileLists(NamedTuple):
 def list_tiles(
     fields: NDArray[np.float64], tiles: NDArray[np.int32], columns: int, rows: int
 ) -> TileLists:
-    """Lists for every tile, of splats ``fields (V, 11)``, ``tiles (V, 4)`` sorted by depth."""
+    """List splats by tile; ``fields (V, 11)`` and ``tiles (V, 4)`` are sorted by depth."""
     threads = available_threads()
     bounds = np.linspace(0, len(fields), threads + 1).astype(np.int64)
     parts = list(zip(bounds[:-1], bounds[1:], strict=True))
@@ -91,7 +91,7 @@ def _span(field, box, row):
         return 0, 0
     left = _edge(field, fxx, fyy, slope, min(high, max(low, -turn)), -1.0)
     right = _edge(field, fxx, fyy, slope, min(high, max(low, turn)), 1.0)
-    # A pixel more than needed, so that rounding never decides.
+    # One pixel of margin, so that rounding has no effect.
     first = max(box[0], to_tile(left - 1.0, box[1]))
     end = min(box[1], to_tile(right + 1.0 + TILE, box[1]))
     return first, end
@@ -99,6 +99,6 @@ def _span(field, box, row):
 
 @inlined
 def _edge(field, fxx, fyy, slope, y, side):
-    """Where the ellipse's boundary is at height `y` over its centre."""
+    """Column of the ellipse's boundary at height `y` over its centre."""
     left = field[REACH] - (fyy * y) ** 2
     return field[CENTRE_X] + slope * y + side * math.sqrt(max(0.0, left)) / fxx

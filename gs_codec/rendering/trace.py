@@ -43,7 +43,7 @@ def tile_bounds(tile, columns, width, height):
 
 @inlined
 def trace_splat(field, x0, x1, y0, y1, left, pixels, alphas, before):
-    """List the pixels a splat is added to, and take it off their transmittance.
+    """List the pixels that a splat is added to, and reduce their transmittance by it.
 
     ``left (256,)`` is the transmittance of the tile's pixels, negative where a pixel is done.
     ``pixels``, ``alphas`` and ``before`` (256,) receive the pixel in the tile, alpha, and the
@@ -96,7 +96,7 @@ def trace_down_to(least, field, x0, x1, y0, y1, left, pixels, alphas, before):
 
 @inlined
 def _whole(value):
-    """Floor as an integer; far outside the image any will do."""
+    """Floor as an integer; values far outside the image are clamped."""
     return np.int64(math.floor(min(1e6, max(-1e6, value))))
 
 

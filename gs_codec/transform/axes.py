@@ -82,7 +82,7 @@ def _sort_axes(log_scale, rot, turns, order, scales, vectors):
 def sort_axes(
     log_scale: NDArray[np.float32], rot: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Write Gaussians with their longest axis first and the turn that is nearest to none.
+    """Rewrite Gaussians with their longest axis first and the smallest possible rotation.
 
     Parameters
     ----------

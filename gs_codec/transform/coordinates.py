@@ -17,7 +17,7 @@ from gs_codec.scene import Scene, coordinates_comment, is_coordinates_comment
 #: The system of a scene that states none.
 CONVENTION = "RDF"
 
-#: Of x, y, z: the letter of each of a system whose sign is minus, and the other.
+#: Letters of x, of y and of z: the negative direction, then the positive one.
 _LETTERS = ("LR", "DU", "BF")
 
 #: Axes that each SH-AC basis function is odd in, in the order of the coefficients.
@@ -25,7 +25,7 @@ _ODD = ("y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z",
 
 _A, _B, _C, _D = math.sqrt(3) / 2, math.sqrt(5 / 8), math.sqrt(3 / 8), math.sqrt(15) / 4
 
-#: Each SH-AC coefficient, where y and z change places, as a sum of weighted ones of before.
+#: Each SH-AC coefficient after y and z are swapped, as a weighted sum of those before.
 _SWAPPED: tuple[dict[int, float], ...] = (
     *({1: -1.0}, {0: -1.0}, {2: 1.0}),
     *({6: -1.0}, {4: 1.0}, {5: -0.5, 7: -_A}, {3: -1.0}, {5: -_A, 7: 0.5}),
@@ -40,10 +40,10 @@ def system_of(scene: Scene) -> str:
 
 
 def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
-    """The scene in another coordinate system, with the comment that says so.
+    """Convert a scene to another coordinate system, and add the comment that names it.
 
-    Where only signs differ, as between ``RUB`` and ``RDF``, every number stays exact; where y and
-    z change places, SH of degree 2 and 3 are rounded once.
+    If only signs differ, as between ``RUB`` and ``RDF``, every number stays exact; if y and z are
+    swapped, SH of degree 2 and 3 are rounded once.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
     Returns
     -------
     Scene
-        The same object where it is in that system.
+        The same object if it is in that system already.
 
     Raises
     ------
     InvalidInput
-        If that is no such system.
+        If `system` is not a coordinate system.
     """
     source = system_of(scene)
     upright, target = _ordered(source), _ordered(system)
@@ -77,14 +77,14 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
 
 
 def state_system(scene: Scene, system: str) -> Scene:
-    """The same numbers, with the comment that they are in this system; see `turn_axes`."""
+    """The scene with a comment that names its system, and the same numbers; see `turn_axes`."""
     _ordered(system)
     kept = tuple(line for line in scene.comments if not is_coordinates_comment(line))
     return replace(scene, comments=(*kept, coordinates_comment(system)))
 
 
 def _ordered(system: str) -> str:
-    """The system with up or down second, as y."""
+    """The system, with y and z swapped if up or down is not second."""
     for letters in (system, system[:1] + system[:0:-1]):
         if len(letters) == 3 and all(c in p for c, p in zip(letters, _LETTERS, strict=True)):
             return letters
@@ -105,7 +105,7 @@ def _mirrored(scene: Scene, signs: list[float]) -> Scene:
 
 
 def _swapped(scene: Scene) -> Scene:
-    """The scene with y and z in each other's place."""
+    """The scene with y and z swapped."""
     count = len(scene.f_rest) // 3
     f_rest = np.empty_like(scene.f_rest)
     for start in range(0, 3 * count, max(count, 1)):

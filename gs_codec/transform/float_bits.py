@@ -25,8 +25,8 @@ def float_order(
 ) -> NDArray[np.int64]:
     """Permutation that sorts by the Morton code of all 32 bits of each coordinate.
 
-    Any floats have a place, NaN too. Gaussians at one place are ordered by their other
-    attributes, so that only Gaussians that agree in every bit keep the order of the input.
+    Any float can be sorted, NaN too. Gaussians at the same position are sorted by their other
+    attributes; only Gaussians that agree in every bit keep the order of the input.
 
     Parameters
     ----------

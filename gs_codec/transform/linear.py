@@ -1,4 +1,4 @@
-"""Sums of products in one order: BLAS and LAPACK round by machine and threads, and bytes follow."""
+"""Sums of products in a fixed order: those of BLAS and LAPACK vary by machine and threads."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from gs_codec.kernels import kernel
 
-#: Rows that are as parallel as this count as orthogonal.
+#: Rows count as orthogonal if their cosine is at most this.
 _ORTHOGONAL = 1e-15
 _SWEEPS = 60
 
@@ -27,7 +27,7 @@ def combine(coefficients: NDArray[np.float64], rows: NDArray[np.float64]) -> NDA
 
 @kernel
 def _turn_apart(rows, turns):
-    """Turn rows, two by two, until all are orthogonal; `turns` is turned likewise."""
+    """Rotate pairs of rows until all are orthogonal (Jacobi); `turns` is rotated likewise."""
     for _ in range(_SWEEPS):
         done = True
         for p in range(len(rows) - 1):
@@ -56,10 +56,10 @@ def _turn_apart(rows, turns):
 
 
 def fitting(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What values are multiplied by for their least-squares fit by rows: ``(K, n)``.
+    """Pseudo-inverse ``(K, n)`` for least-squares fits of values by ``rows (K, n)``.
 
-    The coefficients of ``rows (K, n)`` are ``[dot(row, values) for row in fitting(rows)]``, the
-    least of them where rows depend on one another.
+    The coefficients of the rows are ``[dot(row, values) for row in fitting(rows)]``, the smallest
+    ones if rows depend on one another.
     """
     turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
     _turn_apart(turned, turns)
@@ -71,9 +71,9 @@ def fitting(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def main_axis(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The direction ``(K,)`` along which points, given by their ``rows (K, n)``, lie farthest.
+    """Direction ``(K,)`` of the largest sum of squares of points with coordinates ``rows (K, n)``.
 
-    That is from zero, by the sum of their squares; of two opposite ones it is either.
+    It has unit length; its sign is arbitrary.
     """
     turned, turns = np.array(rows, np.float64, order="C"), np.eye(len(rows))
     _turn_apart(turned, turns)

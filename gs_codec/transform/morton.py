@@ -46,7 +46,7 @@ def _encode(cells, tables, codes):
 
 
 def _axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
-    """What each value of each byte of a code gives each axis, shape (8, 256, 3)."""
+    """Bits that each value of each byte of a code sets on each axis, shape (8, 256, 3)."""
     layout = bit_layout(depths)
     tables = np.zeros((8, 256, 3), np.uint32)
     values = np.arange(256)
@@ -92,7 +92,7 @@ def canonical_order(codes: NDArray[np.int64], *keys: NDArray) -> NDArray[np.int6
     ----------
     codes : ndarray, shape (N,), int64
     *keys : ndarray, each shape (N,)
-        Order those that share a cell, the first before the next.
+        Sort the Gaussians of a cell, by the first key, then the next.
     """
     order = np.argsort(codes)
     ordered = codes[order]

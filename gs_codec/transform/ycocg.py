@@ -1,4 +1,4 @@
-"""Orthonormal luma and chroma of SH, so that one step serves all three."""
+"""Orthonormal luma and chroma of SH, so that one step size suits all three."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _GREEN = 1.0 / math.sqrt(6.0)
 
 
 def to_ycocg(colours: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Y, Co, Cg ``(3, ...)`` of R, G, B ``(3, ...)``; lengths stay as they are."""
+    """Y, Co, Cg ``(3, ...)`` of R, G, B ``(3, ...)``; keeps lengths."""
     red, green, blue = colours.astype(np.float64)
     luma = (red + green + blue) * _LUMA
     return np.stack([luma, (red - blue) * _ORANGE, (2.0 * green - red - blue) * _GREEN])

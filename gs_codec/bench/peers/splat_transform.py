@@ -42,7 +42,7 @@ _MOST_BYTES = 1 << 36
 
 @dataclass(frozen=True)
 class SplatTransform:
-    """A program that was found, and what it says it is.
+    """A program that was found, and its version line.
 
     Parameters
     ----------

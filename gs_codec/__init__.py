@@ -19,9 +19,9 @@ __version__ = "0.1.0"
 
 #: Modules, and what they have for everybody.
 _PUBLIC = {
-    "gs_codec.config": ("Config", "Target"),
+    "gs_codec.config": ("Config", "RateTarget"),
     "gs_codec.preparation.steps": ("Plan", "Steps"),
-    "gs_codec.codec.part": ("Part",),
+    "gs_codec.codecs.part": ("Part",),
     "gs_codec.rendering.camera": ("Camera",),
     "gs_codec.errors": (
         "GsCodecError",
@@ -32,23 +32,19 @@ _PUBLIC = {
         "MissingTool",
         "ToolFailed",
     ),
-    "gs_codec.api": ("read", "write", "encode", "decode", "inspect"),
-    "gs_codec.viewing": ("compare", "render", "prepare"),
+    "gs_codec.api.coding": ("read", "write", "encode", "decode", "inspect"),
+    "gs_codec.api.viewing": ("compare", "render", "prepare"),
     "gs_codec.metrics.images": ("compare_images", "Quality", "View"),
-    "gs_codec.files": (
-        "encode_file",
-        "decode_file",
-        "prepare_file",
-        "DecodeReport",
-    ),
-    "gs_codec.conversion": ("convert_file", "ConvertReport"),
+    "gs_codec.files.coding": ("encode_file", "decode_file", "DecodeReport"),
+    "gs_codec.files.preparing": ("prepare_file",),
+    "gs_codec.files.conversion": ("convert_file", "ConvertReport"),
     "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport"),
-    "gs_codec.inspection": ("Info", "StreamInfo", "PassInfo"),
+    "gs_codec.codecs.inspection": ("Info", "StreamInfo", "PassInfo"),
     "gs_codec.metrics.attributes": ("Comparison", "GroupError"),
     "gs_codec.preparation.report": ("PrepareReport", "StepReport"),
-    "gs_codec.container.channels": ("Channel",),
-    "gs_codec.lattice.lattice": ("PositionGrid",),
-    "gs_codec.views": ("Views",),
+    "gs_codec.codecs.entropygs.section": ("Channel",),
+    "gs_codec.codecs.adaptive.lattice": ("PositionGrid",),
+    "gs_codec.rendering.drawn": ("RenderedViews",),
     "gs_codec.rendering.renderer": ("Rendering", "Accumulations"),
 }
 

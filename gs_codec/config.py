@@ -130,7 +130,7 @@ LOSSLESS = "lossless"
 
 
 @dataclass(frozen=True)
-class LatticeProfile:
+class AdaptiveProfile:
     """A profile with a step size for each attribute of each Gaussian, by how visible it is.
 
     Parameters
@@ -152,10 +152,10 @@ class LatticeProfile:
     fineness: float
     of_loss: float
 
-    def scaled(self, factor: float) -> LatticeProfile:
+    def scaled(self, factor: float) -> AdaptiveProfile:
         """The profile with step sizes `factor` times as large; errors scale with its square."""
         square = factor**2
-        return LatticeProfile(
+        return AdaptiveProfile(
             self.error * square,
             self.compaction * square,
             self.fineness * factor,
@@ -163,14 +163,14 @@ class LatticeProfile:
         )
 
 
-_M = LatticeProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063, of_loss=0.3)
+_M = AdaptiveProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063, of_loss=0.3)
 
 #: Half, once and 2.25 times the step sizes of `m`.
-LATTICE_PROFILES: Mapping[str, LatticeProfile] = MappingProxyType(
+ADAPTIVE_PROFILES: Mapping[str, AdaptiveProfile] = MappingProxyType(
     {"l": _M.scaled(0.5), "m": _M, "s": _M.scaled(2.25)}
 )
 
-PROFILE_CHOICES = (*LATTICE_PROFILES, *PROFILES, LOSSLESS)
+PROFILE_CHOICES = (*ADAPTIVE_PROFILES, *PROFILES, LOSSLESS)
 
 #: Long names that are accepted for the short ones.
 PROFILE_WORDS: Mapping[str, str] = MappingProxyType({"high": "l", "medium": "m", "low": "s"})
@@ -182,7 +182,7 @@ PROFILES_SHOWN = ", ".join(
 
 
 @dataclass(frozen=True)
-class Target:
+class RateTarget:
     """A rate target: a size, ratio, bits per Gaussian or PSNR loss to meet.
 
     Files are at most as large as a size allows, and at most 2 % smaller unless the finest step
@@ -209,9 +209,9 @@ class Target:
 
     Examples
     --------
-    >>> gs_codec.Target(ratio=20)
-    Target(size=None, ratio=20, bits=None, psnr_drop=None, allow_prune=False)
-    >>> gs_codec.Target()
+    >>> gs_codec.RateTarget(ratio=20)
+    RateTarget(size=None, ratio=20, bits=None, psnr_drop=None, allow_prune=False)
+    >>> gs_codec.RateTarget()
     Traceback (most recent call last):
         ...
     gs_codec.errors.InvalidInput: target: none given, expected exactly one
@@ -260,7 +260,7 @@ class Target:
         return None
 
 
-def as_target(wish: Target | Mapping[str, float]) -> Target:
+def as_rate_target(wish: RateTarget | Mapping[str, float]) -> RateTarget:
     """Make a target from a mapping of its parameters; a target is returned as it is.
 
     Raises
@@ -268,12 +268,12 @@ def as_target(wish: Target | Mapping[str, float]) -> Target:
     InvalidInput
         If the mapping is not a valid target.
     """
-    if isinstance(wish, Target):
+    if isinstance(wish, RateTarget):
         return wish
-    known = [f.name for f in fields(Target)]
+    known = [f.name for f in fields(RateTarget)]
     for name in wish:
         Option("", values=tuple(known)).check("target", name)
-    return Target(**wish)  # type: ignore[arg-type]
+    return RateTarget(**wish)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -379,8 +379,8 @@ class Config:
         check_options(self)
         if self.asked_depths() and self.profile == LOSSLESS:
             raise InvalidInput(f"depths: profile '{self.profile}' has none, all others do")
-        if self.coarseness != 1 and self.profile not in LATTICE_PROFILES:
-            known = ", ".join(LATTICE_PROFILES)
+        if self.coarseness != 1 and self.profile not in ADAPTIVE_PROFILES:
+            known = ", ".join(ADAPTIVE_PROFILES)
             raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
@@ -429,11 +429,11 @@ class Config:
             raise InvalidInput(f"profile '{self.profile}': has no depths, expected a paper profile")
         return {**PROFILES[self.profile], **self.asked_depths()}
 
-    def resolved_lattice(self) -> LatticeProfile:
+    def resolved_lattice(self) -> AdaptiveProfile:
         """The parameters of profile ``l``, ``m`` or ``s``, with the coarseness applied."""
-        if self.profile not in LATTICE_PROFILES:
+        if self.profile not in ADAPTIVE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")
-        return LATTICE_PROFILES[self.profile].scaled(self.coarseness)
+        return ADAPTIVE_PROFILES[self.profile].scaled(self.coarseness)
 
 
 def check_threads(threads: int | None) -> None:

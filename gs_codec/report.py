@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from gs_codec.config import Target
+from gs_codec.config import RateTarget
 
 #: Called with a stage's name, steps done, and steps in all.
 Progress = Callable[[str, int, int], None]
@@ -64,7 +64,7 @@ class RateReport:
 
     Attributes
     ----------
-    target : Target
+    target : RateTarget
         What was asked for.
     coarseness : float
         Factor on the profile's step sizes.
@@ -87,7 +87,7 @@ class RateReport:
         PSNR loss the coarsest.
     """
 
-    target: Target
+    target: RateTarget
     coarseness: float
     steps: dict[str, tuple[float, float]]
     file_bytes: int

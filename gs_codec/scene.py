@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.storage import empty
-from gs_codec.workers import run_all
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.threads import run_all
 
 #: SH-AC coefficients of one colour for each SH degree.
 SH_COEFFICIENTS = (0, 3, 8, 15)

@@ -8,19 +8,19 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.clean import identity_for_zero
-from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
-from gs_codec.codec.lossless import lossless_order
-from gs_codec.codec.order import order_like
+from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
+from gs_codec.codecs.adaptive.fixed_point import LARGEST, to_float
+from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
+from gs_codec.codecs.entropygs.order import order_like
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.lossless.lossless import lossless_order
+from gs_codec.coding.axes import sort_axes
+from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.morton import bit_layout
+from gs_codec.coding.quantise import CentredQuantiser
+from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.config import LOSSLESS, PROFILES, Config
-from gs_codec.inspection import inspect_bytes
-from gs_codec.lattice.fixed import LARGEST, to_float
-from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
-from gs_codec.quantise import CentredQuantiser
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
-from gs_codec.transform.axes import sort_axes
-from gs_codec.transform.morton import bit_layout
-from gs_codec.transform.ycocg import to_ycocg
 
 #: Name, error and bound of values; all ``(n,)``.
 Errors = Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]

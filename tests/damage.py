@@ -12,10 +12,10 @@ import numpy as np
 from crc32c import crc32c
 from scenes import random_scene
 
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
-from gs_codec.inspection import inspect_bytes
 from gs_codec.scene import GROUPS
 
 HEADER = 36

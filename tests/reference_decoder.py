@@ -1,4 +1,4 @@
-"""Slow decoder of `.egs` files in plain Python, written from ``gs_codec/FORMAT.md`` alone.
+"""Slow decoder of `.egs` files in plain Python, written from ``gs_codec/egs/FORMAT.md`` alone.
 
 It shares no code with ``gs_codec``, so that the tests tell an error of the text from an error of
 the codec. The comments name the sections of the text. numpy only rounds binary64 to binary32 and

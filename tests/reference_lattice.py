@@ -1,4 +1,4 @@
-"""Lattices (profiles 3-5) of the reference decoder, written from ``gs_codec/FORMAT.md`` alone.
+"""Lattices (profiles 3-5) of the reference decoder, written from ``gs_codec/egs/FORMAT.md`` alone.
 
 Integers are Python's; numpy only rounds binary64 to binary32.
 """

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gs_codec.codec import encode_scene
-from gs_codec.codec.clean import clean_scene
+from gs_codec.codecs import encode_scene
+from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes
+from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
-from gs_codec.lattice.fit import Steps
-from gs_codec.lattice.sensitivity import Sensitivity
-from gs_codec.preparation.guide import guided_steps
+from gs_codec.guidance.guide import guided_steps
+from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
-from gs_codec.workers import using_threads
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
 REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", "tiny_sh3.ply")
@@ -90,7 +89,7 @@ def antialiased(scene: Scene, wanted: bool = True) -> Scene:
 
 
 #: Step sizes of a scene for a profile.
-Guide = Callable[[Scene, Config], Steps]
+Guide = Callable[[Scene, Config], StepSizes]
 
 
 def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sensitivity:
@@ -110,7 +109,9 @@ def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sen
     return Sensitivity(100.0 * draw(), draw(3), draw(), draw(), colour)
 
 
-def steps_for(scene: Scene, config: Config, sensitivity: Sensitivity, loss: float = 0.0) -> Steps:
+def steps_for(
+    scene: Scene, config: Config, sensitivity: Sensitivity, loss: float = 0.0
+) -> StepSizes:
     """Step sizes that follow from a sensitivity, to views of a thousand pixels a Gaussian."""
     profile = config.resolved_lattice()
     return guided_steps(scene, profile, sensitivity, loss, 1000 * scene.count)

@@ -18,8 +18,8 @@ import pytest
 
 import gs_codec
 import viewer
-from gs_codec.files import encode_file
-from gs_codec.io.ply import write_ply
+from gs_codec.files.coding import encode_file
+from gs_codec.formats.ply import write_ply
 from samples import api_pages
 from samples.generate import generate, orbit_cameras
 

@@ -18,19 +18,19 @@ from test_cli import Folder, assert_one_error_line
 
 from gs_codec.batch import cluster, local, memory, run, scenes
 from gs_codec.batch.ledger import Record, parse_record
-from gs_codec.batch.places import Spot, is_url
-from gs_codec.batch.pool import Pool
+from gs_codec.batch.pool import Pool, Watcher
 from gs_codec.batch.remote import place_of
 from gs_codec.batch.run import Batch, Summary, run_batch
 from gs_codec.batch.scenes import Options, Task
-from gs_codec.batch.watch import Watcher
+from gs_codec.batch.storage import Spot, is_url
 from gs_codec.cli import batch, encode
-from gs_codec.config import Config, Target
+from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.files import encode_file, write_scene
-from gs_codec.io.atomic import atomic_writer, leftovers
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.files.coding import encode_file
+from gs_codec.files.scenes import write_scene
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.runtime.atomic import atomic_writer, leftovers
 
 NAMES = ("a.ply", "sub/b.ply", "sub/deeper/c.ply")
 
@@ -485,7 +485,7 @@ def test_surprises_are_errors_of_their_scene(folder):
     def surprise(*arguments: Any, **options: Any) -> None:
         raise ZeroDivisionError
 
-    folder.monkeypatch.setattr("gs_codec.files.encode_file", surprise)
+    folder.monkeypatch.setattr("gs_codec.files.coding.encode_file", surprise)
     assert folder.run("batch", "in/a.ply", "out").status == 1
     text = f"{Path('in/a.ply').absolute()}: ZeroDivisionError"
     assert records()[0]["error"] == {"kind": "ZeroDivisionError", "text": text}
@@ -561,7 +561,7 @@ def test_digest_tells_what_bytes_depend_on(tmp_path):
         Options(Config(depths={"rotation": 9})),
         Options(Config(), Plan(Steps(prune=30))),
         Options(Config(), plan),
-        Options(Config(), rate=Target(ratio=12)),
+        Options(Config(), rate=RateTarget(ratio=12)),
     ]
     digests = [one.digest() for one in options]
     assert len(set(digests)) == len(options)
@@ -684,8 +684,8 @@ def test_paths_of_options_hold_anywhere(tmp_path, monkeypatch):
 def test_views_are_counted(tmp_path):
     file = str(write_json(tmp_path / "cameras.json", inria_entry(width=90, height=60)))
     assert Options(Config()).pixels() == 0
-    assert Options(Config(), rate=Target(ratio=9)).pixels() == 0
-    assert Options(Config(), rate=Target(psnr_drop=1)).pixels() == 64 * 600 * 400
+    assert Options(Config(), rate=RateTarget(ratio=9)).pixels() == 0
+    assert Options(Config(), rate=RateTarget(psnr_drop=1)).pixels() == 64 * 600 * 400
     assert Options(Config(), Plan(Steps(), views=3)).pixels() == 3 * 600 * 400
     assert Options(Config(), Plan(Steps(), views=3, width=300)).pixels() == 3 * 300 * 200
     assert Options(Config(), Plan(Steps(), file, views=2)).pixels() == 2 * 90 * 60

@@ -21,8 +21,8 @@ from gs_codec.batch import run
 from gs_codec.batch.run import Batch, run_batch
 from gs_codec.batch.scenes import Options
 from gs_codec.config import Config
-from gs_codec.files import encode_file
-from gs_codec.io.ply import write_ply
+from gs_codec.files.coding import encode_file
+from gs_codec.formats.ply import write_ply
 from gs_codec.preparation.steps import Plan, Steps
 
 TESTS = Path(__file__).parent

@@ -19,11 +19,11 @@ from urllib.parse import quote, quote_plus, urlsplit
 import pytest
 from scenes import random_scene
 
-from gs_codec.batch.places import Spot
 from gs_codec.batch.redaction import redact_process, redacted, without_secrets
 from gs_codec.batch.remote import place_of
+from gs_codec.batch.storage import Spot
 from gs_codec.errors import InvalidInput
-from gs_codec.io.ply import write_ply
+from gs_codec.formats.ply import write_ply
 
 LIMIT = 600
 

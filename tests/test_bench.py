@@ -16,9 +16,9 @@ from gs_codec.bench.apart import run_apart
 from gs_codec.bench.sources import held_out_views, tile_scene
 from gs_codec.cli.main import app
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.io.ply import write_ply
+from gs_codec.formats.ply import write_ply
 from gs_codec.preparation.pipeline import choose_views
-from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.rendering.cameras import read_cameras
 from gs_codec.rendering.images import write_png
 from gs_codec.rendering.renderer import render
 

@@ -18,7 +18,7 @@ from scenes import shared_scene_path
 
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.rendering.cameras import read_cameras
 
 MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "OPENCV": 4, "EQUIRECTANGULAR": 17}
 

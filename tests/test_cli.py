@@ -25,11 +25,12 @@ from gs_codec import __version__
 from gs_codec.cli import main as cli
 from gs_codec.cli import output
 from gs_codec.cli.output import progress_lines
-from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
-from gs_codec.container.carried import write_extra
-from gs_codec.container.file import Section, SectionId, read_file, write_file
-from gs_codec.files import encode_file, write_scene
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
+from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.sections import write_extra
+from gs_codec.files.coding import encode_file
+from gs_codec.files.scenes import write_scene
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.scene import GROUPS
 
 ROOT = Path(__file__).parents[1]
@@ -354,12 +355,12 @@ def test_name_that_is_not_text_can_be_printed(folder, trio):
 @pytest.fixture
 def lattice(folder) -> Folder:
     """The folder with `l.egs` to `s.egs` beside the others."""
-    for profile in LATTICE_PROFILES:
+    for profile in ADAPTIVE_PROFILES:
         encode_file("scene.ply", f"{profile}.egs", Config(profile, block_size=1024))
     return folder
 
 
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_encode_to_lattices_writes_what_the_library_does(folder, profile):
     status, out, err = folder.run("encode", "scene.ply", "out.egs", "-p", profile)
     assert (status, err) == (0, "")
@@ -392,7 +393,7 @@ def test_values_beyond_the_lattices_are_told(folder):
     assert (status, err) == (0, "values beyond 400, moved to 400: 3\n")
 
 
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_inspect_says_what_lattices_hold(lattice, profile):
     scene, name = read_ply("scene.ply"), f"{profile}.egs"
     status, out, err = lattice.run("inspect", name, "--json")
@@ -453,7 +454,7 @@ def test_decode_of_a_box(lattice, name):
     assert f"{name}: no Gaussians in the box, bounds -" in line
 
 
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 @pytest.mark.parametrize("count", [0, 1])
 def test_smallest_scenes_go_all_the_way_through_lattices(folder, profile, count):
     write_ply("small.ply", random_scene(count, 3))
@@ -471,7 +472,7 @@ def test_smallest_scenes_go_all_the_way_through_lattices(folder, profile, count)
         assert strict_json(folder.run(*arguments, "--json").out)["count"] == count
 
 
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_lattices_are_compared_with_their_original(lattice, profile):
     for pair in (["scene.ply", f"{profile}.egs"], [f"{profile}.egs", "scene.ply"]):
         result = strict_json(lattice.run("compare", *pair, "--json").out)
@@ -720,9 +721,9 @@ main()
 @pytest.mark.parametrize(
     ("command", "place"),
     [
-        ("encode scene.ply out.egs -p paper-m", "gs_codec.codec.channel_encode encode_colour"),
+        ("encode scene.ply out.egs -p paper-m", "gs_codec.codecs.entropygs.encode encode_colour"),
         ("encode scene.ply out.egs", "os fsync"),
-        ("decode scene.egs out.ply", "gs_codec.codec.channel_decode decode_colour"),
+        ("decode scene.egs out.ply", "gs_codec.codecs.entropygs.decode decode_colour"),
         ("decode scene.egs out.ply", "os fsync"),
     ],
 )

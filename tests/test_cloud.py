@@ -12,12 +12,13 @@ import pytest
 from scenes import random_scene
 
 import gs_codec
-from gs_codec import files
-from gs_codec.cloud import from_cloud, to_cloud, turn_cloud
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.api.cloud import from_cloud, to_cloud, turn_cloud
+from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.errors import InvalidInput
+from gs_codec.files.coding import encode_file
+from gs_codec.files.scenes import compare_files, read_scene, write_scene
+from gs_codec.formats.coordinates import turn_axes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
-from gs_codec.transform.coordinates import turn_axes
 
 PLY_TYPES = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
 
@@ -80,8 +81,8 @@ def test_zero_normals_are_an_attribute():
 def test_every_cloud_is_right_down_forward_seed14(tmp_path):
     scene = random_scene(60, 3, seed=14)
     turned = turn_axes(scene, "RUB")
-    files.write_scene(tmp_path / "rub.ply", turned, gs_codec.Config())
-    files.encode_file(
+    write_scene(tmp_path / "rub.ply", turned, gs_codec.Config())
+    encode_file(
         tmp_path / "rub.ply", tmp_path / "a.egs", gs_codec.Config("lossless", keep_order=True)
     )
     data = (tmp_path / "a.egs").read_bytes()
@@ -171,7 +172,7 @@ def test_the_scale_that_is_left_counts_seed5(tmp_path):
     cloud = scaled_by_open3d(to_cloud(scene).clone())
     del cloud.point["log_scale"]
     gs_codec.write(tmp_path / "a.ply", cloud)
-    larger = files.read_scene(tmp_path / "a.ply")
+    larger = read_scene(tmp_path / "a.ply")
     np.testing.assert_allclose(larger.log_scale, scene.log_scale + np.log(2), atol=1e-6)
     np.testing.assert_array_equal(larger.positions, 2 * scene.positions)
     cloud = with_log_scale_edited(to_cloud(scene).clone())
@@ -417,7 +418,7 @@ def test_empty_cloud_through_the_api(tmp_path):
 def test_compare_takes_two_files_or_two_clouds(trio):
     matched = gs_codec.compare(trio.ply, str(trio.decoded))
     assert matched.matched_by == "stored order"
-    assert matched == files.compare_files(trio.ply, trio.egs)
+    assert matched == compare_files(trio.ply, trio.egs)
     decoded = gs_codec.read(trio.decoded)
     same = gs_codec.compare(decoded, gs_codec.read(trio.egs))
     assert same.matched_by == "index"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
 
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.codec.order import order_like
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.entropygs.order import order_like
+from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import read_ply
+from gs_codec.formats.ply import read_ply
 from gs_codec.scene import GROUPS, Scene
 
 EDGES = edge_scenes()

@@ -12,8 +12,13 @@ from scenes import edge_scenes, random_scene, with_threads
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation import compact_sh as module
 from gs_codec.preparation.compact_sh import compact_sh
-from gs_codec.preparation.normal_equations import fill_matrix, solve
-from gs_codec.preparation.sh_weights import coefficients_of, squared_weights, with_coefficients
+from gs_codec.preparation.sh_weights import (
+    coefficients_of,
+    fill_matrix,
+    solve,
+    squared_weights,
+    with_coefficients,
+)
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene

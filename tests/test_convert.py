@@ -15,14 +15,15 @@ from typer.testing import CliRunner
 
 from gs_codec.cli.main import app
 from gs_codec.config import Config
-from gs_codec.conversion import convert_file
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.files import decode_file, encode_file, inspect_file, read_scene
-from gs_codec.io.formats import open_scene
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.scenes import inspect_file, read_scene
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.formats.registry import open_scene
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.scene import Scene, coordinates_comment
-from gs_codec.transform.coordinates import turn_axes
 
 
 def run(*arguments: object) -> tuple[str, str]:

@@ -18,10 +18,10 @@ from scenes import random_scene
 
 from gs_codec.cli import main as cli
 from gs_codec.config import Config
-from gs_codec.files import encode_file
-from gs_codec.io import atomic
-from gs_codec.io.atomic import atomic_writer
-from gs_codec.io.ply import write_ply
+from gs_codec.files.coding import encode_file
+from gs_codec.formats.ply import write_ply
+from gs_codec.runtime import atomic
+from gs_codec.runtime.atomic import atomic_writer
 
 ROOT = Path(__file__).parents[1]
 

@@ -22,13 +22,13 @@ from damage import (
 )
 from scenes import random_scene
 
-from gs_codec.codec import decode_part, decode_scene, encode_scene
-from gs_codec.codec.part import Part
+from gs_codec.codecs import decode_part, decode_scene, encode_scene
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
-from gs_codec.container.carried import write_extra
-from gs_codec.container.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.sections import write_extra
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
-from gs_codec.inspection import inspect_bytes
 from gs_codec.scene import GROUPS
 
 #: Flips under right checksums that each file gets in a round; ten rounds are all.

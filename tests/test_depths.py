@@ -9,14 +9,14 @@ import pytest
 from scenes import encode_by, made_up_guide, random_scene
 from test_lattice_codec import Shaped, assert_on_lattices
 
-from gs_codec.codec import encode_scene
-from gs_codec.codec.depths import as_deep, mean_octaves
-from gs_codec.codec.lattice_arrange import arrange_scene
-from gs_codec.config import Config, Target
+from gs_codec.codecs import encode_scene
+from gs_codec.codecs.adaptive.arrange import arrange_scene
+from gs_codec.codecs.adaptive.depths import as_deep, mean_octaves
+from gs_codec.codecs.adaptive.step_sizes import StepSizes
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.inspection import inspect_bytes
-from gs_codec.lattice.fit import Steps
-from gs_codec.rate.allocate import encode_to_target
+from gs_codec.guidance.allocate import encode_to_target
 from gs_codec.scene import Scene
 
 #: Passes whose steps tell those of a group.
@@ -65,10 +65,12 @@ def test_means_move_and_all_else_stays():
     known = np.concatenate([np.ones((1, 50)), rng.normal(size=(4, 50))])
     rules = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
     classes = rng.integers(0, 4, (2, 100)).astype(np.uint8)
-    steps = Steps(classes[0], classes[1], {r: rng.normal(size=5) for r in rules}, (0.5, 0.25, 2.0))
+    steps = StepSizes(
+        classes[0], classes[1], {r: rng.normal(size=5) for r in rules}, (0.5, 0.25, 2.0)
+    )
     some = slice(None, None, 2)
 
-    def octaves(steps: Steps, rule: str) -> np.ndarray:
+    def octaves(steps: StepSizes, rule: str) -> np.ndarray:
         of = steps.colour_class if rule == "colour" else steps.shape_class
         return of[some] + steps.coefficients[rule] @ known
 
@@ -124,7 +126,7 @@ def test_a_target_moves_only_the_others(scene):
     config = Config("m", {"rotation": 7})
     steps = finest_steps(encode_scene(scene, config)[0])
     for bits in (90, 220):
-        data, _ = encode_to_target(scene, config, Target(bits=bits), bits * scene.count // 8)
+        data, _ = encode_to_target(scene, config, RateTarget(bits=bits), bits * scene.count // 8)
         assert 0.98 * bits <= 8 * len(data) / scene.count <= bits
         found = finest_steps(data)
         assert found["rotation"] == steps["rotation"]

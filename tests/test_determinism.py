@@ -15,8 +15,8 @@ import pytest
 from golden.make import GUIDES, golden_scenes
 from scenes import encode_by, made_up_guide, random_scene
 
-from gs_codec.codec import decode_scene
-from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
+from gs_codec.codecs import decode_scene
+from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.scene import GROUPS, Scene
 
 ROOT = Path(__file__).parents[1]
@@ -30,7 +30,7 @@ def digests(threads: int | None) -> dict[str, str]:
     scene, found = random_scene(3000, 2, seed=90), {}
     for profile in PROFILE_CHOICES:
         config = Config(profile, threads=threads, block_size=1024)
-        guides = [None, made_up_guide(seed=90)] if profile in LATTICE_PROFILES else [None]
+        guides = [None, made_up_guide(seed=90)] if profile in ADAPTIVE_PROFILES else [None]
         for guide in guides:
             data = encode_by(scene, config, guide)
             name = f"{profile}, {'guided' if guide else 'blind'}"

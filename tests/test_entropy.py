@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torchac_coder
 
-from gs_codec.entropy.binary import code_bit, decode_binary, encode_binary, new_contexts
-from gs_codec.entropy.rans import LANES, TableSet, decode_symbols, encode_symbols
-from gs_codec.entropy.tables import decode_tables, encode_tables
+from gs_codec.coding.binary import code_bit, decode_binary, encode_binary, new_contexts
+from gs_codec.coding.frequency_table import FrequencyTable, normalise, shannon_bits
+from gs_codec.coding.rans import LANES, TableSet, decode_symbols, encode_symbols
+from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.errors import CorruptStream
-from gs_codec.kernels import kernel
-from gs_codec.model.sent import SentModel
-from gs_codec.model.table import FrequencyTable, normalise, shannon_bits
+from gs_codec.runtime.kernels import kernel
 
 
 def table_of(rng, alphabet: int, precision: int) -> FrequencyTable:

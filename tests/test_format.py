@@ -11,13 +11,13 @@ from reference_decoder import Channel, Reader, decode, read_header, read_model, 
 from reference_lattice import read_lattice
 from scenes import edge_scenes, encode_by, made_up_guide, random_scene
 
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, Config
-from gs_codec.container import file
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import read_ply
-from gs_codec.model.mixture import Component, MixtureModel
-from gs_codec.model.table import normalise
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.entropygs.models import Component, MixtureModel
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.coding.frequency_table import normalise
+from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, Config
+from gs_codec.egs import file
+from gs_codec.formats.ply import read_ply
 
 TINY = Path(__file__).parents[2] / "shared" / "scenes" / "tiny_sh3.ply"
 ROWS = {
@@ -210,7 +210,7 @@ LATTICE_CASES = {
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 @pytest.mark.parametrize("case", LATTICE_CASES)
 def test_reference_decoder_gives_the_same_bits_of_lattices(case, profile, guided):
     make, arguments = LATTICE_CASES[case]

@@ -21,9 +21,9 @@ from test_ply import assert_one_line
 
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files import read_scene, write_scene
-from gs_codec.io.formats import open_scene
-from gs_codec.io.splat import pack_splat
+from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.formats.registry import open_scene
+from gs_codec.formats.splat import pack_splat
 from gs_codec.scene import SH_COEFFICIENTS, Scene
 
 

@@ -10,8 +10,8 @@ from golden.make import GUIDES, golden_scenes
 from reference_decoder import decode as reference_decode
 from scenes import encode_by
 
-from gs_codec.codec import decode_scene
-from gs_codec.container.file import VERSION
+from gs_codec.codecs import decode_scene
+from gs_codec.egs.file import VERSION
 from gs_codec.scene import GROUPS
 
 FILES = sorted((Path(__file__).parent / "golden").glob("*.egs"))

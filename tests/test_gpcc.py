@@ -18,16 +18,16 @@ from tmc3_stand_in import VERSION
 from typer.testing import CliRunner
 
 from gs_codec.cli.main import app
-from gs_codec.codec import decode_part, decode_scene, encode_scene
-from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILES, Config
-from gs_codec.container.file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
+from gs_codec.codecs import decode_part, decode_scene, encode_scene
+from gs_codec.codecs.entropygs.gpcc import decode_points, encode_points
+from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.part import Part
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES, Config
+from gs_codec.egs.file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed, TruncatedStream
-from gs_codec.geometry.gpcc import decode_points, encode_points
-from gs_codec.geometry.tmc3 import Tmc3
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import read_ply, write_ply
-from gs_codec.programs import Limits
+from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.runtime.programs import Limits
 from gs_codec.scene import GROUPS
 
 EDGES = edge_scenes()
@@ -150,7 +150,7 @@ def test_inspect_tells_who_coded_the_points(stand_in, tmp_path):
 
 def test_auto_takes_the_program_where_there_is_one(stand_in, monkeypatch):
     scene = random_scene(200, 1, seed=95)
-    for profile in (*PROFILES, *LATTICE_PROFILES, LOSSLESS):
+    for profile in (*PROFILES, *ADAPTIVE_PROFILES, LOSSLESS):
         asked = "gpcc" if profile in PROFILES else "octree"
         expected = encode_scene(scene, config(profile, geometry=asked))[0]
         assert encode_scene(scene, config(profile, geometry="auto"))[0] == expected

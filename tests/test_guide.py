@@ -11,16 +11,18 @@ from typer.testing import CliRunner
 
 import gs_codec
 from gs_codec.cli.main import app
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import LATTICE_PROFILES, Config, LatticeProfile
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.config import ADAPTIVE_PROFILES, AdaptiveProfile, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files import encode_file, prepare_file, read_scene
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import write_ply
-from gs_codec.planned import encode_planned
-from gs_codec.preparation.guide import Guidance, guide
+from gs_codec.files.coding import encode_file
+from gs_codec.files.preparing import prepare_file
+from gs_codec.files.scenes import read_scene
+from gs_codec.formats.ply import write_ply
+from gs_codec.guidance.guide import Guidance, guide
+from gs_codec.guidance.planned import encode_planned
+from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.preparation.targets import Targets, draw_targets
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate, orbit_cameras
@@ -36,8 +38,8 @@ def cameras(count: int, width: int = 90, height: int = 60) -> list[Camera]:
     ]  # fmt: skip
 
 
-def compacting(strength: float) -> LatticeProfile:
-    return replace(LATTICE_PROFILES["m"], compaction=strength)
+def compacting(strength: float) -> AdaptiveProfile:
+    return replace(ADAPTIVE_PROFILES["m"], compaction=strength)
 
 
 def recolour(found: Guidance, decoded: Scene, steps: np.ndarray, profile) -> Scene:
@@ -56,12 +58,12 @@ def plan() -> Plan:
 
 
 def quality(original: Scene, decoded: Scene, views: list[Camera]) -> float:
-    return draw_targets(original, views, (0, 0, 0)).quality(decoded).psnr
+    return draw_reference_views(original, views, (0, 0, 0)).quality(decoded).psnr
 
 
 def test_by_views_the_same_bytes_show_more(scene, plan):
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
-    blind = {p: encode_scene(scene, Config(p))[0] for p in LATTICE_PROFILES}
+    blind = {p: encode_scene(scene, Config(p))[0] for p in ADAPTIVE_PROFILES}
     guided = encode_planned(scene, Config("m"), plan)[0]
     shown = quality(scene, decode_scene(guided), held_out)
     for profile, data in blind.items():
@@ -91,7 +93,7 @@ def test_threads_do_not_change_the_bytes(scene, plan):
 
 
 def test_colours_make_up_for_what_shapes_lose(scene, plan):
-    views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    views = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     found = guide(scene, views)
     rng = np.random.default_rng(7)
     noise = rng.normal(scale=0.2, size=scene.opacity.shape).astype(np.float32)
@@ -103,7 +105,7 @@ def test_colours_make_up_for_what_shapes_lose(scene, plan):
 
 
 def test_coarse_steps_leave_few_coefficients(scene, plan):
-    views = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    views = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     found = guide(scene, views)
     steps = np.where(np.arange(scene.count) % 2, 1e3, 1e-3).astype(np.float32)
     coloured = recolour(found, scene, steps, compacting(1e-2))
@@ -113,7 +115,7 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
 
 @pytest.mark.parametrize(("count", "compacted"), [(30, True), (4, False)])
 def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
-    found = guide(scene, draw_targets(scene, cameras(count), (0.0, 0.0, 0.0)))
+    found = guide(scene, draw_reference_views(scene, cameras(count), (0.0, 0.0, 0.0)))
     steps = np.full(scene.count, 0.1, np.float32)
     coloured = recolour(found, scene, steps, compacting(1e-5))
     new_zeros = np.count_nonzero((coloured.f_rest == 0) & (scene.f_rest != 0))
@@ -122,7 +124,7 @@ def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
 
 
 def test_what_pruning_has_lost_lets_compaction_lose_too(scene, plan):
-    whole = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    whole = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     pruned = scene.take(np.arange(scene.count) % 3 > 0)
     steps = np.full(pruned.count, 0.1, np.float32)
     coloured = recolour(guide(pruned, whole), pruned, steps, compacting(1e-9))
@@ -130,22 +132,22 @@ def test_what_pruning_has_lost_lets_compaction_lose_too(scene, plan):
 
 
 def test_one_view_is_not_enough_to_compact_by(scene, plan):
-    found = guide(scene, draw_targets(scene, plan.cameras[:1], (0.0, 0.0, 0.0)))
+    found = guide(scene, draw_reference_views(scene, plan.cameras[:1], (0.0, 0.0, 0.0)))
     coloured = recolour(found, scene, np.full(scene.count, 0.1, np.float32), compacting(1e3))
     assert not np.any((coloured.f_rest == 0) & (scene.f_rest != 0))
 
 
 def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
-    whole = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    whole = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     pruned = scene.take(np.arange(scene.count) % 3 > 0)
     assert guide(scene, whole).loss == 0.0
     assert guide(pruned, whole).loss == pytest.approx(whole.error(pruned))
 
-    def opacity_bytes(targets: Targets) -> int:
-        steps = guide(pruned, targets).steps(pruned, LATTICE_PROFILES["m"])
+    def opacity_bytes(targets: ReferenceViews) -> int:
+        steps = guide(pruned, targets).steps(pruned, ADAPTIVE_PROFILES["m"])
         return encode_scene(pruned, Config("m"), steps=steps)[1].section_bytes["opacity"]
 
-    own = draw_targets(pruned, plan.cameras, (0.0, 0.0, 0.0))
+    own = draw_reference_views(pruned, plan.cameras, (0.0, 0.0, 0.0))
     assert opacity_bytes(whole) < opacity_bytes(own)
 
 
@@ -219,7 +221,7 @@ def test_photographs_without_a_step_are_refused(tmp_path):
 
 
 def test_colours_do_not_depend_on_the_order(scene, plan):
-    colours = guide(scene, draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))).colours
+    colours = guide(scene, draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))).colours
     steps = np.linspace(0.05, 0.3, scene.count, dtype=np.float32)
     order = np.random.default_rng(93).permutation(scene.count)
     as_given = colours.compact(scene, np.arange(scene.count), steps, compacting(1e-3))

@@ -16,13 +16,13 @@ from test_ply import assert_one_line
 
 import gs_codec
 from gs_codec.errors import InvalidInput
-from gs_codec.io.images import _warnings_ignored, read_pixels
-from gs_codec.io.sog_files import read_pixels as read_sog_pixels
+from gs_codec.formats.images import _warnings_ignored, read_pixels
+from gs_codec.formats.sog_files import read_pixels as read_sog_pixels
 from gs_codec.rendering.images import read_image
 
 #: Packages, and what opens images there.
 PACKAGES = ("gs_codec", "viewer")
-READER = "gs_codec/io/images.py"
+READER = "gs_codec/formats/images.py"
 
 
 def any_size(width: int, height: int) -> None:

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from gs_codec.kernels import kernel
+from gs_codec.runtime.kernels import kernel
 
 ROOT = Path(__file__).parents[1]
 

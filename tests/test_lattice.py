@@ -8,29 +8,39 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
-from gs_codec.config import LATTICE_PROFILES
-from gs_codec.entropy.bits import BitReader, BitWriter
-from gs_codec.entropy.passes import PRECISION, PassReader, PassTables, PassWriter
-from gs_codec.entropy.rans import LANES
+from gs_codec.codecs.adaptive.colour import code_colours, decode_colours
+from gs_codec.codecs.adaptive.contexts import (
+    ENERGIES,
+    energy_class,
+    passes,
+    sh_channels,
+    share_tables,
+)
+from gs_codec.codecs.adaptive.diffusion import round_diffusing
+from gs_codec.codecs.adaptive.fixed_point import (
+    FRACTION_BITS,
+    LARGEST,
+    from_lattice,
+    to_float,
+    to_lattice,
+)
+from gs_codec.codecs.adaptive.lattice import StepRule
+from gs_codec.codecs.adaptive.positions import centres, from_grid, to_grid
+from gs_codec.codecs.adaptive.step_sizes import Sensitivity, features, fit_step_sizes, make_rule
+from gs_codec.codecs.adaptive.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
+from gs_codec.coding.axes import quaternions, sort_axes
+from gs_codec.coding.context_rans import PRECISION, PassReader, PassTables, PassWriter
+from gs_codec.coding.count_tree import decode_tree, encode_tree
+from gs_codec.coding.fields import BitReader, BitWriter
+from gs_codec.coding.frequency_table import normalise, shannon_bits
+from gs_codec.coding.morton import encode_morton
+from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_all_nearest
+from gs_codec.coding.rans import LANES
+from gs_codec.coding.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg
+from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.errors import CorruptStream
-from gs_codec.geometry.colour_lattice import code_colours, decode_colours
-from gs_codec.geometry.count_tree import decode_tree, encode_tree
-from gs_codec.geometry.diffusion import round_diffusing
-from gs_codec.geometry.nearest import NEIGHBOURS, WINDOW, find_all_nearest
-from gs_codec.lattice.fit import features, fit_steps, make_rule
-from gs_codec.lattice.fixed import LARGEST, PLACES, from_lattice, to_float, to_lattice
-from gs_codec.lattice.place import centres, from_grid, to_grid
-from gs_codec.lattice.plan import ENERGIES, energy_class, passes, sh_places
-from gs_codec.lattice.rules import StepRule
-from gs_codec.lattice.sensitivity import Sensitivity
-from gs_codec.lattice.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
-from gs_codec.model.contexts import share_tables
-from gs_codec.model.table import normalise, shannon_bits
-from gs_codec.transform.axes import quaternions, sort_axes
-from gs_codec.transform.morton import encode_morton
-from gs_codec.transform.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg
 
-ONE = 1 << PLACES
+ONE = 1 << FRACTION_BITS
 
 # Tokens
 
@@ -500,7 +510,7 @@ def test_colours_taken_in_steps_are_filled_in_again_seed14():
 
 @pytest.mark.parametrize("coefficients", [0, 3, 8, 15])
 def test_every_coefficient_has_a_pass(coefficients):
-    assert len(set(sh_places(coefficients))) == 3 * coefficients
+    assert len(set(sh_channels(coefficients))) == 3 * coefficients
     extra = 3 * coefficients + 1 if coefficients else 0
     assert len(passes(coefficients)) == 10 + extra
     streams = [item.stream for item in passes(coefficients)]
@@ -584,19 +594,19 @@ def octaves(steps, known) -> dict[str, np.ndarray]:
 def test_sensitivities_four_times_as_high_make_steps_an_octave_finer():
     sensitivity, opacity, scales = made_up(15)
     known = features(opacity, scales)
-    before = octaves(fit_steps(sensitivity, opacity, scales, 1e-3), known)
+    before = octaves(fit_step_sizes(sensitivity, opacity, scales, 1e-3), known)
     higher = Sensitivity(*(4 * values for values in sensitivity))
-    after = octaves(fit_steps(higher, opacity, scales, 1e-3), known)
+    after = octaves(fit_step_sizes(higher, opacity, scales, 1e-3), known)
     for name, values in before.items():
         np.testing.assert_allclose(after[name], values - 1, atol=1e-6, err_msg=name)
-    coarser = octaves(fit_steps(sensitivity, opacity, scales, 4e-3), known)
+    coarser = octaves(fit_step_sizes(sensitivity, opacity, scales, 4e-3), known)
     for name, values in before.items():
         np.testing.assert_allclose(coarser[name], values + 1, atol=1e-9, err_msg=name)
 
 
 def test_steps_add_about_the_error_asked_for():
     sensitivity, opacity, scales = made_up(16)
-    steps = octaves(fit_steps(sensitivity, opacity, scales, 1e-3), features(opacity, scales))
+    steps = octaves(fit_step_sizes(sensitivity, opacity, scales, 1e-3), features(opacity, scales))
     added = {
         "opacity": sensitivity.opacity,
         "rotation": 4 * sensitivity.rot,
@@ -610,7 +620,7 @@ def test_steps_add_about_the_error_asked_for():
 
 def test_gaussians_seen_more_have_finer_classes():
     sensitivity, opacity, scales = made_up(17)
-    steps = fit_steps(sensitivity, opacity, scales, 1e-3)
+    steps = fit_step_sizes(sensitivity, opacity, scales, 1e-3)
     assert 4 < steps.shape_class.max() < 16
     seen = np.log(sensitivity.opacity)
     assert np.corrcoef(seen, steps.shape_class)[0, 1] < -0.7
@@ -623,7 +633,7 @@ def test_steps_are_finite_where_nothing_is_seen(zeros):
     sensitivity, opacity, scales = made_up(18, 500)
     hidden = np.random.default_rng(18).random(500) < zeros
     sensitivity = Sensitivity(*(np.where(hidden, 0.0, values) for values in sensitivity))
-    steps = fit_steps(sensitivity, opacity, scales, 1e-3)
+    steps = fit_step_sizes(sensitivity, opacity, scales, 1e-3)
     for name, row in steps.coefficients.items():
         assert np.isfinite(row).all(), name
     assert 0 <= steps.shape_class.min() <= steps.shape_class.max() < 16
@@ -633,13 +643,13 @@ def test_steps_are_finite_where_nothing_is_seen(zeros):
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_steps_of_few_gaussians_are_finite(count):
     sensitivity, opacity, scales = made_up(19, count)
-    steps = fit_steps(sensitivity, opacity, scales, 1e-3)
+    steps = fit_step_sizes(sensitivity, opacity, scales, 1e-3)
     assert all(np.isfinite(row).all() for row in steps.coefficients.values())
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
 def test_scaled_profile_has_steps_so_many_times_as_large(factor):
-    base = LATTICE_PROFILES["m"]
+    base = ADAPTIVE_PROFILES["m"]
     scaled = base.scaled(factor)
     assert scaled.fineness == base.fineness * factor
     assert scaled.error == base.error * factor**2

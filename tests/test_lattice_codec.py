@@ -18,29 +18,29 @@ from scenes import (
     steps_for,
 )
 
-from gs_codec.codec import decode_part, decode_scene, encode_scene
-from gs_codec.codec.clean import identity_for_zero
-from gs_codec.codec.lattice_arrange import Arranged, arrange_scene
-from gs_codec.codec.lattice_encode import encode_shaped, shape_scene
-from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES, PROFILES, Config
-from gs_codec.container.file import Section, SectionId, read_file, write_file
-from gs_codec.container.lattice import UNITS, read_lattice
-from gs_codec.entropy.tables import encode_tables
+from gs_codec.codecs import decode_part, decode_scene, encode_scene
+from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
+from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
+from gs_codec.codecs.adaptive.fixed_point import LARGEST, to_float
+from gs_codec.codecs.adaptive.section import UNITS, read_lattice
+from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
+from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.part import Part
+from gs_codec.coding.axes import quaternions, sort_axes
+from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.count_tree import encode_tree
+from gs_codec.coding.morton import bit_layout
+from gs_codec.coding.sent_tables import encode_tables
+from gs_codec.coding.ycocg import to_ycocg
+from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
+from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
-from gs_codec.files import compare_files, decode_file, encode_file
-from gs_codec.geometry.count_tree import encode_tree
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import read_ply, write_ply
-from gs_codec.lattice.fit import Steps
-from gs_codec.lattice.fixed import LARGEST, to_float
-from gs_codec.lattice.sensitivity import Sensitivity
-from gs_codec.lattice.shape import Shape, ShapeQuantiser, walk_shape
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.scenes import compare_files
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.report import StageTimes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
-from gs_codec.transform.axes import quaternions, sort_axes
-from gs_codec.transform.morton import bit_layout
-from gs_codec.transform.ycocg import to_ycocg
 
 EDGES = edge_scenes()
 BLOCK = 1024
@@ -145,7 +145,7 @@ def assert_in_cells(shaped: Shaped, decoded: Scene, data: bytes) -> None:
             assert np.all(error <= 0.5 * grid.step * 2.0**width + rounding)
 
 
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 @pytest.mark.parametrize("name", EDGES)
 def test_edge_scene_is_on_its_lattices(name, profile):
     data, report = encode_scene(EDGES[name], Config(profile))
@@ -172,7 +172,7 @@ def test_round_gaussians_have_no_rotation():
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 @pytest.mark.parametrize("sh_degree", range(4))
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_blocks_and_degrees_are_on_their_lattices(profile, sh_degree, guided):
     scene = random_scene(2500, sh_degree, seed=sh_degree)
     guide = made_up_guide(seed=31) if guided else None
@@ -192,7 +192,7 @@ def test_steps_are_finer_where_more_is_seen():
     scene = replace(scene, opacity=np.abs(scene.opacity))
     seen = np.random.default_rng(33).random(scene.count) < 0.5
 
-    def guide(clean: Scene, config: Config) -> Steps:
+    def guide(clean: Scene, config: Config) -> StepSizes:
         even = made_up_sensitivity(clean, seed=33, spread=0.0)
         higher = [np.where(seen, 4.0**4 * values, values) for values in even]
         return steps_for(clean, config, Sensitivity(*higher))
@@ -255,7 +255,7 @@ def test_steps_of_other_gaussians_are_refused():
 
 
 def test_a_guide_that_sees_nothing_gives_finite_scenes():
-    def guide(clean: Scene, config: Config) -> Steps:
+    def guide(clean: Scene, config: Config) -> StepSizes:
         even = made_up_sensitivity(clean, seed=35)
         return steps_for(clean, config, Sensitivity(*(0 * values for values in even)))
 
@@ -569,7 +569,7 @@ def test_paper_profiles_have_no_lattices(profile, section_id):
         decode_scene(with_section(data, section_id, lambda content: b"\0" * 24))
 
 
-@pytest.mark.parametrize("profile", [*LATTICE_PROFILES, *PROFILES])
+@pytest.mark.parametrize("profile", [*ADAPTIVE_PROFILES, *PROFILES])
 @pytest.mark.parametrize("count", [1 << 14, 1 << 40, (1 << 64) - 1])
 def test_a_false_count_does_not_allocate(profile, count):
     """With blocks of one Gaussian, so that there would be as many."""

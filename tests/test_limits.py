@@ -24,7 +24,7 @@ from gs_codec.batch.remote import place_of
 from gs_codec.batch.scenes import Options, find_tasks
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files import read_scene, stated_bytes, write_scene
+from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 from viewer.request import Request
 

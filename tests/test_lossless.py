@@ -14,17 +14,17 @@ from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 from gs_codec.cli.main import app
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.codec.lossless import lossless_order
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.lossless.columns import from_ordered, read_integers, to_ordered, write_integers
+from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.config import Config
-from gs_codec.container.file import SectionId, read_file
-from gs_codec.entropy.pco import read_integers, write_integers
+from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
-from gs_codec.files import compare_files, decode_file, encode_file, read_scene
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.scenes import compare_files, read_scene
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.scene import GROUPS, Scene
-from gs_codec.transform.float_bits import from_ordered, to_ordered
 
 LOSSLESS = Config("lossless", block_size=1024)
 KEPT = replace(LOSSLESS, keep_order=True)

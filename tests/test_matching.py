@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
+from gs_codec.codecs.matching import put_side_by_side
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files import compare_files, decode_file, encode_file, read_scene
-from gs_codec.io.ply import write_ply
-from gs_codec.matching import put_side_by_side
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.scenes import compare_files, read_scene
+from gs_codec.formats.ply import write_ply
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
 
+from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files import compare_files, decode_file, encode_file
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.scenes import compare_files
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.metrics.attributes import Comparison, GroupError, compare_scenes
 from gs_codec.scene import Scene
-from gs_codec.transform.coordinates import turn_axes
 
 UNITS = {
     "positions": ["scene units"],

@@ -7,11 +7,16 @@ from math import erf, exp, sqrt
 import numpy as np
 import pytest
 
-from gs_codec.model.laplace import LaplaceModel
-from gs_codec.model.mixture import Component, MixtureModel, fit_mixture, normal_table
-from gs_codec.model.select import choose_model
-from gs_codec.model.sent import SentModel
-from gs_codec.model.table import normalise, shannon_bits
+from gs_codec.codecs.entropygs.models import (
+    Component,
+    LaplaceModel,
+    MixtureModel,
+    choose_model,
+    fit_mixture,
+    normal_table,
+)
+from gs_codec.coding.frequency_table import normalise, shannon_bits
+from gs_codec.coding.sent_tables import SentModel
 
 
 def histogram_of(values, alphabet):

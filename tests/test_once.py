@@ -8,13 +8,15 @@ from collections import Counter
 import pytest
 from scenes import random_scene
 
-from gs_codec.codec.part import Part
-from gs_codec.config import Config, Target
-from gs_codec.container import channels, lattice
-from gs_codec.conversion import convert_file
-from gs_codec.files import decode_file, encode_file, inspect_file, read_scene
-from gs_codec.io.ply import write_ply
-from gs_codec.slabs import verify_file
+from gs_codec.codecs.adaptive import section as lattice
+from gs_codec.codecs.entropygs import section as channels
+from gs_codec.codecs.part import Part
+from gs_codec.codecs.slabs import verify_file
+from gs_codec.config import Config, RateTarget
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.scenes import inspect_file, read_scene
+from gs_codec.formats.ply import write_ply
 
 
 @pytest.fixture
@@ -56,7 +58,7 @@ def test_encoding_opens_the_ply_once(scene_file, counts, profile, options):
 
 
 def test_encoding_to_a_target_opens_the_ply_once(scene_file, counts):
-    encode_file(scene_file, "coded.egs", rate=Target(ratio=10))
+    encode_file(scene_file, "coded.egs", rate=RateTarget(ratio=10))
     assert counts[scene_file] == 1
 
 
@@ -80,7 +82,7 @@ READ = {
 @pytest.mark.parametrize("how", READ)
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
 def test_what_describes_the_blocks_is_parsed_once(scene_file, counts, monkeypatch, profile, how):
-    monkeypatch.setattr("gs_codec.slabs._SLAB", 500)
+    monkeypatch.setattr("gs_codec.codecs.slabs._SLAB", 500)
     encode_file(scene_file, "coded.egs", Config(profile, block_size=1024, threads=1))
     counts.clear()
     READ[how]()

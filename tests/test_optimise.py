@@ -15,16 +15,15 @@ from scipy.ndimage import correlate1d
 from test_render import TEAL, crowd, real_cameras, render, splats, straight, turned
 
 from gs_codec.errors import InvalidInput
-from gs_codec.io.ply import read_ply
-from gs_codec.preparation.adam import adam_step, new_state
-from gs_codec.preparation.gradients import differentiate, draw
-from gs_codec.preparation.image_loss import LossWeights, image_loss
+from gs_codec.formats.ply import read_ply
+from gs_codec.metrics.image_loss import LossWeights, image_loss
+from gs_codec.preparation.adam import Rates, adam_step, new_state, rig_radius
 from gs_codec.preparation.optimise import optimise
-from gs_codec.preparation.rates import Rates, rig_radius
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.gradients import differentiate, draw
+from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS, Scene
-from gs_codec.workers import using_threads
 
 SQUARED = LossWeights(0.0, 1.0, 0.0)
 ALL = LossWeights(0.5, 0.3, 0.2)

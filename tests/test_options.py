@@ -11,7 +11,7 @@ from typer.main import get_command
 
 from gs_codec.cli.main import app
 from gs_codec.config import Config
-from gs_codec.files import encode_file
+from gs_codec.files.coding import encode_file
 from gs_codec.preparation.steps import Plan, Steps
 
 #: How each option that a command may ignore is typed.

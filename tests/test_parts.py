@@ -13,10 +13,10 @@ from scenes import random_scene
 from test_lattice_codec import BLOCK, assert_same
 from test_lossless import any_bits
 
-from gs_codec.codec import decode_part, decode_scene, encode_scene
-from gs_codec.codec.part import Part
-from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, PROFILES, Config
-from gs_codec.container.file import SCENE_SECTIONS, SectionId, read_file
+from gs_codec.codecs import decode_part, decode_scene, encode_scene
+from gs_codec.codecs.part import Part
+from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, PROFILES, Config
+from gs_codec.egs.file import SCENE_SECTIONS, SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS
 
@@ -74,7 +74,7 @@ def test_box_is_the_whole_masked(profile, box, degree):
 def needed(data: bytes, box: Sequence[float]) -> int:
     """Bytes of what tells where blocks are, and of the blocks that have something in a box."""
     file, positions = read_file(data), decode_scene(data).positions.T
-    lattices = file.header.profile in LATTICE_PROFILES
+    lattices = file.header.profile in ADAPTIVE_PROFILES
     low, high = np.array(box[:3]), np.array(box[3:])
     total = file.header_size
     for (section_id, block), size in file.sizes.items():

@@ -21,7 +21,7 @@ from gs_codec.bench.peers.splat_transform import VARIABLE, splat_transform_peers
 from gs_codec.bench.peers.spz import spz_peer
 from gs_codec.cli.main import app
 from gs_codec.errors import ToolFailed
-from gs_codec.io.ply import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.metrics.views import compare_views
 from gs_codec.rendering.cameras import find_cameras
 

@@ -11,11 +11,11 @@ import plyfile
 import pytest
 from scenes import random_scene, shared_scene_path
 
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.io import ply_header
-from gs_codec.io.ply import read_ply, vertex_rows, write_ply
+from gs_codec.formats import ply_header
+from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 #: Every scalar type of the PLY format.

@@ -12,17 +12,19 @@ from typer.testing import CliRunner
 
 import gs_codec
 from gs_codec.cli.main import app
+from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.files import encode_file, prepare_file, read_scene
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.files.coding import encode_file
+from gs_codec.files.preparing import prepare_file
+from gs_codec.files.scenes import read_scene
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.rectify import rectify
+from gs_codec.preparation.reference_views import draw_reference_views, evenly
 from gs_codec.preparation.report import LABELS
 from gs_codec.preparation.steps import Steps
-from gs_codec.preparation.targets import draw_targets, evenly
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import read_image, write_png
 from gs_codec.rendering.renderer import render
@@ -149,7 +151,7 @@ def test_views_are_evenly_spaced():
 
 
 def test_drop_of_photographs_and_of_own_renders(scene):
-    own = draw_targets(scene, CAMERAS, (0.0, 0.0, 0.0))
+    own = draw_reference_views(scene, CAMERAS, (0.0, 0.0, 0.0))
     assert own.error(scene) == 0
     assert own.drop(1e-3, 0.0) == pytest.approx(10 * np.log10(2))
     real = replace(own, photographs=True)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from reference_decoder import decode as reference_decode
 from scenes import random_scene
 
-from gs_codec.codec import decode_part, decode_scene, encode_scene
-from gs_codec.codec.part import Part
+from gs_codec.codecs import decode_part, decode_scene, encode_scene
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.part import Part
 from gs_codec.config import LOSSLESS, PROFILE_CHOICES, Config
-from gs_codec.inspection import inspect_bytes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)

@@ -9,13 +9,12 @@ import pytest
 from scenes import edge_scenes, random_scene
 
 from gs_codec.errors import InvalidInput
-from gs_codec.preparation import targets as targets_module
-from gs_codec.preparation.leave_one_out import leave_one_out
-from gs_codec.preparation.loo_rounds import prune_leave_one_out
+from gs_codec.preparation import reference_views as targets_module
+from gs_codec.preparation.leave_one_out import leave_one_out, prune_leave_one_out
 from gs_codec.preparation.pipeline import Plan, prepare_scene
 from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
+from gs_codec.preparation.reference_views import ViewSplit, draw_reference_views
 from gs_codec.preparation.steps import Steps
-from gs_codec.preparation.targets import Views, draw_targets
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
@@ -165,12 +164,12 @@ def test_a_hidden_gaussian_is_worth_nothing():
 
 
 def targets_of(scene: Scene):
-    return draw_targets(scene, CAMERAS, BLACK)
+    return draw_reference_views(scene, CAMERAS, BLACK)
 
 
-def views_of(scene: Scene) -> Views:
+def views_of(scene: Scene) -> ViewSplit:
     targets = targets_of(scene)
-    return Views(targets, None, targets)
+    return ViewSplit(targets, None, targets)
 
 
 @pytest.mark.parametrize("percent", [1, 10, 37, 66, 90])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gs_codec.quantise import (
+from gs_codec.coding.quantise import (
     LAPLACE_SCALES_PER_BIT,
     CentredQuantiser,
     ConstantQuantiser,

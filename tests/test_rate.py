@@ -16,25 +16,26 @@ from test_guide import cameras
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.api.cloud import to_cloud
 from gs_codec.cli.asked import Asked, plan_of
 from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_size
-from gs_codec.cloud import to_cloud
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import LATTICE_PROFILES, Config, Target
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files import encode_file, read_scene, write_scene
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import vertex_rows, write_ply
+from gs_codec.files.coding import encode_file
+from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.formats.ply import vertex_rows, write_ply
+from gs_codec.guidance import allocate
+from gs_codec.guidance.allocate import encode_to_target
+from gs_codec.guidance.guide import Guidance
+from gs_codec.guidance.planned import encode_goal
+from gs_codec.guidance.search import COARSEST, FINEST, search
 from gs_codec.metrics.views import compare_views
-from gs_codec.planned import encode_goal
-from gs_codec.preparation.guide import Guidance
 from gs_codec.preparation.pipeline import choose_views
+from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.preparation.targets import Targets, draw_targets
-from gs_codec.rate import allocate
-from gs_codec.rate.allocate import encode_to_target
-from gs_codec.rate.search import COARSEST, FINEST, search
 from gs_codec.scene import Scene
 from samples.generate import generate
 
@@ -65,14 +66,14 @@ UNCHANGING = SimpleNamespace(compact=unchanged, sketch=unchanged, refit=unchange
 )
 def test_a_target_is_one_number_above_zero(wishes):
     with pytest.raises(InvalidInput, match="target"):
-        Target(**wishes)
+        RateTarget(**wishes)
 
 
 def test_limits_of_targets():
-    assert Target(size=1234).limit(100, 24_800) == 1234
-    assert Target(ratio=31).limit(100, 24_800) == 800
-    assert Target(bits=12.5).limit(100, 24_800) == 156
-    assert Target(psnr_drop=0.1).limit(100, 24_800) is None
+    assert RateTarget(size=1234).limit(100, 24_800) == 1234
+    assert RateTarget(ratio=31).limit(100, 24_800) == 800
+    assert RateTarget(bits=12.5).limit(100, 24_800) == 156
+    assert RateTarget(psnr_drop=0.1).limit(100, 24_800) is None
 
 
 @pytest.mark.parametrize(
@@ -146,7 +147,7 @@ def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
         return found is not None and 0.97 <= measure(found) <= 1.0
 
     beside = sum(met(seed) for seed in range(60))
-    monkeypatch.setattr("gs_codec.rate.search._BESIDE", ())
+    monkeypatch.setattr("gs_codec.guidance.search._BESIDE", ())
     assert sum(met(seed) for seed in range(60)) < beside
     assert beside >= 50
 
@@ -154,14 +155,16 @@ def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
 # Sizes
 
 
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
-@pytest.mark.parametrize("target", [Target(bits=120), Target(bits=200), Target(ratio=12)])
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
+@pytest.mark.parametrize(
+    "target", [RateTarget(bits=120), RateTarget(bits=200), RateTarget(ratio=12)]
+)
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_sizes_are_met_from_below(scene, target, profile, guided, monkeypatch):
     ply_bytes = vertex_rows(scene).nbytes
     told = Guidance(made_up_sensitivity(scene, seed=3), 0.0, 1000 * scene.count, UNCHANGING)
     monkeypatch.setattr(allocate, "guide", lambda *_: told)
-    targets = Targets((), (), False, (0.0, 0.0, 0.0)) if guided else None
+    targets = ReferenceViews((), (), False, (0.0, 0.0, 0.0)) if guided else None
     data, report = to_target(scene, Config(profile), target, ply_bytes, targets)
     limit = target.limit(scene.count, ply_bytes)
     assert 0.98 * limit <= len(data) <= limit
@@ -175,35 +178,36 @@ def test_sizes_are_met_from_below(scene, target, profile, guided, monkeypatch):
 
 def test_the_same_target_gives_the_same_bytes(scene):
     streams = {
-        to_target(scene, Config("m", threads=threads), Target(bits=60))[0] for threads in (1, 2, 5)
+        to_target(scene, Config("m", threads=threads), RateTarget(bits=60))[0]
+        for threads in (1, 2, 5)
     }
     assert len(streams) == 1
 
 
 def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene):
     with pytest.raises(InvalidInput, match=r"target .* bytes: [\d,]+ to [\d,]+ bytes are in reach"):
-        to_target(scene, Config("m"), Target(size=10))
+        to_target(scene, Config("m"), RateTarget(size=10))
 
 
 @pytest.mark.parametrize(
-    "target", [Target(size=10**9), Target(ratio=1e-9), Target(bits=1e5)], ids=str
+    "target", [RateTarget(size=10**9), RateTarget(ratio=1e-9), RateTarget(bits=1e5)], ids=str
 )
 def test_size_that_no_steps_fill_is_that_of_the_finest(scene, target):
     data, report = to_target(scene, Config("m"), target)
     assert data == encode_scene(scene, Config("m", coarseness=2.0**FINEST))[0]
     assert report.rate.at_end
-    assert not to_target(scene, Config("m"), Target(bits=60))[1].rate.at_end
+    assert not to_target(scene, Config("m"), RateTarget(bits=60))[1].rate.at_end
 
 
 @pytest.mark.parametrize("profile", ["paper-m", "lossless"])
 def test_profiles_without_steps_have_no_targets(scene, profile):
     with pytest.raises(InvalidInput, match="fixed steps"):
-        to_target(scene, Config(profile), Target(bits=60))
+        to_target(scene, Config(profile), RateTarget(bits=60))
 
 
 def test_an_empty_scene_has_no_target():
     with pytest.raises(InvalidInput, match="no Gaussians"):
-        to_target(random_scene(0, 1), Config("m"), Target(bits=60))
+        to_target(random_scene(0, 1), Config("m"), RateTarget(bits=60))
 
 
 def test_what_is_dropped_is_reported(scene):
@@ -211,7 +215,7 @@ def test_what_is_dropped_is_reported(scene):
     broken.opacity[0, 5] = np.nan
     broken.rot[:, 7] = 0
     config = Config("m", nonfinite="drop")
-    data, report = to_target(broken, config, Target(bits=60))
+    data, report = to_target(broken, config, RateTarget(bits=60))
     assert (report.dropped, report.zero_quaternions) == (1, 1)
     assert decode_scene(data).count == scene.count - 1
     assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
@@ -228,7 +232,7 @@ def seen() -> tuple[Scene, Plan]:
 @pytest.mark.parametrize("wanted", [0.03, 0.1, 0.5])
 def test_losses_are_met_from_below(seen, wanted):
     scene, plan = seen
-    data, report = encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=wanted), plan)
+    data, report = encode_goal(scene, scene, 1, Config("m"), RateTarget(psnr_drop=wanted), plan)
     measured = choose_views(scene, plan).held_out
     loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
     assert wanted - 0.02 <= loss <= wanted
@@ -237,14 +241,14 @@ def test_losses_are_met_from_below(seen, wanted):
 
 def test_a_size_by_views_is_met(seen):
     scene, plan = seen
-    data, report = encode_goal(scene, scene, 1, Config("m"), Target(bits=60), plan)
+    data, report = encode_goal(scene, scene, 1, Config("m"), RateTarget(bits=60), plan)
     assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
     assert report.rate.predicted_bytes == pytest.approx(len(data), rel=0.3)
 
 
 def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
     scene, plan = seen
-    _, report = encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=60), plan)
+    _, report = encode_goal(scene, scene, 1, Config("m"), RateTarget(psnr_drop=60), plan)
     assert report.rate.coarseness == 2.0**COARSEST
     assert report.rate.psnr_drop < 60
     assert report.rate.at_end
@@ -253,18 +257,18 @@ def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
 def test_a_loss_out_of_reach_is_refused(seen):
     scene, plan = seen
     with pytest.raises(InvalidInput, match=r"target 1e-09 dB: .* dB are in reach"):
-        encode_goal(scene, scene, 1, Config("m"), Target(psnr_drop=1e-9), plan)
+        encode_goal(scene, scene, 1, Config("m"), RateTarget(psnr_drop=1e-9), plan)
 
 
 def test_photographs_tell_what_is_lost(seen, tmp_path):
     scene, plan = seen
     rng = np.random.default_rng(201)
-    drawn = draw_targets(scene, plan.cameras, (0.0, 0.0, 0.0))
+    drawn = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     for camera, image in zip(drawn.cameras, drawn.images, strict=True):
         noisy = 255 * np.clip(image + rng.normal(0, 0.1, image.shape), 0, 1)
         Image.fromarray(np.uint8(noisy)).save(tmp_path / f"{camera.name}.png")
     by_photographs = replace(plan, gt_images=tmp_path)
-    target = Target(psnr_drop=0.1)
+    target = RateTarget(psnr_drop=0.1)
     without = encode_goal(scene, scene, 1, Config("m"), target, plan)[1].rate
     data, report = encode_goal(scene, scene, 1, Config("m"), target, by_photographs)
     # Noise of 20 dB hides more than the 30 dB that are taken for granted without photographs.
@@ -292,7 +296,7 @@ def test_pruning_makes_room_for_the_others(crowded):
     measured = choose_views(scene, plan).held_out
     errors = []
     for allowed in (False, True):
-        target = Target(bits=34, allow_prune=allowed)
+        target = RateTarget(bits=34, allow_prune=allowed)
         data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
         assert 0.98 * 34 * scene.count <= 8 * len(data) <= 34 * scene.count
         assert decode_scene(data).count == report.count == scene.count - report.rate.pruned
@@ -306,7 +310,7 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
     measured = choose_views(scene, plan).held_out
     sizes = []
     for allowed in (False, True):
-        target = Target(psnr_drop=1.0, allow_prune=allowed)
+        target = RateTarget(psnr_drop=1.0, allow_prune=allowed)
         data, _ = encode_goal(scene, scene, 1, Config("m"), target, plan)
         loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
         assert 0.8 <= loss <= 1.0  # few views have jumps
@@ -317,8 +321,8 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
 def test_pruning_reaches_what_steps_do_not(crowded):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="are in reach"):
-        encode_goal(scene, scene, 1, Config("m"), Target(bits=14), plan)
-    target = Target(bits=14, allow_prune=True)
+        encode_goal(scene, scene, 1, Config("m"), RateTarget(bits=14), plan)
+    target = RateTarget(bits=14, allow_prune=True)
     counted = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -331,7 +335,7 @@ def test_pruning_reaches_what_steps_do_not(crowded):
     assert report.rate.encodings >= len(counted) > 20
 
 
-@pytest.mark.parametrize("target", [Target(psnr_drop=1e-9), Target(size=99)])
+@pytest.mark.parametrize("target", [RateTarget(psnr_drop=1e-9), RateTarget(size=99)])
 def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="are in reach"):
@@ -340,9 +344,9 @@ def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
 
 def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
     scene, plan = seen
-    target = Target(bits=250, allow_prune=True)
+    target = RateTarget(bits=250, allow_prune=True)
     data, report = encode_goal(scene, scene, 1, Config("m"), target, plan)
-    plain, _ = encode_goal(scene, scene, 1, Config("m"), Target(bits=250), plan)
+    plain, _ = encode_goal(scene, scene, 1, Config("m"), RateTarget(bits=250), plan)
     assert report.rate.pruned == 0
     assert data == plain
 
@@ -376,7 +380,7 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
 def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):
     scene, plan = crowded
     half = scene.take(np.arange(0, scene.count, 2))
-    data, _ = encode_goal(half, scene, 1, Config("m"), Target(bits=30), plan)
+    data, _ = encode_goal(half, scene, 1, Config("m"), RateTarget(bits=30), plan)
     assert 0.98 * 30 * scene.count <= 8 * len(data) <= 30 * scene.count
 
 
@@ -413,7 +417,7 @@ def test_ratio_counts_from_the_floats_of_what_comes_compressed(scene, tmp_path, 
     write_scene(source, scene, Config("s"))
     limit = source.stat().st_size if suffix == ".ply" else read_scene(source).float_bytes
     for ratio in (12.0, 14.0):
-        encode_file(source, out, rate=Target(ratio=ratio))
+        encode_file(source, out, rate=RateTarget(ratio=ratio))
         assert 0.98 * limit <= ratio * out.stat().st_size <= limit
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
-from gs_codec.io.ply import write_ply
+from gs_codec.formats.ply import write_ply
 from gs_codec.rendering import auto_cameras
 from samples.generate import generate
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gs_codec.errors import InvalidInput
-from gs_codec.io.ply import read_ply, write_ply
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from samples import generate as module
 from samples.generate import TARGET, generate, main, orbit_cameras

@@ -11,11 +11,11 @@ from scenes import antialiased as compensated
 from scenes import edge_scenes, with_threads
 from test_render import TEAL, splats, straight, turned
 
-from gs_codec.lattice.sensitivity import Sensitivity
-from gs_codec.preparation.gradients import draw
-from gs_codec.preparation.sensitivity import sensitivity
+from gs_codec.codecs.adaptive.step_sizes import Sensitivity
+from gs_codec.guidance.sensitivity import sensitivity
 from gs_codec.preparation.sh_weights import squared_weights
 from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.gradients import draw
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
 STEPS = (1e-5, 1e-6)

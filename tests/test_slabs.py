@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene
 
-from gs_codec import slabs
 from gs_codec.cli import main as cli
-from gs_codec.codec import decode_part, encode_scene
-from gs_codec.codec.decode import choose_part
-from gs_codec.codec.part import Part
+from gs_codec.codecs import decode_part, encode_scene, slabs
+from gs_codec.codecs.decode import choose_part
+from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
-from gs_codec.container.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream
-from gs_codec.files import decode_file, read_scene
-from gs_codec.io.ply import write_ply
+from gs_codec.files.coding import decode_file
+from gs_codec.files.scenes import read_scene
+from gs_codec.formats.ply import write_ply
 from gs_codec.scene import Scene
 
 BLOCK = 1024

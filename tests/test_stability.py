@@ -12,16 +12,14 @@ from bounds import error_over_bound
 from scenes import encode_by, made_up_guide, random_scene
 from stress import stress_scenes
 
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.codec.symbols import sent_table_bytes
-from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.entropygs.models import MAX_COMPONENTS, LaplaceModel, choose_model, fit_mixture
+from gs_codec.codecs.entropygs.symbols import sent_table_bytes
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.coding.frequency_table import MAX_PRECISION
+from gs_codec.coding.sent_tables import SentModel
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.inspection import inspect_bytes
-from gs_codec.model.laplace import LaplaceModel
-from gs_codec.model.mixture import MAX_COMPONENTS, fit_mixture
-from gs_codec.model.select import choose_model
-from gs_codec.model.sent import SentModel
-from gs_codec.model.table import MAX_PRECISION
 from gs_codec.scene import GROUPS
 
 #: Gaussians of a case, and copies of one: here, and with --rounds 2 or more.
@@ -80,7 +78,7 @@ def test_what_is_said_of_them_is_numbers(case):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("profile", LATTICE_PROFILES)
+@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_log_scales_may_be_as_far_apart_as_they_go(profile, seed):
     """Each is at most 400; what is between two of them is up to 800."""
     rng = np.random.default_rng(seed)

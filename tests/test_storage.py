@@ -15,17 +15,17 @@ import pytest
 from scenes import edge_scenes, random_scene
 from test_slabs import rich_scene, run
 
-from gs_codec import slabs, storage
-from gs_codec.codec import encode_parts, encode_scene
-from gs_codec.codec import room as rooms
-from gs_codec.codec.part import Part
-from gs_codec.codec.room import least_memory
-from gs_codec.config import PROFILE_CHOICES, Config, Target
+from gs_codec.codecs import encode_parts, encode_scene, slabs
+from gs_codec.codecs import memory as rooms
+from gs_codec.codecs.memory import least_memory
+from gs_codec.codecs.part import Part
+from gs_codec.config import PROFILE_CHOICES, Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files import decode_file, encode_file
-from gs_codec.io.ply import read_ply, write_ply
-from gs_codec.storage import Disk, Memory, bounded, current, empty, using
-from gs_codec.workers import run_all, using_threads
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.runtime import arrays as storage
+from gs_codec.runtime.arrays import Disk, Memory, bounded, current, empty, using
+from gs_codec.runtime.threads import run_all, using_threads
 
 BLOCK = 1024
 
@@ -241,7 +241,7 @@ def test_a_size_that_is_none_is_refused(files, monkeypatch, capsys):
 
 def test_views_and_targets_need_the_whole_scene(files):
     with pytest.raises(InvalidInput, match="max-memory: not with"):
-        encode_file(*files, rate=Target(ratio=5), max_memory=10**10)
+        encode_file(*files, rate=RateTarget(ratio=5), max_memory=10**10)
 
 
 def test_what_is_read_as_a_whole_is_refused_within_a_limit(files):

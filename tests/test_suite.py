@@ -21,8 +21,8 @@ from gs_codec.cli import main
 from gs_codec.cli.main import app
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput, MissingTool
-from gs_codec.io.ply import write_ply
-from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.formats.ply import write_ply
+from gs_codec.rendering.cameras import read_cameras
 from gs_codec.rendering.images import write_png
 from gs_codec.rendering.renderer import render
 from samples.generate import generate, orbit_cameras

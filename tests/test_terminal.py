@@ -17,7 +17,7 @@ from gs_codec.batch import run
 from gs_codec.cli.output import log_to_stderr
 from gs_codec.config import Config
 from gs_codec.errors import CorruptStream, InvalidInput, one_line, printable
-from gs_codec.files import write_scene
+from gs_codec.files.scenes import write_scene
 from viewer.main import main as viewer_main
 
 #: Title, clearing, bell, an 8-bit escape, other directions of writing, and ends of lines.
@@ -59,7 +59,7 @@ def test_messages_that_are_logged_are_printable(capsys):
     root.handlers.clear()
     try:
         log_to_stderr("gs-codec")
-        logging.getLogger("gs_codec.io.ply").warning("%s: not kept", HOSTILE)
+        logging.getLogger("gs_codec.formats.ply").warning("%s: not kept", HOSTILE)
     finally:
         root.handlers[:] = before
     err = capsys.readouterr().err

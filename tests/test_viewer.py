@@ -21,11 +21,11 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.cloud import to_cloud
-from gs_codec.codec import encode_scene
+from gs_codec.api.cloud import to_cloud
+from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
-from gs_codec.io.ply import read_ply, write_ply
-from gs_codec.transform.coordinates import turn_axes
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.ply import read_ply, write_ply
 from viewer import screenshot
 from viewer.layers import (
     Points,
@@ -42,10 +42,10 @@ from viewer.main import app, main
 from viewer.numbers import quality_text
 from viewer.opened import Opened, open_scene, read_pruned, turned
 from viewer.picture import Shown, draw_points, draw_scene, measure, outlined, wipe_line, wiped
-from viewer.places import find_places, known_ups
 from viewer.pose import UPS, Pose, look_at, of_camera, overview, up_of
 from viewer.request import Request, parse_layers
 from viewer.screenshot import draw_request
+from viewer.viewpoints import find_places, known_ups
 from viewer.worker import Worker
 
 STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))

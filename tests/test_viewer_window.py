@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 
 import gs_codec
-from gs_codec.codec import encode_scene
+from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
-from gs_codec.io.ply import write_ply
+from gs_codec.formats.ply import write_ply
 from samples.generate import generate
 from viewer.numbers import quality_text
 from viewer.pose import look_at

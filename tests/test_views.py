@@ -13,21 +13,20 @@ from scenes import edge_scenes, random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
+from gs_codec.api.cloud import to_cloud
 from gs_codec.cli.main import app
-from gs_codec.cloud import to_cloud
 from gs_codec.errors import InvalidInput
-from gs_codec.files import read_scene
-from gs_codec.io.ply import write_ply
+from gs_codec.files.scenes import read_scene
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.ply import write_ply
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
-from gs_codec.preparation.targets import photographed
+from gs_codec.preparation.reference_views import photographed
 from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.images import find_image, output_names, read_image, write_png
+from gs_codec.rendering.images import find_image, output_names, read_image, write_png, write_views
 from gs_codec.rendering.renderer import render
-from gs_codec.rendering.views import write_views
-from gs_codec.transform.coordinates import turn_axes
 from samples.generate import generate, orbit_cameras
 
 

@@ -68,7 +68,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
         for path in ROOT.glob(pattern)
     }
     assert {name for name in names if not name.startswith(metadata)} == expected
-    documents = "FORMAT.md", "TRUST.md", "cli/COMMANDS.md", "bench/RESULTS.md"
+    documents = "egs/FORMAT.md", "TRUST.md", "cli/COMMANDS.md", "bench/RESULTS.md"
     assert names >= {f"gs_codec/{name}" for name in documents}
     assert metadata + "licenses/LICENSE" in names
     assert not any(name.split("/")[0] in ("tests", "samples") for name in names)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gs_codec.workers import available_threads, run_all, using_threads
+from gs_codec.runtime.threads import available_threads, run_all, using_threads
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 16, None])

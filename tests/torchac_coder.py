@@ -15,8 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.errors import MissingTool, one_line
-from gs_codec.model.table import FrequencyTable
 
 _CHUNK = 1 << 16
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from gs_codec.cloud import to_cloud, turn_cloud
-from gs_codec.files import read_scene, turn_scene
+from gs_codec.api.cloud import to_cloud, turn_cloud
+from gs_codec.files.scenes import read_scene, turn_scene
+from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, float_bytes
-from gs_codec.transform.coordinates import CONVENTION, system_of
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from open3d.visualization import gui
 
-from gs_codec.transform.coordinates import CONVENTION
+from gs_codec.formats.coordinates import CONVENTION
 from viewer.choice import MODES
 from viewer.layers import COLOURINGS, LAYERS, Legend, heat_bar, reason_colour
 from viewer.numbers import between, facts

@@ -27,9 +27,9 @@ from viewer.picture import (
     wiped,
     write_reasons,
 )
-from viewer.places import find_places, known_ups
 from viewer.pose import Pose
 from viewer.request import Request, find_pruned, find_views, first_place
+from viewer.viewpoints import find_places, known_ups
 
 
 def write_screenshot(request: Request, path: Path) -> str:

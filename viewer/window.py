@@ -17,10 +17,10 @@ from viewer.choice import MODES, Choice
 from viewer.opened import Opened, Pruned, open_scene, turned
 from viewer.pane import HIDDEN, picture_of
 from viewer.panel import Panel, monospace
-from viewer.places import Place, find_places, known_ups, up_axis
 from viewer.request import Request, find_pruned, find_views, first_place
 from viewer.screenshot import compose, save_picture
 from viewer.stage import Stage
+from viewer.viewpoints import Viewpoint, find_places, known_ups, up_axis
 from viewer.worker import Stale, Worker
 
 #: Width of the panel, in font sizes.
@@ -59,7 +59,7 @@ class Viewer:
         self.request = request
         self.choice = Choice(set(request.layers), request.colouring, request.mode)
         self.cameras: list[Any] = []
-        self.places: list[Place] = []
+        self.places: list[Viewpoint] = []
         self.number = 0
         self._moved = False
         self.message: tuple[str, str] | None = None

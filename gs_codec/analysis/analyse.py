@@ -13,13 +13,13 @@ from gs_codec import __version__
 from gs_codec.analysis.fits import Fit, fits_of
 from gs_codec.analysis.information import bin_count
 from gs_codec.analysis.maps import Map, map_count, maps_of, mean_by_attribute, mean_by_relation
-from gs_codec.analysis.sensitivity import Sensitivity, measure_sensitivity
-from gs_codec.analysis.tables import bits_by_attribute, depths_by_group, entropy_by_group
-from gs_codec.codec import encode_scene
-from gs_codec.codec.clean import drop_nonfinite
+from gs_codec.analysis.page import bits_by_attribute, depths_by_group, entropy_by_group
+from gs_codec.analysis.sensitivity import SensitivityCurves, measure_sensitivity
+from gs_codec.codecs import encode_scene
+from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.preparation.targets import evenly
+from gs_codec.preparation.reference_views import evenly
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
@@ -84,7 +84,7 @@ class Analysis:
         For each paper profile, its depths and `entropy_by_group`.
     bits : dict of str to dict of str to float
         For each profile, `bits_by_attribute`.
-    sensitivity : Sensitivity or None
+    sensitivity : SensitivityCurves or None
         Only with cameras.
     notes : tuple of str
         What was left out, and why.
@@ -100,7 +100,7 @@ class Analysis:
     fits: list[Fit]
     entropy: dict[str, dict[str, Any]]
     bits: dict[str, dict[str, float]]
-    sensitivity: Sensitivity | None
+    sensitivity: SensitivityCurves | None
     notes: tuple[str, ...]
 
     def means(self) -> dict[str, dict[str, float | None]]:

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.analysis.zeros import is_zero
-from gs_codec.codec.symbols import fit_channel
+from gs_codec.analysis.information import is_zero
+from gs_codec.codecs.entropygs.models import MAX_COMPONENTS, LaplaceModel, MixtureModel, fit_mixture
+from gs_codec.codecs.entropygs.section import Channel, channel_order
+from gs_codec.codecs.entropygs.symbols import fit_channel
+from gs_codec.coding.frequency_table import MAX_PRECISION, shannon_bits
+from gs_codec.coding.quantise import ConstantQuantiser, Quantiser, quantise, quantise_positions
 from gs_codec.config import Config
-from gs_codec.container.channels import Channel, channel_places
-from gs_codec.model.laplace import LaplaceModel
-from gs_codec.model.mixture import MAX_COMPONENTS, MixtureModel, fit_mixture
-from gs_codec.model.table import MAX_PRECISION, shannon_bits
-from gs_codec.quantise import ConstantQuantiser, Quantiser, quantise, quantise_positions
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import run_all
 
 #: Number of bars of a histogram, and the quantiles between which values are shown.
 _BARS = 96
@@ -97,7 +96,7 @@ class Fit:
 def fits_of(scene: Scene, config: Config, advance: Callable[[], None] | None = None) -> list[Fit]:
     """One fit per channel, at the bit depths of a paper profile, in stream order."""
     depths = config.resolved_depths()
-    places = channel_places(len(scene.f_rest) // 3)
+    places = channel_order(len(scene.f_rest) // 3)
 
     def work(place: tuple[str, int, str]) -> Fit:
         group, index, stream = place

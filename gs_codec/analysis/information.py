@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.kernels import kernel
-from gs_codec.workers import run_all
+from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.threads import run_all
 
 #: Most bins per channel; values that each pair of bins should hold if channels are independent.
 MAX_BINS = 32
@@ -108,3 +108,17 @@ def _count_pairs(first, second, tables):
         for k in range(len(second)):
             for i in range(start, stop):
                 tables[k, first[i], second[k, i]] += 1
+
+
+#: Threshold relative to the channel's mean magnitude. Quantised formats store several values next
+#: to zero. With a Laplace distribution, one value in a hundred is below it, but never all of a
+#: colour.
+_SHARE = 0.01
+
+
+def is_zero(planes: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which values of channels ``(..., N)`` are at most 1/100 of the channel's mean magnitude."""
+    if not planes.size:
+        return np.zeros(planes.shape, bool)
+    magnitude = np.abs(planes)
+    return magnitude <= _SHARE * magnitude.mean(axis=-1, keepdims=True, dtype=np.float64)

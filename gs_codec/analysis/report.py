@@ -9,7 +9,7 @@ import numpy as np
 from gs_codec.analysis.analyse import REFERENCE, Analysis
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.page import heading, listing, number, page, paragraph, picture, table
-from gs_codec.analysis.sensitivity import THRESHOLD, Sensitivity
+from gs_codec.analysis.sensitivity import THRESHOLD, SensitivityCurves
 
 _GROUPS = ("rotation", "scaling", "opacity", "sh-ac", "total")
 
@@ -214,7 +214,7 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
     yield _tolerance_table(found)
 
 
-def _tolerance_table(found: Sensitivity) -> str:
+def _tolerance_table(found: SensitivityCurves) -> str:
     def cell(value: float | None) -> str:
         return "-" if value is None else f"{value:.2e}"
 

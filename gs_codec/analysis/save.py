@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.analysis.analyse import Analysis, Options, analyse_scene
-from gs_codec.analysis.figure import new_figure
-from gs_codec.analysis.plot_curves import plot_bits, plot_sensitivity
-from gs_codec.analysis.plot_fits import plot_attributes, plot_sh
-from gs_codec.analysis.plot_maps import plot_across_colours, plot_others, plot_within_colours
+from gs_codec.analysis.maps import plot_across_colours, plot_others, plot_within_colours
+from gs_codec.analysis.plots import (
+    new_figure,
+    plot_attributes,
+    plot_bits,
+    plot_sensitivity,
+    plot_sh,
+)
 from gs_codec.analysis.report import write_page
-from gs_codec.files import read_scene
-from gs_codec.io.atomic import check_writable, write_files
+from gs_codec.files.scenes import read_scene
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.atomic import check_writable, write_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable

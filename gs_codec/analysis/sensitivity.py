@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codec.symbols import fit_channel
+from gs_codec.codecs.entropygs.section import channel_order
+from gs_codec.codecs.entropygs.symbols import fit_channel
 from gs_codec.config import Config
-from gs_codec.container.channels import channel_places
 from gs_codec.metrics.images import psnr
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import run_all
 
 #: Root-mean-square errors, in standard deviations of the channel.
 LEVELS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
@@ -66,7 +66,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class SensitivityCurves:
     """Sensitivity curves of the attributes of a scene, and the views used."""
 
     cameras: tuple[Camera, ...]
@@ -102,7 +102,7 @@ def measure_sensitivity(
     config: Config,
     seed: int,
     progress: Progress | None = None,
-) -> Sensitivity:
+) -> SensitivityCurves:
     """Add noise to one attribute at a time, render, and compare with the unchanged scene.
 
     The noise is uniform, like the error of a quantiser, and independent for each value. Relative
@@ -135,7 +135,7 @@ def measure_sensitivity(
             if advance is not None:
                 advance()
         curves.append(_curve(scene, group, tuple(qualities), deviations, config))
-    return Sensitivity(tuple(cameras), config.profile, seed, tuple(curves))
+    return SensitivityCurves(tuple(cameras), config.profile, seed, tuple(curves))
 
 
 def _noise(deviations: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float32]:
@@ -171,7 +171,7 @@ def _curve(
     depths = config.resolved_depths()
     errors = [
         fit_channel(planes[i], group, depths[stream])[0].step / math.sqrt(12) / deviations[i]
-        for owner, i, stream in channel_places(len(scene.f_rest) // 3)
+        for owner, i, stream in channel_order(len(scene.f_rest) // 3)
         if owner == group and varying[i]
     ]
     ranges = np.ptp(planes[varying].astype(np.float64), axis=1)

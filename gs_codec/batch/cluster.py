@@ -12,12 +12,16 @@ from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from typing import Any
 
+import dask
+from distributed import Nanny, Scheduler, Security, SpecCluster, Worker
+from distributed.system import MEMORY_LIMIT
+
 from gs_codec import __version__
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.memory import available_bytes
+from gs_codec.batch.pool import Watcher, throttled
 from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.batch.scenes import Options, Task
-from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.batch.work import encode_one
 from gs_codec.errors import InvalidInput, MissingTool, one_line
 
@@ -107,8 +111,6 @@ class Cluster:
             try:
                 scheduler: Any = self._address
                 if scheduler == "local":
-                    from gs_codec.batch.local_cluster import start_cluster
-
                     scheduler = stack.enter_context(start_cluster(self._jobs, self._folder))
                 client = stack.enter_context(
                     self._distributed.Client(scheduler, set_as_default=False)
@@ -214,3 +216,50 @@ def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str)
 
     with _GATE.passed(task.need, room):
         return encode_one(task, options, worker.local_directory, throttled(tell))
+
+
+_HOST = "127.0.0.1"
+
+
+class _Silent:
+    """Keeps a Dask node from serving web pages, which it does even without a dashboard."""
+
+    def start_http_server(self, *arguments: Any, **options: Any) -> None:
+        """Open no port."""
+
+
+class LocalScheduler(_Silent, Scheduler):
+    """A scheduler without web pages."""
+
+
+class LocalWorker(_Silent, Worker):
+    """A worker without web pages."""
+
+
+def start_cluster(jobs: int, folder: str) -> SpecCluster:
+    """Start a scheduler and `jobs` worker processes that keep their files in `folder`.
+
+    They and their client authenticate with a key that only this process has. Other users of the
+    machine can reach the ports, but cannot connect without the key.
+    """
+    security = Security.temporary()
+    common = {"host": _HOST, "protocol": "tls://", "security": security}
+    worker = {
+        "cls": Nanny,
+        "options": common
+        | {
+            "worker_class": LocalWorker,
+            "nthreads": 1,
+            "memory_limit": MEMORY_LIMIT // jobs,
+            "local_directory": folder,
+            "silence_logs": logging.CRITICAL,
+        },
+    }
+    # Dask imports modules from its folder first; its default folder may belong to another user.
+    with dask.config.set({"temporary-directory": folder}):
+        return SpecCluster(
+            workers=dict.fromkeys(range(jobs), worker),
+            scheduler={"cls": LocalScheduler, "options": common | {"port": 0, "dashboard": False}},
+            security=security,
+            silence_logs=logging.CRITICAL,
+        )

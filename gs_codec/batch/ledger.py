@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.io.atomic import check_writable
+from gs_codec.runtime.atomic import check_writable
 
 try:
     import fcntl

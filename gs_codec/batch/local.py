@@ -12,14 +12,14 @@ from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
-from gs_codec.batch.places import SUFFIXES, Spot, Stamp, local_path
+from gs_codec.batch.storage import SUFFIXES, Spot, Stamp, local_path
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.io.atomic import leftovers, remove_leftover
+from gs_codec.runtime.atomic import leftovers, remove_leftover
 
 log = logging.getLogger(__name__)
 
 
-class LocalPlace:
+class LocalStorage:
     """See `Place`."""
 
     shared = True

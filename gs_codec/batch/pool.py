@@ -7,6 +7,7 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -15,7 +16,6 @@ from multiprocessing.connection import Connection, wait
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.redaction import redact_process
 from gs_codec.batch.scenes import Task
-from gs_codec.batch.watch import Watcher, throttled
 from gs_codec.report import Progress
 
 #: What a worker does with a task: a function that can be pickled, or a partial of one.
@@ -173,3 +173,40 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+#: Least seconds between two progress reports of a stage.
+_EVERY = 0.1
+
+
+class Watcher:
+    """Gets the events of a batch; this base class ignores them."""
+
+    def begun(self, total: int, skipped: int, report: str) -> None:
+        """The batch begins: `total` scenes to encode, `skipped` already done."""
+
+    def started(self, task: Task) -> None:
+        """A scene was started."""
+
+    def stage(self, task: Task, stage: str, done: int, total: int) -> None:
+        """Progress of a stage of encoding a scene."""
+
+    def ended(self, task: Task, record: Record) -> None:
+        """A scene is done, or failed."""
+
+    def said(self, text: str) -> None:
+        """A message for the user."""
+
+
+def throttled(progress: Progress) -> Progress:
+    """Pass on every new stage, and at most ten updates a second within a stage."""
+    last = ("", 0.0)
+
+    def tell(stage: str, done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if stage != last[0] or now - last[1] > _EVERY:
+            last = (stage, now)
+            progress(stage, done, total)
+
+    return tell

@@ -13,11 +13,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from gs_codec.batch.local import LocalPlace, by_folder, file_sha256, fixed_part
-from gs_codec.batch.places import SUFFIXES, Place, Spot, Stamp, is_url
+from gs_codec.batch.local import LocalStorage, by_folder, file_sha256, fixed_part
 from gs_codec.batch.redaction import redacted, without_secrets
+from gs_codec.batch.storage import SUFFIXES, Spot, Stamp, Storage, is_url
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
-from gs_codec.io.atomic import leftovers, temporary_name
+from gs_codec.runtime.atomic import leftovers, temporary_name
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +42,7 @@ _MOST = 1000
 _INSTALL = "pip install 'gs-codec[cluster]'"
 
 
-def place_of(text: str) -> Place:
+def place_of(text: str) -> Storage:
     """The storage of a path or URL.
 
     Raises
@@ -50,11 +50,11 @@ def place_of(text: str) -> Place:
     InvalidInput, MissingTool
         If its protocol is unknown, or it cannot be reached.
     """
-    return RemotePlace(text) if is_url(text) else LocalPlace()
+    return RemoteStorage(text) if is_url(text) else LocalStorage()
 
 
-class RemotePlace:
-    """See `Place`; `base` is the URL that was given.
+class RemoteStorage:
+    """See `Storage`; `base` is the URL that was given.
 
     Raises
     ------
@@ -109,7 +109,7 @@ class RemotePlace:
             raise InvalidInput(f"{shown}: {text}") from error
 
     def find(self, pattern: str) -> list[tuple[str, Spot]]:
-        """See `Place.find`; a web address is a folder if it ends in a slash."""
+        """See `Storage.find`; a web address is a folder if it ends in a slash."""
         wild = "*[" if self._read_only else "*[?"
         root = self._root
         with self._named():
@@ -180,15 +180,15 @@ class RemotePlace:
         return self._fs.isdir(self._root)
 
     def spot(self, folder: str, name: str) -> Spot:
-        """See `Place.spot`."""
+        """See `Storage.spot`."""
         return Spot(posixpath.join(self._root, name), folder)
 
     def shown(self, spot: Spot) -> str:
-        """See `Place.shown`."""
+        """See `Storage.shown`."""
         return self._prefix + without_secrets(spot.path)
 
     def check_folder(self, folder: str) -> None:
-        """See `Place.check_folder`."""
+        """See `Storage.check_folder`."""
         if self._read_only or len(self._protocols) > 1:
             kind = self._read_only[0] if self._read_only else "a chain of protocols"
             raise InvalidInput(f"{self._name}: {kind} can be read only")
@@ -197,7 +197,7 @@ class RemotePlace:
                 self._fs.makedirs(self._root, exist_ok=True)
 
     def stamp(self, spot: Spot) -> Stamp | None:
-        """See `Place.stamp`."""
+        """See `Storage.stamp`."""
         with self._named(spot):
             try:
                 info = self._fs.info(spot.path)
@@ -209,14 +209,14 @@ class RemotePlace:
         return Stamp(size if isinstance(size, int) else -1, modified)
 
     def sha256(self, spot: Spot) -> str:
-        """See `Place.sha256`."""
+        """See `Storage.sha256`."""
         import tempfile
 
         with tempfile.TemporaryDirectory() as folder:
             return file_sha256(self.fetch(spot, Path(folder)))
 
     def fetch(self, spot: Spot, folder: Path) -> Path:
-        """See `Place.fetch`; checks that the copy fits the disk and has the stated size."""
+        """See `Storage.fetch`; checks that the copy fits the disk and has the stated size."""
         from fsspec.callbacks import Callback
 
         shown, stamp = self.shown(spot), self.stamp(spot)
@@ -240,7 +240,7 @@ class RemotePlace:
         return target
 
     def store(self, file: Path, spot: Spot, mark: str) -> None:
-        """See `Place.store`."""
+        """See `Storage.store`."""
         with self._named(spot):
             if self._is_store:
                 self._fs.put_file(str(file), spot.path)
@@ -257,7 +257,7 @@ class RemotePlace:
                 raise
 
     def sweep(self, spots: Iterable[Spot], mark: str) -> None:
-        """See `Place.sweep`."""
+        """See `Storage.sweep`."""
         if self._is_store:
             return
         for folder, names in by_folder(spots).items():

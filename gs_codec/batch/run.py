@@ -19,15 +19,14 @@ from typing import Literal, Protocol
 from gs_codec import __version__
 from gs_codec.batch.ledger import Ledger, Record, open_ledger
 from gs_codec.batch.memory import available_bytes
-from gs_codec.batch.places import Place, Stamp, is_url, local_path
-from gs_codec.batch.pool import Pool
+from gs_codec.batch.pool import Pool, Watcher
 from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.batch.remote import place_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
-from gs_codec.batch.watch import Watcher
+from gs_codec.batch.storage import Stamp, Storage, is_url, local_path
 from gs_codec.batch.work import encode_one, versions
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.workers import available_threads
+from gs_codec.runtime.threads import available_threads
 
 _REPORT = "report.jsonl"
 
@@ -203,14 +202,14 @@ def _completed(record: Record, task: Task, digest: str) -> Record:
     return replace(record, input_bytes=task.stamp.size, input_modified=task.stamp.modified)
 
 
-def _refuse_existing(tasks: Sequence[Task], targets: Place) -> None:
+def _refuse_existing(tasks: Sequence[Task], targets: Storage) -> None:
     """Refuse to replace outputs that exist."""
     for task in tasks:
         if targets.stamp(task.target) is not None:
             raise InvalidInput(f"{task.shown[1]}: exists, expected --resume or --overwrite")
 
 
-def _default_report(target: str, targets: Place) -> str:
+def _default_report(target: str, targets: Storage) -> str:
     return os.path.join(os.path.abspath(local_path(target)), _REPORT) if targets.local else _REPORT
 
 
@@ -275,7 +274,7 @@ def _scratch(report: str) -> Iterator[str]:
 
 
 def _complete(
-    task: Task, ledger: Ledger, digest: str, sources: Place, targets: Place
+    task: Task, ledger: Ledger, digest: str, sources: Storage, targets: Storage
 ) -> Record | None:
     """The record of a scene that is done, if neither source nor output has changed since."""
     record = ledger.records.get(task.shown)
@@ -296,7 +295,7 @@ def _complete(
     return record if same else None
 
 
-def _same_bytes(task: Task, was: Stamp, record: Record, sources: Place) -> bool:
+def _same_bytes(task: Task, was: Stamp, record: Record, sources: Storage) -> bool:
     """Whether a local file with a new modification time still has the same content."""
     if not sources.local or task.stamp.size != was.size:
         return False

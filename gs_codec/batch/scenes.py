@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 from gs_codec.batch.local import file_sha256
 from gs_codec.batch.memory import expected_floats, needed_bytes
-from gs_codec.batch.places import Place, Spot, Stamp
 from gs_codec.batch.redaction import without_secrets
-from gs_codec.config import Config, Target
+from gs_codec.batch.storage import Spot, Stamp, Storage
+from gs_codec.config import Config, RateTarget
 from gs_codec.errors import GsCodecError, InvalidInput
-from gs_codec.workers import available_threads
+from gs_codec.runtime.threads import available_threads
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
@@ -28,7 +28,7 @@ class Options:
 
     config: Config
     plan: Plan | None = None
-    rate: Target | None = None
+    rate: RateTarget | None = None
     max_bytes: int | None = None
     max_memory: int | None = None
 
@@ -60,7 +60,7 @@ class Options:
             return 0
         from gs_codec.preparation.steps import Plan
         from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH
-        from gs_codec.rendering.camera_files import read_cameras
+        from gs_codec.rendering.cameras import read_cameras
 
         plan = plan or Plan()
         sizes = [(WIDTH, HEIGHT)]
@@ -129,7 +129,7 @@ class Task:
 
 
 def find_tasks(
-    source: str, target: str, sources: Place, targets: Place, options: Options, mark: str = ""
+    source: str, target: str, sources: Storage, targets: Storage, options: Options, mark: str = ""
 ) -> list[Task]:
     """The scenes that a file, folder or glob matches, with their outputs below the target.
 
@@ -163,7 +163,7 @@ def find_tasks(
     return tasks
 
 
-def _stamp(sources: Place, spot: Spot) -> Stamp:
+def _stamp(sources: Storage, spot: Spot) -> Stamp:
     """Stamp of a file; empty if it cannot be reached, so that only this scene fails later."""
     try:
         return sources.stamp(spot) or Stamp(-1, "")
@@ -171,11 +171,11 @@ def _stamp(sources: Place, spot: Spot) -> Stamp:
         return Stamp(-1, "")
 
 
-def _stated(sources: Place, spot: Spot) -> int | None:
+def _stated(sources: Storage, spot: Spot) -> int | None:
     """Bytes of floats that the header of a local file states; None if remote or unreadable."""
     if not sources.local or not os.path.isfile(spot.path):
         return None
-    from gs_codec.files import stated_bytes
+    from gs_codec.files.scenes import stated_bytes
 
     try:
         return stated_bytes(spot.path)

@@ -57,8 +57,8 @@ def _encode(
     blank: Record,
     warnings: list[str],
 ) -> Record:
-    from gs_codec.files import encode_file
-    from gs_codec.io.formats import open_scene
+    from gs_codec.files.coding import encode_file
+    from gs_codec.formats.registry import open_scene
 
     sources, targets = place_of(task.source.base), place_of(task.target.base)
     if task.name.lower().endswith(".json"):

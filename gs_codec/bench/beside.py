@@ -15,11 +15,11 @@ from gs_codec import __version__
 from gs_codec.bench.measure import sizes, spread
 from gs_codec.bench.peers import AbsentPeer, Peer
 from gs_codec.bench.rendered import rendered_quality
-from gs_codec.codec import decode_scene, encode_scene
-from gs_codec.config import LATTICE_PROFILES, PROFILE_CHOICES, Config
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import ToolFailed
-from gs_codec.io.ply import read_ply, vertex_rows, write_ply
-from gs_codec.planned import encode_planned
+from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
+from gs_codec.guidance.planned import encode_planned
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
@@ -41,7 +41,7 @@ def our_codecs(
     """
     codecs = [_camera_free(config) for config in configs]
     if plan is not None:
-        guided = [config for config in configs if config.profile in LATTICE_PROFILES]
+        guided = [config for config in configs if config.profile in ADAPTIVE_PROFILES]
         codecs += [_guided(config, plan, 0.0) for config in guided]
         codecs += [
             _guided(c, plan, percent) for c in guided if c.profile == "m" for percent in pruned

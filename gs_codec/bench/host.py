@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec import __version__
-from gs_codec.workers import available_threads
+from gs_codec.runtime.threads import available_threads
 
 #: Packages that measured codecs use, ours and others'.
 _PACKAGES = (

@@ -10,12 +10,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gs_codec.analysis.tables import entropy_by_group
+from gs_codec.analysis.page import entropy_by_group
 from gs_codec.bench.apart import run_apart
-from gs_codec.codec import decode_scene, encode_scene
+from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
-from gs_codec.files import compare_files
-from gs_codec.io.ply import read_ply, vertex_rows, write_ply
+from gs_codec.files.scenes import compare_files
+from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.scene import Scene
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.bench.measure import sizes
-from gs_codec.codec import decode_scene
+from gs_codec.codecs import decode_scene
 from gs_codec.config import Config
-from gs_codec.io.ply import vertex_rows
+from gs_codec.formats.ply import vertex_rows
+from gs_codec.guidance.planned import encode_planned
 from gs_codec.metrics.views import compare_views
-from gs_codec.planned import encode_planned
 from gs_codec.preparation.steps import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene

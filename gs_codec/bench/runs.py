@@ -16,7 +16,7 @@ from gs_codec.bench.measure import measure_scene
 from gs_codec.bench.peers import find_peers
 from gs_codec.bench.rendered import measure_quality
 from gs_codec.bench.sources import held_out_views, load_scene
-from gs_codec.config import LATTICE_PROFILES, Config
+from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
@@ -41,7 +41,7 @@ def run_profiles(
             if not cameras:
                 continue
             yield measure_quality(scene, name, views, truth, config)
-            if config.profile in LATTICE_PROFILES:
+            if config.profile in ADAPTIVE_PROFILES:
                 plan = Plan(Steps(), cameras, width=width)
                 yield measure_quality(scene, name, views, truth, config, plan)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from gs_codec.bench.apart import run_apart
 from gs_codec.bench.sources import tile_scene
-from gs_codec.io.ply import write_ply
+from gs_codec.formats.ply import write_ply
 from gs_codec.scene import Scene
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gs_codec.io.ply import read_ply
+from gs_codec.formats.ply import read_ply
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras

@@ -17,8 +17,8 @@ from gs_codec.cli.output import (
     progress_bar,
 )
 from gs_codec.errors import InvalidInput
-from gs_codec.io.atomic import check_folder
 from gs_codec.preparation.steps import CAMERAS
+from gs_codec.runtime.atomic import check_folder
 
 
 def command(

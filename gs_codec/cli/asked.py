@@ -18,11 +18,11 @@ from gs_codec.cli.options import (
     typer_option,
     value_of,
 )
-from gs_codec.config import LATTICE_PROFILES, PROFILES, Config, Target, options_of
+from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config, RateTarget, options_of
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan, Steps
 
-Settings = TypeVar("Settings", Config, Target, Plan, Steps)
+Settings = TypeVar("Settings", Config, RateTarget, Plan, Steps)
 
 
 class Asked:
@@ -173,11 +173,11 @@ def config_of(asked: Asked) -> Config:
     return config
 
 
-def target_of(asked: Asked) -> Target | None:
+def target_of(asked: Asked) -> RateTarget | None:
     """The size or quality that was asked for; None if none was."""
     names = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
     if any(asked[name] is not None for name in names):
-        return asked.build(Target)
+        return asked.build(RateTarget)
     asked.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
     return None
 
@@ -203,8 +203,8 @@ def _goes_by_views(asked: Asked) -> bool:
     profile, measured = Config(asked["profile"]).profile, asked["max_psnr_drop"] is not None
     if not measured:
         asked.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
-    if profile not in LATTICE_PROFILES:
-        known = ", ".join(LATTICE_PROFILES)
+    if profile not in ADAPTIVE_PROFILES:
+        known = ", ".join(ADAPTIVE_PROFILES)
         why = f"has no effect on profile '{profile}', expected {known}, --prune or --refine"
         asked.refuse(["cameras", "views", "width", "background"], why)
     if asked["cameras"] is not None or measured or asked["allow_prune"]:

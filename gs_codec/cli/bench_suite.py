@@ -14,7 +14,7 @@ import typer
 from gs_codec.cli.bench_tables import print_absent
 from gs_codec.cli.options import Overwrite, Threads
 from gs_codec.cli.output import print_status, print_text
-from gs_codec.io.atomic import check_folder, check_writable, make_folder
+from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
 
 
 def command(
@@ -50,7 +50,7 @@ def command(
 
     Ten minutes for each 100,000 Gaussians, or so; suite.jsonl has all lines measured so far.
     """
-    from gs_codec.analysis.figure import new_figure
+    from gs_codec.analysis.plots import new_figure
     from gs_codec.bench.suite.report import write_report
     from gs_codec.bench.suite.run import Options, run_suite
 

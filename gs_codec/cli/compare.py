@@ -27,8 +27,8 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.io.atomic import check_folder
 from gs_codec.preparation.steps import BACKGROUNDS, CAMERAS
+from gs_codec.runtime.atomic import check_folder
 
 #: Options of what is drawn.
 _OF_VIEWS = (
@@ -72,11 +72,11 @@ def command(
     else:
         check_folder(images, overwrite)
     if cameras is None:
-        from gs_codec.files import compare_files
+        from gs_codec.files.scenes import compare_files
 
         comparison = compare_files(first, second, max_bytes=max_bytes)
     else:
-        from gs_codec.viewing import compare
+        from gs_codec.api.viewing import compare
 
         with progress_bar() as progress:
             comparison = compare(

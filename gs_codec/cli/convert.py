@@ -21,7 +21,7 @@ from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config, options_of
 
 if TYPE_CHECKING:
-    from gs_codec.conversion import ConvertReport
+    from gs_codec.files.conversion import ConvertReport
 
 #: Options that other formats than .egs have no use for.
 _OF_CODING = [
@@ -54,7 +54,7 @@ def command(
     config = config_of(asked)
     if target.suffix.lower() != ".egs":
         asked.refuse(_OF_CODING, f"has no effect on {target}, expected an .egs")
-    from gs_codec.conversion import convert_file
+    from gs_codec.files.conversion import convert_file
 
     with piped_source(source) as file, progress_bar() as progress:
         done = convert_file(

@@ -14,7 +14,7 @@ from gs_codec.cli.streams import piped
 from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from gs_codec.files import DecodeReport
+    from gs_codec.files.coding import DecodeReport
 
 
 def command(
@@ -41,8 +41,8 @@ def command(
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
     box = None if bbox is None else _parse_box(bbox)
-    from gs_codec.codec.part import Part
-    from gs_codec.files import decode_file
+    from gs_codec.codecs.part import Part
+    from gs_codec.files.coding import decode_file
 
     part = Part(box, sh_degree)
     with piped(source, target, ".ply") as (file, out):

@@ -19,7 +19,7 @@ from gs_codec.cli.output import (
     smaller,
 )
 from gs_codec.cli.streams import piped
-from gs_codec.config import LATTICE_PROFILES, Config, Target
+from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, RateReport
 
@@ -28,7 +28,7 @@ CODING = (
     "profile", "cameras", "gt_images", "refine", "prune", "target_size", "target_ratio",
     "max_psnr_drop", "threads", "max_memory", "max_bytes", "nonfinite", "extra", "overwrite",
 )  # fmt: skip
-EXPERT = (Config, Target, Plan)
+EXPERT = (Config, RateTarget, Plan)
 
 
 @takes(*CODING, "json", expert=EXPERT)
@@ -41,8 +41,8 @@ def command(
 ) -> None:
     """Encode a scene to an .egs file."""
     plan, config, rate = plan_of(asked), config_of(asked), target_of(asked)
-    from gs_codec.files import encode_file
-    from gs_codec.io.formats import open_scene
+    from gs_codec.files.coding import encode_file
+    from gs_codec.formats.registry import open_scene
 
     with piped(source, target, ".egs") as (file, out):
         with progress_bar() as progress:
@@ -50,7 +50,7 @@ def command(
                 file, out, config, plan, rate, progress=progress, max_memory=asked["max_memory"],
                 max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
             )  # fmt: skip
-        _say_what_changed(done, config.profile in LATTICE_PROFILES)
+        _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
         with open_scene(file) as opened:
             size, compressed = opened.stored_bytes, opened.is_compressed
         ratio = (done.raw_bytes if compressed else size) / done.file_bytes

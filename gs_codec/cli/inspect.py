@@ -14,8 +14,8 @@ from gs_codec.cli.output import SCENES_PIPED, print_json, print_table, print_tex
 from gs_codec.cli.streams import piped_source
 
 if TYPE_CHECKING:
-    from gs_codec.inspection import Info
-    from gs_codec.overview import Overview
+    from gs_codec.codecs.inspection import Info
+    from gs_codec.formats.overview import Overview
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
     """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
     if json:
         refuse_given(ctx, ["channels"], "has no effect: --json has them anyway")
-    from gs_codec.files import inspect_file, is_egs
+    from gs_codec.files.scenes import inspect_file, is_egs
 
     with piped_source(file) as path:
         if not is_egs(path):
@@ -49,7 +49,7 @@ def command(
 
 def _show_other(file: Path, path: Path, max_bytes: int | None, json: bool) -> None:
     """What a scene at `path`, called `file`, holds that is no .egs."""
-    from gs_codec.overview import overview_of
+    from gs_codec.formats.overview import overview_of
 
     found = overview_of(path, max_bytes)
     if json:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gs_codec.config import Config, Option, Target
+from gs_codec.config import Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan, Steps
 
@@ -45,7 +45,7 @@ OPTIONS = {
 }  # fmt: skip
 DEFAULTS: dict[str, Any] = {"overwrite": False, "json": False}
 
-for _settings in (Config, Target, Plan, Steps):
+for _settings in (Config, RateTarget, Plan, Steps):
     for _field in fields(_settings):
         if _described := _field.metadata.get("option"):
             OPTIONS[_described.name or _field.name] = _described

@@ -31,7 +31,7 @@ def command(
     config, plan = config_of(asked), plan_of(asked)
     if plan is None or not plan.steps.wanted:
         raise InvalidInput("no step of preparation asked for, for example --prune 30")
-    from gs_codec.files import prepare_file
+    from gs_codec.files.preparing import prepare_file
 
     with piped_source(source) as file, progress_bar() as progress:
         done = prepare_file(

@@ -10,8 +10,8 @@ import typer
 
 from gs_codec.cli.options import SPLIT, Background, Device, MaxBytes, Overwrite, Width
 from gs_codec.cli.output import SCENES, print_text, progress_bar
-from gs_codec.io.atomic import check_folder
 from gs_codec.preparation.steps import BACKGROUNDS, CAMERAS
+from gs_codec.runtime.atomic import check_folder
 
 
 def command(
@@ -35,9 +35,9 @@ def command(
 ) -> None:
     """Draw a scene from each camera, as the 3DGS rasteriser does."""
     check_folder(out, overwrite)
-    from gs_codec.files import read_scene
+    from gs_codec.files.scenes import read_scene
     from gs_codec.rendering.cameras import find_cameras
-    from gs_codec.rendering.views import write_views
+    from gs_codec.rendering.images import write_views
 
     loaded = read_scene(scene, "drop", max_bytes=max_bytes)
     views = find_cameras(cameras, loaded, split, width)

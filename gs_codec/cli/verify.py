@@ -22,7 +22,7 @@ def command(
     json: Json = False,
 ) -> None:
     """Check every checksum of an .egs file and decode all of it, writing nothing."""
-    from gs_codec.slabs import verify_file
+    from gs_codec.codecs.slabs import verify_file
 
     with piped_source(source) as file, progress_bar() as progress:
         report = verify_file(file, threads, max_bytes, progress, tmc3, max_memory)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.metrics.images import View, mean_quality
 from gs_codec.scene import Scene
-from gs_codec.transform.coordinates import CONVENTION
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.io.atomic import make_folder
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.images import View, compare_images
 from gs_codec.rendering.camera import Camera
@@ -22,8 +21,9 @@ from gs_codec.rendering.images import (
 )
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.atomic import make_folder
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import run_all
 
 #: Factor by which difference images are amplified.
 DIFFERENCE_GAIN = 10

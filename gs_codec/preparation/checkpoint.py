@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.io.atomic import atomic_writer
-from gs_codec.io.limits import FAILURES
+from gs_codec.formats.limits import FAILURES
 from gs_codec.preparation.adam import AdamState
+from gs_codec.runtime.atomic import atomic_writer
 
 #: What reading a damaged archive of arrays may raise.
 _DAMAGE: tuple[type[Exception], ...] = (

@@ -10,18 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.kernels import kernel
-from gs_codec.preparation.normal_equations import fill_matrix, solve
 from gs_codec.preparation.sh_weights import (
     coefficients_of,
+    fill_matrix,
     sh_row,
+    solve,
     squared_weights,
     with_coefficients,
 )
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import run_all
 
 #: Default of `smallest`: half a step of coarse quantisation.
 SMALLEST = 0.018

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.kernels import kernel
 from gs_codec.preparation.sh_weights import sh_row
-from gs_codec.preparation.traced_view import SQUARED, Room, TracedView, trace_view
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.traced_view import SQUARED, TraceBuffers, TracedView, trace_view
+from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import available_threads, run_all
 
 #: Image ``(H, W, 3)`` of each view.
 Images = Sequence[NDArray]
@@ -75,7 +75,7 @@ class ImageOperator:
     cameras: Sequence[Camera]
     background: Sequence[float] = (0.0, 0.0, 0.0)
     kept: dict[int, TracedView] = field(default_factory=dict, init=False, repr=False)
-    rooms: list[Room] = field(default_factory=list, init=False, repr=False)
+    all_buffers: list[TraceBuffers] = field(default_factory=list, init=False, repr=False)
 
     def linearise(self, coefficients: NDArray, targets: Images, advance: Advance = None) -> Linear:
         """Linearise all views at `coefficients`; the residual is ``target - image``.
@@ -187,11 +187,11 @@ class ImageOperator:
         if view in self.kept:
             return self.kept[view]
         try:
-            room = self.rooms.pop()
+            buffers = self.all_buffers.pop()
         except IndexError:
-            room = None
-        traced, room = trace_view(self.scene, self.cameras[view], room)
-        self.rooms.append(room)
+            buffers = None
+        traced, buffers = trace_view(self.scene, self.cameras[view], buffers)
+        self.all_buffers.append(buffers)
         return traced
 
     def _keep(self, view: int, traced: TracedView) -> None:

@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 
 from gs_codec.config import PROFILES, Config
 from gs_codec.preparation.compact_sh import compact_sh
-from gs_codec.preparation.loo_rounds import prune_leave_one_out
+from gs_codec.preparation.leave_one_out import prune_leave_one_out
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
 from gs_codec.preparation.rectify import rectify
-from gs_codec.preparation.refit_colour import refit_colour
-from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
-from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.preparation.targets import (
-    Targets,
-    Views,
-    draw_targets,
+from gs_codec.preparation.reference_views import (
+    ReferenceViews,
+    ViewSplit,
+    draw_reference_views,
     evenly,
     photographed,
     read_targets,
 )
+from gs_codec.preparation.refit_colour import refit_colour
+from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
@@ -43,7 +43,7 @@ class _Context:
     """What the steps need besides the scene: options, views, and where to report progress."""
 
     steps: Steps
-    views: Views
+    views: ViewSplit
     checkpoint: str | Path | None
     progress: Progress | None
     config: Config
@@ -57,7 +57,7 @@ def prepare_scene(
     scene: Scene,
     plan: Plan,
     progress: Progress | None = None,
-    views: Views | None = None,
+    views: ViewSplit | None = None,
     config: Config | None = None,
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
@@ -91,7 +91,7 @@ def prepare_scene(
     return scene, PrepareReport(labels, tuple(reports), views)
 
 
-def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> Views:
+def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:
     """Draw or read the views that guide a plan's steps, and those that measure quality.
 
     Raises
@@ -100,23 +100,25 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
         If there are no cameras, no photograph of them is found, or one is broken.
     """
     rest, test = _split(scene, plan)
-    renders = draw_targets(scene, evenly(rest, plan.views), plan.background, progress)
+    renders = draw_reference_views(scene, evenly(rest, plan.views), plan.background, progress)
     photographs = None
     if plan.gt_images is not None:
         found = photographed(rest, plan.gt_images)
         photographs = read_targets(evenly(found, plan.views), plan.background)
     if test == rest:
-        return Views(renders, photographs, photographs or renders)
+        return ViewSplit(renders, photographs, photographs or renders)
     if plan.gt_images is None:
-        return Views(renders, photographs, draw_targets(scene, test, plan.background, progress))
+        return ViewSplit(
+            renders, photographs, draw_reference_views(scene, test, plan.background, progress)
+        )
     measured = photographed(test, plan.gt_images)
-    return Views(renders, photographs, read_targets(measured, plan.background))
+    return ViewSplit(renders, photographs, read_targets(measured, plan.background))
 
 
-def draw_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> Targets:
+def draw_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ReferenceViews:
     """Draw only the renders of `choose_views`."""
     cameras = evenly(_split(scene, plan)[0], plan.views)
-    return draw_targets(scene, cameras, plan.background, progress)
+    return draw_reference_views(scene, cameras, plan.background, progress)
 
 
 def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:

@@ -8,7 +8,7 @@ from math import isqrt
 
 import numpy as np
 
-from gs_codec.quantise import CentredQuantiser, fit_centred
+from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.scene import Scene
 
 

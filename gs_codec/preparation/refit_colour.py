@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.kernels import inlined, kernel
 from gs_codec.preparation.compact_sh import SMALLEST, penalty_of
 from gs_codec.preparation.image_operator import ImageOperator, Images, Linear
 from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import run_all
 
 
 @dataclass(frozen=True)

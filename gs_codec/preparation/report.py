@@ -1,15 +1,26 @@
-"""What preparation did: how many Gaussians went and why, and what each step cost."""
+"""Reports of preparation: as objects, as files, and as the paper's ablation table."""
 
 from __future__ import annotations
 
+import io
+import json
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codecs import decode_scene
+from gs_codec.codecs.entropygs.section import channel_order
+from gs_codec.config import PROFILES, Config
 from gs_codec.metrics.images import Quality
-from gs_codec.preparation.targets import Views
+from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
+from gs_codec.report import EncodeReport
+from gs_codec.runtime.atomic import write_files
+from gs_codec.scene import Scene
 
 #: Why an input Gaussian was removed; its label is the index in this tuple.
 LABELS = ("kept", "geometry", "importance", "leave-one-out")
@@ -54,13 +65,13 @@ class PrepareReport:
         error.
     steps : tuple of StepReport
         The first is the input.
-    views : Views
+    views : ViewSplit
         The views that guided the steps and that measured quality.
     """
 
     labels: NDArray[np.uint8]
     steps: tuple[StepReport, ...]
-    views: Views
+    views: ViewSplit
 
     @property
     def removed(self) -> dict[str, int]:
@@ -91,3 +102,74 @@ class PrepareReport:
 
 def _plain_step(step: StepReport) -> dict[str, Any]:
     return dict(vars(step), quality=step.quality.as_dict())
+
+
+def save_report(folder: str | Path, report: PrepareReport) -> None:
+    """Write ``report.json``, ``ablation.md`` and ``labels.npy``.
+
+    ``labels.npy`` has a uint8 for each input Gaussian, in the input's order: its index in
+    `LABELS`, 0 for those that were kept.
+
+    Raises
+    ------
+    InvalidInput
+        If they cannot be written.
+    """
+    labels = io.BytesIO()
+    np.save(labels, report.labels)
+    files = {
+        "report.json": json.dumps(report.as_dict(), indent=1).encode() + b"\n",
+        "ablation.md": _markdown(report.table()).encode(),
+        "labels.npy": labels.getvalue(),
+    }
+    write_files(folder, files)
+
+
+def _markdown(rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines.insert(1, "|---" + "|---:" * (len(rows[0]) - 1) + "|")
+    return "\n".join(lines) + "\n"
+
+
+def coding_steps(
+    scene: Scene, config: Config, data: bytes, report: EncodeReport, held_out: ReferenceViews
+) -> list[StepReport]:
+    """Size and quality after quantisation, entropy coding, and coding of the geometry.
+
+    Quantised attributes take the bits of their depths. Entropy coding then codes all but positions
+    and SH-DC; geometry coding codes these too, and gives the size of the file. Only quantisation
+    loses quality. Profiles without depths have one step. `data` and `report` are from encoding.
+    """
+    quality = held_out.quality(decode_scene(data))
+    if config.profile not in PROFILES:
+        name, took = f"coding ({config.profile})", sum(report.seconds.values())
+        return [StepReport(name, report.count, report.file_bytes, quality, took)]
+    quantised = _quantised_bytes(scene, config)
+    points = ("geometry", "sh-dc", "gpcc", "tool")
+    coded = report.file_bytes - sum(report.section_bytes.get(name, 0) for name in points)
+    plain = quantised["geometry"] + quantised["sh-dc"]
+    sizes = {
+        "quantisation": sum(quantised.values()),
+        "entropy coding": coded + plain,
+        "geometry coding": report.file_bytes,
+    }
+    seconds = _seconds(report)
+    return [
+        StepReport(name, report.count, size, quality, seconds[name]) for name, size in sizes.items()
+    ]
+
+
+def _quantised_bytes(scene: Scene, config: Config) -> dict[str, float]:
+    """Bytes of each depth group's symbols, packed at its depth."""
+    rows = Counter(stream for _, _, stream in channel_order(len(scene.f_rest) // 3))
+    depths = config.resolved_depths()
+    return {name: depths[name] * number * scene.count / 8 for name, number in rows.items()}
+
+
+def _seconds(report: EncodeReport) -> dict[str, float]:
+    times = report.seconds
+    return {
+        "quantisation": times.get("quantise and model", 0.0),
+        "entropy coding": times.get("code", 0.0),
+        "geometry coding": 0.0,
+    }

@@ -1,20 +1,66 @@
-"""SH of a scene as one block of coefficients, and how much cameras see of each Gaussian."""
+"""SH as one array of coefficients, their weights in views, and small least squares."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.kernels import inlined
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_C0, Scene
-from gs_codec.workers import run_all
+
+
+@kernel
+def fill_matrix(rows, evidence, matrix):
+    """Fill ``matrix (1 + K, 1 + K)`` with the sum of ``evidence * row row^T``."""
+    size = rows.shape[1]
+    matrix[:] = 0.0
+    for j in range(len(rows)):
+        if evidence[j] == 0.0:
+            continue
+        for k in range(size):
+            weight = evidence[j] * rows[j, k]
+            for m in range(k + 1):
+                matrix[k, m] += weight * rows[j, m]
+    for k in range(size):
+        for m in range(k):
+            matrix[m, k] = matrix[k, m]
+
+
+@kernel
+def solve(matrix, right):
+    """Solve in place by Cholesky; False if not positive definite or the result is not finite."""
+    size = len(right)
+    for k in range(size):
+        for m in range(k + 1):
+            value = matrix[k, m]
+            for n in range(m):
+                value -= matrix[k, n] * matrix[m, n]
+            if m < k:
+                matrix[k, m] = value / matrix[m, m]
+            elif value > 0.0:
+                matrix[k, k] = math.sqrt(value)
+            else:
+                return False
+    finite = True
+    for k in range(size):
+        for n in range(k):
+            right[k] -= matrix[k, n] * right[n]
+        right[k] /= matrix[k, k]
+    for k in range(size - 1, -1, -1):
+        for n in range(k + 1, size):
+            right[k] -= matrix[n, k] * right[n]
+        right[k] /= matrix[k, k]
+        finite = finite and abs(right[k]) < np.inf
+    return finite
 
 
 def coefficients_of(scene: Scene, dtype: type = np.float32) -> NDArray:

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.linear import combine, main_axis
 from gs_codec.errors import InvalidInput
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.project import NEAR
 from gs_codec.rendering.renderer import render
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import GROUPS, Scene
-from gs_codec.transform.linear import combine, main_axis
-from gs_codec.workers import run_all
 
 #: Size of the images, pixels; the field of view is 51 degrees wide.
 WIDTH, HEIGHT = 600, 400

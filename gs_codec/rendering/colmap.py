@@ -18,9 +18,9 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.container.bytes import ByteReader
+from gs_codec.coding.fields import ByteReader
 from gs_codec.errors import InvalidInput, TruncatedStream
-from gs_codec.io.mapped import opened
+from gs_codec.runtime.mapped import opened
 
 log = logging.getLogger(__name__)
 

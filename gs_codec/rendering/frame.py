@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.kernels import kernel
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.project import DEPTH, TILE, Splats, project
 from gs_codec.rendering.tiles import TileLists, list_tiles
+from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import available_threads, run_all
 
 _CHUNK = 1 << 14
 

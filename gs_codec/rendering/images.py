@@ -1,4 +1,4 @@
-"""Images from and to files."""
+"""Images from and to files; views of a scene, one file for each camera."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path, PurePath
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.io.atomic import atomic_writer
-from gs_codec.io.images import read_pixels
-from gs_codec.io.mapped import located
+from gs_codec.formats.images import read_pixels
 from gs_codec.rendering.camera import MAX_SIDE, Camera
+from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.atomic import atomic_writer, make_folder
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
@@ -117,3 +122,31 @@ def seek_image(folder: str | Path, name: str) -> Path | None:
 def _stem(name: str) -> str:
     stem, suffix = os.path.splitext(name)
     return stem if suffix.lower() in _SUFFIXES else name
+
+
+def write_views(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    folder: str | Path,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool | None = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Draw what each camera sees to ``NAME.png`` in `folder`; see `render`.
+
+    Raises
+    ------
+    InvalidInput
+        If two cameras' images would have one name, or an image cannot be written.
+    """
+    paths = [make_folder(folder) / f"{name}.png" for name in output_names(cameras)]
+    advance = step_counter(progress, "views", len(cameras))
+
+    def write(item: tuple[Camera, Path]) -> None:
+        camera, path = item
+        drawn = render(scene, camera, background, antialiased, device=device)
+        write_png(path, drawn.colour)
+
+    run_all(write, zip(cameras, paths, strict=True), advance=advance)
+    return paths

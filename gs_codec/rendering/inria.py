@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gs_codec.errors import InvalidInput
-from gs_codec.io.mapped import opened
+from gs_codec.runtime.mapped import opened
 
 #: Largest file, bytes: some 80,000 cameras. A hostile JSON text takes 30 times that in memory.
 _MAX_BYTES = 1 << 25

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.kernels import inlined, kernel
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
+from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import SH_C0, Scene
 
 #: Gaussians whose depth is below this are not drawn, scene units.

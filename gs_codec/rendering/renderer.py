@@ -13,7 +13,7 @@ from gs_codec.errors import MissingTool
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import Frame, make_frame
-from gs_codec.rendering.rasterise import draw_tiles
+from gs_codec.rendering.trace import draw_tiles
 from gs_codec.scene import Scene
 
 

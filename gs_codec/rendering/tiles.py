@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.kernels import inlined, kernel
 from gs_codec.rendering.project import (
     CENTRE_X,
     CENTRE_Y,
@@ -20,7 +19,8 @@ from gs_codec.rendering.project import (
     TILE,
     to_tile,
 )
-from gs_codec.workers import available_threads, run_all
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import available_threads, run_all
 
 
 class TileLists(NamedTuple):

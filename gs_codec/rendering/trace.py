@@ -1,4 +1,4 @@
-"""The pixels of a tile that a splat is added to, front to back, as the 3DGS rasteriser has it.
+"""Tracing of splats through the pixels of a tile, front to back, and their compositing.
 
 Everything that is drawn, summed or differentiated over pixels goes through `trace_splat`.
 """
@@ -9,18 +9,22 @@ import math
 
 import numpy as np
 
-from gs_codec.kernels import inlined
 from gs_codec.rendering.project import (
+    BLUE,
     CENTRE_X,
     CENTRE_Y,
+    DEPTH,
     FACTOR_XX,
     FACTOR_XY,
     FACTOR_YY,
+    GREEN,
     MIN_ALPHA,
     OPACITY,
     REACH,
+    RED,
     TILE,
 )
+from gs_codec.runtime.kernels import inlined, kernel
 
 #: Alpha of one splat in one pixel is at most this.
 MAX_ALPHA = 0.99
@@ -107,3 +111,54 @@ def _exp_minus(x):
     r = step / _STEPS - x
     series = 1.0 + r * (1.0 + r * (0.5 + r * (1 / 6 + r * (1 / 24 + r * (1 / 120)))))
     return _EXPONENTIALS[step] * series
+
+
+#: Columns of the sums kept for each splat-tile pair, over the pixels it was added to.
+WEIGHT, SQUARED_WEIGHT, TRANSMITTANCE, PIXELS = range(4)
+
+
+@kernel
+def draw_tiles(fields, splats, starts, first, end, columns, background, colour, alpha, depth, sums):
+    """Draw tiles `first` to `end` into images ``(H, W, 3)``, ``(H, W)``, ``(H, W)`` float32.
+
+    ``sums (pairs, 4)`` is filled too, unless it is empty.
+    """
+    height, width = alpha.shape
+    light = np.empty((TILE * TILE, 4))
+    left = np.empty(TILE * TILE)
+    pixels = np.empty(TILE * TILE, np.int64)
+    alphas = np.empty(TILE * TILE)
+    before = np.empty(TILE * TILE)
+    for tile in range(first, end):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        light[:] = 0.0
+        left[:] = 1.0
+        still_open = (x1 - x0) * (y1 - y0)
+        for pair in range(starts[tile], starts[tile + 1]):
+            field = fields[splats[pair]]
+            count, done = trace_splat(field, x0, x1, y0, y1, left, pixels, alphas, before)
+            red, green, blue, far = field[RED], field[GREEN], field[BLUE], field[DEPTH]
+            for i in range(count):
+                weight = alphas[i] * before[i]
+                pixel = light[pixels[i]]
+                pixel[0] += weight * red
+                pixel[1] += weight * green
+                pixel[2] += weight * blue
+                pixel[3] += weight * far
+                if len(sums):
+                    sums[pair, WEIGHT] += weight
+                    sums[pair, SQUARED_WEIGHT] += weight * weight
+                    sums[pair, TRANSMITTANCE] += before[i]
+                    sums[pair, PIXELS] += 1.0
+            still_open -= done
+            if still_open == 0:
+                break
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                pixel = light[(y - y0) * TILE + x - x0]
+                remaining = abs(left[(y - y0) * TILE + x - x0])
+                covered = 1.0 - remaining
+                for channel in range(3):
+                    colour[y, x, channel] = pixel[channel] + remaining * background[channel]
+                alpha[y, x] = covered
+                depth[y, x] = pixel[3] / covered if covered > 0.0 else 0.0

@@ -26,7 +26,7 @@ def kernel_modules() -> list[str]:
     return [
         ".".join(("gs_codec", *path.relative_to(package).with_suffix("").parts))
         for path in sorted(package.rglob("*.py"))
-        if "gs_codec.kernels import" in path.read_text() or "numba" in path.read_text()
+        if "gs_codec.runtime.kernels import" in path.read_text() or "numba" in path.read_text()
     ]
 
 

@@ -20,17 +20,16 @@ from damage import ENTRY, HEADER, with_checksums
 from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.batch.ledger import Record, open_ledger
-from gs_codec.codec import decode_part, encode_scene
-from gs_codec.codec.part import Part
+from gs_codec.codecs import decode_part, encode_scene
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
-from gs_codec.inspection import inspect_bytes
-from gs_codec.io.ply import write_ply
-from gs_codec.io.sog_files import read_pixels
-from gs_codec.io.sog_meta import parse_meta
+from gs_codec.formats.ply import write_ply
+from gs_codec.formats.sog_files import parse_meta, read_pixels
 from gs_codec.preparation.adam import AdamState, new_state
 from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from gs_codec.rendering.camera_files import read_cameras
+from gs_codec.rendering.cameras import read_cameras
 from gs_codec.rendering.images import read_image
 from gs_codec.scene import GROUPS, Scene
 from viewer.opened import read_pruned
@@ -131,7 +130,7 @@ def _streams() -> list[bytes]:
 
 
 def _scene_file(suffix: str) -> Callable[[bytes], object]:
-    from gs_codec.files import read_scene
+    from gs_codec.files.scenes import read_scene
 
     return partial(_from_file, partial(read_scene, extra="keep"), suffix)
 

@@ -19,9 +19,9 @@ sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
 from scenes import encode_by, made_up_guide, random_scene  # noqa: E402
 
-from gs_codec.codec import decode_scene  # noqa: E402
+from gs_codec.codecs import decode_scene  # noqa: E402
 from gs_codec.config import Config  # noqa: E402
-from gs_codec.container.file import VERSION  # noqa: E402
+from gs_codec.egs.file import VERSION  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
 
 #: What tells the encoder of what views see, by name.

@@ -16,9 +16,9 @@ from gs_codec.bench.peers.peer import (
     scene_of_ply,
     version_of,
 )
-from gs_codec.io.ply import read_ply, vertex_rows
+from gs_codec.formats.ply import read_ply, vertex_rows
+from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
-from gs_codec.workers import available_threads, run_all
 
 #: A second for 50 MB; level 19 takes 15 to 30 times as long for files up to 13 % smaller.
 LEVEL = 9

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.io.ply import read_ply
+from gs_codec.formats.ply import read_ply
 from gs_codec.scene import GROUPS, Scene, group_rows
 
 Extra = Literal["error", "keep", "drop"]

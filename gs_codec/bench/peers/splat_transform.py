@@ -17,7 +17,7 @@ import numpy as np
 
 from gs_codec.bench.peers.peer import AbsentPeer, Peer, scene_of_ply
 from gs_codec.errors import InvalidInput, MissingTool, ToolFailed, one_line
-from gs_codec.programs import Limits, first_line, run_on_files
+from gs_codec.runtime.programs import Limits, first_line, run_on_files
 from gs_codec.scene import Scene
 
 #: The environment variable that names the program.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.bench.peers.peer import AbsentPeer, Extra, Peer, version_of
-from gs_codec.io.ply import read_ply
+from gs_codec.formats.ply import read_ply
 from gs_codec.scene import Scene
 
 

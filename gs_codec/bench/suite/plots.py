@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
-from gs_codec.analysis.figure import new_figure
+from gs_codec.analysis.plots import new_figure
 from gs_codec.bench.beside import GUIDED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
-from gs_codec.config import LATTICE_PROFILES, LOSSLESS, PROFILES
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -137,7 +137,7 @@ def _profiles(lines: Sequence[Line], curve: str) -> list[Line]:
     """Codecs that are points of a curve; the pruned one starts at `m` without pruning."""
     found = {
         PAPER: lambda codec: codec in PROFILES,
-        FREE: lambda codec: codec in LATTICE_PROFILES,
+        FREE: lambda codec: codec in ADAPTIVE_PROFILES,
         CAMERA_GUIDED: lambda codec: codec.endswith(GUIDED),
         _PRUNED: lambda codec: codec == f"m{GUIDED}" or codec.endswith("pruned"),
     }

@@ -11,7 +11,7 @@ from gs_codec.bench.beside import GUIDED, is_ours
 from gs_codec.bench.curves import Curve
 from gs_codec.bench.rendered import measure_quality
 from gs_codec.bench.suite.scenes import MeasuredScene
-from gs_codec.config import DEPTH_GROUPS, LATTICE_PROFILES, MAX_DEPTH, PROFILES, Config
+from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config
 
 #: Names of curves: the paper's profiles, and ours without cameras and with.
 PAPER, FREE, CAMERA_GUIDED = "paper", "camera-free", "camera-guided"
@@ -71,7 +71,7 @@ def measure_points(
 
 def _profiles(curve: str) -> Sequence[str]:
     """Profiles that are points of a curve, finest first."""
-    return list(PROFILES if curve == PAPER else LATTICE_PROFILES)
+    return list(PROFILES if curve == PAPER else ADAPTIVE_PROFILES)
 
 
 def _beyond(curve: str, config: Config, step: int) -> tuple[str, Config]:

@@ -8,11 +8,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gs_codec.analysis.figure import new_figure
+from gs_codec.analysis.plots import new_figure
 from gs_codec.bench.beside import is_ours
 from gs_codec.bench.suite import plots, tables
 from gs_codec.bench.suite.results import Results
-from gs_codec.io.atomic import write_files
+from gs_codec.runtime.atomic import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,13 +9,13 @@ from typing import Any
 
 from gs_codec.bench.sources import held_out_views, load_scene, scene_name
 from gs_codec.errors import InvalidInput
-from gs_codec.io.mapped import located
 from gs_codec.metrics.views import fitted
+from gs_codec.preparation.reference_views import evenly, photographed
 from gs_codec.preparation.steps import Plan
-from gs_codec.preparation.targets import evenly, photographed
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.images import read_image
+from gs_codec.runtime.mapped import located
 from gs_codec.scene import Scene
 
 #: If a file does not mark held-out cameras, every third is held out.

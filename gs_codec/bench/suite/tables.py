@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from gs_codec import paper
 from gs_codec.bench.beside import GUIDED, is_ours
 from gs_codec.bench.curves import bd_rate
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, delta_of, finite, is_exact, psnr_of
+from gs_codec.codecs.entropygs import paper
 from gs_codec.config import LOSSLESS
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]

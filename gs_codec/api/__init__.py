@@ -1,0 +1,1 @@
+"""Functions on Open3D point clouds."""

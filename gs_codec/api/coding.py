@@ -1,0 +1,299 @@
+"""The public functions that read, write and code Open3D point clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, overload
+
+from gs_codec.api.cloud import from_cloud, to_cloud
+from gs_codec.codecs import decode_part
+from gs_codec.codecs.inspection import Info, inspect_bytes
+from gs_codec.codecs.part import Part
+from gs_codec.config import Config, RateTarget
+from gs_codec.files.scenes import inspect_file, read_scene, write_scene
+from gs_codec.formats.ply import vertex_rows
+from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.preparation.steps import Plan
+from gs_codec.report import Progress, RateReport
+from gs_codec.runtime.threads import using_threads
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import PointCloud
+
+
+def read(
+    path: str | Path,
+    extra: Literal["error", "keep", "drop"] = "error",
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> PointCloud:
+    """Read a scene: PLY, `.egs`, `.splat`, `.spz` or SOG, recognised by content.
+
+    Parameters
+    ----------
+    path : str or Path
+        The suffix matters only if the content does not identify the format.
+    extra : {"error", "keep", "drop"}
+        What to do with properties of a PLY beyond the INRIA layout: refuse the file, keep them as
+        attributes ``(N, 1)``, or leave them out.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` in the calling thread while an `.egs` file is
+        decoded; an exception from it stops decoding.
+    max_bytes : int, optional
+        Largest size of the scene's floats; by default 1 GiB or 1000 times the file.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        Float32 attributes ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)`` with
+        K = 0, 3, 8, 15 for SH degree 0 to 3, ``opacity (N, 1)`` (logit), ``log_scale (N, 3)``,
+        ``scale (N, 3)`` (linear), ``rot (N, 4)`` (wxyz as stored). Coordinates are right, down,
+        forward: a scene that states another system, as `.spz` does, is converted.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be read, is of no known format, decodes to more than `max_bytes`, or has
+        properties that `extra` refuses.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If it is an `.egs` file that is damaged, or newer than this version.
+    MissingTool, ToolFailed
+        If its points are coded by G-PCC, and ``tmc3`` is not installed or does not decode them.
+
+    Notes
+    -----
+    A cloud may be edited with Open3D's methods before it is encoded or written. Open3D 0.20 has
+    these limits:
+
+    - ``translate``, and the methods that select or append points, are correct.
+    - ``scale`` changes ``scale`` but not ``log_scale``, which keeps the exact values of the file.
+      Delete the one that is out of date, or `encode` and `write` raise `InvalidInput`.
+    - ``rotate`` is correct for SH degree 0. It rotates ``f_rest`` wrongly, so view-dependent
+      colours become wrong. gs_codec cannot detect this.
+    - ``transform`` changes only ``positions``, as its warning says. gs_codec cannot detect this.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> cloud.point.positions.shape, cloud.point.f_rest.shape
+    (SizeVector[2000, 3], SizeVector[2000, 15, 3])
+
+    Twice as large:
+
+    >>> larger = cloud.clone().scale(2, [0, 0, 0])
+    >>> del larger.point["log_scale"]
+    >>> gs_codec.write("larger.ply", larger)
+    """
+    return to_cloud(read_scene(path, extra, progress, max_bytes=max_bytes))
+
+
+def write(
+    path: str | Path, cloud: PointCloud, config: Config | None = None, overwrite: bool = True
+) -> None:
+    """Write a cloud as ``.ply``, ``.splat`` or, encoded, as ``.egs``; whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        The suffix selects the format. A PLY has the INRIA trainer's layout.
+    cloud : open3d.t.geometry.PointCloud
+        With the attributes that `read` gives. One of ``log_scale`` and ``scale`` is enough; if
+        both are present, they must agree.
+    config : Config, optional
+        How to encode an ``.egs`` file. Its `extra` says what to do with other attributes. A PLY
+        keeps them; for ``.splat``, a log message names what the format cannot hold.
+    overwrite : bool
+        Whether to replace an existing file, once the new one is complete. If False, an existing
+        file is an error.
+
+    Raises
+    ------
+    InvalidInput
+        If the suffix is unknown, an attribute is missing, ``log_scale`` and ``scale`` disagree, a
+        value to be coded is not finite, or the file cannot be written.
+    MissingTool, ToolFailed
+        If `config` asks for G-PCC, and its program is not installed or fails.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> gs_codec.write("small.egs", cloud, gs_codec.Config("s"))
+    >>> gs_codec.write("small.ply", gs_codec.read("small.egs"))
+    """
+    config = config or Config()
+    extra = config.extra if Path(path).suffix.lower() == ".egs" else "keep"
+    write_scene(path, from_cloud(cloud, extra), config, overwrite)
+
+
+@overload
+def encode(
+    source: PointCloud,
+    config: Config | None = None,
+    plan: Plan | None = None,
+    rate: None = None,
+    *,
+    progress: Progress | None = None,
+) -> bytes: ...
+
+
+@overload
+def encode(
+    source: PointCloud,
+    config: Config | None = None,
+    plan: Plan | None = None,
+    *,
+    rate: RateTarget | Mapping[str, float],
+    progress: Progress | None = None,
+) -> tuple[bytes, RateReport]: ...
+
+
+def encode(
+    source: PointCloud,
+    config: Config | None = None,
+    plan: Plan | None = None,
+    rate: RateTarget | Mapping[str, float] | None = None,
+    *,
+    progress: Progress | None = None,
+) -> bytes | tuple[bytes, RateReport]:
+    """Encode a cloud as an `.egs` stream; `encode_file` has the same arguments.
+
+    The same cloud, options and version give the same bytes. Profiles ``paper-*`` use the method of
+    EntropyGS (arXiv 2508.10227, Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
+
+    Parameters
+    ----------
+    source : open3d.t.geometry.PointCloud
+        With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough, two agree.
+    config : Config, optional
+        By default profile ``m``.
+    plan : Plan, optional
+        How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` then spend
+        bits where its views see it.
+    rate : RateTarget or mapping, optional
+        Rate target for profiles ``l``, ``m`` and ``s``: one of ``size`` (bytes), ``ratio``,
+        ``bits`` (per Gaussian) and ``psnr_drop`` (dB); and ``allow_prune``. The ratio is relative
+        to the PLY that `write` writes.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+
+    Returns
+    -------
+    data : bytes
+        The stream, which may be written to a file as it is.
+    report : RateReport
+        With a rate alone: the steps it led to, and the size or quality expected and reached.
+
+    Raises
+    ------
+    InvalidInput
+        If an attribute is missing or of a wrong type, ``log_scale`` and ``scale`` disagree, a value
+        is not finite, or the rate cannot be reached.
+    MissingTool, ToolFailed
+        If `config` asks for G-PCC, and the program is missing or fails.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> data = gs_codec.encode(cloud)
+    >>> seen = gs_codec.encode(cloud, plan=gs_codec.Plan(cameras="cameras.json"))
+
+    A size instead of a profile's own step sizes; sizes are met from below:
+
+    >>> data, report = gs_codec.encode(cloud, rate={"size": 40_000})
+    >>> len(data) == report.file_bytes <= 40_000
+    True
+    """
+    config = config or Config()
+    scene = from_cloud(source, config.extra)
+    with using_threads(config.threads):
+        ply_bytes = vertex_rows(scene).nbytes if rate is not None else 0
+        data, report = encode_by_plan(scene, ply_bytes, config, plan, rate, progress)
+    return data if report.rate is None else (data, report.rate)
+
+
+def decode(
+    source: bytes,
+    part: Part | None = None,
+    *,
+    threads: int | None = None,
+    tmc3: str | Path | None = None,
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> PointCloud:
+    """Decode an `.egs` stream; Gaussians are in Morton order unless their order was stored.
+
+    The same bytes give the same floats on every machine. `decode_file` has the same arguments.
+
+    Parameters
+    ----------
+    source : bytes
+        A whole stream, from `encode` or a file.
+    part : Part, optional
+        A box, a lower SH degree, or both.
+    threads : int, optional
+        Worker threads, 1-256; by default one for each available processor.
+    tmc3 : str or Path, optional
+        MPEG's program, for streams that use G-PCC; by default what the environment variable
+        ``GS_CODEC_TMC3`` or PATH say.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    max_bytes : int, optional
+        Largest size of the decoded floats; by default 1 GiB or 1000 times the stream.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        With the attributes `read` gives.
+
+    Raises
+    ------
+    InvalidInput
+        If a box has no Gaussians.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the stream is damaged, decodes to more than `max_bytes`, or is newer than this version.
+    MissingTool, ToolFailed
+        If points are coded by G-PCC, and its program is not installed or does not decode them.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> data = gs_codec.encode(cloud, gs_codec.Config("lossless"))
+    >>> gs_codec.decode(data).point.rot.shape
+    SizeVector[2000, 4]
+    >>> gs_codec.decode(data, gs_codec.Part(sh_degree=0)).point.f_rest.shape
+    SizeVector[2000, 0, 3]
+    """
+    return to_cloud(decode_part(source, part or Part(), threads, max_bytes, progress, tmc3)[0])
+
+
+def inspect(source: bytes | str | Path) -> Info:
+    """Describe an `.egs` file or stream, without decoding it.
+
+    Parameters
+    ----------
+    source : bytes, str or Path
+        A stream, or the path of a file.
+
+    Returns
+    -------
+    Info
+        Profile, number of Gaussians, bounds, bytes of each attribute, step sizes, models, and
+        channels that take no bits.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be read.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If its header or tables are damaged, or it is newer than this version.
+
+    Examples
+    --------
+    >>> info = gs_codec.inspect("scene.egs")
+    >>> info.profile, info.count, info.sh_degree
+    ('m', 2000, 3)
+    >>> info.file_bytes == sum(stream.bytes for stream in info.streams)
+    True
+    """
+    return inspect_bytes(source) if isinstance(source, bytes) else inspect_file(source)

@@ -1,0 +1,245 @@
+"""The public functions that use cameras: render, compare and prepare scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from gs_codec.api.cloud import from_cloud, to_cloud
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.files.scenes import compare_files, read_scene
+from gs_codec.formats.coordinates import system_of, turn_axes
+from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.metrics.views import compare_views
+from gs_codec.preparation.steps import Plan
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.drawn import RenderedViews
+from gs_codec.rendering.renderer import Rendering
+from gs_codec.rendering.renderer import render as render_view
+from gs_codec.report import Progress
+from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import PointCloud
+
+    from gs_codec.preparation.report import PrepareReport
+
+
+def render(
+    source: PointCloud | str | Path,
+    cameras: str | Path | Sequence[Camera] = "auto",
+    *,
+    split: str = "all",
+    width: int | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool | None = None,
+    accumulate: bool = False,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> RenderedViews:
+    """Render a scene as the 3DGS rasteriser does; each view is drawn when it is asked for.
+
+    Parameters
+    ----------
+    source : open3d.t.geometry.PointCloud, or path of a scene
+        The scene; extra properties are ignored.
+    cameras : path, "auto", or sequence of Camera or mapping
+        Path of a ``cameras.json`` of the INRIA trainer or of the folder of a COLMAP model;
+        ``auto`` for cameras chosen from the scene; or cameras, or entries of ``cameras.json``.
+    split : {"all", "held-out", "test", "train"}
+        Which cameras to use. ``held-out`` is ``test`` if cameras are marked, else ``all``.
+    width : int, optional
+        Width of the images, pixels; the height keeps the aspect ratio.
+    background : sequence of three float
+        RGB behind everything, 0-1.
+    antialiased : bool, optional
+        Opacity compensation for the low-pass filter (Mip-Splatting); by default as the comments of
+        the file say.
+    accumulate : bool
+        Keep the sum of blending weights of each Gaussian.
+    device : {"auto", "cpu", "cuda"}
+        ``cuda`` renders with gsplat; ``auto`` uses ``cuda`` if possible.
+    progress : callable, optional
+        Called as ``progress("views", done, total)``.
+    max_bytes : int, optional
+        Largest size of the floats of a scene's file; by default 1 GiB or 1000 times the file.
+
+    Returns
+    -------
+    Views
+        Iterates over pairs of a camera and its rendering.
+
+    Raises
+    ------
+    InvalidInput
+        If the scene or the cameras cannot be read, or no camera is in the split.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the scene is an `.egs` file that cannot be decoded.
+    MissingTool
+        When drawing, if ``cuda`` is asked for and not available.
+
+    Examples
+    --------
+    >>> for camera, rendering in gs_codec.render("scene.ply", "cameras.json", width=48):
+    ...     print(camera.name, rendering.colour.shape)
+    00000 (32, 48, 3)
+    00001 (32, 48, 3)
+    """
+    scene = scene_of(source, max_bytes)
+
+    def draw(camera: Camera) -> Rendering:
+        return render_view(scene, camera, background, antialiased, accumulate, device=device)
+
+    return RenderedViews(find_cameras(cameras, scene, split, width), draw, progress)
+
+
+def compare(
+    first: PointCloud | str | Path,
+    second: PointCloud | str | Path,
+    cameras: str | Path | Sequence[Camera] | None = None,
+    *,
+    split: str = "held-out",
+    width: int | None = None,
+    gt_images: str | Path | None = None,
+    images: str | Path | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> Comparison:
+    """Errors of one scene against another: by attribute, or in what cameras see.
+
+    Without cameras, files are matched through their stored order: of a scene and its decoded
+    version, the first is put in the order of the second. Clouds are compared index by index.
+
+    Parameters
+    ----------
+    first, second : open3d.t.geometry.PointCloud, or paths of scenes
+        Two of a kind, unless there are cameras.
+    cameras, split, width, background, device, progress, max_bytes
+        As for `render`; ``auto`` cameras are chosen from the first scene.
+    gt_images : path, optional
+        Folder of ground-truth images, named as the cameras; views are rendered at their size.
+    images : path, optional
+        Output folder: for each view, both images and their amplified difference.
+
+    Returns
+    -------
+    Comparison
+        Without cameras its `groups`: largest and root-mean-square errors of each attribute. With
+        cameras its `views`, their `mean` and the `worst`: PSNR, SSIM and, where installed, LPIPS.
+
+    Raises
+    ------
+    InvalidInput
+        If a source cannot be read; without cameras, if the numbers of Gaussians differ; if images
+        differ in size, or are missing.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If a source is an `.egs` file that cannot be decoded.
+    MissingTool
+        If ``cuda`` is asked for but not available.
+
+    Examples
+    --------
+    >>> errors = gs_codec.compare("scene.ply", "scene.egs")
+    >>> errors.matched_by
+    'stored order'
+    >>> [f"{group.name} ({group.unit})" for group in errors.groups][:3]
+    ['positions (scene units)', 'f_dc (SH)', 'f_rest (SH)']
+
+    Compare rendered views:
+
+    >>> seen = gs_codec.compare("scene.ply", "scene.egs", "cameras.json", width=48)
+    >>> seen.mean.between.psnr > 35
+    True
+    """
+    if cameras is not None:
+        if gt_images is not None and width is not None:
+            raise InvalidInput("width: given by the ground-truth images, expected one of the two")
+        stored = _stored_scene(first, max_bytes), _stored_scene(second, max_bytes)
+        systems = system_of(stored[0]), system_of(stored[1])
+        scenes = turn_axes(stored[0]), turn_axes(stored[1])
+        views = find_cameras(cameras, scenes[0], split, width)
+        seen = compare_views(*scenes, views, gt_images, images, background, device, progress)
+        return replace(seen, systems=systems)
+    if isinstance(first, str | Path) and isinstance(second, str | Path):
+        return compare_files(first, second, max_bytes)
+    if isinstance(first, str | Path) or isinstance(second, str | Path):
+        raise InvalidInput("compare: one file and one cloud, expected two of a kind")
+    return compare_scenes(scene_of(first, max_bytes), scene_of(second, max_bytes))
+
+
+def prepare(
+    source: PointCloud | str | Path,
+    plan: Plan,
+    config: Config | None = None,
+    *,
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> tuple[PointCloud, PrepareReport]:
+    """Make a scene smaller before it is coded, and report the quality lost (paper, Section 4.2).
+
+    `prepare_file` has the same arguments.
+
+    Parameters
+    ----------
+    source : open3d.t.geometry.PointCloud, or path of a scene
+        The input, which stays as it is.
+    plan : Plan
+        Steps of preparation, and the views that guide them.
+    config : Config, optional
+        How the scene will be coded, whose depths ``rectify`` goes by; by default profile ``m``.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    max_bytes : int, optional
+        Largest size of the floats of a scene's file; by default 1 GiB or 1000 times the file.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        The smaller scene, with the attributes that `read` gives.
+    PrepareReport
+        A label for each input Gaussian, and size and quality after each step.
+
+    Raises
+    ------
+    InvalidInput
+        If a file cannot be read, there are no cameras, or nothing would be left.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the scene is an `.egs` file that cannot be decoded.
+
+    Examples
+    --------
+    >>> plan = gs_codec.Plan(gs_codec.Steps(prune=30), "cameras.json", width=48)
+    >>> pruned, report = gs_codec.prepare(gs_codec.read("scene.ply"), plan)
+    >>> report.removed
+    {'geometry': 0, 'importance': 0, 'leave-one-out': 600}
+    >>> [step.name for step in report.steps]
+    ['original', 'leave-one-out pruning']
+    """
+    from gs_codec.preparation.pipeline import prepare_scene
+
+    with using_threads(None if config is None else config.threads):
+        scene = scene_of(source, max_bytes)
+        scene, report = prepare_scene(scene, plan, progress, config=config)
+    return to_cloud(scene), report
+
+
+def scene_of(source: PointCloud | str | Path, max_bytes: int | None = None) -> Scene:
+    """The scene of a cloud or file in ``RDF``, without extra attributes and properties."""
+    return turn_axes(_stored_scene(source, max_bytes))
+
+
+def _stored_scene(source: PointCloud | str | Path, max_bytes: int | None) -> Scene:
+    """The scene of a cloud or file, in the coordinate system of the file."""
+    if isinstance(source, str | Path):
+        return read_scene(source, "drop", coordinates=None, max_bytes=max_bytes)
+    if max_bytes is not None:
+        raise InvalidInput("max_bytes: limits scenes in files, expected none with a cloud")
+    return from_cloud(source, "drop")

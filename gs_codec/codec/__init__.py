@@ -1,6 +1,0 @@
-"""Scene to stream and back: the order of the stages is decided here alone."""
-
-from gs_codec.codec.decode import decode_part, decode_scene
-from gs_codec.codec.encode import encode_parts, encode_scene
-
-__all__ = ["decode_part", "decode_scene", "encode_parts", "encode_scene"]

@@ -1,0 +1,1 @@
+"""Profiles ``l``, ``m`` and ``s``: a step size for each attribute of each Gaussian."""

@@ -1,0 +1,173 @@
+"""Choose the lattices and the stream order of a scene."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.depths import as_deep, mean_octaves
+from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, LARGEST
+from gs_codec.codecs.adaptive.lattice import Lattice, PositionGrid, StepRule
+from gs_codec.codecs.adaptive.positions import to_grid
+from gs_codec.codecs.adaptive.step_sizes import (
+    SH_RATIO,
+    StepSizes,
+    blind_coefficients,
+    features,
+    finest_step,
+    make_rule,
+)
+from gs_codec.coding.axes import sort_axes
+from gs_codec.coding.linear import combine
+from gs_codec.coding.morton import canonical_order, encode_morton, in_stream_order
+from gs_codec.config import Config
+from gs_codec.runtime.arrays import current
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene
+
+#: Log2 of the coarsest step sizes: of logits, log-scales, quaternion components, colours.
+_COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
+
+#: Log2 of the finest unit of fixed-point values.
+_FINEST = -18
+
+#: Most bits of a step size as a fixed-point integer.
+_STEP_BITS = 31
+
+_AXIS_BITS = 21
+
+_LARGEST = float(np.finfo(np.float32).max)
+
+#: Units and centres are chosen from a sample of at most twice this many Gaussians.
+_SAMPLE = 100_000
+
+#: Gaussians that are put on the grid at once.
+_CHUNK = 1 << 16
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """A scene, its stream order, and its lattices.
+
+    Attributes
+    ----------
+    source : Scene
+        The scene to code.
+    order : ndarray, shape (N,), uint32
+        Index in it of each Gaussian of the stream.
+    lattice : Lattice
+    codes : ndarray, shape (N,), int64
+        Morton codes, ascending.
+    classes : ndarray, shape (2, N), uint8
+        Shape class and colour class, in stream order.
+    """
+
+    source: Scene
+    order: NDArray[np.uint32]
+    lattice: Lattice
+    codes: NDArray[np.int64]
+    classes: NDArray[np.uint8]
+
+
+def arrange_scene(scene: Scene, config: Config, asked: StepSizes | None) -> Arranged:
+    """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
+
+    Raises
+    ------
+    ValueError
+        If `asked` is of another number of Gaussians.
+    """
+    some = slice(None, None, max(1, scene.count // _SAMPLE))
+    _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
+    steps = asked
+    if steps is None:
+        none, fineness = np.zeros(scene.count, np.uint8), config.resolved_lattice().fineness
+        steps = StepSizes(none, none, blind_coefficients(sampled, fineness), (SH_RATIO,) * 3)
+    elif len(steps.shape_class) != scene.count:
+        raise ValueError(f"steps of {len(steps.shape_class)} Gaussians, expected {scene.count}")
+    known = features(scene.opacity[0, some], sampled)
+    if config.depths and scene.count:
+        steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
+    lattice = _lattice(scene, some, known, steps)
+    codes = _codes(scene, lattice.grid)
+    order = canonical_order(codes)
+    keep = current().keep
+    classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
+    codes, narrow = keep(codes[order]), order.astype(np.uint32)
+    if asked is None:
+        scene, narrow = in_stream_order(scene, narrow)
+    return Arranged(scene, narrow, lattice, codes, classes)
+
+
+def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:
+    """Morton codes ``(N,)``."""
+    codes = np.empty(scene.count, np.int64)
+
+    def work(start: int) -> None:
+        span = slice(start, start + _CHUNK)
+        cells = to_grid(scene.positions[:, span], np.array(grid.origin), grid.step, grid.bits)
+        codes[span] = encode_morton(cells, grid.bits)
+
+    run_all(work, range(0, scene.count, _CHUNK))
+    return codes
+
+
+def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: StepSizes) -> Lattice:
+    """Choose the lattices from a sample of the Gaussians, whose features are `known`."""
+
+    def wanted(name: str) -> NDArray[np.float64]:
+        octaves = steps.colour_class if name == "colour" else steps.shape_class
+        return octaves[some] + combine(steps.coefficients[name], known)
+
+    names = {
+        "opacity": ["opacity"],
+        "scaling": ["scale_0", "scale_1", "scale_2"],
+        "rotation": ["rotation"],
+        "colour": ["colour"],
+    }
+    rules, units = {}, {}
+    for group, members in names.items():
+        coarsest = _COARSEST[group]
+        finest = min(finest_step(wanted(name), _FINEST, coarsest) for name in members)
+        units[group] = round(2.0 ** (finest + FRACTION_BITS))
+        for name in members:
+            unit = math.log2(units[group]) - FRACTION_BITS
+            rules[name] = make_rule(steps.coefficients[name], unit, coarsest)
+    units["sh-dc"] = units.pop("colour")
+    for band, ratio in enumerate(steps.sh_ratios, 1):
+        largest = (1 << (_STEP_BITS - rules["colour"].limit)) - 1
+        units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, 1), largest))
+    grid, rules["position"] = _grid(scene, steps, wanted("position"))
+    centres = (_median(scene.opacity[0, some]), _median(known[2]))
+    classes = (
+        1 + int(steps.shape_class.max(initial=0)),
+        1 + int(steps.colour_class.max(initial=0)),
+    )
+    return Lattice(grid, classes, centres, units, rules)
+
+
+def _median(values: NDArray) -> int:
+    middle = float(np.median(values)) if len(values) else 0.0
+    return round(min(max(middle, -LARGEST), LARGEST) * (1 << FRACTION_BITS))
+
+
+def _grid(
+    scene: Scene, steps: StepSizes, wanted: NDArray[np.float64]
+) -> tuple[PositionGrid, StepRule]:
+    """The grid of positions, and the rule for how many low bits are dropped."""
+    if not scene.count:
+        return PositionGrid((0.0, 0.0, 0.0), 1.0, (0, 0, 0)), make_rule(np.zeros(5), 0, 0)
+    low = scene.positions.min(axis=1).astype(np.float64)
+    extent = scene.positions.max(axis=1).astype(np.float64) - low
+    widest = math.frexp(max(float(extent.max()), 1e-30))[1]
+    unit = finest_step(wanted, max(widest - _AXIS_BITS, -120), min(widest, 127))
+    step = float(np.float32(2.0**unit))
+    bits = [max(math.frexp(size / step)[1], 0) for size in extent]
+    # A flat axis has one cell, whose middle is the coordinate.
+    flat = extent == 0
+    origin = np.maximum(low - 0.5 * step * flat, -_LARGEST).astype(np.float32).astype(float)
+    grid = PositionGrid((origin[0], origin[1], origin[2]), step, (bits[0], bits[1], bits[2]))
+    return grid, make_rule(steps.coefficients["position"], unit, unit + 31, thirds=True)

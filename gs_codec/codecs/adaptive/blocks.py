@@ -1,0 +1,186 @@
+"""Blocks of an encoder: the levels of every attribute, and the passes they are coded in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.arrange import Arranged
+from gs_codec.codecs.adaptive.colour import code_colours
+from gs_codec.codecs.adaptive.contexts import energy_class, sh_channels, shift_context
+from gs_codec.codecs.adaptive.diffusion import round_diffusing
+from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, LARGEST
+from gs_codec.codecs.adaptive.positions import centres
+from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
+from gs_codec.codecs.adaptive.tokens import ALPHABET, tokenise
+from gs_codec.coding.axes import sort_axes
+from gs_codec.coding.count_tree import encode_tree
+from gs_codec.coding.fields import BitWriter
+from gs_codec.coding.nearest import find_all_nearest
+from gs_codec.coding.ycocg import take_colours, to_ycocg
+from gs_codec.config import SH_STREAMS
+from gs_codec.runtime.arrays import current
+from gs_codec.runtime.kernels import kernel
+from gs_codec.scene import sh_bands
+
+
+@dataclass(frozen=True)
+class PassData:
+    """A pass: the token of each symbol ``(n,)``, its context, and the raw bits of some.
+
+    ``raw_levels`` and ``raw_widths`` belong to the symbols with raw bits, in symbol order.
+    """
+
+    tokens: NDArray[np.uint8]
+    contexts: NDArray[np.uint16]
+    raw_levels: NDArray[np.int64]
+    raw_widths: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, levels: NDArray[np.integer], contexts: NDArray[np.integer]) -> PassData:
+        """Tokenise levels."""
+        tokens, raw_levels, raw_widths = tokenise(levels)
+        # Passes of SH-AC share one array: it is not copied if it has this type already.
+        return cls(tokens, contexts.astype(np.uint16, copy=False), raw_levels, raw_widths)
+
+    @property
+    def arrays(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """All arrays of the pass."""
+        return self.tokens, self.contexts, self.raw_levels, self.raw_widths
+
+    def histograms(self, contexts: int) -> NDArray[np.int64]:
+        """Counts of tokens ``(contexts, ALPHABET)``."""
+        counts = np.zeros((contexts, ALPHABET), np.int64)
+        _count(self.tokens, self.contexts, counts)
+        return counts
+
+
+@kernel
+def _count(tokens, contexts, counts):
+    for i in range(len(tokens)):
+        counts[contexts[i], tokens[i]] += 1
+
+
+@dataclass(frozen=True)
+class ShapedBlock:
+    """A block without its colours.
+
+    Attributes
+    ----------
+    start, stop : int
+        Range of its Gaussians, in stream order.
+    tree, low_bits : bytes
+        Coded positions.
+    grid_positions : ndarray, shape (3, n), int64
+        Decoded positions, in half steps of the grid.
+    shape : Shape
+        Decoded opacity, scales and rotation.
+    shifts : ndarray, shape (n,), int64
+        Of the step sizes of its colours.
+    passes : list of PassData
+        Of classes, opacity, scales and rotation.
+    clamped : int
+        Number of values clamped to the largest.
+    """
+
+    start: int
+    stop: int
+    tree: bytes
+    low_bits: bytes
+    grid_positions: NDArray[np.int64]
+    shape: Shape
+    shifts: NDArray[np.int64]
+    passes: list[PassData]
+    clamped: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """Everything of a block to be coded; ``box (6,)``: lowest and highest x, y, z, half steps."""
+
+    tree: bytes
+    low_bits: bytes
+    box: tuple[int, ...]
+    passes: list[PassData]
+    clamped: int
+
+    def kept(self) -> Block:
+        """The block with its arrays in the storage in use, memory or disk."""
+        storage, done = current(), dict[int, NDArray]()
+
+        def keep(array: NDArray) -> NDArray:
+            # Passes share their contexts.
+            if id(array) not in done:
+                done[id(array)] = storage.keep(array)
+            return done[id(array)]
+
+        return replace(self, passes=[PassData(*map(keep, data.arrays)) for data in self.passes])
+
+
+def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
+    """Round positions, opacity, scales and rotation of a block."""
+    source, lattice = arranged.source, arranged.lattice
+    members, classes = arranged.order[start:stop], arranged.classes[:, start:stop]
+    _, scales, vectors = sort_axes(source.log_scale[:, members], source.rot[:, members])
+    quantiser = ShapeQuantiser(lattice, source.opacity[0, members], scales, vectors)
+    shape = walk_shape(lattice, classes[0], quantiser)
+    listed = [
+        PassData.of(classes[0], np.zeros_like(classes[0])),
+        PassData.of(classes[1], classes[0]),
+    ]
+    for name, levels in quantiser.levels.items():
+        listed.append(PassData.of(levels, shift_context(quantiser.shifts[name])))
+    known = (shape.opacity, shape.scales)
+    codes = arranged.codes[start:stop]
+    tree, lefts = encode_tree(codes, lattice.grid.total_bits)
+    dropped = np.minimum(lattice.rules["position"].shifts(classes[0], 3, *known), lefts)
+    kept = codes >> dropped
+    bits = BitWriter()
+    bits.add(kept, (lefts - dropped).astype(np.uint8))
+    grid_positions = centres(kept << dropped, dropped, lattice.grid.bits)
+    shifts = lattice.rules["colour"].shifts(classes[1], 1, *known)
+    return ShapedBlock(
+        start, stop, tree, bits.finish(), grid_positions, shape, shifts, listed, quantiser.clamped
+    )
+
+
+def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Block:
+    """Round the colours of a block; `diffusing` spreads the errors of SH-AC to neighbours."""
+    source, units = arranged.source, arranged.lattice.units
+    members = arranged.order[shaped.start : shaped.stop]
+    nearest = find_all_nearest(shaped.grid_positions)
+    colours = to_ycocg(source.f_dc[:, members])
+    clamped = shaped.clamped + int(np.count_nonzero(np.abs(colours) > LARGEST))
+    fixed = np.floor(np.clip(colours, -LARGEST, LARGEST) * (1 << FRACTION_BITS) + 0.5).astype(
+        np.int64
+    )
+    levels, contexts, _ = code_colours(nearest, fixed, units["sh-dc"], shaped.shifts)
+    listed = [*shaped.passes, PassData.of(levels.ravel(), contexts.ravel())]
+    coefficients = len(source.f_rest) // 3
+    if coefficients:
+        bands = zip(SH_STREAMS, sh_bands(coefficients), strict=False)
+        finest = [units[stream] for stream, band in bands for _ in band]
+        planes = source.f_rest.reshape(3, coefficients, -1)
+        ac, beyond = take_colours(planes, members, np.array(finest), shaped.shifts, LARGEST)
+        clamped += beyond
+        levels = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
+        listed += _ac_passes(levels.reshape(3, coefficients, -1), shaped.shifts)
+    box = (
+        *map(int, shaped.grid_positions.min(axis=1)),
+        *map(int, shaped.grid_positions.max(axis=1)),
+    )
+    return Block(shaped.tree, shaped.low_bits, box, listed, clamped)
+
+
+def _ac_passes(levels: NDArray[np.int32], shifts: NDArray[np.int64]) -> list[PassData]:
+    """Passes of SH-AC ``levels (3, K, n)``: energy class, then coefficients if it is above 0."""
+    coefficients = levels.shape[1]
+    energy = energy_class(levels.reshape(3 * coefficients, -1))
+    listed = [PassData.of(energy, shift_context(shifts))]
+    some = np.flatnonzero(energy)
+    context = energy[some].astype(np.uint16)
+    for _, colour, k in sh_channels(coefficients):
+        listed.append(PassData.of(levels[colour, k, some], context))
+    return listed

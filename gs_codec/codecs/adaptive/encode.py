@@ -1,0 +1,229 @@
+"""Encoder of profiles ``l``, ``m`` and ``s``: scene to stream."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
+from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
+from gs_codec.codecs.adaptive.contexts import ContextTables, Pass, passes, share_tables
+from gs_codec.codecs.adaptive.fixed_point import to_float
+from gs_codec.codecs.adaptive.positions import from_grid
+from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
+from gs_codec.codecs.adaptive.step_sizes import StepSizes
+from gs_codec.codecs.adaptive.tokens import ALPHABET
+from gs_codec.coding.axes import quaternions
+from gs_codec.coding.context_rans import PRECISION, PassTables, PassWriter
+from gs_codec.coding.fields import BitWriter
+from gs_codec.coding.frequency_table import shannon_bits
+from gs_codec.coding.sent_tables import SentModel
+from gs_codec.config import Config
+from gs_codec.egs.file import Header, Section, SectionId, even_block_size, file_parts, section_sizes
+from gs_codec.egs.sections import carried_sections
+from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene, gather
+
+
+@dataclass(frozen=True)
+class ShapedScene:
+    """A scene of which everything but the colours is rounded.
+
+    Attributes
+    ----------
+    header : Header
+    arranged : Arranged
+    blocks : list of ShapedBlock
+    """
+
+    header: Header
+    arranged: Arranged
+    blocks: list[ShapedBlock]
+
+    @property
+    def order(self) -> NDArray[np.uint32]:
+        """Index in the source of each Gaussian of the stream, ``(N,)``."""
+        return self.arranged.order
+
+    def decoded(self) -> Scene:
+        """The decoded scene in stream order, except for its SH, which are the source's."""
+        grid = self.arranged.lattice.grid
+        shapes = [block.shape for block in self.blocks]
+        grid_positions = np.concatenate([block.grid_positions for block in self.blocks], axis=1)
+        return replace(
+            self.arranged.source.take(self.order),
+            positions=from_grid(grid_positions, np.array(grid.origin), grid.step),
+            opacity=np.float32(to_float(np.concatenate([s.opacity for s in shapes])))[None],
+            log_scale=np.float32(to_float(np.concatenate([s.scales for s in shapes], axis=1))),
+            rot=quaternions(to_float(np.concatenate([s.vectors for s in shapes], axis=1))),
+        )
+
+    def sh_steps(self) -> NDArray[np.float32]:
+        """Step sizes of SH-AC, those of the finest band, ``(N,)`` in stream order."""
+        shifts = np.concatenate([block.shifts for block in self.blocks])
+        finest = min(self.arranged.lattice.units[f"sh{band}"] for band in (1, 2, 3))
+        return to_float(finest << shifts).astype(np.float32)
+
+    def with_colours(self, coloured: Scene) -> ShapedScene:
+        """The scene with the SH of `coloured`, which is in stream order."""
+        place = np.empty_like(self.order)
+        place[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
+        f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)
+        source = replace(self.arranged.source, f_dc=f_dc, f_rest=f_rest)
+        return replace(self, arranged=replace(self.arranged, source=source))
+
+
+def encode_lattice(
+    scene: Scene,
+    config: Config,
+    steps: StepSizes | None,
+    times: StageTimes,
+    progress: Progress | None = None,
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene cleaned by `clean_scene`; see `encode_parts`."""
+    if steps is not None:
+        return encode_shaped(shape_scene(scene, config, steps, times), times, progress)
+    header, arranged = _arrange(scene, config, None, times)
+    advance = step_counter(progress, "quantise", header.block_count)
+
+    def both(span: tuple[int, int]) -> Block:
+        return colour_block(arranged, shape_block(arranged, *span), diffusing=True).kept()
+
+    with times.stage("quantise"):
+        blocks = run_all(both, _spans(header), advance=advance)
+    return _code(header, arranged, blocks, times, progress)
+
+
+def shape_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTimes) -> ShapedScene:
+    """Round everything but the colours of a cleaned scene, with finished step sizes."""
+    header, arranged = _arrange(scene, config, steps, times)
+    with times.stage("quantise"):
+        blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header))
+    return ShapedScene(header, arranged, blocks)
+
+
+def encode_shaped(
+    shaped: ShapedScene, times: StageTimes, progress: Progress | None = None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene from `shape_scene`, with the colours that it has now."""
+    header, arranged = shaped.header, shaped.arranged
+    advance = step_counter(progress, "quantise", header.block_count)
+
+    def colour(block: ShapedBlock) -> Block:
+        return colour_block(arranged, block, diffusing=False)
+
+    with times.stage("quantise"):
+        blocks = run_all(colour, shaped.blocks, advance=advance)
+    return _code(header, arranged, blocks, times, progress)
+
+
+def _arrange(
+    scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
+) -> tuple[Header, Arranged]:
+    size = even_block_size(scene.count, config.block_size)
+    header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
+    with times.stage("order"):
+        return header, arrange_scene(scene, config, steps)
+
+
+def _spans(header: Header) -> list[tuple[int, int]]:
+    return [header.block_range(block) for block in range(header.block_count)]
+
+
+def _code(
+    header: Header,
+    arranged: Arranged,
+    blocks: list[Block],
+    times: StageTimes,
+    progress: Progress | None,
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """The file of blocks on their lattices."""
+    listed = passes(len(arranged.source.f_rest) // 3)
+    with times.stage("model"):
+        models, costs = _models(listed, blocks)
+    with times.stage("code"):
+        tables = PassTables.pack(models.tables())
+        advance = step_counter(progress, "code", len(blocks))
+        coded = run_all(
+            lambda item: _sections(*item, listed, models, tables),
+            enumerate(blocks),
+            advance=advance,
+        )
+    with times.stage("container"):
+        lattice = write_lattice(arranged.lattice, models)
+        sections = [Section(SectionId.LATTICE, 0, lattice)]
+        if blocks:
+            bounds = write_bounds([block.box for block in blocks])
+            sections.append(Section(SectionId.BOUNDS, 0, bounds))
+        sections += [section for block in coded for section in block]
+        sections += carried_sections(arranged.source, arranged.order)
+        parts = file_parts(header, sections)
+    return parts, EncodeReport(
+        count=arranged.source.count,
+        raw_bytes=arranged.source.float_bytes,
+        section_bytes=section_sizes(sections),
+        costs=costs,
+        rectified=sum(block.clamped for block in blocks),
+        seconds=times.seconds,
+    )
+
+
+def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[ChannelCost]]:
+    """Tables for the passes of all blocks together."""
+
+    def share(p: int) -> ContextTables:
+        counts = np.zeros((listed[p].contexts, ALPHABET), np.int64)
+        for block in blocks:
+            counts += block.passes[p].histograms(listed[p].contexts)
+        return share_tables(counts)
+
+    shared = run_all(share, range(len(listed)))
+    rows: list[NDArray[np.int64]] = []
+    weights: list[NDArray[np.int64]] = []
+    costs = []
+    for p, (item, found) in enumerate(zip(listed, shared, strict=True)):
+        rows.append(len(weights) + found.table_of)
+        fitted = [_fit_weights(histogram) for histogram in found.histograms]
+        models = PassModels([], fitted).tables()
+        coded = sum(
+            table.code_length(histogram[: len(table.frequencies)])
+            for table, histogram in zip(models, found.histograms, strict=True)
+        )
+        raw = sum(int(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
+        entropy = raw + sum(shannon_bits(histogram) for histogram in found.histograms)
+        costs.append(
+            ChannelCost(item.name, item.stream, "table", raw + coded, raw + coded, entropy)
+        )
+        weights += fitted
+    return PassModels(rows, weights), costs
+
+
+def _fit_weights(histogram: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Weights of the table to send for a histogram."""
+    used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
+    return SentModel.fit(used, MANTISSA, PRECISION).weights
+
+
+def _sections(
+    number: int, block: Block, listed: list[Pass], models: PassModels, tables: PassTables
+) -> list[Section]:
+    """Sections of a block."""
+    writer = PassWriter(tables)
+    bits: dict[str, BitWriter] = {}
+    for item, data, rows in zip(listed, block.passes, models.rows, strict=True):
+        writer.add(item.stream, data.tokens, data.contexts, rows)
+        bits.setdefault(item.stream, BitWriter()).add(data.raw_levels, data.raw_widths)
+    states, words = writer.finish()
+    sections = [
+        Section(SectionId.GEOMETRY, number, block.tree),
+        Section(SectionId.STATES, number, states),
+        Section(SectionId.LOW_BITS, number, block.low_bits),
+    ]
+    for stream, low_bits in bits.items():
+        packed = struct.pack("<I", len(words[stream])) + words[stream] + low_bits.finish()
+        sections.append(Section.kept(SectionId.of_stream(stream), number, packed))
+    return sections

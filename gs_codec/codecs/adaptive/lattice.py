@@ -1,0 +1,103 @@
+"""Parameters of a scene's lattices, and rules that give step sizes from decoded attributes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS
+from gs_codec.runtime.kernels import kernel
+
+#: Fraction bits of a rule's numbers.
+RULE_FRACTION_BITS = 16
+
+#: A step size is at most its unit times 2 to this power.
+MAX_SHIFT = 31
+
+
+@dataclass(frozen=True)
+class StepRule:
+    """``shift = class + intercept + opacity * min(logit, 0) + sum of scale_k * log_scale_k``.
+
+    Rounded down and clamped to 0 to `limit`. `intercept`, `opacity` and `scales` are in units of
+    1 / 2**16; the intercept includes a half where shifts should be rounded to nearest.
+    """
+
+    intercept: int
+    opacity: int = 0
+    scales: tuple[int, int, int] = (0, 0, 0)
+    limit: int = MAX_SHIFT
+
+    def shifts(
+        self,
+        classes: NDArray[np.integer],
+        weight: int,
+        opacity: NDArray[np.int64],
+        scales: NDArray[np.int64],
+    ) -> NDArray[np.int64]:
+        """Shifts ``(n,)``.
+
+        Parameters
+        ----------
+        classes : ndarray, shape (n,)
+            How many octaves coarser than the finest a Gaussian is.
+        weight : int
+            Shift that one class adds, 1 or 3.
+        opacity, scales : ndarray, shape (n,) and (3, n), int64
+            Fixed-point values; those that are not decoded yet have a coefficient of 0.
+        """
+        numbers = np.array([self.intercept, self.opacity, *self.scales], np.int64)
+        out = np.empty(len(classes), np.int64)
+        _shifts(numbers, self.limit, weight, classes, opacity, scales, out)
+        return out
+
+
+@kernel
+def _shifts(numbers, limit, weight, classes, opacity, scales, out):
+    for i in range(len(out)):
+        total = numbers[0] + ((weight * np.int64(classes[i])) << RULE_FRACTION_BITS)
+        total += (numbers[1] * min(opacity[i], 0)) >> FRACTION_BITS
+        for k in range(3):
+            total += (numbers[2 + k] * scales[k, i]) >> FRACTION_BITS
+        out[i] = min(max(total >> RULE_FRACTION_BITS, 0), limit)
+
+
+@dataclass(frozen=True)
+class PositionGrid:
+    """Cells of positions: ``origin + (cell + 0.5) * step``.
+
+    Attributes
+    ----------
+    origin : tuple of three float
+        Lowest corner, scene units.
+    step : float
+        Side of a cell, scene units.
+    bits : tuple of three int
+        Bits of the cell's number on each axis.
+    """
+
+    origin: tuple[float, float, float]
+    step: float
+    bits: tuple[int, int, int]
+
+    @property
+    def total_bits(self) -> int:
+        """Bits of a Morton code."""
+        return sum(self.bits)
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Everything that the blocks of a scene are decoded with, except the tables.
+
+    ``centres`` (of opacity and the longest axis) and ``units`` are fixed-point values; units are
+    of opacity, scales, rotation, SH-DC and the SH bands.
+    """
+
+    grid: PositionGrid
+    classes: tuple[int, int]
+    centres: tuple[int, int]
+    units: dict[str, int]
+    rules: dict[str, StepRule]

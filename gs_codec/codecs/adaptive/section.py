@@ -1,0 +1,174 @@
+"""The `lattice` section: units, rules and tables of a scene. FORMAT.md, section "Lattices"."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.contexts import MAX_CLASSES, passes
+from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, LARGEST
+from gs_codec.codecs.adaptive.lattice import MAX_SHIFT, Lattice, PositionGrid, StepRule
+from gs_codec.codecs.adaptive.tokens import ALPHABET
+from gs_codec.coding.context_rans import PRECISION
+from gs_codec.coding.fields import ByteReader
+from gs_codec.coding.frequency_table import FrequencyTable
+from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
+from gs_codec.config import SH_STREAMS
+from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.errors import CorruptStream
+from gs_codec.scene import SH_COEFFICIENTS
+
+_WHERE = "section 'lattice'"
+
+#: Mantissa bits of a sent table's weights.
+MANTISSA = 3
+
+#: Step sizes are below 2 to this power, in units of 1 / 2**20.
+_STEP_BITS = 31
+
+#: Intercept; factors of opacity and of three scales; limit.
+_RULE = "5iB"
+
+#: The rules of a scene, in the order of the section.
+RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
+
+
+@dataclass(frozen=True)
+class PassModels:
+    """Tables of a scene's passes.
+
+    ``rows[p]`` is the number of the table of each context of pass p; ``weights`` lists the weights
+    of each table.
+    """
+
+    rows: list[NDArray[np.int64]]
+    weights: list[NDArray[np.int64]] = field(default_factory=list)
+
+    def tables(self) -> list[FrequencyTable]:
+        """Frequency tables of precision `PRECISION`."""
+        return [SentModel(w, MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights]
+
+
+UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
+
+
+def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
+    """Serialise the lattices and tables of a scene."""
+    grid = lattice.grid
+    out = bytearray(struct.pack("<4f3B", *grid.origin, grid.step, *grid.bits))
+    out += struct.pack("<2B2i", *lattice.classes, *lattice.centres)
+    out += struct.pack(f"<{len(UNITS)}I", *(lattice.units[name] for name in UNITS))
+    for name in RULES:
+        rule = lattice.rules[name]
+        out += struct.pack("<" + _RULE, rule.intercept, rule.opacity, *rule.scales, rule.limit)
+    for rows in models.rows:
+        # Neighbours may share a table: a bit is 1 where a context begins the next one.
+        out += np.packbits(np.diff(rows, prepend=rows[:1]).astype(bool)).tobytes()
+    out += struct.pack("<H", len(models.weights))
+    out += struct.pack(f"<{len(models.weights)}H", *(len(w) for w in models.weights))
+    return bytes(out) + encode_tables(models.weights, [MANTISSA] * len(models.weights))
+
+
+def lattice_of(file: EgsFile) -> tuple[Lattice, PassModels]:
+    """Lattices and tables of a file; see `read_lattice`."""
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    return file.parsed(SectionId.LATTICE, lambda data: read_lattice(data, coefficients))
+
+
+def bounds_of(file: EgsFile) -> NDArray[np.int64]:
+    """Bounds of the blocks of a file; see `read_bounds`."""
+    blocks = file.header.block_count
+    if not blocks:
+        return np.zeros((0, 6), np.int64)
+    return file.parsed(SectionId.BOUNDS, lambda data: read_bounds(data, blocks))
+
+
+def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassModels]:
+    """The inverse of `write_lattice`.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    """
+    reader = ByteReader(data, _WHERE)
+    *place, step = reader.unpack("4f")
+    bits = reader.unpack("3B")
+    grid = PositionGrid((place[0], place[1], place[2]), step, bits)
+    if not (all(map(math.isfinite, place)) and 0 < step < math.inf and max(bits) <= 21):
+        raise CorruptStream(f"{_WHERE}: grid of {bits} bits, step {step}")
+    classes = reader.unpack("2B")
+    if not all(1 <= number <= MAX_CLASSES for number in classes):
+        raise CorruptStream(f"{_WHERE}: {classes} classes, expected 1-{MAX_CLASSES}")
+    centres = reader.unpack("2i")
+    if max(map(abs, centres)) > LARGEST * (1 << FRACTION_BITS):
+        raise CorruptStream(f"{_WHERE}: a centre out of range")
+    units = dict(zip(UNITS, reader.unpack(f"{len(UNITS)}I"), strict=True))
+    rules = {name: _read_rule(reader) for name in RULES}
+    lattice = Lattice(grid, classes, centres, units, rules)
+    _check_steps(lattice)
+    return lattice, _read_models(reader, coefficients)
+
+
+def _read_rule(reader: ByteReader) -> StepRule:
+    intercept, opacity, *scales, limit = reader.unpack(_RULE)
+    return StepRule(intercept, opacity, (scales[0], scales[1], scales[2]), limit)
+
+
+def _check_steps(lattice: Lattice) -> None:
+    """Refuse units and limits with which step sizes could overflow."""
+    limits = {name: rule.limit for name, rule in lattice.rules.items()}
+    of_unit = {
+        "opacity": limits["opacity"],
+        "scaling": max(limits[f"scale_{k}"] for k in range(3)),
+        "rotation": limits["rotation"],
+    }
+    for name, unit in lattice.units.items():
+        limit = of_unit.get(name, limits["colour"])
+        if unit == 0 or unit.bit_length() + limit > _STEP_BITS:
+            raise CorruptStream(f"{_WHERE}: unit {unit} of '{name}' with shifts to {limit}")
+    if limits["position"] > 3 * MAX_SHIFT:
+        raise CorruptStream(f"{_WHERE}: positions shifted by {limits['position']}")
+
+
+def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
+    rows, total = [], 0
+    for listed in passes(coefficients):
+        packed = np.frombuffer(reader.take(-(-listed.contexts // 8)), np.uint8)
+        bits = np.unpackbits(packed)
+        if bits[0] or bits[listed.contexts :].any():
+            raise CorruptStream(f"{_WHERE}: tables of '{listed.name}'")
+        rows.append(total + np.cumsum(bits[: listed.contexts], dtype=np.int64))
+        total = int(rows[-1][-1]) + 1
+    number = reader.unpack("H")[0]
+    if number != total:
+        raise CorruptStream(f"{_WHERE}: {number} tables, expected {total}")
+    alphabets = list(reader.unpack(f"{number}H"))
+    if not all(1 <= size <= ALPHABET for size in alphabets):
+        raise CorruptStream(f"{_WHERE}: an alphabet out of range")
+    weights = decode_tables(reader.rest(), alphabets, [MANTISSA] * number, _WHERE)
+    return PassModels(rows, weights)
+
+
+def write_bounds(boxes: list[tuple[int, ...]]) -> bytes:
+    """Serialise the lowest and highest x, y, z of blocks, in half steps of the grid."""
+    return np.array(boxes, "<u4").tobytes()
+
+
+def read_bounds(data: memoryview, blocks: int) -> NDArray[np.int64]:
+    """The inverse of `write_bounds`, ``(blocks, 6)``.
+
+    Raises
+    ------
+    CorruptStream
+        If their number is wrong, or a lowest corner is above its highest.
+    """
+    if len(data) != 24 * blocks:
+        raise CorruptStream(f"section 'bounds': {len(data)} bytes, expected {24 * blocks}")
+    boxes = np.frombuffer(data, "<u4").reshape(blocks, 6).astype(np.int64)
+    if np.any(boxes[:, :3] > boxes[:, 3:]):
+        raise CorruptStream("section 'bounds': a box's lowest corner is above its highest")
+    return boxes

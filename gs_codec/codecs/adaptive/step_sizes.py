@@ -1,0 +1,254 @@
+"""Step sizes of every attribute of every Gaussian: from sensitivities, and without cameras.
+
+A parameter of sensitivity s adds the error s d^2 / 12 if its step size is d, and halving d costs a
+bit: the total error is least for a given size if all errors are equal. The class of a Gaussian
+covers most of the differences of sensitivities; a rule predicts the rest from attributes that are
+decoded before. FORMAT.md, section "Notes on our encoder".
+
+Without cameras, log2 of a step size is log2 of the profile's fineness, minus a constant, minus a
+linear function of min(logit, 0) and of the log-scales relative to the scene's median. The numbers
+are rounded from gamma regressions on rendered sensitivities of five scenes (RESULTS.md), with the
+constants moved so that a bit saves about the same error wherever it is spent.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.lattice import RULE_FRACTION_BITS, StepRule
+from gs_codec.coding.linear import combine, fitting
+from gs_codec.scene import SH_C0
+
+
+class Sensitivity(NamedTuple):
+    """Squared error that views gain for a squared unit of change of an attribute, float64.
+
+    Summed over views, pixels and colours, with image values 0-1. The errors of Gaussians and
+    attributes are assumed to add up.
+
+    Attributes
+    ----------
+    positions : ndarray, shape (N,)
+        Mean of the three axes, for a scene unit.
+    log_scale : ndarray, shape (3, N)
+        Natural logarithm.
+    rot : ndarray, shape (N,)
+        Mean of the Gaussian's three axes, turned by a radian.
+    opacity : ndarray, shape (N,)
+        Logit.
+    colour : ndarray, shape (N,)
+        One colour channel, 0-1: the sum of (alpha T)^2.
+    """
+
+    positions: NDArray[np.float64]
+    log_scale: NDArray[np.float64]
+    rot: NDArray[np.float64]
+    opacity: NDArray[np.float64]
+    colour: NDArray[np.float64]
+
+
+#: Number of classes: what these views hardly see must not become too coarse for others.
+_CLASSES = 9
+
+#: Share of Gaussians more sensitive than the finest class; share whose sensitivity is raised.
+_FINEST, _LEAST_SEEN = 1e-4, 0.02
+
+#: Share of Gaussians whose step sizes may be coarser than wanted.
+_COARSER = 1e-3
+
+#: Rules are fitted to a sample of about this many Gaussians.
+_SAMPLE = 20_000
+_ROUNDS, _TURNS = 4, 12
+
+#: Which features (1, min(logit, 0), longest, middle, shortest log-scale) a group's rule has.
+_FEATURES = {
+    "opacity": [0],
+    "scale_0": [0, 1],
+    "scale_1": [0, 1, 2],
+    "scale_2": [0, 1, 2, 3],
+    "rotation": [0, 1, 2, 3, 4],
+    "position": [0, 1, 2, 3, 4],
+    "colour": [0, 1, 2, 3, 4],
+}
+
+
+@dataclass(frozen=True)
+class StepSizes:
+    """Classes and coefficients that give the wanted step sizes of a scene.
+
+    Attributes
+    ----------
+    shape_class, colour_class : ndarray, shape (N,), uint8
+        Octaves coarser than the finest.
+    coefficients : dict of str to ndarray, shape (5,)
+        ``log2(step) = class + coefficients @ features`` for each rule.
+    sh_ratios : tuple of three float
+        Ratio of the step sizes of each SH-AC band to those of SH-DC.
+    """
+
+    shape_class: NDArray[np.uint8]
+    colour_class: NDArray[np.uint8]
+    coefficients: dict[str, NDArray[np.float64]]
+    sh_ratios: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:
+    """Features ``(5, N)`` of the rules, from logits ``(N,)`` and log-scales ``(3, N)``."""
+    return np.stack([np.ones(len(opacity)), np.minimum(opacity, 0), *scales])
+
+
+def fit_step_sizes(
+    sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error: float
+) -> StepSizes:
+    """Choose step sizes with which each parameter of each Gaussian adds about the same error.
+
+    Parameters
+    ----------
+    sensitivity : Sensitivity
+        Its scales are in the order of `scales`.
+    opacity, scales : ndarray, shape (N,) and (3, N)
+        Logits; log-scales, descending.
+    error : float
+        Squared error that a parameter may add, summed as sensitivities are.
+    """
+    known = features(opacity, scales)
+    shape = {
+        "opacity": sensitivity.opacity,
+        **{f"scale_{k}": sensitivity.log_scale[k] for k in range(3)},
+        # The quaternion's vector has half the angle.
+        "rotation": 4 * sensitivity.rot,
+        "position": sensitivity.positions,
+    }
+    # Gaussians that hardly any view sees would distort the fit; any step size suits them.
+    shape = {name: np.maximum(s, _least(s)) for name, s in shape.items()}
+    some = slice(None, None, max(1, len(opacity) // _SAMPLE))
+    offsets = _fit_offsets({name: s[some] for name, s in shape.items()}, known[:, some])
+    level = _level(shape, offsets, known)
+    finest = float(np.quantile(level, 1 - _FINEST))
+    shape_class = np.clip(np.round(finest - level), 0, _CLASSES - 1).astype(np.uint8)
+    wanted = 0.5 * math.log2(12 * error)
+    first = np.eye(5)[0]
+    coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
+    # SH_C0 is the change of colour for a unit of SH-DC; for one of SH-AC, its RMS.
+    by_sh = SH_C0**2 * sensitivity.colour
+    colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
+    finest = float(np.quantile(colour, 1 - _FINEST))
+    colour_class = np.clip(np.round(finest - colour), 0, _CLASSES - 1).astype(np.uint8)
+    coefficients["colour"] = (wanted - finest) * first
+    return StepSizes(shape_class, colour_class, coefficients)
+
+
+def _least(sensitivity: NDArray[np.float64]) -> float:
+    return max(float(np.quantile(sensitivity, _LEAST_SEEN)), 1e-12)
+
+
+def _fit_offsets(
+    shape: dict[str, NDArray[np.float64]], known: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """Fit log2 of the root of sensitivity, minus the Gaussian's level, to the features."""
+    level = np.mean([0.5 * np.log2(s) for s in shape.values()], axis=0)
+    offsets: dict[str, NDArray[np.float64]] = {}
+    for _ in range(_ROUNDS):
+        for name, s in shape.items():
+            offsets[name] = np.zeros(5)
+            use = _FEATURES[name]
+            offsets[name][use] = 0.5 / math.log(2) * _fit_mean(known[use], s * 4.0**-level)
+        level = _level(shape, offsets, known)
+    return offsets
+
+
+def _level(
+    shape: dict[str, NDArray[np.float64]],
+    offsets: dict[str, NDArray[np.float64]],
+    known: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Level of each Gaussian: log2 of the root of its mean sensitivity, minus the offsets."""
+    return 0.5 * np.log2(
+        np.mean([s * 4.0 ** -combine(offsets[name], known) for name, s in shape.items()], axis=0)
+    )
+
+
+def _fit_mean(known: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients c with ``exp(c @ known)`` the mean of `values` (gamma regression)."""
+    fits = fitting(known)
+    fitted = np.sum(fits * np.log(values), axis=1)
+    for _ in range(_TURNS):
+        expected = np.exp(np.clip(combine(fitted, known), -60, 60))
+        # Damped and cut off: a few values are thousands of times the mean.
+        excess = np.clip(values / expected - 1, -1, 8)
+        fitted = fitted + 0.7 * np.sum(fits * excess, axis=1)
+    return fitted
+
+
+def finest_step(wanted: NDArray[np.float64], lowest: float, highest: float) -> float:
+    """Log2 of the finest step size: only a few of the wanted ones (log2) are below it."""
+    finest = float(np.quantile(wanted, _COARSER)) if wanted.size else highest
+    return min(max(finest, lowest), highest)
+
+
+def make_rule(
+    coefficients: NDArray[np.float64], unit: float, coarsest: float, thirds: bool = False
+) -> StepRule:
+    """The rule for ``log2(step) = class + coefficients @ features``, in integers.
+
+    `unit` and `coarsest` are log2 of the unit and of the largest step size; with `thirds`, shifts
+    count thirds of octaves.
+    """
+    factor = 3 if thirds else 1
+    numbers = [_fixed(factor * (coefficients[0] - unit) + 0.5)]
+    numbers += [_fixed(factor * c) for c in coefficients[1:]]
+    scales = (numbers[2], numbers[3], numbers[4])
+    return StepRule(numbers[0], numbers[1], scales, max(math.floor(factor * (coarsest - unit)), 0))
+
+
+def _fixed(number: float) -> int:
+    return min(max(round(number * (1 << RULE_FRACTION_BITS)), -(1 << 31)), (1 << 31) - 1)
+
+
+#: SH-DC for a unit of colour.
+_BY_COLOUR = math.log2(1 / SH_C0)
+
+#: Constant; then octaves per octave of opacity (where it is low) and of each scale, longest
+#: first.
+_LEVELS = {
+    "opacity": (-3.0,),
+    "scale_0": (-0.45, 0.75),
+    "scale_1": (-2.75, 0.75, 0.625),
+    "scale_2": (-4.25, 0.75, 0.375, 0.375),
+    "rotation": (-4.0, 0.75, 1.375, -0.375, -0.375),
+    "position": (-2.875, 0.75, 0.125, -0.375, -0.25),
+    "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
+}
+
+#: Ratio of the step sizes of SH-AC to those of SH-DC.
+SH_RATIO = 2.0**-0.25
+
+
+def blind_coefficients(
+    scales: NDArray[np.float64], fineness: float
+) -> dict[str, NDArray[np.float64]]:
+    """``log2(step) = coefficients @ features`` for each rule; see `fit.features`.
+
+    Parameters
+    ----------
+    scales : ndarray, shape (3, N)
+        Log-scales, descending.
+    fineness : float
+        Factor on all step sizes.
+    """
+    octave = math.log(2)
+    middle = float(np.median(scales.mean(axis=0))) / octave if scales.size else 0.0
+    coefficients = {}
+    for name, (constant, *slopes) in _LEVELS.items():
+        row = np.zeros(5)
+        row[1 : 1 + len(slopes)] = -np.array(slopes) / octave
+        row[0] = math.log2(fineness) - constant + middle * sum(slopes[1:])
+        coefficients[name] = row
+    coefficients["rotation"][0] -= 1.0  # the quaternion's vector has half the angle
+    coefficients["position"][0] += middle
+    return coefficients

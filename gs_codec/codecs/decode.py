@@ -1,0 +1,276 @@
+"""Stream to scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.decode import block_boxes, decode_lattice, lattice_sections
+from gs_codec.codecs.entropygs.decode import (
+    channel_positions,
+    channel_sections,
+    channels_of,
+    decode_channels,
+)
+from gs_codec.codecs.entropygs.gpcc import tool_for
+from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.codecs.lossless.lossless import block_sections, decode_lossless, lossless_positions
+from gs_codec.codecs.part import Part
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, check_threads
+from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, Header, SectionId, read_file
+from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
+from gs_codec.errors import CorruptStream
+from gs_codec.formats.limits import most_bytes
+from gs_codec.report import Progress
+from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.scene import Scene
+
+
+def decode_scene(
+    data: bytes | memoryview,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+) -> Scene:
+    """Decode an `.egs` stream; see `decode_part`."""
+    return decode_part(data, Part(), threads, max_bytes, progress)[0]
+
+
+def decode_part(
+    data: bytes | memoryview,
+    part: Part,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+    tmc3: str | Path | None = None,
+) -> tuple[Scene, EgsFile]:
+    """Decode a part of an `.egs` stream.
+
+    SH above the part's degree is not read, nor are blocks without a Gaussian in its box. Only
+    profiles `l`, `m` and `s` store bounds of blocks: of the others, all positions are read.
+
+    Parameters
+    ----------
+    data : bytes
+    part : Part
+    threads : int, optional
+        Worker threads, 1-256; by default one for each available processor.
+    max_bytes : int, optional
+        Largest decoded size that is accepted; `most_bytes` gives the default.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` from the calling thread.
+    tmc3 : path, optional
+        The program for streams that use G-PCC; by default from ``GS_CODEC_TMC3`` or PATH.
+
+    Returns
+    -------
+    scene : Scene
+        In the order of the stream.
+    file : EgsFile
+        The header, and the sections that were read.
+
+    Raises
+    ------
+    InvalidInput
+        If the number of threads is out of range.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+    MissingTool, ToolFailed
+        If the stream uses G-PCC, and the program is missing or fails.
+    """
+    check_threads(threads)
+    with using_threads(threads):
+        chosen = choose_part(data, part, max_bytes, tmc3)
+        (scene,) = chosen.slabs(chosen.file.header.count, progress)
+    return scene, chosen.file
+
+
+def choose_part(
+    data: bytes | memoryview,
+    part: Part,
+    max_bytes: int | None = None,
+    tmc3: str | Path | None = None,
+) -> ChosenPart:
+    """Read and check the sections that a part needs; see `decode_part`."""
+    file = read_file(data, lambda section, _: section in DESCRIPTIONS)
+    header = file.header
+    limit = most_bytes(len(data), max_bytes)
+    _check_size(header, limit)
+    coded = _check_sections(file)
+    tool = tool_for(file, tmc3)
+    degree = part.degree_of(header.sh_degree)
+    blocks: Sequence[int] = range(header.block_count)
+    if coded:
+        file, blocks = _choose_blocks(file, part, tool)
+    chosen = blocks if isinstance(blocks, range) else frozenset(blocks)
+    unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
+    file = file.read(
+        lambda section, block: (
+            section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
+        ),
+    )
+    _check_extra(file, limit)
+    return ChosenPart(file, part, degree, blocks, bool(coded), tool)
+
+
+@dataclass(frozen=True)
+class ChosenPart:
+    """A file whose needed sections are read and checked, and the blocks to decode.
+
+    ``coded`` tells whether blocks have sections. If not, a small file may have any number of them.
+    """
+
+    file: EgsFile
+    part: Part
+    degree: int
+    blocks: Sequence[int]
+    coded: bool
+    tool: Tmc3 | None
+
+    def slabs(self, size: int, progress: Progress | None = None) -> Iterator[Scene]:
+        """Decode to consecutive scenes of whole blocks, at most `size` Gaussians each.
+
+        A larger block is a scene of its own. If there are no blocks, one empty scene is given.
+        """
+        header = self.file.header
+        decode, extra = _decoder(header.profile, self.tool), _read_extra(self.file)
+        runs = list(self._runs(size))
+        total, done = sum(run.count for run in runs), 0
+        for run in runs:
+            advance = progress if len(runs) == 1 else _part_of(progress, done, run.count, total)
+            groups = decode(self.file, run.spans, self.degree, advance)
+            scene = _assemble(self.file, groups, run.of(extra))
+            if self.part.box is not None:
+                scene = scene.take(self.part.contains(scene.positions))
+            yield scene
+            done += run.count
+
+    def _runs(self, size: int) -> Iterator[_Run]:
+        header = self.file.header
+        if not self.coded:
+            for start in range(0, max(header.count, 1), max(size, 1)):
+                stop = min(start + size, header.count)
+                yield _Run({0: slice(0, stop - start)}, [slice(start, stop)])
+            return
+        run = _Run({}, [])
+        for block in self.blocks:
+            start, stop = header.block_range(block)
+            if run.spans and run.count + stop - start > size:
+                yield run
+                run = _Run({}, [])
+            run.spans[block] = slice(run.count, run.count + stop - start)
+            run.ranges.append(slice(start, stop))
+        yield run
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Blocks that are decoded together: their ranges in the result and in the stream."""
+
+    spans: dict[int, slice]
+    ranges: list[slice]
+
+    @property
+    def count(self) -> int:
+        return max((span.stop for span in self.spans.values()), default=0)
+
+    def of(self, columns: dict[str, NDArray]) -> dict[str, NDArray]:
+        """The rows of these Gaussians in columns of the whole scene."""
+        return {
+            name: np.concatenate([column[:0], *(column[where] for where in self.ranges)])
+            for name, column in columns.items()
+        }
+
+
+def _part_of(progress: Progress | None, first: int, count: int, total: int) -> Progress | None:
+    """Progress of all Gaussians, from that of a slab of `count` after `first`."""
+    if progress is None:
+        return None
+    return lambda stage, done, steps: progress(stage, first + count * done // steps, total)
+
+
+def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray[np.float32]]]:
+    if profile == LOSSLESS:
+        return decode_lossless
+    return decode_lattice if profile in ADAPTIVE_PROFILES else partial(decode_channels, tool=tool)
+
+
+def _choose_blocks(file: EgsFile, part: Part, tool: Tmc3 | None) -> tuple[EgsFile, Sequence[int]]:
+    """Blocks that may have Gaussians in the part's box, and the file with the sections read."""
+    every = range(file.header.block_count)
+    if part.box is None or not every:
+        return file, every
+    if file.header.profile in ADAPTIVE_PROFILES:
+        return file, np.flatnonzero(part.meets(*block_boxes(file))).tolist()
+    points = SectionId.GEOMETRY if tool is None else SectionId.GPCC
+    file = file.read(lambda section, _: section == points)
+    if file.header.profile == LOSSLESS:
+        positions = partial(lossless_positions, file)
+    else:
+        positions = partial(channel_positions, file, channels_of(file), tool)
+    found = run_all(lambda block: part.contains(positions(block)).any(), every)
+    return file, np.flatnonzero(found).tolist()
+
+
+def _check_size(header: Header, limit: int) -> None:
+    if header.float_bytes > limit:
+        raise CorruptStream(
+            f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
+        )
+
+
+def _check_extra(file: EgsFile, limit: int) -> None:
+    """Refuse extra properties that, with the floats, would exceed the limit."""
+    extra = file.sections.get((SectionId.EXTRA, 0))
+    size = 0 if extra is None else extra_bytes(extra, file.header.count)
+    if size > limit - file.header.float_bytes:
+        raise CorruptStream(
+            f"section 'extra': {size} bytes beside {file.header.float_bytes}, the limit is {limit}"
+        )
+
+
+def _check_sections(file: EgsFile) -> set[SectionId]:
+    """Check that a file has exactly its profile's sections; returns those of its blocks."""
+    header = file.header
+    if header.profile == LOSSLESS:
+        own, expected = {SectionId.BOX}, set(block_sections(header.sh_degree))
+    elif header.profile in ADAPTIVE_PROFILES:
+        own = {SectionId.LATTICE, SectionId.BOUNDS} if header.count else {SectionId.LATTICE}
+        expected = lattice_sections(header.sh_degree)
+    else:
+        own, expected = {SectionId.CHANNELS}, channel_sections(file)
+        if SectionId.GPCC in expected:
+            own.add(SectionId.TOOL)
+    others = set(SectionId) - own - expected - {SectionId.COMMENTS, SectionId.EXTRA}
+    for section_id, block in file.table:
+        if section_id in others:
+            label = SectionId(section_id).label
+            raise CorruptStream(f"section '{label}' of block {block}: nothing is coded there")
+    found = sum(section_id in expected for section_id, _ in file.table)
+    if found != len(expected) * header.block_count:
+        needed = len(expected) * header.block_count
+        raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
+    return expected
+
+
+def _read_extra(file: EgsFile) -> dict[str, NDArray]:
+    """Extra properties of all Gaussians of the stream."""
+    extra = file.sections.get((SectionId.EXTRA, 0))
+    return {} if extra is None else read_extra(extra, file.header.count)
+
+
+def _assemble(
+    file: EgsFile, groups: dict[str, NDArray[np.float32]], extra: dict[str, NDArray]
+) -> Scene:
+    """The scene of the decoded groups, with the file's comments and extra properties."""
+    comments = file.sections.get((SectionId.COMMENTS, 0))
+    return Scene(
+        **groups,
+        has_normals=file.header.has_normals,
+        comments=() if comments is None else read_comments(comments),
+        extra=extra,
+    )

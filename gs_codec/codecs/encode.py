@@ -1,0 +1,78 @@
+"""Scene to stream."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from gs_codec.codecs.adaptive.encode import encode_lattice
+from gs_codec.codecs.adaptive.step_sizes import StepSizes
+from gs_codec.codecs.entropygs.encode import encode_channels
+from gs_codec.codecs.lossless.lossless import encode_lossless
+from gs_codec.codecs.memory import check_encoding
+from gs_codec.coding.clean import clean_scene
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
+from gs_codec.report import EncodeReport, Progress, StageTimes
+from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import Scene
+
+
+def encode_scene(
+    scene: Scene,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    steps: StepSizes | None = None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene as `.egs`.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config, optional
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` from the calling thread.
+    steps : StepSizes, optional
+        Step sizes of each Gaussian, for profiles ``l``, ``m`` and ``s``; by default a rule based
+        on opacity and scale is used.
+
+    Returns
+    -------
+    data : bytes
+    report : EncodeReport
+
+    Raises
+    ------
+    InvalidInput
+        If values are not finite and `config` does not say to drop them.
+    MissingTool, ToolFailed
+        If `config` asks for G-PCC, and the program is missing or fails.
+    """
+    parts, report = encode_parts(scene, config, progress, steps)
+    return b"".join(parts), report
+
+
+def encode_parts(
+    scene: Scene,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    steps: StepSizes | None = None,
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene to the consecutive pieces of a file; see `encode_scene`."""
+    config = config or Config()
+    with using_threads(config.threads):
+        return _encode_parts(scene, config, progress, steps)
+
+
+def _encode_parts(
+    scene: Scene, config: Config, progress: Progress | None, steps: StepSizes | None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    check_encoding(scene.count, config)
+    if config.profile == LOSSLESS:
+        return encode_lossless(scene, config, progress)
+    times = StageTimes()
+    with times.stage("check"):
+        scene, changed = clean_scene(scene, config)
+    if config.profile in ADAPTIVE_PROFILES:
+        parts, report = encode_lattice(scene, config, steps, times, progress)
+    else:
+        parts, report = encode_channels(scene, config, times, progress)
+    return parts, replace(report, **changed)

@@ -1,0 +1,1 @@
+"""Profiles ``paper-*``: EntropyGS as published (arXiv 2508.10227)."""

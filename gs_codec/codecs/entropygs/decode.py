@@ -1,0 +1,182 @@
+"""Decoder of profiles ``paper-*``, which code channel by channel."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.entropygs.gpcc import decode_gpcc, is_gpcc
+from gs_codec.codecs.entropygs.order import triple_depths
+from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
+from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.coding.colour import decode_colour
+from gs_codec.coding.count_tree import decode_geometry
+from gs_codec.coding.morton import decode_morton
+from gs_codec.coding.quantise import dequantise
+from gs_codec.coding.rans import TableSet, decode_symbols
+from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS
+
+_POINTS = {SectionId.GEOMETRY, SectionId.SH_DC}
+
+
+def channel_sections(file: EgsFile) -> set[SectionId]:
+    """The sections that each block has: those of streams with a channel that is not constant."""
+    streams = {channel.stream for channel in channels_of(file) if channel.quantiser.depth}
+    expected = {SectionId.of_stream(stream) for stream in streams}
+    if streams & set(RANS_STREAMS):
+        expected.add(SectionId.STATES)
+    if is_gpcc(file) and expected & _POINTS:
+        expected = expected - _POINTS | {SectionId.GPCC}
+    return expected
+
+
+def channel_positions(
+    file: EgsFile, channels: list[Channel], tool: Tmc3 | None, block: int
+) -> NDArray[np.float32]:
+    """Positions ``(3, n)`` of a block, from its section `geometry` or `gpcc` alone."""
+    axes = channels[:3]
+    cells = (
+        _decode_cells(file, axes, block)
+        if tool is None
+        else decode_gpcc(file, tool, channels, block)[0]
+    )
+    return np.stack([dequantise(row, c.quantiser) for row, c in zip(cells, axes, strict=True)])
+
+
+def _decode_cells(file: EgsFile, axes: list[Channel], block: int) -> NDArray[np.uint32]:
+    """Symbols of positions ``(3, n)``."""
+    depths = triple_depths([axis.quantiser for axis in axes])
+    start, stop = file.header.block_range(block)
+    codes = np.zeros(stop - start, np.int64)
+    if sum(depths):
+        data = file.section(SectionId.GEOMETRY, block)
+        codes = decode_geometry(data, codes.size, sum(depths), f"geometry of block {block}")
+    return decode_morton(codes, depths)
+
+
+def decode_channels(
+    file: EgsFile,
+    spans: dict[int, slice],
+    degree: int,
+    progress: Progress | None = None,
+    tool: Tmc3 | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """Decode blocks to attribute groups, in stream order.
+
+    `spans` gives each block's range in the result; SH is decoded up to `degree`. `tool` decodes
+    points that are coded by G-PCC.
+    """
+    count = max((span.stop for span in spans.values()), default=0)
+    decoder = _Blocks.of(file, channels_of(file), degree, count, tool)
+    stages = decoder.stages()
+    jobs = [
+        partial(stage, block, span.start, span.stop)
+        for block, span in spans.items()
+        for stage in stages
+    ]
+    run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
+    return decoder.groups
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Decodes single blocks into the planes of a scene.
+
+    ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``.
+    ``varying`` lists the channels that rANS codes; ``tables`` and ``levels`` hold their frequency
+    tables and the values of their symbols. ``whole`` tells whether all coded SH is decoded.
+    """
+
+    file: EgsFile
+    channels: list[Channel]
+    groups: dict[str, NDArray[np.float32]]
+    planes: list[NDArray[np.float32]]
+    varying: list[int]
+    tables: TableSet
+    levels: list[NDArray[np.float32]]
+    whole: bool
+    tool: Tmc3 | None
+
+    @classmethod
+    def of(
+        cls,
+        file: EgsFile,
+        channels: list[Channel],
+        degree: int,
+        count: int,
+        tool: Tmc3 | None,
+    ) -> _Blocks:
+        """Set up tables, and fill constant planes of `count` Gaussians, for SH up to a degree."""
+        kept, coded = SH_COEFFICIENTS[degree], SH_COEFFICIENTS[file.header.sh_degree]
+        channels = [
+            replace(c, index=c.index // coded * kept + c.index % coded)
+            if c.group == "f_rest"
+            else c
+            for c in channels
+            if c.group != "f_rest" or c.index % coded < kept
+        ]
+        members = Counter(channel.group for channel in channels)
+        groups = {g: np.empty((members[g], count), np.float32) for g in GROUPS}
+        planes = [groups[channel.group][channel.index] for channel in channels]
+        varying, tables, levels = [], [], []
+        for row, channel in enumerate(channels):
+            if not channel.quantiser.depth:
+                planes[row][:] = channel.quantiser.origin
+            elif channel.model is not None:
+                varying.append(row)
+                tables.append(channel.model.frequencies(channel.alphabet))
+                levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
+        packed = TableSet.pack(tables)
+        whole = kept == coded
+        return cls(file, channels, groups, planes, varying, packed, levels, whole, tool)
+
+    def stages(self) -> list[Callable[[int, int, int], None]]:
+        """The functions that decode a block."""
+        stages: list[Callable[[int, int, int], None]] = []
+        if any(channel.quantiser.depth for channel in self.channels[:6]):
+            stages.append(self.decode_points)
+        if self.varying:
+            stages.append(self.decode_attributes)
+        return stages
+
+    def decode_points(self, block: int, start: int, stop: int) -> None:
+        """Fill positions and f_dc of a block."""
+        quantisers = [channel.quantiser for channel in self.channels]
+        symbols = self._symbols_of_points(block)
+        for row, plane in enumerate(symbols):
+            if quantisers[row].depth:
+                self.planes[row][start:stop] = dequantise(plane, quantisers[row])
+
+    def _symbols_of_points(self, block: int) -> list[NDArray]:
+        """Symbols of x, y, z and, unless all are constant, of f_dc."""
+        if self.tool is not None:
+            cells, colours = decode_gpcc(self.file, self.tool, self.channels, block)
+            return [*cells, *colours]
+        cells = _decode_cells(self.file, self.channels[:3], block)
+        depths = triple_depths([channel.quantiser for channel in self.channels[3:6]])
+        if not sum(depths):
+            return [*cells]
+        data = self.file.section(SectionId.SH_DC, block)
+        return [*cells, *decode_colour(data, cells, depths, f"sh-dc of block {block}")]
+
+    def decode_attributes(self, block: int, start: int, stop: int) -> None:
+        """Fill the rANS-coded channels of a block."""
+        streams = [self.channels[row].stream for row in self.varying]
+        groups = [
+            (streams.count(stream), self.file.section(SectionId.of_stream(stream), block))
+            for stream in RANS_STREAMS
+            if stream in streams
+        ]
+        states = self.file.section(SectionId.STATES, block)
+        where = f"block {block}"
+        symbols = decode_symbols(states, groups, stop - start, self.tables, where, self.whole)
+        for plane, levels, row in zip(symbols, self.levels, self.varying, strict=True):
+            np.take(levels, plane, out=self.planes[row][start:stop], mode="clip")

@@ -1,0 +1,115 @@
+"""Scene to stream, for profiles that code channel by channel."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from gs_codec.codecs.entropygs.gpcc import encode_gpcc, tool_of, tool_section
+from gs_codec.codecs.entropygs.order import Ordered, order_scene
+from gs_codec.codecs.entropygs.section import RANS_STREAMS, channel_order, write_channels
+from gs_codec.codecs.entropygs.symbols import Coded, quantise_and_model
+from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.coding.colour import encode_colour
+from gs_codec.coding.count_tree import encode_geometry
+from gs_codec.coding.rans import TableSet, encode_symbols
+from gs_codec.config import Config
+from gs_codec.egs.file import Header, Section, SectionId, even_block_size, file_parts, section_sizes
+from gs_codec.egs.sections import carried_sections
+from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene
+
+
+def encode_channels(
+    scene: Scene, config: Config, times: StageTimes, progress: Progress | None = None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a clean scene by a paper profile; see `encode_parts`."""
+    depths, tool = config.resolved_depths(), tool_of(config)
+    with times.stage("order"):
+        ordered = order_scene(scene, depths["geometry"], depths["sh-dc"])
+    with times.stage("quantise and model"):
+        coded = quantise_and_model(scene, ordered.order, config, progress)
+    with times.stage("code"):
+        header = _header(scene, config)
+        block_sections = _encode_blocks(header, ordered, coded, config, tool, progress)
+    with times.stage("container"):
+        sections = [_channels_section(scene, ordered, coded), *tool_section(tool, ordered)]
+        sections += block_sections
+        sections += carried_sections(scene, ordered.order)
+        parts = file_parts(header, sections)
+    return parts, EncodeReport(
+        count=scene.count,
+        raw_bytes=scene.float_bytes,
+        section_bytes=section_sizes(sections),
+        costs=coded.costs,
+        rectified=coded.rectified,
+        seconds=times.seconds,
+    )
+
+
+def _header(scene: Scene, config: Config) -> Header:
+    size = even_block_size(scene.count, config.block_size)
+    return Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
+
+
+def _channels_section(scene: Scene, ordered: Ordered, coded: Coded) -> Section:
+    channels = (*ordered.channels, *coded.constants, *coded.channels)
+    by_place = {(channel.group, channel.index): channel for channel in channels}
+    places = channel_order(len(scene.f_rest) // 3)
+    data = write_channels(by_place[group, index] for group, index, _ in places)
+    return Section(SectionId.CHANNELS, 0, data)
+
+
+def _encode_blocks(
+    header: Header,
+    ordered: Ordered,
+    coded: Coded,
+    config: Config,
+    tool: Tmc3 | None,
+    progress: Progress | None,
+) -> list[Section]:
+    """Sections of all blocks, block after block."""
+    tables = TableSet.pack(coded.tables)
+    stages = [partial(_encode_geometry, ordered), partial(_encode_colour, ordered)]
+    if tool is not None:
+        stages = [partial(encode_gpcc, tool, config.verify, ordered)]
+    stages.append(partial(_encode_symbols, coded, tables))
+    jobs = [
+        partial(stage, block, *header.block_range(block))
+        for block in range(header.block_count)
+        for stage in stages
+    ]
+    advance = step_counter(progress, "code", len(jobs))
+    done = run_all(lambda job: job(), jobs, advance=advance)
+    return [section for sections in done for section in sections]
+
+
+def _encode_geometry(ordered: Ordered, block: int, start: int, stop: int) -> list[Section]:
+    total_bits = sum(ordered.depths[0])
+    if not total_bits:
+        return []
+    data = encode_geometry(ordered.codes[start:stop], total_bits)
+    return [Section.kept(SectionId.GEOMETRY, block, data)]
+
+
+def _encode_colour(ordered: Ordered, block: int, start: int, stop: int) -> list[Section]:
+    depths = ordered.depths[1]
+    if not sum(depths):
+        return []
+    data = encode_colour(ordered.cells[:, start:stop], ordered.colours[:, start:stop], depths)
+    return [Section.kept(SectionId.SH_DC, block, data)]
+
+
+def _encode_symbols(
+    coded: Coded, tables: TableSet, block: int, start: int, stop: int
+) -> list[Section]:
+    if not coded.channels:
+        return []
+    states, words = encode_symbols(coded.symbols, start, stop, tables)
+    sections = [Section(SectionId.STATES, block, states)]
+    for stream in RANS_STREAMS:
+        pairs = zip(words, coded.channels, strict=True)
+        members = [data for data, channel in pairs if channel.stream == stream]
+        if members:
+            sections.append(Section.kept(SectionId.of_stream(stream), block, b"".join(members)))
+    return sections

@@ -1,0 +1,278 @@
+"""Geometry and SH-DC coded by G-PCC (`tmc3`). FORMAT.md, section "G-PCC".
+
+`tmc3` reads and writes PLY files; the files that it writes are not trusted.
+FORMAT.md, section "G-PCC".
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+from crc32c import crc32c
+from numpy.typing import NDArray
+
+from gs_codec.codecs.entropygs.order import Ordered, triple_depths
+from gs_codec.codecs.entropygs.section import Channel
+from gs_codec.codecs.entropygs.tmc3 import VARIABLE, Tmc3
+from gs_codec.coding.morton import canonical_order, encode_morton
+from gs_codec.config import GPCC_DEPTHS, Config
+from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.sections import read_tool, write_tool
+from gs_codec.errors import CorruptStream, MissingTool, ToolFailed, TruncatedStream
+
+Depths = tuple[int, int, int]
+
+_AXES = ("x", "y", "z")
+_COLOURS = ("red", "green", "blue")
+_ROW = np.dtype([(name, "<f4") for name in _AXES] + [(name, "u1") for name in _COLOURS])
+
+#: Lossless geometry, duplicates kept; lossless 8-bit colour, its options before its name.
+_ENCODE = (
+    "--mode=0", "--uncompressedDataPath=in.ply", "--compressedStreamPath=out.bin",
+    "--trisoupNodeSizeLog2=0", "--mergeDuplicatedPoints=0", "--positionQuantizationScale=1",
+    "--neighbourAvailBoundaryLog2=8", "--intra_pred_max_node_size_log2=6",
+    "--maxNumQtBtBeforeOt=4", "--minQtbtSizeLog2=0", "--planarEnabled=1", "--planarModeIdcmUse=0",
+    "--inferredDirectCodingMode=3", "--convertPlyColourspace=1", "--transformType=1",
+    "--numberOfNearestNeighborsInPrediction=3", "--levelOfDetailCount=0",
+    "--intraLodPredictionSkipLayers=0", "--adaptivePredictionThreshold=64", "--colourMatrix=0",
+    "--interComponentPredictionEnabled=1", "--qp=4", "--qpChromaOffset=0", "--bitdepth=8",
+    "--attrOffset=0", "--attrScale=1", "--attribute=color",
+)  # fmt: skip
+_DECODE = (
+    "--mode=1", "--compressedStreamPath=in.bin", "--reconstructedDataPath=out.ply",
+    "--outputBinaryPly=1", "--convertPlyColourspace=1",
+)  # fmt: skip
+
+_HEADER_BYTES = 1 << 13
+_PLY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "<i2"),
+    **dict.fromkeys(("ushort", "uint16"), "<u2"),
+    **dict.fromkeys(("int", "int32"), "<i4"),
+    **dict.fromkeys(("uint", "uint32"), "<u4"),
+    **dict.fromkeys(("float", "float32"), "<f4"),
+    **dict.fromkeys(("double", "float64"), "<f8"),
+}
+
+
+def encode_points(tool: Tmc3, cells: NDArray[np.uint32], colours: NDArray[np.uint16]) -> bytes:
+    """Code points of at most 18 bits an axis and 8 a colour.
+
+    Parameters
+    ----------
+    tool : Tmc3
+    cells : ndarray, shape (3, N), uint32
+        Quantised positions; duplicates allowed.
+    colours : ndarray, shape (3, N), uint16
+        Quantised SH-DC of R, G, B.
+
+    Raises
+    ------
+    ToolFailed
+    """
+    rows = np.empty(cells.shape[1], _ROW)
+    for name, plane in zip((*_AXES, *_COLOURS), (*cells, *colours), strict=True):
+        rows[name] = plane
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    lines += [f"property float {name}" for name in _AXES]
+    lines += [f"property uchar {name}" for name in _COLOURS]
+    header = "\n".join([*lines, "end_header", ""]).encode()
+    most = 64 * len(rows) + (1 << 16)
+    return tool.run(_ENCODE, {"in.ply": header + rows.tobytes()}, "out.bin", most)
+
+
+def decode_points(
+    tool: Tmc3, data: bytes | memoryview, count: int, axes: Depths, colours: Depths
+) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
+    """The inverse of `encode_points` for `count` points of these depths, in any order.
+
+    Raises
+    ------
+    ToolFailed
+        If the program fails, or does not give exactly `count` points.
+    """
+    most = _HEADER_BYTES + 64 * count
+    ply = tool.run(_DECODE, {"in.bin": data}, "out.ply", most)
+    rows = _read_rows(ply, count)
+    cells = np.stack([_symbols(rows, *pair) for pair in zip(_AXES, axes, strict=True)])
+    found = np.stack([_symbols(rows, *pair) for pair in zip(_COLOURS, colours, strict=True)])
+    return cells, found.astype(np.uint16)
+
+
+def _read_rows(ply: bytes, count: int) -> NDArray:
+    """The rows of a binary PLY that has `count` vertices, and nothing else."""
+    end = ply.find(b"end_header\n", 0, _HEADER_BYTES)
+    if not ply.startswith(b"ply\n") or end < 0:
+        raise ToolFailed("wrote a file that is not a PLY")
+    dtype = _row_type(ply[:end].decode("ascii", "replace").splitlines()[1:], count)
+    start = end + len(b"end_header\n")
+    if len(ply) - start != count * dtype.itemsize:
+        expected = count * dtype.itemsize
+        raise ToolFailed(f"wrote a PLY with {len(ply) - start} bytes of data, expected {expected}")
+    return np.frombuffer(ply, dtype, count, start)
+
+
+def _row_type(lines: list[str], count: int) -> np.dtype:
+    """The dtype of a vertex, from the lines of a header."""
+    fields: dict[str, str] = {}
+    element = ""
+    for line in lines:
+        match line.split():
+            case ["comment" | "obj_info", *_] | ["format", "binary_little_endian", "1.0"]:
+                pass
+            case ["element", "vertex", number] if not element:
+                element = "vertex"
+                if number != str(count):
+                    raise ToolFailed(f"gave {number[:20]!a} points, expected {count}")
+            case ["element", name, "0"] if element and name != "vertex":
+                element = name
+            case ["property", kind, name] if element == "vertex" and kind in _PLY_TYPES:
+                if name in fields:
+                    raise ToolFailed(f"wrote a PLY with two properties {name[:20]!a}")
+                fields[name] = _PLY_TYPES[kind]
+            case ["property", *_] if element not in ("", "vertex"):
+                pass
+            case _:
+                raise ToolFailed(f"wrote a PLY header with the line {line[:60]!a}")
+    if missing := [name for name in (*_AXES, *_COLOURS) if name not in fields]:
+        raise ToolFailed(f"wrote a PLY without property '{missing[0]}'")
+    return np.dtype(list(fields.items()))
+
+
+def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
+    """A column as symbols of `depth` bits."""
+    column = rows[name]
+    # NaN fails both comparisons.
+    if not np.all((column >= 0) & (column < 1 << depth)) or np.any(column % 1):
+        raise ToolFailed(f"gave a value of {name} that is no integer of {depth} bits")
+    return column.astype(np.uint32)
+
+
+_CHECKSUM = "<I"
+
+#: Fewest Gaussians in a block if there are several: the program runs once for each.
+_LEAST_BLOCK = 512
+
+
+def tool_of(config: Config) -> Tmc3 | None:
+    """Find the program that a configuration asks for; None if our octree codes the points.
+
+    Raises
+    ------
+    MissingTool
+    """
+    if not config.may_use_gpcc:
+        return None
+    try:
+        return Tmc3.find(config.tmc3)
+    except MissingTool:
+        if config.geometry == "auto" and config.tmc3 is None and VARIABLE not in os.environ:
+            return None
+        raise
+
+
+def tool_section(tool: Tmc3 | None, ordered: Ordered) -> list[Section]:
+    """The section `tool`, if points are coded by a program."""
+    if tool is None or not any(map(sum, ordered.depths)):
+        return []
+    return [Section(SectionId.TOOL, 0, write_tool(tool.version))]
+
+
+def encode_gpcc(
+    tool: Tmc3, verify: bool, ordered: Ordered, block: int, start: int, stop: int
+) -> list[Section]:
+    """The section of a block's points, if any of their channels varies.
+
+    Raises
+    ------
+    ToolFailed
+        Also if, with `verify`, decoding does not give the points back.
+    """
+    if not any(map(sum, ordered.depths)):
+        return []
+    cells, colours = ordered.cells[:, start:stop], ordered.colours[:, start:stop]
+    where = f"gpcc of block {block}: tmc3 ({tool.version})"
+    try:
+        coded = encode_points(tool, cells, colours)
+        data = struct.pack(_CHECKSUM, _checksum(cells, colours)) + coded
+        if verify:
+            _decode(tool, memoryview(data), stop - start, *ordered.depths)
+    except ToolFailed as error:
+        raise ToolFailed(f"{where} {error}") from error
+    return [Section.kept(SectionId.GPCC, block, data)]
+
+
+def is_gpcc(file: EgsFile) -> bool:
+    """Whether a file's points are coded by a program."""
+    return (SectionId.TOOL, 0) in file.table
+
+
+def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:
+    """Find the program that decodes a file's points; None if the file needs none.
+
+    Raises
+    ------
+    CorruptStream, MissingTool
+    """
+    if not is_gpcc(file):
+        return None
+    read_tool(file.section(SectionId.TOOL))
+    header = file.header
+    if header.block_count > 1 and header.block_size < _LEAST_BLOCK:
+        raise CorruptStream(
+            f"gpcc: blocks of {header.block_size} Gaussians, expected at least {_LEAST_BLOCK}"
+        )
+    return Tmc3.find(path)
+
+
+def decode_gpcc(
+    file: EgsFile, tool: Tmc3, channels: list[Channel], block: int
+) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
+    """Symbols of positions and of SH-DC ``(3, n)`` of a block, in canonical order.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    ToolFailed
+        If decoding fails; the cause may be the stream or the program.
+    """
+    quantisers = [channel.quantiser for channel in channels[:6]]
+    axes, colours = triple_depths(quantisers[:3]), triple_depths(quantisers[3:])
+    for name, depths in (("geometry", axes), ("sh-dc", colours)):
+        if max(depths) > GPCC_DEPTHS[name]:
+            most = GPCC_DEPTHS[name]
+            raise CorruptStream(f"gpcc: {name} of {max(depths)} bits, expected at most {most}")
+    start, stop = file.header.block_range(block)
+    data = file.section(SectionId.GPCC, block)
+    where = f"gpcc of block {block}"
+    if len(data) < struct.calcsize(_CHECKSUM):
+        raise TruncatedStream(f"{where}: {len(data)} bytes, expected at least 4")
+    try:
+        return _decode(tool, data, stop - start, axes, colours)
+    except ToolFailed as error:
+        written = read_tool(file.section(SectionId.TOOL))
+        by = "" if written == tool.version else f"; written by {written}"
+        raise ToolFailed(f"{where}: tmc3 ({tool.version}{by}) {error}") from error
+
+
+def _decode(
+    tool: Tmc3, data: memoryview, count: int, axes: Depths, colours: Depths
+) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
+    size = struct.calcsize(_CHECKSUM)
+    cells, symbols = decode_points(tool, data[size:], count, axes, colours)
+    order = canonical_order(encode_morton(cells, axes), *symbols)
+    cells, symbols = cells[:, order], symbols[:, order]
+    if _checksum(cells, symbols) != struct.unpack(_CHECKSUM, data[:size])[0]:
+        raise ToolFailed("gave other points than were coded: their checksum does not match")
+    return cells, symbols
+
+
+def _checksum(cells: NDArray[np.uint32], colours: NDArray[np.uint16]) -> int:
+    """CRC-32C of points in canonical order."""
+    rows = np.empty(cells.shape[1], [("cell", "<u4", 3), ("colour", "u1", 3)])
+    rows["cell"], rows["colour"] = cells.T, colours.T
+    return crc32c(rows.tobytes())

@@ -1,0 +1,270 @@
+"""Models of symbols: Laplace, Gaussian mixtures; the choice by code length (paper, 4.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.frequency_table import MAX_PRECISION, FrequencyTable, normalise, shannon_bits
+from gs_codec.coding.linear import dot
+from gs_codec.coding.sent_tables import SentModel
+from gs_codec.runtime.kernels import kernel
+
+
+@dataclass(frozen=True)
+class LaplaceModel:
+    """Laplace distribution centred on the middle symbol ``A / 2``, edge bins open.
+
+    Parameters
+    ----------
+    decay : int
+        ``exp(-1 / (2 b))`` in 1/65536, b the scale in symbols; 1-65535.
+    precision : int
+        Base-2 logarithm of the table's sum.
+    """
+
+    kind: ClassVar[str] = "laplace"
+    decay: int
+    precision: int
+
+    @classmethod
+    def fit(cls, scale: float, precision: int) -> LaplaceModel:
+        """Model of mean absolute deviation `scale`, in symbols."""
+        decay = math.exp(-0.5 / max(scale, 1e-3))
+        return cls(min(max(round(65536 * decay), 1), 65535), precision)
+
+    def frequencies(self, alphabet: int) -> FrequencyTable:
+        """Table of ``alphabet`` symbols, by integer arithmetic alone (FORMAT.md, "Laplace")."""
+        middle = alphabet // 2
+        tails = []
+        tail = self.decay << 15
+        for _ in range(middle + 1):
+            tails.append(tail)
+            tail = tail * self.decay * self.decay >> 32
+        below = [tails[middle - symbol] for symbol in range(1, middle + 1)]
+        below += [(1 << 32) - tails[symbol - middle - 1] for symbol in range(middle + 1, alphabet)]
+        edges = np.array([0, *below, 1 << 32], np.int64)
+        return normalise(np.maximum(np.diff(edges), 1), self.precision)
+
+    def describe(self) -> dict[str, float]:
+        """Parameters in symbols, for reports."""
+        return {"scale": -0.5 / math.log(self.decay / 65536)}
+
+
+MAX_COMPONENTS = 4
+_ITERATIONS = 200
+_TOLERANCE = 1e-8
+_SMALLEST_SIGMA = 0.25
+
+#: floor(2**60 exp(-1/8192)), from which the normal distribution's table follows.
+_STEP_DECAY = 1152780775708076725
+_TABLE_SIZE = 512  # 8 sigma in steps of 1/64
+
+
+@cache
+def normal_table() -> NDArray[np.int64]:
+    """Normal CDF at ``i / 64``, i = 0..512, in 1/2**30: 2**29 at 0, 2**30 at 8 sigma.
+
+    Integer trapezoid sums of ``exp(-z**2 / 2)``; FORMAT.md, section "Mixture".
+    """
+    density, decay = 1 << 60, _STEP_DECAY
+    ratio = decay * decay >> 60
+    sums = [0]
+    for _ in range(_TABLE_SIZE):
+        following = density * decay >> 60
+        sums.append(sums[-1] + density + following)
+        density, decay = following, decay * ratio >> 60
+    return np.array([(1 << 29) + (s << 29) // sums[-1] for s in sums], np.int64)
+
+
+@dataclass(frozen=True)
+class Component:
+    """One Gaussian: weight 1-65535; mean and sigma in 1/65536 symbol, sigma at least 1."""
+
+    weight: int
+    mean: int
+    sigma: int
+
+
+@dataclass(frozen=True)
+class MixtureModel:
+    """Mixture of 1-4 Gaussians over symbols, edge bins open."""
+
+    kind: ClassVar[str] = "mixture"
+    components: tuple[Component, ...]
+    precision: int
+
+    def frequencies(self, alphabet: int) -> FrequencyTable:
+        """Table of ``alphabet`` symbols, by integer arithmetic alone (FORMAT.md, "Mixture")."""
+        table = normal_table()
+        edges = (np.arange(1, alphabet, dtype=np.int64) << 16) - (1 << 15)
+        inner = np.zeros(alphabet - 1, np.int64)
+        for component in self.components:
+            offset = edges - component.mean
+            z = np.minimum((np.abs(offset) << 16) // component.sigma, (8 << 16) - 1)
+            index, part = z >> 10, z & 1023
+            upper = table[index] + ((table[index + 1] - table[index]) * part >> 10)
+            inner += component.weight * np.where(offset < 0, (1 << 30) - upper, upper)
+        whole = sum(component.weight for component in self.components) << 30
+        cumulative = np.concatenate([[0], inner >> 16, [whole >> 16]])
+        return normalise(np.maximum(np.diff(cumulative), 1), self.precision)
+
+    def describe(self) -> dict[str, list[float]]:
+        """Weights (sum 1), means and sigmas in symbols, for reports."""
+        total = sum(c.weight for c in self.components)
+        return {
+            "weights": [c.weight / total for c in self.components],
+            "means": [c.mean / 65536 for c in self.components],
+            "sigmas": [c.sigma / 65536 for c in self.components],
+        }
+
+
+@kernel
+def _expectation_maximisation(histogram, weights, means, sigmas, spread):
+    """EM on bin centres, in place; components that die are left with weight 0."""
+    count = weights.size
+    mass = np.zeros(count)
+    first = np.zeros(count)
+    second = np.zeros(count)
+    density = np.zeros(count)
+    total = histogram.sum()
+    before = -np.inf
+    for _ in range(_ITERATIONS):
+        mass[:] = 0.0
+        first[:] = 0.0
+        second[:] = 0.0
+        likelihood = 0.0
+        for symbol in range(histogram.size):
+            if histogram[symbol] == 0:
+                continue
+            whole = 0.0
+            for k in range(count):
+                z = (symbol - means[k]) / sigmas[k]
+                density[k] = weights[k] / sigmas[k] * math.exp(-0.5 * z * z)
+                whole += density[k]
+            if whole <= 1e-300:
+                continue
+            likelihood += histogram[symbol] * math.log(whole)
+            for k in range(count):
+                share = histogram[symbol] * density[k] / whole
+                offset = symbol - means[k]
+                mass[k] += share
+                first[k] += share * offset
+                second[k] += share * offset * offset
+        for k in range(count):
+            weights[k] = mass[k] / total
+            if mass[k] < 1e-6:
+                sigmas[k] = spread
+                continue
+            shift = first[k] / mass[k]
+            variance = second[k] / mass[k] - shift * shift
+            means[k] += shift
+            sigmas[k] = math.sqrt(max(variance, _SMALLEST_SIGMA * _SMALLEST_SIGMA))
+        if likelihood - before < _TOLERANCE * total:
+            break
+        before = likelihood
+
+
+def fit_mixture(histogram: NDArray[np.int64], count: int, precision: int) -> MixtureModel:
+    """Mixture of `count` Gaussians by expectation maximisation on the histogram."""
+    symbols = np.arange(histogram.size)
+    total = histogram.sum()
+    mean = dot(histogram, symbols) / total
+    spread = math.sqrt(max(dot(histogram, (symbols - mean) ** 2) / total, _SMALLEST_SIGMA**2))
+    cumulative = np.cumsum(histogram)
+    quantiles = [(2 * k + 1) * total / (2 * count) for k in range(count)]
+    means = np.searchsorted(cumulative, quantiles).astype(np.float64)
+    weights = np.full(count, 1.0 / count)
+    sigmas = np.full(count, max(spread / count, _SMALLEST_SIGMA))
+    _expectation_maximisation(histogram, weights, means, sigmas, spread)
+    components = tuple(
+        Component(max(round(65535 * w), 1), round(65536 * m), max(round(65536 * s), 1))
+        for w, m, s in zip(weights, means, sigmas, strict=True)
+    )
+    return MixtureModel(components, precision)
+
+
+Model = LaplaceModel | MixtureModel | SentModel
+
+#: Precisions of tables to try; a larger one must save this share, as it decodes slower.
+_PRECISIONS = (12, 14, 15)
+_WORTHWHILE = 2e-4
+
+_MANTISSAS = (2, 3, 4, 6)
+
+# Bytes of a model's parameters in the stream, beside its kind and precision.
+_LAPLACE_BYTES = 2
+_COMPONENT_BYTES = 10
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A channel's model and table, with the code lengths that it was chosen by.
+
+    ``bits`` and ``parametric_bits`` are code lengths without parameters, ``shannon_bits``
+    the entropy, each for all symbols of the channel.
+    """
+
+    model: Model
+    table: FrequencyTable
+    bits: float
+    parametric_bits: float
+    shannon_bits: float
+
+
+def choose_model(
+    histogram: NDArray[np.int64],
+    laplace_scale: float | None,
+    sent_bytes: Callable[[SentModel], int],
+) -> Choice:
+    """Cheapest of the parametric models and the sent tables, parameters included.
+
+    Parameters
+    ----------
+    histogram : ndarray, shape (A,), int64
+        Count of each symbol, not all 0.
+    laplace_scale : float or None
+        Mean absolute deviation in symbols for SH-AC; None tries mixtures instead.
+    sent_bytes : callable
+        Size of a sent table in the stream.
+    """
+    precisions = [p for p in _PRECISIONS if 1 << p >= 2 * histogram.size]
+    parametric = _parametric_models(histogram, laplace_scale, precisions)
+    candidates: list[tuple[Model, int]] = [(model, _parameter_bytes(model)) for model in parametric]
+    for mantissa in _MANTISSAS:
+        fitted = SentModel.fit(histogram, mantissa, MAX_PRECISION)
+        size = sent_bytes(fitted)  # the same for every precision
+        candidates += [(replace(fitted, precision=p), size) for p in precisions]
+    priced = []
+    for model, size in candidates:
+        table = model.frequencies(histogram.size)
+        bits = table.code_length(histogram)
+        priced.append((bits + 8 * size, bits, model, table))
+    enough = min(cost for cost, *_ in priced) * (1 + _WORTHWHILE)
+    _, bits, model, table = min(
+        (item for item in priced if item[0] <= enough),
+        key=lambda item: (item[2].precision, item[0]),
+    )
+    parametric_bits = min(bits for _, bits, model, _ in priced[: len(parametric)])
+    return Choice(model, table, bits, parametric_bits, shannon_bits(histogram))
+
+
+def _parametric_models(
+    histogram: NDArray[np.int64], laplace_scale: float | None, precisions: list[int]
+) -> list[LaplaceModel | MixtureModel]:
+    if laplace_scale is not None:
+        return [LaplaceModel.fit(laplace_scale, p) for p in precisions]
+    fitted = [fit_mixture(histogram, k + 1, MAX_PRECISION) for k in range(MAX_COMPONENTS)]
+    return [MixtureModel(m.components, p) for m in fitted for p in precisions]
+
+
+def _parameter_bytes(model: LaplaceModel | MixtureModel) -> int:
+    if isinstance(model, LaplaceModel):
+        return _LAPLACE_BYTES
+    return 1 + _COMPONENT_BYTES * len(model.components)

@@ -1,0 +1,80 @@
+"""Run MPEG's G-PCC reference software, `tmc3`, as a program that is not trusted.
+
+It aborts, crashes or runs forever on some input; every failure becomes a `ToolFailed`.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gs_codec.errors import MissingTool, ToolFailed
+from gs_codec.runtime.programs import Limits, first_line, run_on_files
+
+#: The environment variable that names the program.
+VARIABLE = "GS_CODEC_TMC3"
+
+_MISSING = (
+    "tmc3 is MPEG's reference software for G-PCC, https://github.com/MPEGGroup/mpeg-pcc-tmc13, "
+    f"found by --tmc3, {VARIABLE} or PATH; geometry 'octree' needs no program"
+)
+
+
+@dataclass(frozen=True)
+class Tmc3:
+    """A program that was found, and its version line.
+
+    Parameters
+    ----------
+    path : str
+    version : str
+        First line of its help: 1-200 printable ASCII characters.
+    limits : Limits
+    """
+
+    path: str
+    version: str
+    limits: Limits = field(default_factory=Limits)
+
+    @classmethod
+    def find(cls, path: str | Path | None = None, limits: Limits | None = None) -> Tmc3:
+        """Find the program at `path`, or by the environment variable or PATH.
+
+        Raises
+        ------
+        MissingTool
+            If there is none, or it is another program.
+        """
+        limits = limits or Limits()
+        given = str(path) if path is not None else os.environ.get(VARIABLE)
+        found = shutil.which(given or "tmc3")
+        if found is None:
+            which = f"{given}: no such program" if given else "tmc3: not found"
+            raise MissingTool(f"{which}; {_MISSING}")
+        found = os.path.abspath(found)
+        try:
+            line = first_line([found, "--help"], limits)
+        except (OSError, ToolFailed) as error:
+            raise MissingTool(f"{found}: cannot be run ({error}); {_MISSING}") from error
+        if "tmc3" not in line.lower():
+            raise MissingTool(f"{found}: not tmc3, its help begins '{line[:80]}'; {_MISSING}")
+        return cls(found, line[:200], limits)
+
+    def run(
+        self,
+        arguments: Sequence[str],
+        inputs: Mapping[str, bytes | memoryview],
+        output: str,
+        most: int,
+    ) -> bytes:
+        """Run the program in a folder with the files `inputs`; returns the bytes of file `output`.
+
+        Raises
+        ------
+        ToolFailed
+            If it fails, takes more than its limits, or writes more than `most` bytes.
+        """
+        return run_on_files([self.path, *arguments], inputs, output, self.limits, most)

@@ -1,0 +1,285 @@
+"""Describe a file from its header and the sections that describe its blocks.
+
+Those sections hold channels, lattices, bounds or box, the G-PCC program, and comments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gs_codec.codecs.adaptive.contexts import Pass, passes
+from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS
+from gs_codec.codecs.adaptive.lattice import Lattice, PositionGrid
+from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
+from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
+from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_lattice
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
+from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file
+from gs_codec.egs.sections import Box, read_box, read_comments, read_tool
+from gs_codec.scene import SH_COEFFICIENTS, antialiased_of, coordinates_of
+
+
+@dataclass(frozen=True)
+class StreamInfo:
+    """Size of one kind of section, all blocks together.
+
+    Attributes
+    ----------
+    name : str
+        As FORMAT.md names the section.
+    bytes : int
+        Size of all sections of that kind.
+    bits_per_gaussian : float
+        The same size, in bits per Gaussian of the file.
+    """
+
+    name: str
+    bytes: int
+    bits_per_gaussian: float
+
+
+@dataclass(frozen=True)
+class PassInfo:
+    """A pass of profiles `l`, `m` and `s`: its tables and step sizes.
+
+    Attributes
+    ----------
+    name : str
+        What its symbols code.
+    stream : str
+        The stream that it is in.
+    tables : int
+        Number of frequency tables that its contexts choose from.
+    finest_step, coarsest_step : float
+        Step sizes, in the attribute's own domain.
+    """
+
+    name: str
+    stream: str
+    tables: int
+    finest_step: float
+    coarsest_step: float
+
+
+@dataclass(frozen=True)
+class Info:
+    """Everything that `inspect` reports, from a file's header, tables and comments alone.
+
+    Attributes
+    ----------
+    version : int
+        Format version of the file.
+    count : int
+        Number of Gaussians.
+    sh_degree : int
+        0-3.
+    profile : str
+        Profile, as `Config` names it.
+    blocks, block_size : int
+        Number of independently decodable blocks, and most Gaussians in one.
+    has_normals : bool
+        Whether the source had normals, all zero.
+    keeps_order : bool
+        Whether the Gaussians come in the source's order.
+    geometry : str
+        Coder of positions: ``octree``, ``gpcc`` (SH-DC too), or ``columns`` (`lossless`).
+    tool : str or None
+        With ``gpcc``, the version line of the program that coded them.
+    bounds : tuple of two tuples of float
+        Lowest and highest x, y, z of the centres.
+    file_bytes : int
+        Size of the file.
+    raw_bytes : int
+        Size of the same attributes as float32.
+    streams : tuple of StreamInfo
+        In stream order; ``header`` includes the section table.
+    channels : tuple of Channel
+        Quantiser and model of each channel, of a `paper` profile.
+    passes : tuple of PassInfo
+        Passes of profiles `l`, `m` and `s`.
+    grid : PositionGrid or None
+        Grid of positions, of profiles `l`, `m` and `s`.
+    coordinates : str or None
+        Where x, y and z point, if a comment states it: three letters, as in ``RDF`` (right, down,
+        forward) or ``RUB`` (right, up, back).
+    antialiased : bool
+        Whether comments ask for opacity compensation.
+    skipped : tuple of str
+        What takes no bits, in words, as far as header and tables tell.
+    """
+
+    version: int
+    count: int
+    sh_degree: int
+    profile: str
+    blocks: int
+    block_size: int
+    has_normals: bool
+    keeps_order: bool
+    geometry: str
+    tool: str | None
+    bounds: Box
+    file_bytes: int
+    raw_bytes: int
+    streams: tuple[StreamInfo, ...]
+    channels: tuple[Channel, ...]
+    passes: tuple[PassInfo, ...]
+    grid: PositionGrid | None
+    coordinates: str | None
+    antialiased: bool
+    skipped: tuple[str, ...]
+
+    @property
+    def ratio(self) -> float:
+        """Compression ratio: raw bytes over bytes of the file."""
+        return self.raw_bytes / self.file_bytes
+
+    def as_dict(self) -> dict:
+        """The same as plain types, for JSON."""
+        plain = dict(vars(self), ratio=self.ratio)
+        plain["streams"] = [vars(stream) for stream in self.streams]
+        plain["channels"] = [_channel_dict(channel) for channel in self.channels]
+        plain["grid"] = None if self.grid is None else vars(self.grid)
+        plain["passes"] = [vars(item) for item in self.passes]
+        return plain
+
+
+def inspect_bytes(data: bytes | memoryview) -> Info:
+    """Describe a stream by its header and the sections that describe its blocks, without these.
+
+    Raises
+    ------
+    CorruptStream, TruncatedStream, UnsupportedVersion
+    """
+    wanted = {*DESCRIPTIONS, SectionId.COMMENTS}
+    return describe(read_file(data, lambda section, _: section in wanted))
+
+
+def describe(file: EgsFile) -> Info:
+    """Describe a file by its header and the sections that describe its blocks."""
+    header = file.header
+    details = _lattice_details if header.profile in ADAPTIVE_PROFILES else _channel_details
+    stored = file.sections.get((SectionId.COMMENTS, 0))
+    comments = () if stored is None else read_comments(stored)
+    tool = file.sections.get((SectionId.TOOL, 0))
+    coder = "columns" if header.profile == LOSSLESS else "octree"
+    return Info(
+        version=file.version,
+        count=header.count,
+        sh_degree=header.sh_degree,
+        profile=header.profile,
+        blocks=header.block_count,
+        block_size=header.block_size,
+        has_normals=header.has_normals,
+        keeps_order=header.keeps_order,
+        geometry=coder if tool is None else "gpcc",
+        tool=None if tool is None else read_tool(tool),
+        file_bytes=len(file.data),
+        raw_bytes=header.float_bytes,
+        streams=_streams(file),
+        coordinates=coordinates_of(comments),
+        antialiased=antialiased_of(comments),
+        **details(file),
+    )
+
+
+def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
+    sizes = {"header": file.header_size}
+    for (section_id, _), size in sorted(file.sizes.items()):
+        known = section_id in set(SectionId)
+        label = SectionId(section_id).label if known else f"section {section_id}"
+        sizes[label] = sizes.get(label, 0) + size
+    count = max(file.header.count, 1)
+    return tuple(StreamInfo(name, size, 8 * size / count) for name, size in sizes.items())
+
+
+def _lattice_details(file: EgsFile) -> dict[str, Any]:
+    """Fields of `Info` for profiles `l`, `m` and `s`."""
+    coefficients = SH_COEFFICIENTS[file.header.sh_degree]
+    lattice, models = lattice_of(file)
+    skipped = skipped_by_header(file.header)
+    if file.header.count:
+        skipped += skipped_by_lattice(lattice, models, coefficients)
+    return {
+        "bounds": _bounds_of(file, lattice),
+        "channels": (),
+        "passes": tuple(_inspect_passes(lattice, models, coefficients)),
+        "grid": lattice.grid,
+        "skipped": tuple(skipped),
+    }
+
+
+def _channel_details(file: EgsFile) -> dict[str, Any]:
+    """Fields of `Info` for the other profiles."""
+    channels, bounds = _channels_and_bounds(file)
+    skipped = skipped_by_header(file.header)
+    if file.header.count:
+        skipped += skipped_by_channels(channels)
+    return {
+        "bounds": bounds,
+        "channels": tuple(channels),
+        "passes": (),
+        "grid": None,
+        "skipped": tuple(skipped),
+    }
+
+
+def _bounds_of(file: EgsFile, lattice: Lattice) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Lowest and highest corner of the centres."""
+    grid = lattice.grid
+    low = high = np.array(grid.origin)
+    if file.header.count:
+        boxes = bounds_of(file)
+        corners = np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+        low, high = np.array(grid.origin) + corners * (0.5 * grid.step)
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[PassInfo]:
+    listed = []
+    for item, rows in zip(passes(coefficients), models.rows, strict=True):
+        unit, limit = _steps(lattice, item)
+        tables = int(rows[-1] - rows[0]) + 1
+        listed.append(PassInfo(item.name, item.stream, tables, unit, unit * 2.0**limit))
+    return listed
+
+
+def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
+    """The finest step size of a pass, and by how many octaves the coarsest is larger."""
+    rules = {"opacity": "opacity", "rotation": "rotation", "scaling": item.name}
+    if item.stream == "classes" or item.name == "SH energy":
+        return 1.0, 0
+    limit = lattice.rules[rules.get(item.stream, "colour")].limit
+    return lattice.units[item.stream] / (1 << FRACTION_BITS), limit
+
+
+def _channels_and_bounds(file: EgsFile) -> tuple[list[Channel], Box]:
+    """The channels, if there are quantisers, and the box of the centres."""
+    if file.header.profile == LOSSLESS:
+        return [], read_box(file.section(SectionId.BOX))
+    channels = channels_of(file)
+    axes = [channel.quantiser for channel in channels[:3]]
+    top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
+    return channels, (tuple(axis.origin for axis in axes), tuple(top))
+
+
+def _channel_dict(channel: Channel) -> dict:
+    quantiser = channel.quantiser
+    plain = {
+        "name": channel.name,
+        "stream": channel.stream,
+        "quantiser": quantiser.kind,
+        "depth": quantiser.depth,
+        "origin": quantiser.origin,
+        "step": quantiser.step,
+    }
+    if channel.model is not None:
+        plain["model"] = channel.model.kind
+        plain["precision"] = channel.model.precision
+        plain["parameters"] = channel.model.describe()
+    elif channel.stream in RANS_STREAMS:
+        plain["model"] = "constant"
+    return plain

@@ -1,0 +1,1 @@
+"""Profile ``lossless``: every float bit-exact."""

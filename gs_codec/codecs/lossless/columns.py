@@ -1,0 +1,253 @@
+"""Float columns to bytes and back, bit-exactly. FORMAT.md, "Columns".
+
+FORMAT.md, "Columns". Only pcodec's classic mode is used, without deltas or with consecutive ones:
+then no stream can demand more memory than its values take.
+
+Columns are coded one by one; or split into classes by sign and exponent of another column (the
+guide); or, for quaternions, with w as its difference from the w of a unit quaternion.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+from pcodec import ChunkConfig, DeltaSpec, ModeSpec, PagingSpec
+from pcodec.wrapped import FileCompressor, FileDecompressor
+
+from gs_codec.coding.fields import ByteReader
+from gs_codec.coding.morton import encode_morton
+from gs_codec.errors import CorruptStream
+from gs_codec.runtime.kernels import inlined, kernel
+
+_SIGN = np.uint32(1 << 31)
+
+
+def to_ordered(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Integers that ascend with the floats of these bit patterns, one for each pattern."""
+    return np.where(bits & _SIGN, ~bits, bits | _SIGN)
+
+
+def from_ordered(ordered: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """The inverse of `to_ordered`."""
+    return np.where(ordered & _SIGN, ordered ^ _SIGN, ~ordered)
+
+
+def float_order(
+    positions: NDArray[np.float32], others: list[NDArray[np.float32]]
+) -> NDArray[np.int64]:
+    """Permutation that sorts by the Morton code of all 32 bits of each coordinate.
+
+    Any float can be sorted, NaN too. Gaussians at the same position are sorted by their other
+    attributes; only Gaussians that agree in every bit keep the order of the input.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (3, N), float32
+    others : list of ndarray, each of shape (C, N), float32
+    """
+    ordered = to_ordered(positions.view(np.uint32))
+    high = encode_morton(ordered >> np.uint32(11), (21, 21, 21))
+    low = encode_morton(ordered & np.uint32(0x7FF), (11, 11, 11))
+    order = np.lexsort((low, high))
+    before, after = order[:-1], order[1:]
+    same = (high[before] == high[after]) & (low[before] == low[after])
+    tied = np.zeros(order.size, bool)
+    tied[1:] |= same
+    tied[:-1] |= same
+    ties = np.sort(order[tied])
+    rows = [row for plane in others for row in plane[:, ties].view(np.uint32)]
+    order[tied] = ties[np.lexsort((*rows, low[ties], high[ties]))]
+    return order
+
+
+_LEVEL = 10
+_FORMAT = 4
+_CONSECUTIVE = 1
+
+#: Number of values that are coded both ways, to decide whether to code differences.
+_SAMPLE = 8192
+_DELTAS = (DeltaSpec.no_op(), DeltaSpec.try_consecutive(1))
+
+
+def write_integers(values: NDArray[np.uint32]) -> bytes:
+    """Code values ``(n,)``, n >= 1, or their differences, whichever is smaller."""
+    middle = max(values.size - _SAMPLE, 0) // 2
+    tries = [_write(values[middle : middle + _SAMPLE], delta) for delta in _DELTAS]
+    smallest = tries.index(min(tries, key=len))
+    return tries[smallest] if values.size <= _SAMPLE else _write(values, _DELTAS[smallest])
+
+
+def _write(values: NDArray[np.uint32], delta: DeltaSpec) -> bytes:
+    config = ChunkConfig(
+        compression_level=_LEVEL,
+        mode_spec=ModeSpec.classic(),
+        delta_spec=delta,
+        paging_spec=PagingSpec.exact_page_sizes([values.size]),
+    )
+    file = FileCompressor()
+    chunk = file.chunk_compressor(np.ascontiguousarray(values), config)
+    return file.write_header() + chunk.write_meta() + chunk.write_page(0)
+
+
+def read_integers(data: memoryview, count: int, where: str) -> NDArray[np.uint32]:
+    """The inverse of `write_integers` for `count` values, at least one.
+
+    Raises
+    ------
+    CorruptStream
+    """
+    if len(data) < 3 or data[0] != _FORMAT or data[2] & 15 or data[2] >> 4 > _CONSECUTIVE:
+        raise CorruptStream(f"{where}: not a pcodec stream of a kind that is used here")
+    packed = bytes(data)
+    values = np.empty(count, np.uint32)
+    try:
+        file, size = FileDecompressor.new(packed)
+        chunk, used = file.chunk_decompressor(packed[size:], "u32")
+        size += used
+        progress, used = chunk.read_page_into(packed[size:], count, values)
+    except RuntimeError as error:
+        raise CorruptStream(f"{where}: {' '.join(str(error).split())}") from None
+    if progress.n_processed != count or not progress.finished or size + used != len(packed):
+        raise CorruptStream(f"{where}: {len(packed)} bytes do not hold exactly {count} values")
+    return values
+
+
+Bits = NDArray[np.uint32]
+
+_PLAIN, _UNIT = range(2)
+_CLASS_COUNT = 32
+_HALF = np.uint32(1 << 31)
+
+
+@inlined
+def _class_of(guide):
+    """Sign, and exponent within the 16 that matter: 2^-11 to 2^4."""
+    return min(max((guide >> 23) & 255, 116), 131) - 116 + 16 * (guide >> 31)
+
+
+@kernel
+def _count(guide, counts):
+    for i in range(guide.size):
+        counts[_class_of(guide[i])] += 1
+
+
+@kernel
+def _split(values, guide, places, grouped):
+    for i in range(guide.size):
+        group = _class_of(guide[i])
+        grouped[places[group]] = values[i]
+        places[group] += 1
+
+
+@kernel
+def _merge(grouped, guide, places, values):
+    for i in range(guide.size):
+        group = _class_of(guide[i])
+        values[i] = grouped[places[group]]
+        places[group] += 1
+
+
+def _class_bounds(guide: Bits) -> NDArray[np.int64]:
+    """Where each class begins among the values sorted by class, and the end of the last."""
+    counts = np.zeros(_CLASS_COUNT, np.int64)
+    _count(guide, counts)
+    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+
+
+def write_mask(mask: Bits) -> bytes:
+    """Code small integers ``(n,)``."""
+    return _pack(_code([mask]))
+
+
+def read_mask(reader: ByteReader, count: int, top: int, where: str) -> Bits:
+    """The inverse of `write_mask`, for integers of 0 to `top`."""
+    mask = _read_parts(reader, [count], where)[0]
+    if mask.max(initial=0) > top:
+        raise CorruptStream(f"{where}: mask {mask.max()}, expected at most {top}")
+    return mask
+
+
+def write_stack(columns: Bits) -> bytes:
+    """Code the bit patterns ``(C, n)`` of floats column by column."""
+    return _pack(_code(to_ordered(columns)))
+
+
+def read_stack(reader: ByteReader, shape: tuple[int, int], where: str) -> Bits:
+    """The inverse of `write_stack`."""
+    return from_ordered(_read_columns(reader, shape, where))
+
+
+def write_guided(columns: Bits, guide: Bits) -> bytes:
+    """Code ``(C, n)`` given ``guide (C, n)``, which the decoder has already."""
+    values, flat = to_ordered(columns).ravel(), np.ascontiguousarray(guide).ravel()
+    bounds = _class_bounds(flat)
+    grouped = np.empty(flat.size, np.uint32)
+    _split(values, flat, bounds[:-1].copy(), grouped)
+    return _pack(_code(np.split(grouped, bounds[1:-1])))
+
+
+def read_guided(reader: ByteReader, guide: Bits, where: str) -> Bits:
+    """The inverse of `write_guided`."""
+    flat = np.ascontiguousarray(guide).ravel()
+    bounds = _class_bounds(flat)
+    parts = _read_parts(reader, [int(size) for size in np.diff(bounds)], where)
+    values = np.empty(flat.size, np.uint32)
+    _merge(np.concatenate(parts), flat, bounds[:-1].copy(), values)
+    return from_ordered(values.reshape(guide.shape))
+
+
+def write_quaternions(columns: Bits) -> bytes:
+    """Code the components ``(4, n)`` w, x, y, z."""
+    ordered = to_ordered(columns)
+    residual = ordered[0] - to_ordered(_unit_w(columns[1:])) + _HALF
+    w, of_unit, *rest = _code([ordered[0], residual, *ordered[1:]])
+    if len(of_unit) < len(w):
+        return bytes([_UNIT]) + _pack([of_unit, *rest])
+    return bytes([_PLAIN]) + _pack([w, *rest])
+
+
+def read_quaternions(reader: ByteReader, count: int, where: str) -> Bits:
+    """The inverse of `write_quaternions`."""
+    kind = reader.unpack("B")[0]
+    if kind not in (_PLAIN, _UNIT):
+        raise CorruptStream(f"{where}: quaternions of kind {kind}, expected 0 or 1")
+    ordered = _read_columns(reader, (4, count), where)
+    if kind == _UNIT:
+        ordered[0] += to_ordered(_unit_w(from_ordered(ordered[1:]))) - _HALF
+    return from_ordered(ordered)
+
+
+def _unit_w(columns: Bits) -> Bits:
+    """The w >= 0 that makes x, y, z ``(3, n)`` a unit quaternion; 0 if there is none."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        x, y, z = columns.view(np.float32).astype(np.float64)
+        square = 1.0 - x * x - y * y - z * z
+        w = np.sqrt(np.where(square > 0, square, 0.0))
+    return w.astype(np.float32).view(np.uint32)
+
+
+def _code(parts: Iterable[Bits]) -> list[bytes]:
+    return [write_integers(part) if part.size else b"" for part in parts]
+
+
+def _pack(coded: list[bytes]) -> bytes:
+    sizes = struct.pack(f"<{len(coded)}I", *(len(part) for part in coded))
+    return b"".join([sizes, *coded])
+
+
+def _read_columns(reader: ByteReader, shape: tuple[int, ...], where: str) -> Bits:
+    return np.stack(_read_parts(reader, [shape[1]] * shape[0], where))
+
+
+def _read_parts(reader: ByteReader, counts: list[int], where: str) -> list[Bits]:
+    sizes = reader.unpack(f"{len(counts)}I")
+    parts = []
+    for size, count in zip(sizes, counts, strict=True):
+        data = reader.take(size)
+        if not count and size:
+            raise CorruptStream(f"{where}: {size} bytes for no values")
+        parts.append(read_integers(data, count, where) if count else np.empty(0, np.uint32))
+    return parts

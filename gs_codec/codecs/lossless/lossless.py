@@ -1,0 +1,234 @@
+"""Profile ``lossless``: scene to sections and back, every bit kept. FORMAT.md, "Lossless"."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.lossless.columns import (
+    Bits,
+    float_order,
+    read_guided,
+    read_mask,
+    read_quaternions,
+    read_stack,
+    write_guided,
+    write_mask,
+    write_quaternions,
+    write_stack,
+)
+from gs_codec.coding.clean import drop_nonfinite
+from gs_codec.coding.fields import ByteReader
+from gs_codec.coding.morton import in_stream_order
+from gs_codec.config import SH_STREAMS, Config
+from gs_codec.egs.file import (
+    EgsFile,
+    Header,
+    Section,
+    SectionId,
+    even_block_size,
+    file_parts,
+    section_sizes,
+)
+from gs_codec.egs.sections import carried_sections, read_box, write_box
+from gs_codec.errors import CorruptStream
+from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows, sh_bands
+
+#: Attribute group of each section, except those of SH-AC.
+_GROUP_OF = {
+    SectionId.GEOMETRY: "positions",
+    SectionId.SH_DC: "f_dc",
+    SectionId.OPACITY: "opacity",
+    SectionId.SCALING: "log_scale",
+    SectionId.ROTATION: "rot",
+}
+
+#: SH-AC coefficients of each band.
+_BANDS = {
+    SectionId.of_stream(stream): slice(band.start, band.stop)
+    for stream, band in zip(SH_STREAMS, sh_bands(), strict=True)
+}
+
+#: Green predicts red and blue best, so it is coded first.
+_RED, _GREEN, _BLUE = range(3)
+
+
+def block_sections(sh_degree: int) -> list[SectionId]:
+    """The sections that each block has."""
+    return [*_GROUP_OF, *list(_BANDS)[:sh_degree]]
+
+
+def encode_lossless(
+    scene: Scene, config: Config, progress: Progress | None = None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene as `.egs`, bit-exactly; see `encode_parts`."""
+    times = StageTimes()
+    dropped = 0
+    if config.nonfinite == "drop":
+        with times.stage("check"):
+            scene, dropped = drop_nonfinite(scene, config)
+    with times.stage("order"):
+        if config.keep_order:
+            order = np.arange(scene.count)
+        else:
+            scene, order = in_stream_order(scene, lossless_order(scene))
+    size = even_block_size(scene.count, config.block_size)
+    header = Header(
+        scene.count, scene.sh_degree, config.profile, size, scene.has_normals, config.keep_order
+    )
+    with times.stage("code"):
+        sections = _encode_blocks(scene, header, order, progress)
+    with times.stage("container"):
+        box = Section(SectionId.BOX, 0, write_box(scene.positions))
+        sections = [box, *sections, *carried_sections(scene, order)]
+        parts = file_parts(header, sections)
+    return parts, EncodeReport(
+        count=scene.count,
+        raw_bytes=scene.float_bytes,
+        section_bytes=section_sizes(sections),
+        costs=[],
+        rectified=0,
+        dropped=dropped,
+        seconds=times.seconds,
+    )
+
+
+def decode_lossless(
+    file: EgsFile,
+    spans: dict[int, slice],
+    degree: int,
+    progress: Progress | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """Decode blocks to attribute groups, in stream order.
+
+    `spans` gives each block's range in the result; SH is decoded up to `degree`.
+
+    Raises
+    ------
+    CorruptStream, TruncatedStream
+    """
+    read_box(file.section(SectionId.BOX))
+    rows = group_rows(SH_COEFFICIENTS[degree])
+    count = max((span.stop for span in spans.values()), default=0)
+    planes = {group: np.empty((number, count), np.uint32) for group, number in rows.items()}
+    jobs = [
+        partial(_decode_section, file, planes, section_id, block, span)
+        for block, span in spans.items()
+        for section_id in block_sections(degree)
+    ]
+    run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
+    return {group: plane.view(np.float32) for group, plane in planes.items()}
+
+
+def lossless_positions(file: EgsFile, block: int) -> NDArray[np.float32]:
+    """Positions ``(3, n)`` of a block, from its section `geometry` alone."""
+    start, stop = file.header.block_range(block)
+    where = f"section 'geometry' of block {block}"
+    reader = ByteReader(file.section(SectionId.GEOMETRY, block), where)
+    return read_stack(reader, (3, stop - start), where).view(np.float32)
+
+
+def lossless_order(scene: Scene) -> NDArray[np.int64]:
+    """Stream order of a scene, unless its own order is kept."""
+    others = [getattr(scene, group) for group in GROUPS if group != "positions"]
+    return float_order(scene.positions, others)
+
+
+def _encode_blocks(
+    scene: Scene,
+    header: Header,
+    order: NDArray[np.int64],
+    progress: Progress | None,
+) -> list[Section]:
+    """Sections of all blocks, block after block."""
+
+    def encode(section_id: SectionId, block: int) -> Section:
+        plane = getattr(scene, _GROUP_OF.get(section_id, "f_rest"))
+        members = order[slice(*header.block_range(block))]
+        data = _encode_section(section_id, plane.view(np.uint32)[:, members])
+        return Section.kept(section_id, block, data)
+
+    jobs = [
+        partial(encode, section_id, block)
+        for block in range(header.block_count)
+        for section_id in block_sections(header.sh_degree)
+    ]
+    return run_all(lambda job: job(), jobs, advance=step_counter(progress, "code", len(jobs)))
+
+
+def _encode_section(section_id: SectionId, columns: Bits) -> bytes:
+    """The section of a block, given the columns ``(C, n)`` of its attribute."""
+    if section_id in _BANDS:
+        return _encode_band(section_id, columns)
+    if section_id == SectionId.SH_DC:
+        return _encode_colours(columns[:, None], np.ones(columns.shape, bool))
+    return write_quaternions(columns) if section_id == SectionId.ROTATION else write_stack(columns)
+
+
+def _encode_band(section_id: SectionId, f_rest: Bits) -> bytes:
+    """Code a band of SH-AC; band 1 holds the mask of the colours that are not all zero."""
+    colours = f_rest.reshape(3, -1, f_rest.shape[1])
+    there = np.any(colours, axis=1)
+    mask = b""
+    if section_id == SectionId.SH1:
+        mask = write_mask(np.packbits(there, axis=0, bitorder="little")[0].astype(np.uint32))
+    return mask + _encode_colours(colours[:, _BANDS[section_id]], there)
+
+
+def _encode_colours(colours: Bits, there: NDArray[np.bool_]) -> bytes:
+    """Code coefficients ``(3, C, n)``; ``there (3, n)`` tells which Gaussians have a colour."""
+    green = colours[_GREEN]
+    parts = [write_stack(green[:, there[_GREEN]])]
+    parts += [write_guided(colours[c][:, there[c]], green[:, there[c]]) for c in (_RED, _BLUE)]
+    return b"".join(parts)
+
+
+def _decode_section(
+    file: EgsFile, planes: dict[str, Bits], section_id: SectionId, block: int, span: slice
+) -> None:
+    """Decode a section into its planes."""
+    where = f"section '{section_id.label}' of block {block}"
+    reader = ByteReader(file.section(section_id, block), where)
+    if section_id in _BANDS:
+        _decode_band(reader, file, planes["f_rest"][:, span], section_id, block)
+    else:
+        target = planes[_GROUP_OF[section_id]][:, span]
+        if section_id == SectionId.SH_DC:
+            _decode_colours(reader, np.ones(target.shape, bool), target[:, None], where)
+        elif section_id == SectionId.ROTATION:
+            target[:] = read_quaternions(reader, target.shape[1], where)
+        else:
+            target[:] = read_stack(reader, target.shape, where)
+    if len(reader.rest()):
+        raise CorruptStream(f"{where}: bytes after the last value")
+
+
+def _decode_band(
+    reader: ByteReader, file: EgsFile, f_rest: Bits, section_id: SectionId, block: int
+) -> None:
+    """Fill a band of SH-AC of a block, ``f_rest (3 * K, n)``."""
+    count = f_rest.shape[1]
+    where = f"section '{SectionId.SH1.label}' of block {block}"
+    first = reader
+    if section_id != SectionId.SH1:
+        first = ByteReader(file.section(SectionId.SH1, block), where)
+    mask = read_mask(first, count, 7, where)
+    there = (mask >> np.arange(3, dtype=np.uint32)[:, None] & 1).astype(bool)
+    colours = f_rest.reshape(3, -1, count)[:, _BANDS[section_id]]
+    _decode_colours(reader, there, colours, f"section '{section_id.label}' of block {block}")
+
+
+def _decode_colours(
+    reader: ByteReader, there: NDArray[np.bool_], colours: Bits, where: str
+) -> None:
+    """Decode coefficients ``(3, C, n)``; those of absent colours are 0."""
+    colours[:] = 0
+    green = colours[_GREEN]
+    shape = green.shape[0], int(np.count_nonzero(there[_GREEN]))
+    green[:, there[_GREEN]] = read_stack(reader, shape, where)
+    for c in (_RED, _BLUE):
+        colours[c][:, there[c]] = read_guided(reader, green[:, there[c]], where)

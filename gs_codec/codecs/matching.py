@@ -1,0 +1,197 @@
+"""Match the Gaussians of a decoded scene to those of the scene it was encoded from.
+
+A decoded PLY has a comment line that states how it was sorted; sorting the original the same way
+aligns the two. A scene that was coded several times has a line for each time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gs_codec.codecs.adaptive.lattice import PositionGrid
+from gs_codec.codecs.adaptive.positions import to_grid
+from gs_codec.codecs.entropygs.order import order_like
+from gs_codec.codecs.inspection import Info
+from gs_codec.codecs.lossless.lossless import lossless_order
+from gs_codec.coding.axes import quaternions, sort_axes
+from gs_codec.coding.morton import encode_morton
+from gs_codec.coding.quantise import fit_range
+from gs_codec.errors import InvalidInput
+from gs_codec.scene import Scene
+
+#: Start of the comment line.
+_MARK = "gs_codec order "
+_GRID = "grid"
+_FLOATS = "floats"
+
+_INSTEAD = "compare with the original, or what cameras see (--cameras auto)"
+_UNRELATED = f"neither scene was decoded from the other: {_INSTEAD}"
+
+#: Share of Gaussians that rounding to float32 may have moved out of their cells.
+_MOVED = 0.01
+
+
+@dataclass(frozen=True)
+class DepthOrder:
+    """Sorted by quantised positions and SH-DC, of these depths (`paper` profiles)."""
+
+    depths: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return " ".join(map(str, self.depths))
+
+    def apply(self, original: Scene, decoded: Scene) -> Scene:
+        """The original in the decoded scene's order.
+
+        Min-max quantisers keep the extremes, so the decoded scene still has their ranges.
+        """
+        rows = (*decoded.positions, *decoded.f_dc)
+        quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, self.depths, strict=True)]
+        ordered = original.take(order_like(original, quantisers))
+        pairs = zip(ordered.positions, decoded.positions, quantisers[:3], strict=True)
+        for a, b, quantiser in pairs:
+            bound = 0.51 * quantiser.step + np.spacing(np.abs(b).max(initial=0.0))
+            if (np.abs(a.astype(np.float64) - b) > bound).any():
+                raise InvalidInput(_UNRELATED)
+        return ordered
+
+
+@dataclass(frozen=True)
+class GridOrder:
+    """Sorted by cells of a grid (profiles `l`, `m` and `s`), axes by length."""
+
+    grid: PositionGrid
+
+    def __str__(self) -> str:
+        numbers = " ".join(f"{x!r}" for x in (*self.grid.origin, self.grid.step))
+        return f"{_GRID} {numbers} {' '.join(map(str, self.grid.bits))}"
+
+    def apply(self, original: Scene, decoded: Scene) -> Scene:
+        """The original in the decoded scene's order, its axes sorted as they were coded."""
+        codes = self._codes(original)
+        order = np.argsort(codes, kind="stable")
+        codes, coded = codes[order], self._codes(decoded)
+        # Codes are sorted: a Gaussian lies between the decoded ones before and after it.
+        outside = np.count_nonzero(coded[:-1] > codes[1:]) + np.count_nonzero(
+            coded[1:] < codes[:-1]
+        )
+        if outside > _MOVED * original.count:
+            raise InvalidInput(_UNRELATED)
+        ordered = original.take(order)
+        usable = ordered.rot.any(axis=0)
+        identity = np.array([[1], [0], [0], [0]], np.float32)
+        rot = np.where(usable, ordered.rot, identity)
+        _, scales, vectors = sort_axes(ordered.log_scale, rot)
+        return replace(ordered, log_scale=scales.astype(np.float32), rot=quaternions(vectors))
+
+    def _codes(self, scene: Scene) -> np.ndarray:
+        grid = self.grid
+        cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
+        return encode_morton(cells, grid.bits)
+
+
+@dataclass(frozen=True)
+class FloatOrder:
+    """Sorted by the floats themselves (profile `lossless`)."""
+
+    def __str__(self) -> str:
+        return _FLOATS
+
+    def apply(self, original: Scene, decoded: Scene) -> Scene:
+        """The original in the decoded scene's order."""
+        ordered = original.take(lossless_order(original))
+        if ordered.positions.tobytes() != decoded.positions.tobytes():
+            raise InvalidInput(_UNRELATED)
+        return ordered
+
+
+Order = DepthOrder | GridOrder | FloatOrder
+
+
+def order_of_file(info: Info) -> Order | None:
+    """The order of the scene that a file decodes to; None if it is the original's."""
+    if info.keeps_order:
+        return None
+    if info.grid is not None:
+        return GridOrder(info.grid)
+    if not info.channels:
+        return FloatOrder()
+    return DepthOrder(tuple(channel.quantiser.depth for channel in info.channels[:6]))
+
+
+def order_of(scene: Scene) -> Order | None:
+    """The order that a scene's comments state; None if it is an original.
+
+    Raises
+    ------
+    InvalidInput
+        If the comment is malformed.
+    """
+    marks = _marks(scene)
+    if not marks:
+        return None
+    fields = marks[-1].removeprefix(_MARK).split()
+    if fields == [_FLOATS]:
+        return FloatOrder()
+    if fields[:1] == [_GRID]:
+        return GridOrder(_grid_of(marks[-1], fields[1:]))
+    if len(fields) != 6 or not all(field.isdigit() and int(field) <= 21 for field in fields):
+        raise InvalidInput(f"comment '{marks[-1]}': expected six depths")
+    return DepthOrder(tuple(int(field) for field in fields))
+
+
+def _marks(scene: Scene) -> tuple[str, ...]:
+    """The comments that state orders; the scene is in the last of these."""
+    return tuple(line for line in scene.comments if line.startswith(_MARK))
+
+
+def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
+    try:
+        x, y, z, step = (float(field) for field in fields[:4])
+        a, b, c = (int(field) for field in fields[4:])
+    except ValueError:
+        raise InvalidInput(f"comment '{mark}': expected four numbers and three depths") from None
+    finite = all(map(math.isfinite, (x, y, z, step))) and step > 0
+    if not finite or not 0 <= min(a, b, c) <= max(a, b, c) <= 21:
+        raise InvalidInput(f"comment '{mark}': a number is out of range")
+    return PositionGrid((x, y, z), step, (a, b, c))
+
+
+def with_order(scene: Scene, order: Order) -> Scene:
+    """The scene with a further comment that states its order."""
+    return replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
+
+
+def without_order(scene: Scene) -> Scene:
+    """The scene without comments that state orders."""
+    marks = _marks(scene)
+    return replace(scene, comments=tuple(line for line in scene.comments if line not in marks))
+
+
+def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
+    """Bring two scenes, one perhaps the other's original, into one order.
+
+    Returns
+    -------
+    first, second : Scene
+    matched : str
+        What matched them: ``index`` or ``stored order``.
+
+    Raises
+    ------
+    InvalidInput
+        If the scenes cannot be matched.
+    """
+    marks = _marks(first), _marks(second)
+    if first.count != second.count or marks[0] == marks[1]:
+        return first, second, "index"
+    orders = order_of(first), order_of(second)
+    # A decoded scene keeps the lines that its source had, if any, and adds its own.
+    if orders[1] is not None and marks[0] in ((), marks[1][:-1]):
+        return orders[1].apply(first, second), second, "stored order"
+    if orders[0] is not None and marks[1] in ((), marks[0][:-1]):
+        return first, orders[0].apply(second, first), "stored order"
+    raise InvalidInput(f"both scenes were reordered, differently: {_INSTEAD}")

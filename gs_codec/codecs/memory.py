@@ -1,0 +1,62 @@
+"""How much memory coding takes within a limit, where arrays of whole scenes are on disk."""
+
+from __future__ import annotations
+
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
+from gs_codec.egs.file import Header
+from gs_codec.errors import InvalidInput
+from gs_codec.runtime.arrays import current
+from gs_codec.runtime.threads import available_threads
+from gs_codec.scene import float_bytes
+
+#: Bytes of Python, packages and compiled kernels; bytes of each thread. Measured, rounded up.
+_FIXED, _THREAD = 280_000_000, 45_000_000
+
+#: Bytes for each Gaussian to sort a scene: profiles `l`, `m`, `s`; `paper-*`; `lossless`.
+_LATTICES, _CHANNELS, _EXACT = 40, 55, 55
+
+
+def least_memory(count: int, config: Config) -> int:
+    """Lowest memory limit, in bytes, that a scene of `count` Gaussians can be encoded in."""
+    each = _CHANNELS
+    if config.profile in ADAPTIVE_PROFILES:
+        each = _LATTICES
+    elif config.profile == LOSSLESS:
+        each = _EXACT
+    return _working() + count * each
+
+
+def check_encoding(count: int, config: Config) -> None:
+    """Check that the memory limit is high enough to encode `count` Gaussians.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    _check(least_memory(count, config), f"{count:,} Gaussians by profile {config.profile}")
+
+
+def slab_within(header: Header, degree: int, wanted: int) -> int:
+    """Number of Gaussians to decode at once: `wanted`, or fewer if the memory limit is lower.
+
+    Raises
+    ------
+    InvalidInput
+        If one block does not fit.
+    """
+    # A slab, and a copy of it that is being written.
+    each = 2 * float_bytes(1, degree)
+    working = _working()
+    _check(working + header.block_size * each, "decoding")
+    limit = current().limit
+    return wanted if limit is None else min(wanted, (limit - working) // each)
+
+
+def _working() -> int:
+    return _FIXED + available_threads() * _THREAD
+
+
+def _check(least: int, what: str) -> None:
+    limit = current().limit
+    if limit is not None and limit < least:
+        raise InvalidInput(f"max-memory: {limit:,} bytes, expected at least {least:,} for {what}")

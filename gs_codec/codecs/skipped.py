@@ -1,0 +1,133 @@
+"""Lines on what a file spends no bits on, as far as its header and tables tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import groupby
+
+from gs_codec.codecs.adaptive.contexts import Pass, passes
+from gs_codec.codecs.adaptive.lattice import Lattice
+from gs_codec.codecs.adaptive.section import PassModels
+from gs_codec.codecs.entropygs.section import Channel
+from gs_codec.coding.sent_tables import SentModel
+from gs_codec.config import SH_STREAMS
+from gs_codec.egs.file import Header
+
+#: Longer lists of names are given as a number.
+_NAMED = 4
+
+_BANDS = {stream: band for band, stream in enumerate(SH_STREAMS, 1)}
+
+#: What a pass of zero levels means, if not values of zero.
+_ZEROS = {
+    "opacity": "constant",
+    "scale_0": "constant",
+    "scale_1": "the same as scale_0",
+    "scale_2": "the same as scale_1",
+}
+
+
+def skipped_by_header(header: Header) -> list[str]:
+    """Lines that follow from the header alone."""
+    lines = []
+    if header.sh_degree < 3:
+        absent = _bands(range(header.sh_degree + 1, 4))
+        lines.append(f"{absent}: absent (degree {header.sh_degree})")
+    if header.has_normals:
+        lines.append("normals: all zero, not stored")
+    return lines
+
+
+def skipped_by_channels(channels: list[Channel]) -> list[str]:
+    """Channels of a `paper` profile without symbols, and models that cost more than a table."""
+    constant: list[str] = []
+    zero_bands: list[int] = []
+    tables: dict[str, list[str]] = {"mixture": [], "Laplace": []}
+    for stream, group in groupby(channels, lambda channel: channel.stream):
+        members = list(group)
+        flat = [c for c in members if not c.quantiser.depth]
+        sent = [c.name for c in members if isinstance(c.model, SentModel)]
+        if stream in _BANDS and flat == members and not any(c.quantiser.origin for c in flat):
+            zero_bands.append(_BANDS[stream])
+        else:
+            constant += _named([c.name for c in flat], stream, len(members))
+        model = "Laplace" if stream in _BANDS else "mixture"
+        tables[model] += _named(sent, stream, len(members))
+    lines = [f"{_bands(zero_bands)}: all zero"] if zero_bands else []
+    if constant:
+        lines.append(f"{', '.join(constant)}: constant")
+    for model, names in tables.items():
+        if names:
+            lines.append(f"{', '.join(names)}: a table, cheaper than a {model} model")
+    return lines
+
+
+def skipped_by_lattice(lattice: Lattice, models: PassModels, coefficients: int) -> list[str]:
+    """Passes of profiles `l`, `m` and `s` that take no bits, and contexts with a single table."""
+    listed = passes(coefficients)
+    zeros = set()
+    for item, rows in zip(listed, models.rows, strict=True):
+        # If no table has a symbol but token 0, all levels are 0.
+        if not any(w[1:].any() for w in models.weights[rows[0] : rows[-1] + 1]):
+            zeros.add(item.name)
+    lines = []
+    if flat := [axis for axis, bits in zip("xyz", lattice.grid.bits, strict=True) if not bits]:
+        lines.append(f"{', '.join(flat)}: constant")
+    kinds = [k for k, n in zip(("shape", "colour"), lattice.classes, strict=True) if n == 1]
+    if kinds:
+        lines.append(f"{'classes' if len(kinds) == 2 else f'{kinds[0]} classes'}: one for all")
+    lines += _zero_passes(listed, zeros)
+    return lines + _shared(lattice, listed, models, zeros)
+
+
+def _zero_passes(listed: list[Pass], zeros: set[str]) -> list[str]:
+    lines = []
+    zero_bands, zero = [], []
+    for stream, group in groupby(listed, lambda item: item.stream):
+        names = [item.name for item in group if item.name != "SH energy"]
+        found = [name for name in names if name in zeros and stream != "classes"]
+        if stream in _BANDS and found == names:
+            zero_bands.append(_BANDS[stream])
+        elif stream in ("opacity", "scaling"):
+            lines += [f"{name}: {_ZEROS[name]}" for name in found]
+        else:
+            zero += _named(found, stream, len(names))
+    if zero:
+        lines.append(f"{', '.join(zero)}: all zero once rounded")
+    if zero_bands:
+        lines.append(f"{_bands(zero_bands)}: all zero once rounded")
+    return lines
+
+
+def _shared(lattice: Lattice, listed: list[Pass], models: PassModels, zeros: set[str]) -> list[str]:
+    """Passes of several contexts that have one table."""
+    shared: list[str] = []
+    pairs = zip(listed, models.rows, strict=True)
+    for stream, group in groupby(pairs, lambda pair: pair[0].stream):
+        coded = [
+            (p, rows) for p, rows in group if p.name not in zeros and _has_contexts(lattice, p)
+        ]
+        names = [p.name for p, rows in coded if rows[0] == rows[-1]]
+        shared += _named(names, stream, len(coded))
+    return [f"{', '.join(shared)}: one table for all contexts"] if shared else []
+
+
+def _has_contexts(lattice: Lattice, item: Pass) -> bool:
+    """Whether a pass uses several contexts; of opacity, scales and rotation, its rule tells."""
+    if item.stream not in ("opacity", "scaling", "rotation"):
+        return item.contexts > 1
+    rule = lattice.rules["rotation" if item.stream == "rotation" else item.name]
+    varies = lattice.classes[0] > 1 or rule.opacity or any(rule.scales)
+    return bool(rule.limit and varies)
+
+
+def _bands(numbers: Iterable[int]) -> str:
+    listed = list(map(str, numbers))
+    return f"SH band{'s' * (len(listed) > 1)} {', '.join(listed)}"
+
+
+def _named(names: list[str], stream: str, number: int) -> list[str]:
+    """Names of some of a stream's `number` members; the stream if all, a count if many."""
+    if len(names) == number > 1:
+        return [stream]
+    return names if len(names) <= _NAMED else [f"{len(names)} of {number} in {stream}"]

@@ -1,0 +1,200 @@
+"""`.egs` files decoded slab by slab, so that a large scene is never in memory as a whole."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gs_codec.codecs.decode import ChosenPart, choose_part
+from gs_codec.codecs.inspection import describe
+from gs_codec.codecs.matching import Order, order_of_file, with_order
+from gs_codec.codecs.memory import slab_within
+from gs_codec.codecs.part import Part
+from gs_codec.config import check_threads
+from gs_codec.errors import CorruptStream, InvalidInput
+from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.report import Progress
+from gs_codec.runtime.arrays import bounded
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.threads import available_threads, using_threads
+from gs_codec.scene import Scene
+
+#: Gaussians decoded at once, or two blocks for each thread if that is more.
+_SLAB = 1 << 19
+
+
+@dataclass
+class Slabs:
+    """An open file that is decoded slab by slab, in the order of its stream.
+
+    Attributes
+    ----------
+    path : Path
+    chosen : ChosenPart
+    progress : callable or None
+    seconds : float
+        Time spent on decoding so far.
+    """
+
+    path: Path
+    chosen: ChosenPart
+    progress: Progress | None
+    seconds: float = field(default=0.0)
+
+    @property
+    def sh_degree(self) -> int:
+        """SH degree to which the file is decoded."""
+        return self.chosen.degree
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of the file that were read."""
+        return self.chosen.file.bytes_read
+
+    def counted(self) -> tuple[int, Iterator[Scene]]:
+        """The number of Gaussians, and the slabs.
+
+        With a box, the number is known only after decoding, so all slabs are held in memory.
+
+        Raises
+        ------
+        InvalidInput
+            If the scene has Gaussians, but none in the box.
+        """
+        scenes = self.scenes()
+        if self.chosen.part.box is None:
+            return self.chosen.file.header.count, scenes
+        found = list(scenes)
+        count = sum(scene.count for scene in found)
+        if self.chosen.file.header.count and not count:
+            corners = describe(self.chosen.file).bounds
+            low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in corners)
+            raise InvalidInput(f"{self.path}: no Gaussians in the box, bounds {low} to {high}")
+        return count, iter(found)
+
+    def scenes(self) -> Iterator[Scene]:
+        """Yield one slab after another as a scene; without a box, each states its order."""
+        order = None
+        start = time.perf_counter()
+        with located(self.path):
+            if self.chosen.part.box is None:
+                order = order_of_file(describe(self.chosen.file))
+            for scene in self.chosen.slabs(self._size(), self.progress):
+                self.seconds += time.perf_counter() - start
+                yield _marked(scene, order)
+                start = time.perf_counter()
+        self.seconds += time.perf_counter() - start
+
+    def _size(self) -> int:
+        header = self.chosen.file.header
+        wanted = max(_SLAB, 2 * available_threads() * header.block_size)
+        return slab_within(header, self.sh_degree, wanted)
+
+
+def _marked(scene: Scene, order: Order | None) -> Scene:
+    return scene if order is None else with_order(scene, order)
+
+
+@contextmanager
+def opened_slabs(
+    path: str | Path,
+    part: Part,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+    tmc3: str | Path | None = None,
+    max_memory: int | None = None,
+) -> Iterator[Slabs]:
+    """Open a file to decode it, or a part of it, slab by slab.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be read.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If it is not a valid `.egs` file; damaged blocks raise when a slab is decoded.
+    MissingTool
+        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed.
+    """
+    with using_threads(threads), bounded(max_memory), open_scene(path) as file:
+        start = time.perf_counter()
+        _check_format(file)
+        with located(path):
+            check_threads(threads)
+            chosen = choose_part(file.data, part, max_bytes, tmc3)
+        yield Slabs(Path(path), chosen, progress, time.perf_counter() - start)
+
+
+def _check_format(file: SceneFile) -> None:
+    """Refuse scenes of other formats, and name the command that reads them."""
+    with suppress(InvalidInput):
+        if file.format != "egs":
+            raise CorruptStream(
+                f"{file.path}: {file.format}, not an .egs file; `convert` reads other formats"
+            )
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """Result of checking a file without errors.
+
+    Attributes
+    ----------
+    count, sh_degree, profile
+        As in the header.
+    blocks, sections : int
+        Blocks that were decoded, and sections whose checksums were checked.
+    file_bytes : int
+    seconds : float
+    """
+
+    count: int
+    sh_degree: int
+    profile: str
+    blocks: int
+    sections: int
+    file_bytes: int
+    seconds: float
+
+
+def verify_file(
+    path: str | Path,
+    threads: int | None = None,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+    tmc3: str | Path | None = None,
+    max_memory: int | None = None,
+) -> VerifyReport:
+    """Check every checksum of an `.egs` file and decode all of it, writing nothing.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be read.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If it is not a valid `.egs` file.
+    MissingTool, ToolFailed
+        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed or
+        does not decode it.
+    """
+    start = time.perf_counter()
+    with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3, max_memory) as slabs:
+        with located(path):
+            # Check all sections, also those that a decoder skips.
+            file = slabs.chosen.file.read()
+        for _ in slabs.scenes():
+            pass
+        header = file.header
+        return VerifyReport(
+            header.count,
+            header.sh_degree,
+            header.profile,
+            header.block_count,
+            len(file.table),
+            os.path.getsize(path),
+            time.perf_counter() - start,
+        )

@@ -1,0 +1,1 @@
+"""Tools that codecs share: entropy coders, frequency tables, orders and neighbours."""

@@ -1,0 +1,114 @@
+"""One of the 24 ways to write the same Gaussian: longest axis first, quaternion near identity."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.runtime.kernels import kernel
+
+
+def _turns() -> NDArray[np.float64]:
+    """Quaternions ``(27, 4, 4)`` that put axes a, b, c first, second, third, up to signs.
+
+    The first index is ``9 a + 3 b + c``; the four differ by half turns about the axes.
+    """
+    turns = np.zeros((27, 4, 4))
+    filled = np.zeros(27, int)
+    half, root = 0.5, math.sqrt(0.5)
+    units = [u for u in itertools.product((0.0, 1.0, -1.0), repeat=4) if any(u)]
+    scale = {1: 1.0, 2: root, 4: half}
+    for unit in units:
+        number = sum(value != 0 for value in unit)
+        first = next(value for value in unit if value)
+        if number not in scale or first < 0:
+            continue
+        w, x, y, z = (scale[number] * value for value in unit)
+        matrix = np.array(
+            [
+                [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+            ]
+        )
+        a, b, c = np.argmax(np.abs(matrix), axis=0)
+        place = 9 * a + 3 * b + c
+        turns[place, filled[place]] = w, x, y, z
+        filled[place] += 1
+    return turns
+
+
+_TURNS = _turns()
+
+
+@kernel
+def _sort_axes(log_scale, rot, turns, order, scales, vectors):
+    for i in range(log_scale.shape[1]):
+        a, b, c = 0, 1, 2
+        if log_scale[b, i] > log_scale[a, i]:
+            a, b = b, a
+        if log_scale[c, i] > log_scale[b, i]:
+            b, c = c, b
+            if log_scale[b, i] > log_scale[a, i]:
+                a, b = b, a
+        order[0, i], order[1, i], order[2, i] = a, b, c
+        for k in range(3):
+            scales[k, i] = log_scale[order[k, i], i]
+        w, x, y, z = (
+            np.float64(rot[0, i]),
+            np.float64(rot[1, i]),
+            np.float64(rot[2, i]),
+            np.float64(rot[3, i]),
+        )
+        largest = -1.0
+        for k in range(4):
+            p, q, r, s = turns[9 * a + 3 * b + c, k]
+            real = w * p - x * q - y * r - z * s
+            if abs(real) <= largest:
+                continue
+            largest = abs(real)
+            sign = -1.0 if real < 0.0 else 1.0
+            vectors[0, i] = sign * (w * q + x * p + y * s - z * r)
+            vectors[1, i] = sign * (w * r - x * s + y * p + z * q)
+            vectors[2, i] = sign * (w * s + x * r - y * q + z * p)
+        norm = np.sqrt(w * w + x * x + y * y + z * z)
+        for k in range(3):
+            vectors[k, i] /= norm
+
+
+def sort_axes(
+    log_scale: NDArray[np.float32], rot: NDArray[np.float32]
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    """Rewrite Gaussians with their longest axis first and the smallest possible rotation.
+
+    Parameters
+    ----------
+    log_scale : ndarray, shape (3, N)
+    rot : ndarray, shape (4, N)
+        Quaternions wxyz of any norm but 0.
+
+    Returns
+    -------
+    order : ndarray, shape (3, N), uint8
+        Which axis is the longest, the middle, the shortest; of equal ones, the first is.
+    log_scale : ndarray, shape (3, N), float64
+        Descending.
+    vectors : ndarray, shape (3, N), float64
+        Vector part of the unit quaternion, whose real part is its largest and not negative.
+    """
+    count = log_scale.shape[1]
+    order = np.empty((3, count), np.uint8)
+    scales, vectors = np.empty((2, 3, count))
+    _sort_axes(log_scale, rot, _TURNS, order, scales, vectors)
+    return order, scales, vectors
+
+
+def quaternions(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Unit quaternions wxyz ``(4, N)`` of vector parts ``(3, N)``, real parts not negative."""
+    squares = vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2]
+    norms = np.sqrt(np.maximum(squares, 1.0))
+    real = np.sqrt(np.maximum(1.0 - squares, 0.0))
+    return np.stack([real, *(vectors / norms)]).astype(np.float32)

@@ -1,0 +1,153 @@
+"""Lossless predictive coder of quantised SH-DC on points in canonical order.
+
+G, R - G and B - G are predicted from the nearest of the points just before in Morton order,
+and the residuals coded as binary decisions whose contexts follow how much those neighbours
+disagree. FORMAT.md, section "SH-DC".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.binary import bit_length, code_bit, decode_binary, encode_binary, new_contexts
+from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_nearest
+from gs_codec.errors import CorruptStream
+from gs_codec.runtime.kernels import inlined, kernel
+
+_MAGNITUDES = 14  # bit lengths of a residual of 12-bit colours: 0..13
+_ACTIVITIES = 14
+_PREVIOUS = 4
+_PER_CLASS = 4 * _MAGNITUDES
+_CONTEXTS = 3 * _ACTIVITIES * _PREVIOUS * _PER_CLASS
+
+
+@inlined
+def _code_residual(state, data, contexts, base, residual):
+    """Code a signed residual as bit length (unary), sign, then the bits below the first."""
+    size = abs(residual)
+    length = bit_length(size)
+    known = 0
+    while known < _MAGNITUDES - 1:
+        if not code_bit(state, data, contexts, base + known, length > known):
+            break
+        known += 1
+    if known == 0:
+        return 0
+    negative = code_bit(state, data, contexts, base + _MAGNITUDES, residual < 0)
+    value = 1
+    for place in range(known - 2, -1, -1):
+        rank = min(known - 2 - place, 2)
+        context = base + (1 + rank) * _MAGNITUDES + known
+        bit = code_bit(state, data, contexts, context, (size >> place) & 1)
+        value = 2 * value + (1 if bit else 0)
+    return -value if negative else value
+
+
+@inlined
+def weigh(distances, found, weights):
+    """Fill `weights` of the nearest points by their squared distances."""
+    for k in range(found):
+        weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
+
+
+@inlined
+def predict(values, near, weights, found, step, activities):
+    """Weighted mean of the neighbours' values, and the class of their disagreement in steps."""
+    if found == 0:
+        return 0, 0
+    total = 0
+    mass = 0
+    for k in range(found):
+        total += weights[k] * values[near[k]]
+        mass += weights[k]
+    mean = (2 * total + mass) // (2 * mass)
+    spread = 0
+    for k in range(found):
+        spread += weights[k] * abs(values[near[k]] - mean)
+    # The bit length of the spread in quarter steps, without a division or a branch.
+    activity = 0
+    for length in range(activities - 1):
+        activity += np.int64(4 * spread >= (mass * step) << length)
+    return mean, activity
+
+
+@kernel
+def _walk(cells, values, coded, state, data, contexts, encoding):
+    """Code `values` (G, R - G, B - G) of all points; channels with coded[c] == 0 stay 0."""
+    near = np.zeros(NEIGHBOURS, np.int64)
+    distances = np.zeros(NEIGHBOURS, np.int64)
+    weights = np.zeros(NEIGHBOURS, np.int64)
+    window = np.empty(WINDOW)
+    for i in range(values.shape[1]):
+        found = find_nearest(cells, i, near, distances, window)
+        weigh(distances, found, weights)
+        previous = 0
+        for channel in range(3):
+            if coded[channel] == 0:
+                continue
+            mean, activity = predict(values[channel], near, weights, found, 1, _ACTIVITIES)
+            before = min(bit_length(previous) >> 1, _PREVIOUS - 1)
+            base = ((channel * _ACTIVITIES + activity) * _PREVIOUS + before) * _PER_CLASS
+            residual = 0
+            if encoding:
+                residual = values[channel, i] - mean
+            residual = _code_residual(state, data, contexts, base, residual)
+            values[channel, i] = mean + residual
+            previous = abs(residual)
+
+
+def encode_colour(
+    cells: NDArray[np.uint32], colours: NDArray[np.uint16], depths: tuple[int, int, int]
+) -> bytes:
+    """Code quantised SH-DC.
+
+    Parameters
+    ----------
+    cells : ndarray, shape (3, N), uint32
+        Quantised positions, in canonical order.
+    colours : ndarray, shape (3, N), uint16
+        Quantised SH-DC of R, G, B.
+    depths : tuple of int
+        Bits of R, G, B; 0 for a constant channel, which is not coded.
+    """
+    red, green, blue = colours.astype(np.int64)
+    source = np.stack([green, red - green, blue - green])
+    source[1:] *= np.array([[depths[0] > 0], [depths[2] > 0]])
+
+    def model(state: NDArray, data: NDArray) -> None:
+        values = source.copy()
+        _walk(cells, values, _coded(depths), state, data, new_contexts(_CONTEXTS), True)
+
+    return encode_binary(model, 3 * colours.shape[1])
+
+
+def decode_colour(
+    data: memoryview, cells: NDArray[np.uint32], depths: tuple[int, int, int], where: str
+) -> NDArray[np.uint16]:
+    """The inverse of `encode_colour`.
+
+    Raises
+    ------
+    CorruptStream
+        If the section is not exactly what the points need, or a colour leaves its range.
+    """
+    values = np.zeros((3, cells.shape[1]), np.int64)
+
+    def model(state: NDArray, stream: NDArray) -> None:
+        _walk(cells, values, _coded(depths), state, stream, new_contexts(_CONTEXTS), False)
+
+    decode_binary(model, data, where)
+    green, red, blue = values
+    red = red + green if depths[0] else red
+    blue = blue + green if depths[2] else blue
+    for channel, depth in zip((red, green, blue), depths, strict=True):
+        if channel.size and (channel.min() < 0 or channel.max() >> depth):
+            raise CorruptStream(f"{where}: a colour outside its {depth} bits")
+    return np.stack([red, green, blue]).astype(np.uint16)
+
+
+def _coded(depths: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Which of G, R - G, B - G are coded."""
+    red, green, blue = depths
+    return np.array([green > 0, red > 0, blue > 0], np.int64)

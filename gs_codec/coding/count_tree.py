@@ -1,0 +1,195 @@
+"""Lossless coder of sorted Morton codes: a binary tree of point counts.
+
+Every node holds the number of points that share a Morton prefix. A node of two or more
+points codes how many go to its low half; a node of one point is a leaf, whose remaining bits
+are coded elsewhere; a node without bits left holds duplicates. FORMAT.md, section "Geometry".
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.binary import code_bit, decode_binary, encode_binary, new_contexts
+from gs_codec.coding.fields import BitReader, BitWriter
+from gs_codec.errors import TruncatedStream
+from gs_codec.runtime.kernels import inlined, kernel
+
+_CLASSES = 24
+_SPLIT_CONTEXTS = 4 * _CLASSES
+_BISECT_NODES = 32
+_CONTEXTS = _SPLIT_CONTEXTS + _CLASSES * _BISECT_NODES
+
+
+@inlined
+def _count_class(count):
+    """Class 0..23 of a count: one for each of 2..9, then one for each doubling."""
+    if count < 10:
+        return count - 2
+    size = 0
+    while count > 15:
+        count >>= 1
+        size += 1
+    return 8 + size
+
+
+@inlined
+def _code_split(state, data, contexts, count, onesided, low):
+    """Code how many of `count` points lie in the low half; returns it."""
+    size = _count_class(count)
+    base = 4 * size + 2 * onesided
+    if code_bit(state, data, contexts, base, low == 0):
+        return 0
+    if code_bit(state, data, contexts, base + 1, low == count):
+        return count
+    first = 1
+    last = count - 1
+    node = 1
+    while first < last:
+        middle = (first + last) >> 1
+        context = _SPLIT_CONTEXTS + _BISECT_NODES * size + min(node, _BISECT_NODES - 1)
+        above = code_bit(state, data, contexts, context, low > middle)
+        if above:
+            first = middle + 1
+            node = 2 * node + 1
+        else:
+            last = middle
+            node = 2 * node
+    return first
+
+
+@inlined
+def _low_half(codes, start, stop, bit):
+    """Number of codes in [start, stop) whose `bit` is 0; they come first."""
+    first = start
+    last = stop
+    while first < last:
+        middle = (first + last) >> 1
+        if (codes[middle] >> bit) & 1:
+            last = middle
+        else:
+            first = middle + 1
+    return first - start
+
+
+@kernel
+def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
+    """Code `codes` depth first, low half first; leaves leave out their ``lefts`` low bits."""
+    depth = total_bits + 2
+    starts = np.zeros(depth, np.int64)
+    counts = np.zeros(depth, np.int64)
+    remaining = np.zeros(depth, np.int64)
+    sides = np.zeros(depth, np.int64)
+    prefixes = np.zeros(depth, np.int64)
+    counts[0] = codes.size
+    remaining[0] = total_bits
+    top = 1 if codes.size > 0 else 0
+    while top > 0:
+        top -= 1
+        start = starts[top]
+        count = counts[top]
+        left = remaining[top]
+        prefix = prefixes[top]
+        if count == 1:
+            lefts[start] = left
+            if not encoding:
+                codes[start] = prefix << left
+            continue
+        if left == 0:
+            lefts[start : start + count] = 0
+            if not encoding:
+                codes[start : start + count] = prefix
+            continue
+        left -= 1
+        low = 0
+        if encoding:
+            low = _low_half(codes, start, start + count, left)
+        low = _code_split(state, data, contexts, count, sides[top], low)
+        onesided = 1 if low in (0, count) else 0
+        if low < count:
+            starts[top] = start + low
+            counts[top] = count - low
+            remaining[top] = left
+            sides[top] = onesided
+            prefixes[top] = (prefix << 1) | 1
+            top += 1
+        if low > 0:
+            starts[top] = start
+            counts[top] = low
+            remaining[top] = left
+            sides[top] = onesided
+            prefixes[top] = prefix << 1
+            top += 1
+
+
+def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArray[np.int64]]:
+    """Code sorted Morton codes down to the bit where each is alone.
+
+    Parameters
+    ----------
+    codes : ndarray, shape (N,), int64
+        Ascending; duplicates allowed.
+    total_bits : int
+        Bits of a code, 0-63.
+
+    Returns
+    -------
+    data : bytes
+    lefts : ndarray, shape (N,), int64
+        Low bits of each code that the tree leaves out.
+    """
+    lefts = np.zeros(codes.size, np.int64)
+
+    def model(state: NDArray, data: NDArray) -> None:
+        _walk(codes, total_bits, state, data, new_contexts(_CONTEXTS), lefts, True)
+
+    return encode_binary(model, codes.size), lefts
+
+
+def decode_tree(
+    data: memoryview, count: int, total_bits: int, where: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The inverse of `encode_tree`: codes with 0 in the bits left out, and how many these are.
+
+    Raises
+    ------
+    CorruptStream
+        If the data are not exactly what `count` codes need.
+    """
+    codes, lefts = np.zeros((2, count), np.int64)
+
+    def model(state: NDArray, stream: NDArray) -> None:
+        _walk(codes, total_bits, state, stream, new_contexts(_CONTEXTS), lefts, False)
+
+    decode_binary(model, data, where)
+    return codes, lefts
+
+
+def encode_geometry(codes: NDArray[np.int64], total_bits: int) -> bytes:
+    """Code sorted Morton codes ``(N,)``, int64, of 0-63 bits."""
+    coded, lefts = encode_tree(codes, total_bits)
+    bits = BitWriter()
+    bits.add(codes, lefts.astype(np.uint8))
+    return struct.pack("<I", len(coded)) + coded + bits.finish()
+
+
+def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -> NDArray[np.int64]:
+    """The inverse of `encode_geometry` for `count` codes.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+        If the section is not exactly what `count` codes need.
+    """
+    if len(data) < 4:
+        raise TruncatedStream(f"{where}: {len(data)} bytes, expected at least 4")
+    size = struct.unpack_from("<I", data)[0]
+    if size > len(data) - 4:
+        raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
+    codes, lefts = decode_tree(data[4 : 4 + size], count, total_bits, where)
+    bits = BitReader(data[4 + size :], where)
+    codes |= bits.fields(lefts)
+    bits.close()
+    return codes

@@ -1,0 +1,100 @@
+"""Numbers of known widths: little-endian bytes with bounds checked, and raw bits."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.binary import code_raw
+from gs_codec.errors import CorruptStream, TruncatedStream
+from gs_codec.runtime.kernels import kernel
+
+
+class ByteReader:
+    """Cursor over bytes that names the section in its errors."""
+
+    def __init__(self, data: memoryview, where: str) -> None:
+        self._data = data
+        self._where = where
+        self.position = 0
+
+    def unpack(self, layout: str) -> tuple:
+        """Fields of a `struct` layout (little-endian)."""
+        return struct.unpack("<" + layout, self.take(struct.calcsize("<" + layout)))
+
+    def take(self, size: int) -> memoryview:
+        """The next `size` bytes."""
+        left = len(self._data) - self.position
+        if size > left:
+            raise TruncatedStream(
+                f"{self._where}: {left} bytes left at {self.position}, expected {size}"
+            )
+        self.position += size
+        return self._data[self.position - size : self.position]
+
+    def rest(self) -> memoryview:
+        """Everything that is left."""
+        return self.take(len(self._data) - self.position)
+
+
+@kernel
+def _write_raw(values, widths, position, bits):
+    for i in range(len(values)):
+        if widths[i]:
+            code_raw(bits, position, widths[i], abs(values[i]), True)
+            position += widths[i]
+    return position
+
+
+@kernel
+def _read_fields(widths, position, bits, values):
+    for i in range(len(widths)):
+        values[i] = code_raw(bits, position, widths[i], 0, False)
+        position += widths[i]
+    return position
+
+
+class BitWriter:
+    """Collects raw bits of a section, most significant bit of a byte first."""
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[NDArray[np.int64], NDArray[np.uint8]]] = []
+
+    def add(self, values: NDArray[np.int64], widths: NDArray[np.uint8]) -> None:
+        """Append the ``widths (n,)`` low bits of the magnitudes of ``values (n,)``."""
+        self.parts.append((values, widths))
+
+    def finish(self) -> bytes:
+        """All bits, padded with zeros to a byte."""
+        total = sum(int(widths.sum(dtype=np.int64)) for _, widths in self.parts)
+        bits = np.zeros((total + 7) // 8, np.uint8)
+        position = 0
+        for values, widths in self.parts:
+            position = _write_raw(values, widths, position, bits)
+        return bits.tobytes()
+
+
+class BitReader:
+    """Reads what `BitWriter` wrote."""
+
+    def __init__(self, data: memoryview, where: str) -> None:
+        self.bits = np.frombuffer(data, np.uint8)
+        self.position = 0
+        self.where = where
+
+    def fields(self, widths: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Read numbers ``(n,)`` of ``widths (n,)`` bits."""
+        values = np.empty(len(widths), np.int64)
+        self.position = _read_fields(widths, self.position, self.bits, values)
+        return values
+
+    def close(self) -> None:
+        """Check that only padding is left, and that it is 0."""
+        if self.bits.size != (self.position + 7) // 8:
+            raise CorruptStream(
+                f"{self.where}: {self.bits.size} raw bytes, expected {(self.position + 7) // 8}"
+            )
+        if self.position % 8 and self.bits[-1] & (0xFF >> self.position % 8):
+            raise CorruptStream(f"{self.where}: padding bits that are not 0")

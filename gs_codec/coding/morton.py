@@ -1,0 +1,123 @@
+"""Morton codes over axes of unequal depth; the canonical order of a scene."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.runtime.arrays import Disk, current
+from gs_codec.runtime.kernels import kernel
+from gs_codec.scene import Scene
+
+
+def bit_layout(depths: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Axis of each code bit, most significant first.
+
+    At level ``max(depths) - 1`` down to 0 the axes deeper than the level give one bit each,
+    x before y before z; an axis of depth 0 (constant) gives none.
+    """
+    levels = range(max(depths) - 1, -1, -1)
+    axes = [axis for level in levels for axis in range(3) if depths[axis] > level]
+    return np.array(axes, np.int64)
+
+
+def _byte_tables(depths: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Code contribution of each value of each byte of each axis, shape (3, 3, 256)."""
+    layout = bit_layout(depths)
+    tables = np.zeros((3, 3, 256), np.int64)
+    values = np.arange(256)
+    left = list(depths)
+    for position, axis in enumerate(layout):
+        left[axis] -= 1
+        byte, bit = divmod(left[axis], 8)
+        shift = len(layout) - 1 - position
+        tables[axis, byte] |= ((values >> bit) & 1).astype(np.int64) << shift
+    return tables
+
+
+@kernel
+def _encode(cells, tables, codes):
+    for i in range(codes.size):
+        code = 0
+        for axis in range(3):
+            cell = np.int64(cells[axis, i])
+            code |= tables[axis, 0, cell & 255]
+            code |= tables[axis, 1, (cell >> 8) & 255]
+            code |= tables[axis, 2, (cell >> 16) & 255]
+        codes[i] = code
+
+
+def _axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
+    """Bits that each value of each byte of a code sets on each axis, shape (8, 256, 3)."""
+    layout = bit_layout(depths)
+    tables = np.zeros((8, 256, 3), np.uint32)
+    values = np.arange(256)
+    left = list(depths)
+    for position, axis in enumerate(layout):
+        left[axis] -= 1
+        byte, bit = divmod(len(layout) - 1 - position, 8)
+        tables[byte, :, axis] |= (((values >> bit) & 1) << left[axis]).astype(np.uint32)
+    return tables
+
+
+@kernel
+def _decode(codes, size, tables, cells):
+    for i in range(codes.size):
+        code = codes[i]
+        x = y = z = np.uint32(0)
+        for byte in range(size):
+            row = tables[byte, (code >> (8 * byte)) & 255]
+            x |= row[0]
+            y |= row[1]
+            z |= row[2]
+        cells[0, i], cells[1, i], cells[2, i] = x, y, z
+
+
+def encode_morton(cells: NDArray[np.uint32], depths: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Morton codes ``(N,)`` of quantised positions ``(3, N)``."""
+    codes = np.empty(cells.shape[1], np.int64)
+    _encode(cells, _byte_tables(depths), codes)
+    return codes
+
+
+def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDArray[np.uint32]:
+    """Quantised positions ``(3, N)`` of Morton codes ``(N,)``."""
+    cells = np.empty((3, codes.size), np.uint32)
+    _decode(codes, -(-sum(depths) // 8), _axis_tables(depths), cells)
+    return cells
+
+
+def canonical_order(codes: NDArray[np.int64], *keys: NDArray) -> NDArray[np.int64]:
+    """Permutation ``(N,)`` that sorts by (Morton code, keys, original index).
+
+    Parameters
+    ----------
+    codes : ndarray, shape (N,), int64
+    *keys : ndarray, each shape (N,)
+        Sort the Gaussians of a cell, by the first key, then the next.
+    """
+    order = np.argsort(codes)
+    ordered = codes[order]
+    same = ordered[1:] == ordered[:-1]
+    tied = np.zeros(codes.size, bool)
+    tied[1:] |= same
+    tied[:-1] |= same
+    ties = order[tied]
+    order[tied] = ties[np.lexsort((ties, *(key[ties] for key in keys[::-1]), codes[ties]))]
+    return order
+
+
+Index = TypeVar("Index", bound=np.integer)
+
+
+def in_stream_order(scene: Scene, order: NDArray[Index]) -> tuple[Scene, NDArray[Index]]:
+    """The scene, and the index in it of each Gaussian of the stream.
+
+    A scene on disk is sorted first: otherwise each block would read all over the file.
+    """
+    storage = current()
+    if not isinstance(storage, Disk):
+        return scene, order
+    return scene.take(order), storage.keep(np.arange(len(order), dtype=order.dtype))

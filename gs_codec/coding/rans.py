@@ -1,0 +1,192 @@
+"""Static rANS, 32 interleaved lanes, 32-bit states, 16-bit renormalisation.
+
+The symbol of row r and lane l of a channel is symbol ``32 r + l`` of that channel; a
+decoder reads the 16-bit words of a row in lane order, as a GPU warp would with a ballot.
+FORMAT.md, section "rANS".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.frequency_table import FrequencyTable
+from gs_codec.errors import CorruptStream
+from gs_codec.runtime.kernels import inlined, kernel
+
+LANES = 32
+LOWEST = 1 << 16
+
+
+@dataclass(frozen=True)
+class TableSet:
+    """Tables of the channels of one stream, packed for the kernels."""
+
+    precisions: NDArray[np.int64]
+    spans: NDArray[np.uint32]  # (C, A): start << 16 | frequency
+    slots: NDArray[np.uint16]  # symbol of each slot, channel after channel
+    offsets: NDArray[np.int64]  # where a channel's slots begin
+
+    @classmethod
+    def pack(cls, tables: list[FrequencyTable]) -> TableSet:
+        """Pack `tables`; there may be none."""
+        precisions = np.array([t.precision for t in tables], np.int64)
+        alphabet = max((t.frequencies.size for t in tables), default=0)
+        spans = np.zeros((len(tables), alphabet), np.uint32)
+        slots = []
+        for row, table in zip(spans, tables, strict=True):
+            size = table.frequencies.size
+            row[:size] = (table.starts << np.uint32(16)) | table.frequencies
+            slots.append(np.repeat(np.arange(size, dtype=np.uint16), table.frequencies))
+        offsets = np.cumsum([0] + [s.size for s in slots])[:-1].astype(np.int64)
+        packed = np.concatenate(slots) if slots else np.zeros(0, np.uint16)
+        return cls(precisions, spans, packed, offsets)
+
+
+@inlined
+def push(words, position, states, lane, span, precision):
+    """Code a symbol, given its span, backwards; returns where the words begin now."""
+    frequency = span & 0xFFFF
+    state = states[lane]
+    full = np.int64(state >= frequency << (32 - precision))
+    words[position - 1] = state & 0xFFFF  # kept only if the state is full: no branch
+    position -= full
+    state >>= full << 4
+    # Exact: both are below 2**32, so the quotient is not rounded up to an integer.
+    quotient = np.int64(np.float64(state) / np.float64(frequency))
+    states[lane] = (quotient << precision) + state - quotient * frequency + (span >> 16)
+    return position
+
+
+@inlined
+def pull(words, position, states, lane, spans, slots, precision):
+    """Decode a symbol under a table; returns it and the position after the words it reads."""
+    state = states[lane]
+    slot = state & ((1 << precision) - 1)
+    symbol = np.int64(slots[slot])
+    span = np.int64(spans[symbol])
+    state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
+    short = np.int64(state < LOWEST)
+    # No branch: it would often be mispredicted. Unsigned: a signed index is tested for < 0.
+    word = np.int64(words[np.uint64(position)]) & -short
+    states[lane] = (state << (short << 4)) | word
+    return symbol, position + short
+
+
+@kernel
+def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
+    """Code symbols[:, start:stop] backwards, from the end of `words`; fills `firsts`."""
+    position = words.size
+    for channel in range(symbols.shape[0] - 1, -1, -1):
+        precision = precisions[channel]
+        for i in range(stop - start - 1, -1, -1):
+            span = np.int64(spans[channel, symbols[channel, start + i]])
+            position = push(words, position, states, i & (LANES - 1), span, precision)
+        firsts[channel] = position
+
+
+@kernel
+def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, symbols):
+    """Fill `symbols` (C, n); returns the first channel that does not end at its bound, or C.
+
+    `words` is padded by a row of zeros, so that one check per row is enough.
+    """
+    position = 0
+    count = symbols.shape[1]
+    for channel in range(symbols.shape[0]):
+        precision = precisions[channel]
+        slot_of = slots[offsets[channel] :]
+        row = spans[channel]
+        out = symbols[channel]
+        for first in range(0, count, LANES):
+            if position > bounds[channel]:
+                return channel
+            for i in range(first, min(first + LANES, count)):
+                lane = i & (LANES - 1)
+                out[i], position = pull(words, position, states, lane, row, slot_of, precision)
+        if position > bounds[channel] or (closed[channel] and position != bounds[channel]):
+            return channel
+    return symbols.shape[0]
+
+
+def encode_symbols(
+    symbols: NDArray[np.uint16], start: int, stop: int, tables: TableSet
+) -> tuple[bytes, list[bytes]]:
+    """Code ``symbols[:, start:stop]``, channel after channel.
+
+    Every symbol must have a frequency above 0 in its channel's table.
+
+    Returns
+    -------
+    states : bytes
+        States the decoder begins with, uint32, one for each lane in use.
+    words : list of bytes
+        16-bit words each channel reads.
+    """
+    channels, count = len(symbols), stop - start
+    states = np.full(LANES, LOWEST, np.int64)
+    words = np.empty(1 + channels * count, np.uint16)
+    firsts = np.full(channels + 1, words.size, np.int64)
+    _encode(symbols, start, stop, tables.precisions, tables.spans, states, words, firsts)
+    words = words.astype("<u2")
+    parts = [words[a:b].tobytes() for a, b in zip(firsts[:-1], firsts[1:], strict=True)]
+    return states[: min(LANES, count)].astype("<u4").tobytes(), parts
+
+
+def decode_symbols(
+    states: memoryview,
+    groups: list[tuple[int, memoryview]],
+    count: int,
+    tables: TableSet,
+    where: str,
+    whole: bool = True,
+) -> NDArray[np.uint16]:
+    """Symbols ``(C, count)`` of consecutive groups of channels.
+
+    Parameters
+    ----------
+    states : memoryview
+        Initial states, as `encode_symbols` gives them.
+    groups : list of (int, memoryview)
+        Number of channels of a group, and the words they read together.
+    count : int
+        Symbols of each channel.
+    tables : TableSet
+        Tables of all channels.
+    where : str
+        Name of the block in errors.
+    whole : bool
+        Whether these are all groups that were coded.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+        If a group's words are not exactly what its symbols need, or the states do not end
+        as the encoder began.
+    """
+    lanes = min(LANES, count)
+    if len(states) != 4 * lanes:
+        raise CorruptStream(f"{where}: {len(states)} bytes of states, expected {4 * lanes}")
+    if any(len(data) % 2 for _, data in groups):
+        raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
+    lane_states = np.full(LANES, LOWEST, np.int64)
+    lane_states[:lanes] = np.frombuffer(states, "<u4")
+    if np.any(lane_states < LOWEST):
+        raise CorruptStream(f"{where}: a rANS state below {LOWEST}")
+    sizes = [len(data) // 2 for _, data in groups]
+    words = np.zeros(sum(sizes) + LANES, np.uint16)
+    words[: sum(sizes)] = np.frombuffer(b"".join(data for _, data in groups), "<u2")
+    members = [channels for channels, _ in groups]
+    bounds = np.repeat(np.cumsum(sizes), members)
+    closed = np.zeros(bounds.size, np.bool_)
+    closed[np.cumsum(members) - 1] = True
+    symbols = np.empty((bounds.size, count), np.uint16)
+    packed = (tables.precisions, tables.spans, tables.slots, tables.offsets)
+    decoded = _decode(words, bounds, closed, lane_states, *packed, symbols)
+    if decoded < bounds.size:
+        raise CorruptStream(f"{where}: channel {decoded} does not end where its words do")
+    if whole and np.any(lane_states != LOWEST):
+        raise CorruptStream(f"{where}: the rANS states do not end where they must")
+    return symbols

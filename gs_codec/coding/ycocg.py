@@ -1,0 +1,95 @@
+"""Orthonormal luma and chroma of SH, so that one step size suits all three."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.runtime.kernels import kernel
+
+_LUMA = 1.0 / math.sqrt(3.0)
+_ORANGE = 1.0 / math.sqrt(2.0)
+_GREEN = 1.0 / math.sqrt(6.0)
+
+
+def to_ycocg(colours: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Y, Co, Cg ``(3, ...)`` of R, G, B ``(3, ...)``; keeps lengths."""
+    red, green, blue = colours.astype(np.float64)
+    luma = (red + green + blue) * _LUMA
+    return np.stack([luma, (red - blue) * _ORANGE, (2.0 * green - red - blue) * _GREEN])
+
+
+def from_ycocg(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The inverse of `to_ycocg`, in float64, product by product, then float32."""
+    luma, orange, green = values[0] * _LUMA, values[1] * _ORANGE, values[2] * _GREEN
+    rest = luma - green
+    return np.stack([rest + orange, luma + 2.0 * green, rest - orange]).astype(np.float32)
+
+
+@kernel
+def _take(planes, members, units, shifts, limit, out):
+    beyond = 0
+    for k in range(len(units)):
+        for i in range(len(members)):
+            red = np.float64(planes[0, k, members[i]])
+            green = np.float64(planes[1, k, members[i]])
+            blue = np.float64(planes[2, k, members[i]])
+            step = np.float64(units[k] << shifts[i]) / 1048576.0
+            luma = (red + green + blue) * _LUMA
+            orange = (red - blue) * _ORANGE
+            other = (2.0 * green - red - blue) * _GREEN
+            beyond += np.int64(abs(luma) > limit) + (abs(orange) > limit) + (abs(other) > limit)
+            out[0, k, i] = min(max(luma, -limit), limit) / step
+            out[1, k, i] = min(max(orange, -limit), limit) / step
+            out[2, k, i] = min(max(other, -limit), limit) / step
+    return beyond
+
+
+def take_colours(
+    planes: NDArray[np.float32],
+    members: NDArray[np.integer],
+    units: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    limit: float,
+) -> tuple[NDArray[np.float32], int]:
+    """Y, Co, Cg ``(3 K, n)`` of R, G, B ``planes (3, K, N)``, in steps, and how many were clamped.
+
+    The step of coefficient k of Gaussian ``members[i]`` is ``units[k] << shifts[i]``, in
+    1 / 2**20; values beyond `limit` are clamped to it.
+    """
+    out = np.empty((3, len(units), len(members)), np.float32)
+    beyond = _take(planes, members, units, shifts, limit, out)
+    return out.reshape(3 * len(units), len(members)), beyond
+
+
+@kernel
+def _fill(levels, units, steps, limit, out):
+    largest = 0.0
+    for k in range(len(units)):
+        for i in range(len(steps)):
+            step = units[k] * steps[i]
+            y, o, g = levels[0, k, i] * step, levels[1, k, i] * step, levels[2, k, i] * step
+            largest = max(largest, abs(y), abs(o), abs(g))
+            luma, orange, green = y * _LUMA, o * _ORANGE, g * _GREEN
+            rest = luma - green
+            out[0, k, i] = rest + orange
+            out[1, k, i] = luma + 2.0 * green
+            out[2, k, i] = rest - orange
+    return largest < limit
+
+
+def fill_colours(
+    levels: NDArray[np.int32],
+    units: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    limit: float,
+    out: NDArray[np.float32],
+) -> bool:
+    """Write R, G, B of ``levels (3, K, n)`` of Y, Co, Cg to ``out (3, K, n)``.
+
+    The value of a level is ``level * (units[k] << shifts[i])``, in 1 / 2**20: exact below
+    2**33. Returns whether all are below `limit`. Same operations as `from_ycocg`.
+    """
+    return _fill(levels, units.astype(np.float64), 2.0 ** (shifts - 20), limit, out)

@@ -1,1 +1,0 @@
-"""The `.egs` file: header, section table, checksums. FORMAT.md is the normative text."""

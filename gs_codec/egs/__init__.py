@@ -1,0 +1,1 @@
+"""The container of `.egs` files: header, sections, checksums."""

@@ -1,1 +1,0 @@
-"""Entropy coders: static interleaved rANS, adaptive binary coder."""

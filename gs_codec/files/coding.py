@@ -1,0 +1,236 @@
+"""Scenes encoded and decoded from file to file, without Open3D."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from gs_codec.codecs import encode_parts
+from gs_codec.codecs.part import Part
+from gs_codec.codecs.slabs import opened_slabs
+from gs_codec.config import Config, RateTarget
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import CONVENTION
+from gs_codec.formats.ply import write_vertices
+from gs_codec.formats.registry import open_scene
+from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.report import EncodeReport, Progress
+from gs_codec.runtime.arrays import bounded, current
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.steps import Plan
+from gs_codec.files.scenes import _scene_of, check_target
+
+
+@dataclass(frozen=True)
+class DecodeReport:
+    """What decoding a file gave.
+
+    Attributes
+    ----------
+    count : int
+        Gaussians written.
+    sh_degree : int
+        0-3.
+    bytes_read : int
+        How much of the file a part of the scene took.
+    file_bytes : int
+        Size of the file.
+    seconds : dict of str to float
+        Wall time of each stage.
+    """
+
+    count: int
+    sh_degree: int
+    bytes_read: int
+    file_bytes: int
+    seconds: dict[str, float]
+
+
+def encode_file(
+    source: str | Path,
+    target: str | Path,
+    config: Config | None = None,
+    plan: Plan | None = None,
+    rate: RateTarget | Mapping[str, float] | None = None,
+    *,
+    progress: Progress | None = None,
+    max_memory: int | None = None,
+    max_bytes: int | None = None,
+    overwrite: bool = True,
+) -> EncodeReport:
+    """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
+
+    The arguments after `target` are those of `encode`. Does not load Open3D; comments of a PLY,
+    which clouds do not have, are kept.
+
+    Parameters
+    ----------
+    source : str or Path
+        PLY, `.egs`, `.splat`, `.spz` or SOG.
+    target : str or Path
+        The file to write, an `.egs`.
+    config : Config, optional
+        By default profile ``m``.
+    plan : Plan, optional
+        How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` go by what
+        its views see.
+    rate : RateTarget or mapping, optional
+        A size or quality that profiles ``l``, ``m`` and ``s`` are to come to; a ratio counts from
+        the PLY, or from the floats of a compressed file.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    max_memory : int, optional
+        Bytes; a scene that takes more is worked on in temporary files, with the same result. Not
+        with `plan` nor `rate`, and of a binary PLY of floats alone.
+    max_bytes : int, optional
+        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+    overwrite : bool
+        Whether a `target` that exists is replaced, once the new one is whole; else it is refused
+        before the work. Default True, as for other functions of Python that write files; the
+        command line has ``--overwrite`` for it.
+
+    Returns
+    -------
+    EncodeReport
+        Sizes, entropies, what was moved or left out, and seconds by stage.
+
+    Raises
+    ------
+    InvalidInput
+        If the source cannot be used, the rate cannot be reached, the target cannot be written, or
+        `max_memory` or `max_bytes` is too little.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the source is an `.egs` file that cannot be decoded.
+    MissingTool, ToolFailed
+        If `config` asks for G-PCC, and the program is missing or fails.
+
+    Examples
+    --------
+    >>> report = gs_codec.encode_file("scene.ply", "coded.egs", gs_codec.Config("l"))
+    >>> report.count, report.raw_bytes // report.file_bytes >= 5
+    (2000, True)
+
+    Without the Gaussians whose removal changes the views least:
+
+    >>> plan = gs_codec.Plan(gs_codec.Steps(prune=20), "cameras.json", width=48)
+    >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
+    1600
+    """
+    config = config or Config()
+    check_target(source, target, (".egs",), overwrite)
+    if max_memory is not None and (plan is not None or rate is not None):
+        raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+    with using_threads(config.threads), bounded(max_memory):
+        start = time.perf_counter()
+        scene, size = _read_source(source, config.extra, max_bytes)
+        read = time.perf_counter() - start
+        with located(source):
+            if plan is None and rate is None:
+                parts, report = encode_parts(scene, config, progress)
+            else:
+                data, report = encode_by_plan(scene, size, config, plan, rate, progress)
+                parts = [data]
+        start = time.perf_counter()
+        with atomic_writer(target) as file:
+            file.writelines(parts)
+    seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
+    return replace(report, seconds=seconds)
+
+
+def _read_source(
+    source: str | Path, extra: Literal["error", "keep", "drop"], max_bytes: int | None
+) -> tuple[Scene, int]:
+    """The scene of a file, and the bytes that a ratio counts from: of a PLY, or of its floats."""
+    with open_scene(source) as file:
+        if current().limit is not None and not file.is_read_in_parts:
+            raise InvalidInput(
+                f"{source}: max-memory: only a binary PLY of floats is read in parts"
+            )
+        # Bits of a PLY or .egs stay as they are, and the comment that names another system.
+        stays = file.is_egs or file.format == "ply"
+        scene = _scene_of(file, extra, None, None if stays else CONVENTION, max_bytes)
+        counts = file.is_compressed
+        return scene, scene.float_bytes if counts else file.stored_bytes
+
+
+def decode_file(
+    source: str | Path,
+    target: str | Path,
+    part: Part | None = None,
+    *,
+    threads: int | None = None,
+    tmc3: str | Path | None = None,
+    progress: Progress | None = None,
+    max_memory: int | None = None,
+    max_bytes: int | None = None,
+    overwrite: bool = True,
+) -> DecodeReport:
+    """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
+
+    The arguments after `target` are those of `decode`. A comment line in the PLY says in which
+    order the Gaussians are, unless it is the original's, so that `compare` can match them. Does
+    not load Open3D.
+
+    Parameters
+    ----------
+    source : str or Path
+        An `.egs` file.
+    target : str or Path
+        The PLY to write, in the INRIA trainer's layout.
+    part : Part, optional
+        A box, a lower SH degree, or both; no more of the file is read than that needs.
+    threads : int, optional
+        Worker threads, 1-256; by default one for each available processor.
+    tmc3 : str or Path, optional
+        MPEG's program, for files that use G-PCC; by default what the environment variable
+        ``GS_CODEC_TMC3`` or PATH say.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    max_memory : int, optional
+        Bytes that are enough for a part of the scene at a time.
+    max_bytes : int, optional
+        Largest size of the decoded floats; by default 1 GiB or 1000 times the file.
+    overwrite : bool
+        As for `encode_file`.
+
+    Returns
+    -------
+    DecodeReport
+        What came out, how much was read for it, and seconds by stage.
+
+    Raises
+    ------
+    InvalidInput
+        If the source cannot be read, the target cannot be written, a box has no Gaussians, or
+        `max_memory` is not enough for one block.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the source is not a sound `.egs` file.
+    MissingTool, ToolFailed
+        If it uses G-PCC, and the program is not there or does not decode it.
+
+    Examples
+    --------
+    >>> part = gs_codec.Part(sh_degree=1)
+    >>> report = gs_codec.decode_file("scene.egs", "decoded.ply", part)
+    >>> report.sh_degree, report.bytes_read < report.file_bytes
+    (1, True)
+    """
+    check_target(source, target, (".ply",), overwrite)
+    start = time.perf_counter()
+    part = part or Part()
+    with opened_slabs(source, part, threads, max_bytes, progress, tmc3, max_memory) as slabs:
+        count, scenes = slabs.counted()
+        with atomic_writer(target) as file:
+            write_vertices(file, count, scenes)
+        seconds = {"decode": slabs.seconds, "write": time.perf_counter() - start - slabs.seconds}
+        size = os.path.getsize(source)
+        return DecodeReport(count, slabs.sh_degree, slabs.bytes_read, size, seconds)

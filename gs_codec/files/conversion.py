@@ -1,0 +1,141 @@
+"""Convert scenes between formats, and report what is lost."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from gs_codec.coding.clean import drop_nonfinite
+from gs_codec.config import LOSSLESS, Config
+from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
+from gs_codec.formats.coordinates import CONVENTION, state_system, system_of
+from gs_codec.report import Progress
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.threads import using_threads
+
+
+@dataclass(frozen=True)
+class ConvertReport:
+    """Result of converting a file.
+
+    Attributes
+    ----------
+    count, sh_degree : int
+        Number of Gaussians and SH degree of the target.
+    coordinates : str
+        Coordinate system of the target.
+    turned_from : str or None
+        Coordinate system of the source, if it was converted.
+    antialiased : bool
+        Whether the source asks for opacity compensation.
+    dropped : int
+        Gaussians with NaN or infinity, which were removed.
+    lost : tuple of str
+        What the target's format cannot hold, in words.
+    file_bytes : int
+        Size of what was written.
+    seconds : dict of str to float
+        Wall time of each stage.
+    """
+
+    count: int
+    sh_degree: int
+    coordinates: str
+    turned_from: str | None
+    antialiased: bool
+    dropped: int
+    lost: tuple[str, ...]
+    file_bytes: int
+    seconds: dict[str, float]
+
+
+def convert_file(
+    source: str | Path,
+    target: str | Path,
+    config: Config | None = None,
+    coordinates: str = CONVENTION,
+    *,
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+    overwrite: bool = True,
+) -> ConvertReport:
+    """Convert a scene to the format of the target's suffix; it appears whole or not at all.
+
+    Parameters
+    ----------
+    source, target : str or Path
+        Scenes; the target is ``.ply``, ``.egs`` or ``.splat``.
+    config : Config, optional
+        How to encode an `.egs` target. Other targets use only its options for extra properties and
+        NaN.
+    coordinates : str
+        Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``.
+        ``RUB:RDF`` converts from the first to the second, whatever the source states.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+    max_bytes : int, optional
+        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+    overwrite : bool
+        As for `encode_file`.
+
+    Returns
+    -------
+    ConvertReport
+        What was written, and what of the source it does not have.
+
+    Raises
+    ------
+    InvalidInput
+        If the source cannot be used, or the target cannot be written.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        If the source is a damaged or newer `.egs` file.
+
+    Examples
+    --------
+    >>> report = gs_codec.convert_file("scene.ply", "scene.splat")
+    >>> report.count, report.lost[0]
+    (2000, 'opacity, colour and rotation rounded to 8 bits')
+    """
+    config = config or Config(extra="keep")
+    suffix = check_target(source, target, overwrite=overwrite)
+    with using_threads(config.threads):
+        return _convert_file(source, target, suffix, config, coordinates, progress, max_bytes)
+
+
+def _convert_file(
+    source: str | Path,
+    target: str | Path,
+    suffix: str,
+    config: Config,
+    coordinates: str,
+    progress: Progress | None,
+    max_bytes: int | None,
+) -> ConvertReport:
+    start = time.perf_counter()
+    scene = read_scene(source, config.extra, progress, coordinates=None, max_bytes=max_bytes)
+    read = time.perf_counter() - start
+    dropped = 0
+    stated, _, wanted = coordinates.rpartition(":")
+    with located(source):
+        if stated:
+            scene = state_system(scene, stated.upper())
+        before = system_of(scene)
+        if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
+            scene, dropped = drop_nonfinite(scene, config)
+        if wanted != "keep":
+            scene = turn_scene(scene, wanted.upper())
+    start = time.perf_counter()
+    lost = write_scene(target, scene, config)
+    return ConvertReport(
+        scene.count,
+        0 if suffix == ".splat" else scene.sh_degree,
+        system_of(scene),
+        before if before != system_of(scene) else None,
+        scene.antialiased,
+        dropped,
+        lost,
+        os.path.getsize(target),
+        {"read": read, "write": time.perf_counter() - start},
+    )

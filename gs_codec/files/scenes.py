@@ -1,0 +1,191 @@
+"""Scenes of any format read and written."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from gs_codec.codecs import decode_part, encode_scene
+from gs_codec.codecs.inspection import Info, describe, inspect_bytes
+from gs_codec.codecs.matching import (
+    order_of,
+    order_of_file,
+    put_side_by_side,
+    with_order,
+    without_order,
+)
+from gs_codec.codecs.part import Part
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
+from gs_codec.formats.ply import write_ply
+from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.splat import pack_splat
+from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.report import Progress
+from gs_codec.runtime.atomic import atomic_writer, check_writable
+from gs_codec.runtime.mapped import located, opened
+from gs_codec.scene import Scene, float_bytes
+
+if TYPE_CHECKING:
+    pass
+
+
+log = logging.getLogger(__name__)
+
+#: Suffixes of scenes that are written.
+_WRITTEN = (".ply", ".egs", ".splat")
+
+
+def write_scene(
+    path: str | Path, scene: Scene, config: Config, overwrite: bool = True
+) -> tuple[str, ...]:
+    """Write a scene as ``.ply``, ``.splat`` or, encoded, as ``.egs``.
+
+    Returns
+    -------
+    tuple of str
+        What the format cannot hold, in words; warnings say it, too.
+
+    Raises
+    ------
+    InvalidInput
+        If the suffix is another, or the file cannot be written or, without `overwrite`, exists.
+    """
+    suffix = suffix_of(path)
+    check_writable(path, overwrite)
+    if suffix == ".ply":
+        write_ply(path, scene)
+        return ()
+    data: bytes
+    lost: tuple[str, ...] = ()
+    with located(path):
+        if suffix == ".splat":
+            data, lost = pack_splat(scene)
+        else:
+            data = encode_scene(scene, config)[0]
+    with atomic_writer(path) as file:
+        file.write(data)
+    for line in lost:
+        log.warning("%s: %s", path, line)
+    return lost
+
+
+def suffix_of(path: str | Path, known: tuple[str, ...] = _WRITTEN) -> str:
+    """The suffix of a scene to be written, which tells its format.
+
+    Raises
+    ------
+    InvalidInput
+        If it is none of `known`.
+    """
+    name = Path(path).name.lower()
+    suffix = ".compressed.ply" if name.endswith(".compressed.ply") else Path(name).suffix
+    if suffix not in known:
+        expected = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
+        other = "; `convert` writes that" if suffix in _WRITTEN else ""
+        raise InvalidInput(f"{path}: suffix '{suffix}', expected {expected}{other}")
+    return suffix
+
+
+def read_scene(
+    path: str | Path,
+    extra: Literal["error", "keep", "drop"] = "error",
+    progress: Progress | None = None,
+    coordinates: str | None = CONVENTION,
+    max_bytes: int | None = None,
+) -> Scene:
+    """The scene of a file, its format told by content; see `read_ply` for the options.
+
+    It is turned to the system `coordinates`; None leaves it in the file's, which
+    `Scene.coordinates` names if that is not the convention's.
+    """
+    with open_scene(path) as file:
+        return _scene_of(file, extra, progress, coordinates, max_bytes)
+
+
+def _scene_of(
+    file: SceneFile,
+    extra: Literal["error", "keep", "drop"],
+    progress: Progress | None,
+    coordinates: str | None,
+    max_bytes: int | None,
+) -> Scene:
+    if file.is_egs:
+        scene = _decode_ordered(file, progress, max_bytes)
+    else:
+        scene = file.scene(extra, max_bytes)
+    with located(file.path):
+        return scene if coordinates is None else turn_scene(scene, coordinates)
+
+
+def turn_scene(scene: Scene, coordinates: str) -> Scene:
+    """See `turn_axes`; comments that tell an order by places go with the places."""
+    if system_of(scene) == coordinates:
+        return scene
+    return turn_axes(without_order(scene), coordinates)
+
+
+def stated_bytes(path: str | Path) -> int:
+    """Bytes of floats that the header of a scene's file says it holds."""
+    with open_scene(path) as file:
+        if not file.is_egs:
+            return file.stated_bytes()
+        with located(path):
+            info = inspect_bytes(file.data)
+        return float_bytes(info.count, info.sh_degree)
+
+
+def is_egs(path: str | Path) -> bool:
+    """Whether a file is an `.egs` file, sound or not."""
+    with open_scene(path) as file:
+        return file.is_egs
+
+
+def inspect_file(path: str | Path) -> Info:
+    """See `inspect_bytes`; of the blocks, which come before the comments, nothing is read."""
+    with opened(path) as data, located(path):
+        return inspect_bytes(data)
+
+
+def compare_files(
+    first: str | Path, second: str | Path, max_bytes: int | None = None
+) -> Comparison:
+    """Compare two scenes; one decoded from `.egs` is matched with its original.
+
+    Of different coordinate systems, one is turned to the other's.
+    """
+    scenes, orders = [], []
+    for path in (first, second):
+        scenes.append(read_scene(path, "drop", coordinates=None, max_bytes=max_bytes))
+        with located(path):
+            orders.append(order_of(scenes[-1]))
+    systems = system_of(scenes[0]), system_of(scenes[1])
+    # An order is that of the places it was made of, so that its scene is not turned.
+    kept = 0 if orders[1] is None else 1
+    scenes[1 - kept] = turn_axes(scenes[1 - kept], systems[kept])
+    return replace(compare_scenes(*put_side_by_side(scenes[0], scenes[1])), systems=systems)
+
+
+def check_target(
+    source: str | Path,
+    target: str | Path,
+    known: tuple[str, ...] = _WRITTEN,
+    overwrite: bool = True,
+) -> str:
+    """Refuse a target that could not be written, before the work is done; else its suffix."""
+    if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
+        raise InvalidInput(f"{target}: the source itself")
+    check_writable(target, overwrite)
+    return suffix_of(target, known)
+
+
+def _decode_ordered(file: SceneFile, progress: Progress | None, max_bytes: int | None) -> Scene:
+    """A scene that tells its order."""
+    with located(file.path):
+        scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
+        order = order_of_file(describe(read))
+        return scene if order is None else with_order(scene, order)

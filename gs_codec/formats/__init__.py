@@ -1,0 +1,1 @@
+"""Foreign formats: PLY, compressed PLY, `.splat`, `.spz`, SOG."""

@@ -1,0 +1,136 @@
+"""PlayCanvas' PLY of packed properties (`.compressed.ply`), in chunks of 256 Gaussians.
+
+Centres and scales are stored relative to the bounds of their chunk, with 11, 10 and 11 bits for x,
+y and z. A quaternion is stored as three components of 10 bits and the index of the fourth, a
+colour channel or opacity as a byte.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import check_count
+from gs_codec.formats.packed_values import largest_restored, opacities_of, sh_of_colours
+from gs_codec.formats.ply_body import Ply
+from gs_codec.formats.ply_header import PlyHeader
+from gs_codec.scene import SH_COEFFICIENTS, Scene
+
+PACKED_ELEMENTS = ("chunk", "vertex", "sh")
+
+_CHUNK = 256
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+
+def is_packed(header: PlyHeader) -> bool:
+    """Whether a PLY file has packed properties."""
+    return any(e.name == "vertex" and _PACKED[0] in e.types for e in header.elements)
+
+
+def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
+    """Read the Gaussians of a packed PLY; floats may take `max_bytes`, see `most_bytes`.
+
+    Raises
+    ------
+    InvalidInput
+        If elements or properties are missing, or have the wrong type or number.
+    """
+    elements = {element.name: element for element in ply.header.elements}
+    vertex, chunk, sh = (elements.get(name) for name in ("vertex", "chunk", "sh"))
+    assert vertex is not None  # has packed properties
+    if chunk is None:
+        raise InvalidInput("packed properties without element 'chunk'")
+    bounds = [f"{end}_{axis}" for axis in "xyz" for end in ("min", "max")]
+    bounds += [f"{end}_scale_{axis}" for axis in "xyz" for end in ("min", "max")]
+    # Files written before 2024 have no bounds for colours; these are then 0 and 1.
+    colours = [f"{end}_{axis}" for axis in "rgb" for end in ("min", "max")]
+    if any(name in chunk.types for name in colours):
+        bounds += colours
+    _check_types("vertex", vertex.types, _PACKED, "u4")
+    _check_types("chunk", chunk.types, bounds, "f4")
+    chunks = -(-vertex.count // _CHUNK)
+    if chunk.count != chunks:
+        raise InvalidInput(f"element 'chunk': {chunk.count} rows, expected {chunks}")
+    coefficients = 0 if sh is None else _check_sh(sh.types, sh.count, vertex.count)
+    degree = SH_COEFFICIENTS.index(coefficients)
+    check_count(vertex.count, degree, len(ply.data), max_bytes)
+    rows, limits = ply.rows("vertex"), ply.rows("chunk")
+    position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in _PACKED)
+    rgba = np.stack([(colour >> shift) & 255 for shift in (24, 16, 8, 0)]).astype(np.uint8)
+    shares = rgba[:3] / 255
+    if len(bounds) > 12:
+        shares = _between(limits, "", "rgb", shares)
+    return Scene(
+        _between(limits, "", "xyz", _split(position)).astype(np.float32),
+        sh_of_colours(shares),
+        _read_sh(ply, coefficients, vertex.count),
+        opacities_of(ply.path, rgba[3]),
+        _between(limits, "scale_", "xyz", _split(scale)).astype(np.float32),
+        _quaternions(rotation),
+        comments=ply.header.comments,
+    )
+
+
+def stated_size(header: PlyHeader) -> tuple[int, int]:
+    """Number of Gaussians and SH degree that the header of a packed PLY states."""
+    elements = {element.name: element for element in header.elements}
+    sh = elements.get("sh")
+    coefficients = 0 if sh is None else len(sh.types) // 3
+    degree = SH_COEFFICIENTS.index(coefficients) if coefficients in SH_COEFFICIENTS else 3
+    return elements["vertex"].count, degree
+
+
+def _check_types(element: str, types: dict[str, str], names: tuple | list, code: str) -> None:
+    wrong = [name for name in names if types.get(name) != code]
+    if wrong:
+        found = types.get(wrong[0], "missing")
+        raise InvalidInput(f"element '{element}': {wrong[0]} is {found}, expected {code}")
+    if len(types) > len(names):
+        other = next(name for name in types if name not in names)
+        raise InvalidInput(f"element '{element}': property '{other[:60]}' beyond the layout")
+
+
+def _check_sh(types: dict[str, str], count: int, gaussians: int) -> int:
+    """Check element `sh`; return its SH-AC coefficients per colour channel."""
+    if len(types) not in [3 * k for k in SH_COEFFICIENTS]:
+        raise InvalidInput(f"element 'sh': {len(types)} properties, expected 9, 24 or 45")
+    if count != gaussians:
+        raise InvalidInput(f"element 'sh': {count} rows, expected {gaussians}")
+    _check_types("sh", types, [f"f_rest_{i}" for i in range(len(types))], "u1")
+    return len(types) // 3
+
+
+def _split(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
+    """Split into 11, 10 and 11 bits, from the highest, each scaled to 0-1."""
+    return np.stack([(packed >> 21) / 2047, ((packed >> 11) & 1023) / 1023, (packed & 2047) / 2047])
+
+
+def _between(limits: NDArray, prefix: str, axes: str, shares: NDArray) -> NDArray[np.float64]:
+    """Interpolate shares (0-1) between the bounds of their chunks."""
+    values = np.empty_like(shares)
+    for value, share, axis in zip(values, shares, axes, strict=True):
+        with np.errstate(invalid="ignore"):  # a bound that is infinite or NaN
+            ends = [limits[f"{end}_{prefix}{axis}"].astype(np.float64) for end in ("min", "max")]
+            low, high = (np.repeat(end, _CHUNK)[: len(share)] for end in ends)
+            value[:] = low * (1 - share) + high * share
+    return values
+
+
+def _quaternions(packed: NDArray[np.uint32]) -> NDArray[np.float32]:
+    three = np.stack([(packed >> shift) & 1023 for shift in (20, 10, 0)])
+    return largest_restored((three / 1023 - 0.5) * np.sqrt(2), (packed >> 30).astype(np.int64))
+
+
+def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
+    """SH-AC: a byte is the middle of one of 256 equal bins of -4 to 4; 0 and 255 are the ends."""
+    planes = np.empty((3 * coefficients, count), np.float32)
+    if not coefficients:
+        return planes
+    share = (np.arange(256) + 0.5) / 256
+    share[[0, 255]] = 0, 1
+    values = ((share - 0.5) * 8).astype(np.float32)
+    rows = ply.rows("sh")
+    for i, plane in enumerate(planes):
+        plane[:] = values[rows[f"f_rest_{i}"]]
+    return planes

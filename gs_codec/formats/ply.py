@@ -1,0 +1,215 @@
+"""PLY files of the INRIA layout: read with properties in any order, written in the trainer's."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+import numpy as np
+import plyfile
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import check_bytes
+from gs_codec.formats.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
+from gs_codec.formats.ply_body import Ply, ply_of, to_planes, to_rows
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located, opened
+from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, property_names
+
+log = logging.getLogger(__name__)
+
+_NORMALS = ("nx", "ny", "nz")
+_COLOURS = ("red", "green", "blue")
+
+#: Rows written at once.
+_ROWS = 1 << 17
+
+
+def read_ply(
+    path: str | Path,
+    extra: Literal["error", "keep", "drop"] = "error",
+    max_bytes: int | None = None,
+) -> Scene:
+    """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
+
+    The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
+
+    Parameters
+    ----------
+    path : str or Path
+    extra : {"error", "keep", "drop"}
+        What to do with properties beyond the INRIA layout, with normals that are not all zero, and
+        with elements other than ``vertex``. Such elements are never kept.
+    max_bytes : int, optional
+        Largest size of floats and kept properties; default: see `most_bytes`.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InvalidInput
+        If the file is not a PLY, is truncated, or lacks or adds properties.
+    """
+    with opened(path) as data:
+        return scene_of(ply_of(path, data), extra, max_bytes)
+
+
+def scene_of(
+    ply: Ply, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
+) -> Scene:
+    """The scene of an open PLY; see `read_ply`."""
+    path = ply.path
+    if ply.header.obj_info:
+        log.warning("%s: %d obj_info lines not kept", path, ply.header.obj_info)
+    with located(path):
+        packed = is_packed(ply.header)
+        _check_elements(ply, PACKED_ELEMENTS if packed else ("vertex",), extra)
+        if packed:
+            return read_packed(ply, max_bytes)
+        data = ply.rows("vertex")
+    groups, colours = _find_groups(path, data.dtype)
+    wanted = [name for group in GROUPS for name in groups[group]]
+    row = 4 * len(wanted)
+    if extra == "keep":
+        row += sum(data.dtype[name].itemsize for name in set(data.dtype.names or ()) - {*wanted})
+    with located(path):
+        check_bytes(len(data) * row, len(data), len(ply.data), max_bytes)
+    planes = _read_planes(path, data, wanted)
+    if colours:
+        planes[3:6] = (planes[3:6] / 255 - 0.5) / SH_C0
+    bounds = np.cumsum([0] + [len(groups[group]) for group in GROUPS])
+    parts = {g: planes[a:b] for g, a, b in zip(GROUPS, bounds[:-1], bounds[1:], strict=True)}
+    has_normals, kept = _read_rest(path, data, set(wanted), extra)
+    with located(path):
+        return Scene(**parts, has_normals=has_normals, comments=ply.header.comments, extra=kept)
+
+
+def _check_elements(ply: Ply, used: tuple[str, ...], extra: str) -> None:
+    """Refuse a file without Gaussians, or with other elements that have rows."""
+    if "vertex" not in ply.header.names:
+        names = ply.header.names
+        found = ", ".join(f"'{name[:60]}'" for name in names[:4]) or "none"
+        found += ", ..." if len(names) > 4 else ""
+        raise InvalidInput(f"elements {found}, expected 'vertex'")
+    others = [e.name[:60] for e in ply.header.elements if e.name not in used and e.count]
+    if others and extra == "error":
+        raise InvalidInput(f"element '{others[0]}' beside 'vertex'; choose --extra drop")
+    if others and extra == "keep":
+        log.warning("%s: element '%s' beside 'vertex' not kept", ply.path, others[0])
+
+
+def _find_groups(path: str | Path, dtype: np.dtype) -> tuple[dict[str, list[str]], bool]:
+    """Properties of each group, and whether colours are bytes instead of SH."""
+    names = dtype.names or ()
+    rest = sum(name.startswith("f_rest_") for name in names)
+    if rest not in [3 * k for k in SH_COEFFICIENTS]:
+        raise InvalidInput(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45")
+    if "scale_0" in names and "scale_1" in names and "scale_2" not in names:
+        raise InvalidInput(f"{path}: a scene of flat Gaussians (2DGS): no scale_2, expected 3DGS")
+    groups = property_names(rest // 3)
+    # Trainers without SH (nerfstudio) write colours as bytes.
+    colours = "f_dc_0" not in names and all(
+        name in names and dtype[name] == np.uint8 for name in _COLOURS
+    )
+    if colours:
+        groups["f_dc"] = list(_COLOURS)
+    missing = [n for group in GROUPS for n in groups[group] if n not in names]
+    if missing:
+        raise InvalidInput(f"{path}: missing property '{missing[0]}' ({len(missing)} missing)")
+    return groups, colours
+
+
+def _read_planes(path: str | Path, data: NDArray, wanted: list[str]) -> NDArray[np.float32]:
+    """Planes of the wanted properties; fast, directly from the mapped rows, if all are float32."""
+    names = list(data.dtype.names or ())
+    packed = data.dtype.itemsize == 4 * len(names)
+    if packed and all(data.dtype[name] == np.dtype("<f4") for name in names):
+        rows = np.ascontiguousarray(data).view("<f4").reshape(len(data), len(names))
+        return to_planes(rows, [names.index(name) for name in wanted])
+    planes = empty((len(wanted), len(data)), np.float32)
+    for plane, name in zip(planes, wanted, strict=True):
+        with np.errstate(over="ignore", invalid="ignore"):
+            plane[:] = data[name]
+            changed = int(np.count_nonzero((plane != data[name]) & (data[name] == data[name])))
+        if changed:
+            log.warning("%s: %s rounded to float32 in %d Gaussians", path, name, changed)
+    return planes
+
+
+def _read_rest(
+    path: str | Path, data: NDArray, used: set[str], extra: str
+) -> tuple[bool, dict[str, NDArray]]:
+    """Whether there are normals to restore as zeros, and the extra properties to keep."""
+    rest = [name for name in data.dtype.names or () if name not in used]
+    normals = [name for name in _NORMALS if name in rest]
+    has_normals = len(normals) == 3
+    # Normals are written back as +0, so with "keep" a -0 makes them extra properties.
+    differs = np.signbit if extra == "keep" else np.zeros_like
+    if has_normals and not any(np.any(data[n]) or np.any(differs(data[n])) for n in normals):
+        rest = [name for name in rest if name not in normals]
+    if rest and extra == "error":
+        what = f"properties {', '.join(rest[:4])}" + (" ..." if len(rest) > 4 else "")
+        why = "normals are not all zero" if set(rest) <= set(_NORMALS) else "beyond the layout"
+        raise InvalidInput(f"{path}: {what} ({why}); choose --extra keep or --extra drop")
+    if extra == "drop":
+        return has_normals, {}
+    kept = {name: empty((len(data),), data.dtype[name].newbyteorder("=")) for name in rest}
+    for name, column in kept.items():
+        column[:] = data[name]
+    return has_normals and not set(normals) & set(rest), kept
+
+
+def write_ply(path: str | Path, scene: Scene) -> None:
+    """Write `scene` as little-endian binary PLY in the INRIA trainer's property order.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be written.
+    """
+    with atomic_writer(path) as file:
+        write_vertices(file, scene.count, [scene])
+
+
+def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
+    """Write a PLY of `count` Gaussians from slabs of the same layout, one after another."""
+    for number, slab in enumerate(slabs):
+        if not number:
+            file.write(_header(slab, count).encode("ascii"))
+        for start in range(0, slab.count, _ROWS):
+            file.write(vertex_rows(slab.between(start, start + _ROWS)).data)
+
+
+def _header(scene: Scene, count: int) -> str:
+    """The header of a PLY of `count` Gaussians with the properties of the scene."""
+    row = np.zeros((), vertex_rows(scene.between(0, 0)).dtype)
+    element = plyfile.PlyElement.describe(np.broadcast_to(row, (count,)), "vertex")
+    return plyfile.PlyData([element], byte_order="<", comments=list(scene.comments)).header + "\n"
+
+
+def vertex_rows(scene: Scene) -> NDArray:
+    """Structured rows ``(N,)`` in the trainer's order; extra properties come last."""
+    groups = property_names(len(scene.f_rest) // 3)
+    names, planes = [], []
+    for group in GROUPS:
+        names += groups[group]
+        planes += [*getattr(scene, group)]
+        if group == "positions" and scene.has_normals:
+            names += _NORMALS
+            planes += [np.zeros(scene.count, np.float32)] * 3
+    rows = to_rows(planes).view([(name, "<f4") for name in names])[:, 0]
+    if not scene.extra:
+        return rows
+    dtype = np.dtype(rows.dtype.descr + [(n, a.dtype.str) for n, a in scene.extra.items()])
+    full = np.empty(scene.count, dtype)
+    for name in names:
+        full[name] = rows[name]
+    for name, column in scene.extra.items():
+        full[name] = column
+    return full

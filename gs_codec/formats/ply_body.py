@@ -1,0 +1,162 @@
+"""Rows of the elements of PLY files, and the planes that the codec works on."""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import refusing
+from gs_codec.formats.ply_header import Element, PlyHeader, read_header
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.threads import run_all
+
+#: Rows moved at once: a tile of 62 columns (1 MB) stays in the second-level cache.
+_TILE = 4096
+_CHUNK = 1 << 16
+
+
+def to_planes(rows: NDArray[np.float32], columns: list[int]) -> NDArray[np.float32]:
+    """Planes ``(C, N)`` of C columns of ``rows (N, P)``."""
+    planes = empty((len(columns), len(rows)), np.float32)
+
+    def gather(start: int, stop: int) -> None:
+        for channel, column in enumerate(columns):
+            planes[channel, start:stop] = rows[start:stop, column]
+
+    _for_tiles(gather, len(rows))
+    return planes
+
+
+def to_rows(planes: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Rows ``(N, C)`` of C planes ``(N,)``."""
+    rows = np.empty((len(planes[0]), len(planes)), np.float32)
+
+    def scatter(start: int, stop: int) -> None:
+        for channel, plane in enumerate(planes):
+            rows[start:stop, channel] = plane[start:stop]
+
+    _for_tiles(scatter, len(rows))
+    return rows
+
+
+def _for_tiles(move, count: int) -> None:
+    def run(start: int) -> None:
+        end = min(start + _CHUNK, count)
+        for tile in range(start, end, _TILE):
+            move(tile, min(tile + _TILE, end))
+
+    run_all(run, range(0, count, _CHUNK))
+
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Ply:
+    """A PLY file, mapped.
+
+    Attributes
+    ----------
+    path : Path
+    header : PlyHeader
+    data : ndarray, shape (bytes,), uint8
+    """
+
+    path: Path
+    header: PlyHeader
+    data: NDArray[np.uint8]
+
+    def rows(self, name: str) -> NDArray:
+        """Structured rows of an element; for a binary file, a view of the mapped file.
+
+        Raises
+        ------
+        InvalidInput
+            If rows are missing, or have list properties.
+        """
+        index = self.header.names.index(name)
+        element = self.header.elements[index]
+        if element.lists:
+            raise InvalidInput(
+                f"property '{next(iter(element.lists))}' is a list, expected a scalar"
+            )
+        before = self.header.elements[:index]
+        if self.header.byte_order:
+            return self._binary_rows(element, before)
+        return self._text_rows(element, sum(e.count for e in before if e.types or e.lists))
+
+    def _binary_rows(self, element: Element, before: list[Element]) -> NDArray:
+        start = self.header.size
+        for other in before:
+            if other.lists and other.count:
+                raise InvalidInput(
+                    f"element '{other.name}' with lists before '{element.name}', expected after"
+                )
+            start += other.count * other.dtype("<").itemsize
+        dtype = element.dtype(self.header.byte_order)
+        end = start + element.count * dtype.itemsize
+        if end > len(self.data):
+            there = max(len(self.data) - start, 0) // max(dtype.itemsize, 1)
+            raise InvalidInput(
+                f"element '{element.name}': {element.count} rows, but the file ends in row {there}"
+            )
+        if element is self.header.elements[-1] and end < len(self.data):
+            surplus = len(self.data) - end
+            log.warning("%s: %d bytes after the last %s not read", self.path, surplus, element.name)
+        return self.data[start:end].view(dtype) if dtype.itemsize else np.empty(0, dtype)
+
+    def _text_rows(self, element: Element, skipped: int) -> NDArray:
+        body = self.data[self.header.size :].tobytes()
+        # A number takes at least a digit and a space.
+        if 2 * (skipped + element.count * max(len(element.types), 1)) > len(body) + 1:
+            raise InvalidInput(
+                f"element '{element.name}': {element.count} rows of {len(element.types)} numbers "
+                f"after {skipped} of others, but {len(body)} bytes of text"
+            )
+        lines = io.TextIOWrapper(io.BytesIO(body), "latin-1")
+        wanted = islice((line for line in lines if line.strip()), skipped, skipped + element.count)
+        table = np.empty((0, len(element.types)))
+        if element.count:
+            with refusing(f"element '{element.name}'"), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # no lines at all: reported below
+                table = np.loadtxt(wanted, np.float64, comments=None, ndmin=2, encoding="latin-1")
+        if table.shape != (element.count, len(element.types)):
+            raise InvalidInput(
+                f"element '{element.name}': {len(table)} rows of {table.shape[1]} numbers, "
+                f"expected {element.count} of {len(element.types)}"
+            )
+        return _typed(table, element)
+
+
+def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
+    """Convert numbers read from text to rows of the types that the header states."""
+    rows = np.empty(len(table), element.dtype("<"))
+    for column, name in zip(table.T, element.types, strict=True):
+        with np.errstate(all="ignore"):
+            rows[name] = column
+        if rows.dtype[name].kind != "f" and not np.array_equal(rows[name], column):
+            raise InvalidInput(f"property '{name}': a number that is no {rows.dtype[name].name}")
+    return rows
+
+
+def ply_of(path: str | Path, data: memoryview) -> Ply:
+    """Read the header of a PLY file from its bytes.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a PLY file.
+    """
+    array = np.frombuffer(data, np.uint8)
+    with located(path):
+        header = read_header(array)
+    return Ply(Path(path), header, array)

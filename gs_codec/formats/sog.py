@@ -1,0 +1,180 @@
+"""SOG scenes, versions 1 and 2: values are pixels of WebP images that `meta.json` describes.
+
+The files are in one zip (`.sog`), or beside `meta.json`. Centres are stored as 16-bit logarithms,
+SH-AC as rows of a palette. All other values are bytes: indices of a table in version 2, shares
+between two bounds in version 1.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import check_count
+from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
+from gs_codec.formats.sog_files import ZIP, Meta, parse_meta, read_pixels, sog_files, stored_bytes
+from gs_codec.runtime.mapped import located, opened
+from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
+
+log = logging.getLogger(__name__)
+
+_META_BYTES = 1 << 22
+_PALETTE_COLUMNS = 64
+
+#: The last byte of a quaternion is this value plus the index of the omitted component.
+_FIRST_TAG = 252
+
+#: Loads the pixels of an image, given its name and the most pixels it may have.
+_Load = Callable[[str, int], NDArray[np.uint8]]
+
+
+def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
+    """Read a `.sog` file, or the scene of a `meta.json`.
+
+    Floats may take `max_bytes`; see `most_bytes`.
+
+    Raises
+    ------
+    InvalidInput
+        If a file cannot be read, or does not match `meta.json`.
+    """
+    path = Path(path)
+    with opened(path) as data:
+        is_zip = bytes(data[:4]) == ZIP
+    with located(path), sog_files(path, is_zip) as read:
+        meta = parse_meta(read("meta.json", _META_BYTES))
+        if meta.model == "2dgs":
+            raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
+        if meta.model not in ("default", "antialiased"):
+            log.warning("%s: model '%s' not known, not kept", path, ascii(meta.model)[1:40])
+
+        def load(name: str, most: int) -> NDArray[np.uint8]:
+            # A pixel is four bytes; no writer makes a file twice as large as its pixels.
+            return read_pixels(read(name, 8 * most), name, most)
+
+        file_bytes = path.stat().st_size if is_zip else stored_bytes(path, meta.files)
+        check_count(meta.count, meta.bands or 0, file_bytes, max_bytes)
+        colours = _values(meta, "sh0", load)
+        return Scene(
+            _centres(meta, load),
+            _looked_up(meta.tables["sh0"], colours),
+            _read_palette(meta, load, file_bytes, max_bytes),
+            _opacities(path, meta, colours[3]),
+            _looked_up(meta.tables["scales"], _values(meta, "scales", load)),
+            _quaternions(path, _values(meta, "quats", load)),
+            comments=(ANTIALIASED,) if meta.model == "antialiased" else (),
+        )
+
+
+def sog_bytes(path: str | Path) -> int:
+    """Size of all files of a scene."""
+    path = Path(path)
+    size = path.stat().st_size
+    with opened(path) as data:
+        if bytes(data[:4]) == ZIP:
+            return size
+    with located(path), sog_files(path, False) as read:
+        return stored_bytes(path, parse_meta(read("meta.json", _META_BYTES)).files)
+
+
+def stated_size(path: str | Path) -> tuple[int, int]:
+    """Number of Gaussians and SH degree that `meta.json` states; degree 3 if it states none."""
+    path = Path(path)
+    with opened(path) as data:
+        is_zip = bytes(data[:4]) == ZIP
+    with located(path), sog_files(path, is_zip) as read:
+        meta = parse_meta(read("meta.json", _META_BYTES))
+        return meta.count, 3 if meta.bands is None else meta.bands
+
+
+def _values(meta: Meta, group: str, load: _Load, image: int = 0) -> NDArray[np.uint8]:
+    """Bytes ``(4, N)`` of the Gaussians: one pixel each, in order."""
+    name = meta.files[group][image]
+    # The sides of images are rounded up to multiples of four.
+    pixels = load(name, 2 * meta.count + (1 << 16)).reshape(-1, 4)
+    if len(pixels) < meta.count:
+        raise InvalidInput(f"image '{name}': {len(pixels)} pixels, expected {meta.count}")
+    return np.ascontiguousarray(pixels[: meta.count].T)
+
+
+def _looked_up(table: NDArray[np.float32], values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Look up the first three bytes of each Gaussian in the columns of a table."""
+
+    def look_up(some: slice) -> NDArray[np.float32]:
+        planes = np.stack([table[values[i, some], i] for i in range(3)])
+        if np.isnan(planes).any():
+            raise InvalidInput("a byte beyond its codebook")
+        return planes
+
+    return planes_of(3, values.shape[1], look_up)
+
+
+def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
+    low, high = (_values(meta, "means", load, image) for image in range(2))
+    ends = meta.means[:, :, None]
+
+    def unfold(some: slice) -> NDArray[np.float64]:
+        share = (low[:3, some] | high[:3, some].astype(np.int64) << 8) / 65535
+        logarithm = ends[0] * (1 - share) + ends[1] * share
+        return np.sign(logarithm) * np.expm1(np.abs(logarithm))
+
+    with np.errstate(over="ignore"):  # infinite centres, as in a PLY, are reported later
+        return planes_of(3, meta.count, unfold)
+
+
+def _opacities(path: Path, meta: Meta, values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    if meta.version == 1:
+        return meta.tables["sh0"][values, 3][None]
+    return opacities_of(path, values)
+
+
+def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    untold = values[3] < _FIRST_TAG
+
+    def restore(some: slice) -> NDArray[np.float32]:
+        three = (values[:3, some] / 127.5 - 1) * np.sqrt(0.5)
+        rot = largest_restored(three, values[3, some].astype(np.int64) - _FIRST_TAG)
+        rot[:, untold[some]] = np.array([[1], [0], [0], [0]], np.float32)
+        return rot
+
+    if untold.any():
+        log.warning("%s: %d rotations without a value, set to the identity", path, untold.sum())
+    return planes_of(4, len(untold), restore)
+
+
+def _read_palette(
+    meta: Meta, load: _Load, file_bytes: int, max_bytes: int | None
+) -> NDArray[np.float32]:
+    """SH-AC ``(3 * K, N)``: each Gaussian has a row of the palette."""
+    if "shN" not in meta.files:
+        return np.empty((0, meta.count), np.float32)
+    name = meta.files["shN"][0]
+    pixels = load(name, _PALETTE_COLUMNS * SH_COEFFICIENTS[3] * (1 << 10))
+    height, width, _ = pixels.shape
+    widths = [_PALETTE_COLUMNS * k for k in SH_COEFFICIENTS]
+    degree = widths.index(width) if width in widths else 0
+    if not degree or meta.bands not in (None, degree):
+        expected = widths[1:] if meta.bands is None else widths[meta.bands]
+        raise InvalidInput(f"image '{name}': {width} pixels wide, expected {expected}")
+    check_count(meta.count, degree, file_bytes, max_bytes)
+    low, high, *_ = _values(meta, "shN", load, 1)
+    rows = low | high.astype(np.uint16) << 8
+    there = min(meta.palette, height * _PALETTE_COLUMNS)
+    if rows.max(initial=0) >= max(there, 1):
+        raise InvalidInput(f"row {rows.max()} of a palette of {there}")
+    table = meta.tables["shN"]
+    colours = pixels.reshape(height * _PALETTE_COLUMNS, -1, 4)[..., :3]
+    palette = table[colours, np.arange(3)].transpose(2, 1, 0).reshape(-1, len(colours))
+
+    def look_up(some: slice) -> NDArray[np.float32]:
+        planes = palette[:, rows[some]]
+        if np.isnan(planes).any():
+            raise InvalidInput("a byte beyond its codebook")
+        return planes
+
+    return planes_of(len(palette), meta.count, look_up)

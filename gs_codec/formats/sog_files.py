@@ -1,0 +1,278 @@
+"""Files of a SOG scene, the pixels of its images, and its `meta.json`."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats import images
+from gs_codec.formats.limits import refusing
+from gs_codec.runtime.mapped import located
+
+#: Number of files of each group.
+_FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
+
+_TABLE = 256
+_FLOAT32 = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True)
+class Meta:
+    """Contents of `meta.json`.
+
+    Attributes
+    ----------
+    version : {1, 2}
+    count : int
+    model : str
+        How to render the scene: ``default``, ``antialiased`` or other.
+    files : dict of str to list of str
+        Image names of each group present.
+    means : ndarray, shape (2, 3)
+        Lower and upper bounds of the logarithms of centres.
+    tables : dict of str to ndarray
+        Values that the bytes of ``scales``, ``sh0`` and ``shN`` stand for, shape (256, 3); in
+        version 1 ``sh0`` has a fourth column for opacities.
+    bands : int or None
+        SH degree; version 1 does not say.
+    palette : int
+        Rows of the palette of SH-AC.
+    """
+
+    version: int
+    count: int
+    model: str
+    files: dict[str, list[str]]
+    means: NDArray[np.float64]
+    tables: dict[str, NDArray[np.float32]]
+    bands: int | None
+    palette: int
+
+
+def parse_meta(data: bytes) -> Meta:
+    """Parse and check `meta.json`.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not JSON, or not of SOG version 1 or 2.
+    """
+    with refusing("meta.json"):
+        meta = json.loads(data, parse_constant=_no_constant)
+    version = 1 if not isinstance(meta, dict) else meta.get("version", 1)
+    if version not in (1, 2) or isinstance(version, bool | float):
+        raise InvalidInput(f"meta.json: version {version!a:.40}, expected 1 or 2")
+    means = _member(meta, "means")
+    files = {
+        name: _names(_member(meta, name), name, number)
+        for name, number in _FILES.items()
+        if name != "shN" or meta.get("shN") is not None
+    }
+    if version == 1:
+        count = _whole(_list(means, "means", "shape", None)[0], "means.shape")
+        bands, palette = (None, 1 << 16) if "shN" in files else (0, 0)
+        tables = _lines(meta, files)
+    else:
+        count = _whole(meta.get("count"), "count")
+        bands = palette = 0
+        if "shN" in files:
+            bands = _whole(meta["shN"].get("bands"), "shN.bands")
+            palette = _whole(meta["shN"].get("count"), "shN.count")
+        if bands > 3 or palette > 1 << 16:
+            raise InvalidInput(f"meta.json: shN of {bands} bands and {palette} rows")
+        tables = {
+            name: np.repeat(_table(meta[name], name)[:, None], 3, axis=1)
+            for name in ("scales", "sh0", "shN")
+            if name in files
+        }
+    if not bands and bands is not None:
+        files.pop("shN", None)
+    model = meta.get("model", "default")
+    if not isinstance(model, str):
+        raise InvalidInput(f"meta.json: model {model!a:.40}, expected a name")
+    bounds = np.array([_numbers(means, "means", end, 3) for end in ("mins", "maxs")])
+    return Meta(version, count, model, files, bounds, tables, bands, palette)
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number of JSON")
+
+
+def _lines(meta: dict[str, Any], files: dict[str, list[str]]) -> dict[str, NDArray[np.float32]]:
+    """Version 1: 256 values between the bounds of each channel."""
+    share = (np.arange(_TABLE) / (_TABLE - 1))[:, None]
+    tables = {}
+    for name, channels in (("scales", 3), ("sh0", 4), ("shN", 1)):
+        if name not in files:
+            continue
+        low, high = (
+            np.array(_numbers(meta[name], name, end, channels)) for end in ("mins", "maxs")
+        )
+        values = (low * (1 - share) + high * share).astype(np.float32)
+        tables[name] = np.repeat(values, 3, axis=1) if channels == 1 else values
+    return tables
+
+
+def _table(group: dict[str, Any], name: str) -> NDArray[np.float32]:
+    """Version 2: a codebook, at most 256 values."""
+    values = _list(group, name, "codebook", None)
+    if not 1 <= len(values) <= _TABLE:
+        raise InvalidInput(f"meta.json: {name}.codebook of {len(values)}, expected 1 to {_TABLE}")
+    table = np.full(_TABLE, np.nan, np.float32)
+    table[: len(values)] = [_number(value, f"{name}.codebook") for value in values]
+    return table
+
+
+def _member(parent: Any, name: str) -> dict[str, Any]:
+    value = parent.get(name) if isinstance(parent, dict) else None
+    if not isinstance(value, dict):
+        raise InvalidInput(f"meta.json: no '{name}', not a SOG scene")
+    return value
+
+
+def _list(group: dict[str, Any], name: str, key: str, length: int | None) -> list[Any]:
+    value = group.get(key)
+    if not isinstance(value, list) or not value or length not in (None, len(value)):
+        expected = "a list" if length is None else f"a list of {length}"
+        raise InvalidInput(f"meta.json: {name}.{key} is not {expected}")
+    return value
+
+
+def _names(group: dict[str, Any], name: str, number: int) -> list[str]:
+    names = _list(group, name, "files", number)
+    for item in names:
+        # Refuse paths to other folders, and alternate streams of a file on Windows.
+        plain = isinstance(item, str) and item.isprintable() and not set(item) & set("/\\:")
+        if not plain or item.strip(".") == "" or len(item) > 255:
+            raise InvalidInput(f"meta.json: {name}.files has {item!a:.60}, expected a file's name")
+    return names
+
+
+def _numbers(group: dict[str, Any], name: str, key: str, length: int) -> list[float]:
+    """A list of `length` numbers; if `length` is 1, a plain number is accepted too."""
+    where = f"{name}.{key}"
+    if length == 1 and not isinstance(group.get(key), list):
+        return [_number(group.get(key), where)]
+    return [_number(value, where) for value in _list(group, name, key, length)]
+
+
+def _number(value: Any, where: str) -> float:
+    usable = isinstance(value, int | float) and not isinstance(value, bool)
+    if not usable or not abs(value) <= _FLOAT32 or not math.isfinite(value):
+        raise InvalidInput(f"meta.json: {where} has {value!a:.40}, expected a float32 number")
+    return float(value)
+
+
+def _whole(value: Any, where: str) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 31:
+        raise InvalidInput(f"meta.json: {where} is {value!a:.40}, expected a whole number")
+    return value
+
+
+ZIP = b"PK\x03\x04"
+
+#: Reads a file, given its name and the most bytes it may have.
+Files = Callable[[str, int], bytes]
+
+_ENTRIES = 1000
+
+#: Animation flag of an extended WebP file.
+_ANIMATION = 2
+
+
+@contextmanager
+def sog_files(path: Path, is_zip: bool) -> Iterator[Files]:
+    """A function that reads the files of a scene, from a zip or beside its `meta.json`.
+
+    Raises
+    ------
+    InvalidInput
+        If the zip is not valid; when reading, if a file is missing, encrypted, or too large.
+    """
+    if not is_zip:
+        yield lambda name, limit: _read_beside(path, name, limit)
+        return
+    with refusing("zip", zipfile.BadZipFile):
+        archive = zipfile.ZipFile(path)
+    with archive:
+        entries = archive.infolist()
+        if len(entries) > _ENTRIES:
+            raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
+        # Some bundles have all files in one folder.
+        folder = _folder_of({e.filename for e in entries})
+        yield lambda name, limit: _read_entry(archive, folder + name, limit)
+
+
+def stored_bytes(meta: Path, files: Mapping[str, Iterable[str]]) -> int:
+    """Total size of a `meta.json` and the existing files of its scene."""
+    paths = [meta, *(meta.parent / name for names in files.values() for name in names)]
+    return sum(path.stat().st_size for path in paths if path.is_file())
+
+
+def _folder_of(names: Iterable[str]) -> str:
+    """The folder of the scene in a zip."""
+    by_base: dict[str, list[str]] = {}
+    for name in names:
+        by_base.setdefault(name.rpartition("/")[2], []).append(name)
+    if "data.pkl" in by_base:
+        raise InvalidInput("a checkpoint of PyTorch, expected a scene: export it as .ply")
+    if "meta.json" not in by_base:
+        raise InvalidInput("a zip without meta.json, expected a SOG scene")
+    return min(by_base["meta.json"], key=len).removesuffix("meta.json")
+
+
+def _read_beside(meta: Path, name: str, limit: int) -> bytes:
+    path = meta if name == "meta.json" else meta.parent / name
+    with refusing(f"file '{name}'"):
+        if not path.is_file() or path.stat().st_size > limit:
+            raise InvalidInput(f"file '{name}': no file, or of more than {limit} bytes")
+        return path.read_bytes()
+
+
+def _read_entry(archive: zipfile.ZipFile, name: str, limit: int) -> bytes:
+    with refusing(f"zip entry '{name[:60]}'", zipfile.BadZipFile):
+        entry = archive.getinfo(name)
+        if entry.flag_bits & 1:
+            raise InvalidInput(f"zip entry '{name[:60]}': encrypted")
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise InvalidInput(f"zip entry '{name[:60]}': compressed otherwise than by deflate")
+        if entry.file_size > limit:
+            raise InvalidInput(
+                f"zip entry '{name[:60]}': {entry.file_size} bytes, expected at most {limit}"
+            )
+        with archive.open(entry) as file:
+            data = file.read(entry.file_size + 1)
+    if len(data) != entry.file_size:
+        raise InvalidInput(f"zip entry '{name[:60]}': {len(data)} bytes of {entry.file_size}")
+    return data
+
+
+def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:
+    """Pixels ``(height, width, 4)`` of a WebP image, RGBA.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a still WebP image, or has more than `most` pixels.
+    """
+
+    def check_size(width: int, height: int) -> None:
+        if width * height > most:
+            raise InvalidInput(f"{width}x{height} pixels, expected at most {most}")
+
+    # Lossy images are accepted: some files of version 1 have them.
+    with located(f"image '{name}'"):
+        if data[12:16] == b"VP8X" and data[20:21] and data[20] & _ANIMATION:
+            raise InvalidInput("an animation, expected a still image")
+        return images.read_pixels(io.BytesIO(data), ("WEBP",), check_size)

@@ -1,0 +1,91 @@
+"""`.splat` files of antimatter15's viewer: 32 bytes per Gaussian, without SH-AC.
+
+Centre and scales (linear) are float32. Red, green, blue, opacity and the components wxyz of the
+quaternion are a byte each.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import check_count
+from gs_codec.formats.packed_values import bytes_of_opacities, opacities_of, sh_of_colours
+from gs_codec.runtime.mapped import located, opened
+from gs_codec.scene import SH_C0, Scene
+
+_ROW = np.dtype(
+    [("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rot", "u1", 4)]
+)
+
+#: Bytes of a Gaussian.
+RECORD = _ROW.itemsize
+
+#: Largest log-scale whose scale is a finite float32.
+_LARGEST = 88.0
+
+
+def read_splat(path: str | Path, max_bytes: int | None = None) -> Scene:
+    """Read a `.splat` file; floats may take `max_bytes`, see `most_bytes`.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be opened, or its size is not a multiple of the record size.
+    """
+    with opened(path) as data, located(path):
+        if len(data) % RECORD:
+            raise InvalidInput(
+                f"{len(data)} bytes, expected a multiple of {RECORD} (.splat records)"
+            )
+        check_count(len(data) // RECORD, 0, len(data), max_bytes)
+        rows = np.frombuffer(bytes(data), _ROW)
+    with np.errstate(divide="ignore", invalid="ignore"):  # non-finite values are reported later
+        log_scale = np.log(rows["scale"].T)
+    colour = rows["colour"].T
+    return Scene(
+        np.ascontiguousarray(rows["position"].T),
+        sh_of_colours(colour[:3] / 255),
+        np.empty((0, len(rows)), np.float32),
+        opacities_of(path, colour[3]),
+        np.ascontiguousarray(log_scale),
+        np.ascontiguousarray((rows["rot"].T.astype(np.float32) - 128) / 128),
+    )
+
+
+def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of a `.splat` file, and what it cannot hold, in words.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, or a scale too large for a float32.
+    """
+    planes = (scene.positions, scene.f_dc, scene.opacity, scene.log_scale, scene.rot)
+    if not all(np.isfinite(plane).all() for plane in planes):
+        raise InvalidInput("values that are not finite, which .splat cannot hold")
+    if scene.log_scale.max(initial=0) > _LARGEST:
+        raise InvalidInput(f"log-scale {scene.log_scale.max()}, .splat holds up to {_LARGEST}")
+    rows = np.empty(scene.count, _ROW)
+    rows["position"] = scene.positions.T
+    with np.errstate(under="ignore"):
+        rows["scale"] = np.exp(scene.log_scale).T
+    colour = 255 * (0.5 + SH_C0 * scene.f_dc.astype(np.float64))
+    rows["colour"][:, :3] = np.clip(np.rint(colour), 0, 255).T
+    rows["colour"][:, 3] = bytes_of_opacities(scene.opacity[0])
+    rot = scene.rot.astype(np.float64)
+    unit = rot / np.maximum(np.sqrt((rot * rot).sum(axis=0)), 1e-300)
+    rows["rot"] = np.clip(np.rint(128 * unit + 128), 0, 255).T
+    lost = ["opacity, colour and rotation rounded to 8 bits"]
+    outside = int(np.count_nonzero(((colour < -0.5) | (colour > 255.5)).any(axis=0)))
+    if outside:
+        lost.append(f"colours outside 0 to 1 of {outside:,} Gaussians clipped")
+    if scene.sh_degree:
+        lost.append(f"SH of degrees 1 to {scene.sh_degree} left out")
+    if scene.extra:
+        lost.append(f"properties left out: {', '.join(list(scene.extra)[:4])}")
+    if scene.comments:
+        lost.append(f"comments left out: {len(scene.comments)} lines")
+    return rows.tobytes(), tuple(lost)

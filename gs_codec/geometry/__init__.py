@@ -1,1 +1,0 @@
-"""Geometry and SH-DC as a coloured point cloud."""

@@ -1,0 +1,1 @@
+"""Camera guidance: sensitivities as step sizes; rate targets."""

@@ -1,0 +1,402 @@
+"""Rate control: one number, the coarseness, scales all step sizes of a scene.
+
+Profiles `l`, `m` and `s` give each parameter of each Gaussian the step size at which it adds the
+same error, so that one more bit reduces the error equally everywhere. The coarseness sets that
+error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.codecs.adaptive.encode import shape_scene
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.coding.clean import clean_scene
+from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.errors import InvalidInput
+from gs_codec.guidance.guide import Colours, Guidance, guide
+from gs_codec.guidance.search import COARSEST, FINEST, expected, search
+from gs_codec.preparation.leave_one_out import leave_one_out
+from gs_codec.preparation.prune import keep_highest
+from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
+from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes, step_counter
+from gs_codec.scene import Scene
+
+#: A file may be smaller than asked for by at most this share.
+_SIZE_TOLERANCE = 0.02
+
+#: A loss may be smaller than asked for by at most this, dB.
+_DROP_TOLERANCE = 0.02
+
+#: Approximate change of log2 of the size, and of the loss, when the steps double.
+_SIZE_SLOPE, _DROP_SLOPE = -0.45, 1.7
+
+#: For the first guess: about how many times smaller SH compaction makes a file, and then how many
+#: times larger the refit of colours makes it.
+_COMPACTION_SAVES, _REFIT_ADDS = 1.08, 1.01
+
+#: Colours are refitted again if the coarseness changes by more than this, log2.
+_RECOLOUR_AGAIN = 0.05
+_MOST_RECOLOURINGS = 5
+
+#: Share of the Gaussians that a round of pruning removes, and the largest number of rounds.
+_PART, _MOST_PARTS = 0.2, 10
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Views that measure the loss, and their errors before encoding.
+
+    Attributes
+    ----------
+    views : ViewSplit
+        The held-out views measure the loss.
+    before : ndarray, shape (views,)
+        Mean squared errors of the held-out views at a loss of 0 dB.
+    progress : callable, optional
+        Called after each view that is measured.
+    """
+
+    views: ViewSplit
+    before: NDArray[np.float64]
+    progress: Progress | None = None
+
+    def loss(self, data: bytes) -> float:
+        """PSNR loss of a file in the held-out views, dB."""
+        measured = self.views.held_out
+        return measured.drop(measured.errors(decode_scene(data), self.progress), self.before)
+
+
+def encode_to_target(
+    scene: Scene,
+    config: Config,
+    target: RateTarget,
+    limit: int | None,
+    targets: ReferenceViews | None = None,
+    seen: Seen | None = None,
+    progress: Progress | None = None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene at the coarseness that meets a target.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+        Of profile ``l``, ``m`` or ``s``; where the search begins.
+    target : RateTarget
+    limit : int or None
+        Largest file size, bytes; None if the target is a loss.
+    targets : ReferenceViews, optional
+        Reference views; without them the encoder is camera-free.
+    seen : Seen, optional
+        Needed if the target is a loss or allows pruning.
+    progress : callable, optional
+
+    Raises
+    ------
+    InvalidInput
+        If the profile has fixed steps, or the target is unreachable; the error gives the range.
+    """
+    check_searchable(scene, config)
+    if seen is None and (limit is None or target.allow_prune):
+        raise InvalidInput("target: a loss in dB, or pruning, needs views")
+    clean, changed = clean_scene(scene, config)
+    times = StageTimes()
+    if seen is not None and target.allow_prune:
+        met, encodings = _meet_pruning(clean, config, target, limit, targets, seen, times, progress)
+    else:
+        met = _meet(_begin(clean, config, targets, times, progress), target, limit, seen, 0.0)
+        encodings = met.trials.number
+    data, report = met.trials.last
+    steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
+    rate = RateReport(
+        target,
+        2.0**met.trials.place,
+        steps,
+        len(data),
+        met.predicted_bytes,
+        met.trials.loss,
+        met.predicted_drop,
+        encodings,
+        clean.count - met.trials.scene.count,
+        met.at_end,
+    )
+    return data, replace(report, **changed, seconds=times.seconds, rate=rate)
+
+
+def check_searchable(scene: Scene, config: Config) -> None:
+    """Check that the profile and the scene allow a target.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if config.profile not in ADAPTIVE_PROFILES:
+        known = ", ".join(ADAPTIVE_PROFILES)
+        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, expected {known}")
+    if not scene.count:
+        raise InvalidInput("target: the scene has no Gaussians")
+
+
+class _OutOfReach(InvalidInput):
+    """No steps meet a target."""
+
+
+class _TooLarge(_OutOfReach):
+    """All files are too large; with fewer Gaussians one may be small enough."""
+
+
+@dataclass
+class _Trials:
+    """Trial encodings of a scene, with the colours that were refitted last.
+
+    Attributes
+    ----------
+    scene : Scene
+        As given.
+    config : Config
+    guidance : Guidance or None
+    times : StageTimes
+    coloured : Scene
+        The scene with the colours refitted last.
+    place : float
+        Log2 of the coarseness of `last`.
+    last : tuple
+        File and report of the last encoding.
+    number : int
+        Number of encodings, including those to refit colours.
+    loss : float or None
+        PSNR loss of `last`, dB; None if it was not measured.
+    compacting : bool
+        Whether `refit` compacts SH first.
+    """
+
+    scene: Scene
+    config: Config
+    guidance: Guidance | None
+    times: StageTimes
+    coloured: Scene = field(init=False)
+    place: float = 0.0
+    last: tuple[bytes, EncodeReport] = field(init=False)
+    number: int = 0
+    loss: float | None = None
+    compacting: bool = True
+
+    def __post_init__(self) -> None:
+        self.coloured = self.scene
+
+    def config_at(self, place: float) -> Config:
+        return replace(self.config, coarseness=2.0**place)
+
+    def size(self, place: float) -> int:
+        """Encode with the current colours; return the file's size, bytes."""
+        config = self.config_at(place)
+        with self.times.stage("search"):
+            steps = None
+            if self.guidance is not None:
+                steps = self.guidance.steps(self.coloured, config.resolved_lattice())
+            self.last = encode_scene(self.coloured, config, steps=steps)
+        self.place = place
+        self.number += 1
+        return len(self.last[0])
+
+    def compact(self, place: float) -> None:
+        """Compact SH for steps of this coarseness, without deciding whether it pays."""
+        self._recolour(place, lambda colours, *shaped: colours.sketch(*shaped))
+
+    def settle(self, place: float) -> None:
+        """As `compact`, but decide first whether compaction pays; the decision is kept."""
+        self._recolour(place, lambda colours, *shaped: colours.compact(*shaped))
+
+    def refit(self, place: float) -> None:
+        """Compact and refit SH for steps of this coarseness."""
+
+        def both(colours: Colours, decoded: Scene, *steps: Any) -> Scene:
+            if self.compacting:
+                decoded = colours.compact(decoded, *steps)
+            return colours.refit(decoded)
+
+        self._recolour(place, both)
+
+    def _recolour(self, place: float, choose: Callable[..., Scene]) -> None:
+        assert self.guidance is not None
+        config = self.config_at(place)
+        profile = config.resolved_lattice()
+        with self.times.stage("recolour"):
+            steps = self.guidance.steps(self.scene, profile)
+            shaped = shape_scene(self.scene, config, steps, StageTimes())
+            asked = (shaped.decoded(), shaped.order, shaped.sh_steps(), profile)
+            shaped = shaped.with_colours(choose(self.guidance.colours, *asked))
+        self.coloured = shaped.arranged.source
+        self.number += 1
+
+
+@dataclass(frozen=True)
+class _Met:
+    """Trials whose last encoding meets a target, and predictions of its size or loss.
+
+    `at_end` tells that no steps come nearer to the target.
+    """
+
+    trials: _Trials
+    predicted_bytes: int | None = None
+    predicted_drop: float | None = None
+    at_end: bool = False
+
+
+def _meet_pruning(
+    scene: Scene,
+    config: Config,
+    target: RateTarget,
+    limit: int | None,
+    targets: ReferenceViews | None,
+    seen: Seen,
+    times: StageTimes,
+    progress: Progress | None,
+) -> tuple[_Met, int]:
+    """Meet a target with the number of Gaussians that gives the least loss, or the smallest file.
+
+    Each round removes the Gaussians of lowest leave-one-out error, as long as this pays. Return
+    also how many encodings it took.
+    """
+    renders = seen.views.renders
+    best: _Met | None = None
+    refused: _OutOfReach | None = None
+    least, place, encodings = math.inf, 0.0, 0
+    for part in range(1, _MOST_PARTS + 1):
+        trials = _begin(scene, config, targets, times, progress)
+        try:
+            met = _meet(trials, target, limit, seen, place)
+        except _OutOfReach as refusal:
+            refused, cost = refusal, math.inf
+            if not isinstance(refusal, _TooLarge):
+                break
+        else:
+            data = trials.last[0]
+            cost = len(data) if limit is None else seen.loss(data)
+            place = trials.place
+        finally:
+            encodings += trials.number
+        if cost < least:
+            best, least = met, cost
+        elif best is not None:
+            break
+        removed = int(_PART * scene.count)
+        if not removed:
+            break
+        with times.stage("prune"):
+            advance = step_counter(progress, f"leave-one-out, part {part}", len(renders.cameras))
+            scores = leave_one_out(scene, renders.cameras, renders.background, advance)
+            scene = scene.take(keep_highest(scores, removed))
+    if best is None:
+        assert refused is not None
+        raise refused
+    return best, encodings
+
+
+def _begin(
+    scene: Scene,
+    config: Config,
+    targets: ReferenceViews | None,
+    times: StageTimes,
+    progress: Progress | None,
+) -> _Trials:
+    """New trials of a scene, with guidance from its reference views if there are any."""
+    guidance = None
+    if targets is not None:
+        with times.stage("views"):
+            guidance = guide(scene, targets, progress)
+    return _Trials(scene, config, guidance, times)
+
+
+def _meet(
+    trials: _Trials, target: RateTarget, limit: int | None, seen: Seen | None, start: float
+) -> _Met:
+    """Meet a target with all Gaussians of a scene."""
+    if limit is not None:
+        return _meet_size(trials, limit, start)
+    assert seen is not None
+    return _meet_drop(trials, float(target.psnr_drop or 0), seen)
+
+
+def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
+    """Search for steps at which the file is just within the limit."""
+    interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
+    predicted = None
+    if trials.guidance is not None:
+        # Current colours, then compacted ones, are quick and give most of the final size.
+        before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
+        plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
+        search(trials.size, *plain, start, _SIZE_SLOPE)
+        _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
+        trials.settle(trials.place)
+        if not before[0] <= trials.size(trials.place) <= before[1]:
+            # Compaction does not pay at these steps, so it is left out.
+            _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
+        predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.place
+    recolour = None if trials.guidance is None else trials.refit
+    found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)
+    if found is None:
+        least, most = (trials.size(end) for end in (COARSEST, FINEST))
+        if most > limit:
+            kind = _TooLarge if least > limit else _OutOfReach
+            raise kind(f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach")
+    return _Met(trials, predicted, at_end=found is None)
+
+
+def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
+    """Search for steps at which the loss of views is just within the limit."""
+    measured, before = seen.views.held_out, float(np.mean(seen.before))
+
+    def drop(place: float) -> float:
+        trials.size(place)
+        trials.loss = seen.loss(trials.last[0])
+        return trials.loss
+
+    allowed = measured.error_for(wanted, before) - before
+    at_once = trials.config_at(0.0).resolved_lattice().error
+    start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
+    interval = (wanted - _DROP_TOLERANCE, wanted)
+    found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+    if found is None:
+        # Compaction may cost held-out views more than the limit, even at its weakest.
+        trials.compacting = False
+        found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+    if found is None:
+        least, most = (drop(end) for end in (FINEST, COARSEST))
+        if most > wanted:
+            raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
+    predicted = measured.drop(before + at_once * 4.0**trials.place, before)
+    return _Met(trials, None, predicted, at_end=found is None)
+
+
+def _search_recoloured(
+    recolour: Callable[[float], None] | None,
+    measure: Callable[[float], float],
+    interval: tuple[float, float],
+    start: float,
+    slope: float,
+) -> float | None:
+    """`search`, with colours refitted for about the steps that are found."""
+    place = start
+    for _ in range(_MOST_RECOLOURINGS):
+        if recolour is None:
+            break
+        recolour(place)
+        value = measure(place)
+        if interval[0] <= value <= interval[1]:
+            return place
+        following = expected(value, *interval, place, slope)
+        if following == place:
+            return None
+        moved, place = abs(following - place), following
+        if moved <= _RECOLOUR_AGAIN:
+            break
+    return search(measure, *interval, place, slope)

@@ -1,0 +1,223 @@
+"""Sensitivity of images to each attribute of each Gaussian, to second order.
+
+A small change of an attribute x adds a squared error of ``sum (dC / dx)^2`` times its square: the
+diagonal of the Gauss-Newton matrix. Changes of several Gaussians or attributes in one pixel are
+treated as independent, as rounding errors are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.step_sizes import Sensitivity
+from gs_codec.guidance.splat_moments import (
+    SQUARED_WEIGHT,
+    G,
+    fourth_moment,
+    second_moment,
+    sum_moments,
+)
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.project import (
+    FACTOR_XX,
+    FACTOR_XY,
+    FACTOR_YY,
+    LOW_PASS,
+    before_camera,
+    clamped_slopes,
+    covariance,
+    quaternion_turn,
+)
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import available_threads, run_all
+from gs_codec.scene import Scene
+
+#: Columns of the sums over views; log-scale has three.
+_POSITIONS, _LOG_SCALE, _ROT, _OPACITY, _COLOUR, _COLUMNS = 0, 1, 4, 5, 6, 7
+
+#: Views drawn, for each thread, before their results are added in order.
+_VIEWS_A_THREAD = 4
+
+
+def sensitivity(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    progress: Progress | None = None,
+    keep: bool = True,
+) -> tuple[Sensitivity, NDArray[np.float32]]:
+    """Squared error over views, pixels and colours from small changes of each attribute.
+
+    Which splats are drawn in which pixels, and in what order, is treated as constant. Pixels where
+    a change takes a splat over the least visible alpha add an error that is not counted; it matters
+    most for very small changes. A change of position moves the centre of the splat; its effect on
+    the splat's shape and on view-dependent colour is left out. An alpha at its limit does not
+    change. `colour` is the sum of (alpha T)^2, also where a colour is clamped at black.
+
+    Parameters
+    ----------
+    scene : Scene
+    cameras : sequence of Camera
+    background : sequence of three float
+        RGB behind the scene.
+    progress : callable, optional
+    keep : bool
+        Whether to keep what each view adds to `colour`.
+
+    Returns
+    -------
+    Sensitivity
+        0 for Gaussians that are not drawn in any view, and so for those with values that are
+        not finite.
+    ndarray, shape (views, N), float32
+        What each view adds to `colour`, as in `squared_weights`; shape (0, N) without `keep`.
+    """
+    advance = step_counter(progress, "sensitivity", len(cameras))
+    totals = np.zeros((scene.count, _COLUMNS))
+    weights = np.zeros((len(cameras) if keep else 0, scene.count), np.float32)
+    size = _VIEWS_A_THREAD * available_threads()
+    for start in range(0, len(cameras), size):
+        views = run_all(
+            lambda camera: _look(scene, camera, background),
+            cameras[start : start + size],
+            advance=advance,
+        )
+        for view, (gaussians, found) in enumerate(views, start):
+            totals[gaussians] += found
+            if keep:
+                weights[view, gaussians] = found[:, _COLOUR]
+    columns = np.ascontiguousarray(totals.T)
+    summed = Sensitivity(
+        columns[_POSITIONS],
+        columns[_LOG_SCALE:_ROT],
+        columns[_ROT],
+        columns[_OPACITY],
+        columns[_COLOUR],
+    )
+    return summed, weights
+
+
+def _look(
+    scene: Scene, camera: Camera, background: Sequence[float]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The Gaussians ``(V,)`` that a view draws, and what it adds to their sums ``(V, 7)``."""
+    frame = make_frame(scene, camera)
+    fields, gaussians = frame.splats.fields, frame.splats.gaussians
+    sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
+    behind = np.array(background, np.float64)
+    sum_moments(fields, *frame.lists, frame.columns, camera.width, camera.height, behind, sums)
+    found = np.empty((len(fields), _COLUMNS))
+    _to_attributes(
+        scene.positions,
+        scene.opacity,
+        scene.log_scale,
+        scene.rot,
+        camera.rotation,
+        camera.position,
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        camera.width,
+        camera.height,
+        scene.antialiased,
+        fields,
+        gaussians,
+        sums,
+        found,
+    )
+    return gaussians, found
+
+
+@kernel
+def _to_attributes(
+    positions, opacity, log_scale, rot, rotation, position, intrinsics, width, height,
+    antialiased, fields, gaussians, sums, found,
+):  # fmt: skip
+    """Fill ``found (V, 7)`` from the sums over the pixels of each splat."""
+    fx, fy, cx, cy = intrinsics
+    variances, axes = np.empty(3), np.empty((3, 2))
+    units, offsets = np.empty((3, 2)), np.empty((3, 2))
+    for splat in range(len(gaussians)):
+        i = gaussians[splat]
+        field, total, row = fields[splat], sums[splat], found[splat]
+        x, y, z = before_camera(
+            rotation,
+            positions[0, i] - position[0],
+            positions[1, i] - position[1],
+            positions[2, i] - position[2],
+        )
+        x /= z
+        y /= z
+        row[_POSITIONS] = _by_position(total, field, rotation, x, y, fx / z, fy / z)
+        x, y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
+        _, turn = quaternion_turn(rot, i)
+        for k in range(3):
+            scale = math.exp(np.float64(log_scale[k, i]))
+            qx, qy, qz = before_camera(rotation, turn[0][k], turn[1][k], turn[2][k])
+            units[k, 0] = fx / z * (qx - x * qz)
+            units[k, 1] = fy / z * (qy - y * qz)
+            axes[k, 0], axes[k, 1] = scale * units[k, 0], scale * units[k, 1]
+            offsets[k, 0], offsets[k, 1] = _offset(field, units[k, 0], units[k, 1])
+            variances[k] = scale * scale
+        row[_ROT] = 0.0
+        for k in range(3):
+            m = (k + 1) % 3
+            stretched = _by_covariance(total, axes, units, offsets, k, k, antialiased)
+            turned = _by_covariance(total, axes, units, offsets, k, m, antialiased)
+            row[_LOG_SCALE + k] = variances[k] ** 2 * stretched
+            row[_ROT] += (variances[k] - variances[m]) ** 2 * turned / 3.0
+        row[_OPACITY] = total[G] / (1.0 + math.exp(np.float64(opacity[0, i]))) ** 2
+        row[_COLOUR] = total[SQUARED_WEIGHT]
+        for column in range(_COLUMNS):
+            # Products of very large values may overflow.
+            if not row[column] < np.inf:
+                row[column] = 0.0
+
+
+@inlined
+def _by_position(total, field, rotation, x, y, pixels_x, pixels_y):
+    """Sensitivity to position, mean of the world's axes; (x, y) are slopes to the optical axis."""
+    mean = 0.0
+    for k in range(3):
+        step = _offset(
+            field,
+            pixels_x * (rotation[0, k] - x * rotation[2, k]),
+            pixels_y * (rotation[1, k] - y * rotation[2, k]),
+        )
+        mean += second_moment(total, step, step) / 3.0
+    return mean
+
+
+@inlined
+def _offset(field, x, y):
+    """Transform a vector of the image to the axes in which q is a sum of squares."""
+    return field[FACTOR_XX] * x + field[FACTOR_XY] * y, field[FACTOR_YY] * y
+
+
+@inlined
+def _by_covariance(total, axes, units, offsets, k, m, antialiased):
+    """Sensitivity to a change of the covariance by ``u_k u_m^T + u_m u_k^T``.
+
+    u are the Gaussian's axes of length 1, projected to pixels. ln alpha changes by
+    ``(o . u_k) (o . u_m)``; if antialiased, its compensation changes as well.
+    """
+    fourth = fourth_moment(total, offsets[k], offsets[m])
+    if not antialiased:
+        return fourth
+    xx, _, yy, sharp = covariance(axes)
+    determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
+    if not sharp / determinant > 0.000025:
+        return fourth
+    by_sharp = 0.0
+    for j in range(3):
+        by_sharp += (axes[j, 0] * units[k, 1] - axes[j, 1] * units[k, 0]) * (
+            axes[j, 0] * units[m, 1] - axes[j, 1] * units[m, 0]
+        )
+    along = units[k, 0] * units[m, 0] + units[k, 1] * units[m, 1]
+    added = by_sharp / sharp - (by_sharp + LOW_PASS * along) / determinant
+    second = second_moment(total, offsets[k], offsets[m])
+    return fourth + 2.0 * added * second + added * added * total[G]

@@ -1,1 +1,0 @@
-"""Quantisation on lattices whose steps follow how much of each Gaussian is seen."""

@@ -1,0 +1,183 @@
+"""The loss of 3DGS between an image and its target, and its derivative by the image."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import run_all
+
+#: Half the window of SSIM, pixels.
+_HALF = 5
+
+_GAUSSIAN = np.exp(-(np.arange(-_HALF, _HALF + 1.0) ** 2) / (2 * 1.5**2))
+_WINDOW = tuple((_GAUSSIAN / _GAUSSIAN.sum())[: _HALF + 1].tolist())
+
+_C1, _C2 = 0.01**2, 0.03**2
+
+#: Rows of an image that one task works on.
+_BAND = 16
+
+
+class LossWeights(NamedTuple):
+    """Parts of the loss: mean absolute and squared error, and 1 - SSIM.
+
+    The default is that of 3DGS (Kerbl et al. 2023, Equation 7, lambda = 0.2).
+    """
+
+    absolute: float = 0.8
+    squared: float = 0.0
+    ssim: float = 0.2
+
+
+class ImageLoss(NamedTuple):
+    """A loss, the mean squared error, and ``by_colour (H, W, 3)``, the loss's derivative."""
+
+    value: float
+    squared_error: float
+    by_colour: NDArray[np.float64]
+
+
+def image_loss(
+    colour: NDArray[np.float64],
+    target: NDArray,
+    weights: LossWeights = LossWeights(),  # noqa: B008
+) -> ImageLoss:
+    """Compare images ``(H, W, 3)``, not clipped; means are over pixels and colours.
+
+    SSIM has the Gaussian window of sigma 1.5, 11 pixels wide (Wang et al. 2004), and as in the
+    3DGS trainer what lies outside an image is 0.
+    """
+    height, width, _ = colour.shape
+    image, goal = colour.reshape(height, -1), target.reshape(height, -1)
+    by_image = np.empty_like(image)
+    totals = np.zeros((height, 3))
+    # Rows outside the image stay 0.
+    means = np.zeros((5, height + 2 * _HALF, 3 * width))
+    slopes = np.zeros((3, height + 2 * _HALF, 3 * width))
+    factors = np.array(weights) / image.size
+    bands = [(y, min(y + _BAND, height)) for y in range(0, height, _BAND)]
+    if weights.ssim:
+        run_all(lambda band: _blur_across(image, goal, *band, means), bands)
+        run_all(
+            lambda band: _compare_windows(means, -weights.ssim / image.size, *band, slopes, totals),
+            bands,
+        )
+    run_all(
+        lambda band: _differentiate(image, goal, slopes, factors, *band, by_image, totals),
+        bands,
+    )
+    absolute, squared, ssim = totals.sum(axis=0) / image.size
+    value = weights.absolute * absolute + weights.squared * squared + weights.ssim * (1 - ssim)
+    return ImageLoss(float(value), float(squared), by_image.reshape(colour.shape))
+
+
+@inlined
+def _blur_row(padded, out):
+    """Blur a row of RGB with the window; `padded` has 5 more pixels at either end."""
+    w0, w1, w2, w3, w4, w5 = _WINDOW
+    for j in range(len(out)):
+        out[j] = (
+            w5 * padded[j + 15]
+            + w4 * (padded[j + 12] + padded[j + 18])
+            + w3 * (padded[j + 9] + padded[j + 21])
+            + w2 * (padded[j + 6] + padded[j + 24])
+            + w1 * (padded[j + 3] + padded[j + 27])
+            + w0 * (padded[j] + padded[j + 30])
+        )
+
+
+@inlined
+def _blur_column(plane, y, out):
+    """Blur rows `y` to `y` + 10 of a plane with the window."""
+    w0, w1, w2, w3, w4, w5 = _WINDOW
+    # Two loops, because the compiler does not vectorise one over this many arrays.
+    for j in range(len(out)):
+        out[j] = (
+            w5 * plane[y + 5, j]
+            + w4 * (plane[y + 4, j] + plane[y + 6, j])
+            + w3 * (plane[y + 3, j] + plane[y + 7, j])
+        )
+    for j in range(len(out)):
+        out[j] += (
+            w2 * (plane[y + 2, j] + plane[y + 8, j])
+            + w1 * (plane[y + 1, j] + plane[y + 9, j])
+            + w0 * (plane[y, j] + plane[y + 10, j])
+        )
+
+
+@kernel
+def _blur_across(image, goal, first, end, means):
+    """Windowed row sums of x, t, x^2, t^2 and x t, for rows `first` to `end`."""
+    size = image.shape[1]
+    padded = np.zeros((5, size + 30))
+    for y in range(first, end):
+        for j in range(size):
+            x, t = image[y, j], np.float64(goal[y, j])
+            padded[0, 15 + j] = x
+            padded[1, 15 + j] = t
+            padded[2, 15 + j] = x * x
+            padded[3, 15 + j] = t * t
+            padded[4, 15 + j] = x * t
+        for k in range(5):
+            _blur_row(padded[k], means[k, y + _HALF])
+
+
+@kernel
+def _compare_windows(means, factor, first, end, slopes, totals):
+    """SSIM of each window, and row sums of its derivatives by the windowed x, x^2 and x t."""
+    size = means.shape[2]
+    window = np.empty((5, size))
+    padded = np.zeros((3, size + 30))
+    for y in range(first, end):
+        for k in range(5):
+            _blur_column(means[k], y, window[k])
+        total = 0.0
+        for j in range(size):
+            x, t = window[0, j], window[1, j]
+            top_mean = 2.0 * x * t + _C1
+            top_spread = 2.0 * (window[4, j] - x * t) + _C2
+            mean = 1.0 / (x * x + t * t + _C1)
+            spread = 1.0 / (window[2, j] - x * x + window[3, j] - t * t + _C2)
+            ssim = top_mean * top_spread * mean * spread
+            total += ssim
+            by_both = 2.0 * factor * top_mean * mean * spread
+            by_square = -factor * ssim * spread
+            padded[0, 15 + j] = (
+                2.0 * factor * mean * (t * top_spread * spread - x * ssim)
+                - 2.0 * x * by_square
+                - t * by_both
+            )
+            padded[1, 15 + j] = by_square
+            padded[2, 15 + j] = by_both
+        totals[y, 2] = total
+        for k in range(3):
+            _blur_row(padded[k], slopes[k, y + _HALF])
+
+
+@kernel
+def _differentiate(image, goal, slopes, factors, first, end, by_image, totals):
+    size = image.shape[1]
+    window = np.zeros((3, size))
+    for y in range(first, end):
+        if factors[2] != 0.0:
+            for k in range(3):
+                _blur_column(slopes[k], y, window[k])
+        absolute = squared = 0.0
+        for j in range(size):
+            x, t = image[y, j], np.float64(goal[y, j])
+            error = x - t
+            absolute += abs(error)
+            squared += error * error
+            by_image[y, j] = (
+                factors[0] * np.sign(error)
+                + 2.0 * factors[1] * error
+                + window[0, j]
+                + 2.0 * x * window[1, j]
+                + t * window[2, j]
+            )
+        totals[y, 0] = absolute
+        totals[y, 1] = squared

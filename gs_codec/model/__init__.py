@@ -1,1 +1,0 @@
-"""Distributions of quantised symbols, as integer frequency tables any machine derives alike."""

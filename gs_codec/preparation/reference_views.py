@@ -1,0 +1,169 @@
+"""Reference views that guide preparation: cameras, and the images to match."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.metrics.images import Quality, compare_images, mean_quality
+from gs_codec.metrics.views import fitted
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.images import read_image, seek_image
+from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.mapped import other_files
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+#: MSE against photographs that is assumed where there are none: 30 dB.
+_NOMINAL_ERROR = 1e-3
+
+
+@dataclass(frozen=True)
+class ReferenceViews:
+    """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter.
+
+    `photographs` tells whether the images are photographs or renders of the scene to be prepared;
+    `source` is that scene, if it is known.
+    """
+
+    cameras: tuple[Camera, ...]
+    images: tuple[NDArray[np.float32], ...]
+    photographs: bool
+    background: tuple[float, float, float]
+    source: Scene | None = None
+
+    def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
+        """Quality of a scene's images against these, mean over the views."""
+
+        def compare(i: int) -> Quality:
+            drawn = render(scene, self.cameras[i], self.background, device="cpu")
+            return compare_images(drawn.colour, self.images[i])
+
+        return mean_quality(self._of_each(compare, progress))
+
+    def error(self, scene: Scene, progress: Progress | None = None) -> float:
+        """Mean squared error of a scene's images, mean over the views."""
+        return float(np.mean(self.errors(scene, progress)))
+
+    def errors(self, scene: Scene, progress: Progress | None = None) -> NDArray[np.float64]:
+        """Mean squared error of a scene's image in each view."""
+        if scene is self.source:
+            return np.zeros(len(self.cameras))
+
+        def measure(i: int) -> float:
+            drawn = render(scene, self.cameras[i], self.background, device="cpu")
+            return float(np.mean((drawn.colour - self.images[i]) ** 2, dtype=np.float64))
+
+        return np.array(self._of_each(measure, progress))
+
+    def _of_each(self, measure: Callable[[int], Result], progress: Progress | None) -> list[Result]:
+        number = len(self.cameras)
+        return run_all(measure, range(number), advance=step_counter(progress, "measure", number))
+
+    def drop(
+        self, errors: float | NDArray[np.float64], before: float | NDArray[np.float64]
+    ) -> float:
+        """Loss of PSNR, dB, mean over the views, from mean squared errors `before` to `errors`.
+
+        If the images are the scene's own renders, the scene is assumed to have 30 dB against
+        photographs, and both errors to add up.
+        """
+        own = 0.0 if self.photographs else _NOMINAL_ERROR
+        return 10 * float(np.mean(np.log10((own + errors) / (own + before))))
+
+    def error_for(self, drop: float, before: float) -> float:
+        """The mean squared error that loses `drop` dB in each view: the inverse of `drop`."""
+        own = 0.0 if self.photographs else _NOMINAL_ERROR
+        return (own + before) * 10 ** (drop / 10) - own
+
+
+class ViewSplit(NamedTuple):
+    """Views that guide preparation, and views that measure quality.
+
+    Attributes
+    ----------
+    renders : ReferenceViews
+        Renders of the input by the cameras that guide the steps.
+    photographs : ReferenceViews or None
+        Photographs of such cameras, where there are any.
+    held_out : ReferenceViews
+        The views that measure quality.
+    """
+
+    renders: ReferenceViews
+    photographs: ReferenceViews | None
+    held_out: ReferenceViews
+
+    @property
+    def wanted(self) -> ReferenceViews:
+        """The images to match: photographs if there are any, else renders."""
+        return self.photographs or self.renders
+
+
+@other_files()
+def photographed(cameras: Sequence[Camera], folder: str | Path) -> list[tuple[Camera, Path]]:
+    """The cameras whose image is in a folder, and the images' paths.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no image of any camera, or a name leads out of the folder.
+    """
+    found = []
+    for camera in cameras:
+        path = seek_image(folder, camera.name)
+        if path is not None:
+            found.append((camera, path))
+    if not found:
+        raise InvalidInput(f"{folder}: no image of the {len(cameras)} cameras")
+    return found
+
+
+def draw_reference_views(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    background: tuple[float, float, float],
+    progress: Progress | None = None,
+) -> ReferenceViews:
+    """Render a scene's own views."""
+    images = run_all(
+        lambda camera: render(scene, camera, background, device="cpu").colour,
+        cameras,
+        advance=step_counter(progress, "draw", len(cameras)),
+    )
+    return ReferenceViews(tuple(cameras), tuple(images), False, background, scene)
+
+
+@other_files()
+def read_targets(
+    found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
+) -> ReferenceViews:
+    """Read photographs, and resize the cameras to them.
+
+    Raises
+    ------
+    InvalidInput
+        If one is broken, or does not have its camera's shape.
+    """
+    images = run_all(lambda item: read_image(item[1]), found)
+    sized = [
+        fitted(camera, image, path) for (camera, path), image in zip(found, images, strict=True)
+    ]
+    return ReferenceViews(tuple(sized), tuple(images), True, background)
+
+
+def evenly(items: Sequence[Item], count: int) -> list[Item]:
+    """Choose `count` of the items, evenly spaced in their order; all if there are fewer."""
+    if len(items) <= count:
+        return list(items)
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]

@@ -1,1 +1,0 @@
-"""Files of a wanted size or quality."""

@@ -1,0 +1,243 @@
+"""From derivatives by pixel to derivatives by splat and by the Gaussian's attributes.
+
+Let C be the colour of a pixel, S_k the light from behind splat k, and w_k = alpha_k T_k its weight.
+Then ``dC / dc_k = w_k`` and ``dC / dalpha_k = T_k c_k - S_k / (1 - alpha_k)`` (Kerbl et al. 2023,
+Appendix C, which goes back to front).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gs_codec.rendering.harmonics import sh_basis, sh_slope
+from gs_codec.rendering.project import (
+    BLUE,
+    CENTRE_X,
+    CENTRE_Y,
+    GREEN,
+    LOW_PASS,
+    RED,
+    TILE,
+    before_camera,
+    clamped_slopes,
+    covariance,
+    quaternion_turn,
+)
+from gs_codec.rendering.trace import MAX_ALPHA, tile_bounds, trace_splat
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.scene import SH_C0
+
+#: Columns of the sums over a splat's pixels: the derivative by its colour, then moments of
+#: s = alpha dL/dalpha: s, s dx, s dy, s dx^2, s dx dy, s dy^2, with (dx, dy) from the splat's
+#: centre to the pixel. They suffice: alpha = opacity exp(-q / 2), and q is quadratic in (dx, dy).
+BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
+
+
+@kernel
+def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_colour, sums):
+    """Fill ``sums (pairs, 9)`` for tiles `first` to `end`.
+
+    ``colour (H, W, 3)`` is the image, background included; ``by_colour (H, W, 3)`` is the
+    derivative of the loss by it.
+    """
+    height, width, _ = colour.shape
+    pull = np.empty((TILE * TILE, 4))
+    left = np.empty(TILE * TILE)
+    pixels = np.empty(TILE * TILE, np.int64)
+    alphas = np.empty(TILE * TILE)
+    before = np.empty(TILE * TILE)
+    for tile in range(first, end):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        left[:] = 1.0
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                pixel = pull[(y - y0) * TILE + x - x0]
+                pixel[3] = 0.0
+                for channel in range(3):
+                    pixel[channel] = by_colour[y, x, channel]
+                    pixel[3] += by_colour[y, x, channel] * colour[y, x, channel]
+        still_open = (x1 - x0) * (y1 - y0)
+        for pair in range(starts[tile], starts[tile + 1]):
+            total = sums[pair]
+            total[:] = 0.0
+            if still_open == 0:
+                continue
+            field = fields[splats[pair]]
+            count, done = trace_splat(field, x0, x1, y0, y1, left, pixels, alphas, before)
+            still_open -= done
+            red, green, blue = field[RED], field[GREEN], field[BLUE]
+            u, v = field[CENTRE_X] - x0, field[CENTRE_Y] - y0
+            by_red = by_green = by_blue = moment = 0.0
+            moment_x = moment_y = moment_xx = moment_xy = moment_yy = 0.0
+            for i in range(count):
+                # Unsigned, so that numba does not test each index for being negative.
+                place = np.uint64(pixels[i])
+                alpha = alphas[i]
+                weight = alpha * before[i]
+                pull_red, pull_green, pull_blue = pull[place, 0], pull[place, 1], pull[place, 2]
+                by_red += weight * pull_red
+                by_green += weight * pull_green
+                by_blue += weight * pull_blue
+                own = weight * (pull_red * red + pull_green * green + pull_blue * blue)
+                behind = pull[place, 3] - own
+                pull[place, 3] = behind
+                # An alpha at its limit does not change.
+                if alpha < MAX_ALPHA:
+                    change = own - behind * (alpha / (1.0 - alpha))
+                    dx = np.int64(place % np.uint64(TILE)) - u
+                    dy = np.int64(place // np.uint64(TILE)) - v
+                    moment += change
+                    moment_x += change * dx
+                    moment_y += change * dy
+                    moment_xx += change * dx * dx
+                    moment_xy += change * dx * dy
+                    moment_yy += change * dy * dy
+            total[BY_RED], total[BY_GREEN], total[BY_BLUE] = by_red, by_green, by_blue
+            total[MOMENT], total[MOMENT_X], total[MOMENT_Y] = moment, moment_x, moment_y
+            total[MOMENT_XX], total[MOMENT_XY], total[MOMENT_YY] = moment_xx, moment_xy, moment_yy
+
+
+#: First rows of f_dc and f_rest in a column; opacity, log_scale and rot follow f_rest.
+_F_DC, _F_REST = 3, 6
+
+
+@kernel
+def differentiate_gaussians(
+    positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
+    width, height, antialiased, sums, chosen, start, stop, slopes,
+):  # fmt: skip
+    """Fill columns of ``slopes (14 + 3 K, stop - start)``, rows in the order of `GROUPS`.
+
+    They are the derivatives for Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
+    `differentiate_tiles`.
+    """
+    fx, fy, cx, cy = intrinsics
+    basis, weights = np.zeros(15), np.zeros(15)
+    turned, axes, by_axes = np.empty((3, 3)), np.empty((3, 2)), np.empty((3, 2))
+    by_turn = np.empty((3, 3))
+    after = _F_REST + len(f_rest)
+    for place in range(start, stop):
+        i, j = chosen[place], place - start
+        total = sums[i]
+        dx = positions[0, i] - position[0]
+        dy = positions[1, i] - position[1]
+        dz = positions[2, i] - position[2]
+        _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j)
+        x, y, z = before_camera(rotation, dx, dy, dz)
+        x /= z
+        y /= z
+        near_x, near_y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
+        quaternion, turn = quaternion_turn(rot, i)
+        for k in range(3):
+            scale = math.exp(np.float64(log_scale[k, i])) / z
+            qx, qy, qz = before_camera(rotation, turn[0][k], turn[1][k], turn[2][k])
+            turned[k, 0], turned[k, 1], turned[k, 2] = fx * scale, fy * scale, qz
+            axes[k, 0] = fx * scale * (qx - near_x * qz)
+            axes[k, 1] = fy * scale * (qy - near_y * qz)
+        by_u, by_v = _differentiate_conic(axes, total, antialiased, by_axes)
+        by_x, by_y, by_z = fx * by_u, fy * by_v, 0.0
+        for k in range(3):
+            along = axes[k, 0] * by_axes[k, 0] + axes[k, 1] * by_axes[k, 1]
+            slopes[after + 1 + k, j] = along
+            by_z -= along / z
+            by_qx = turned[k, 0] * by_axes[k, 0]
+            by_qy = turned[k, 1] * by_axes[k, 1]
+            if near_x == x:
+                by_x -= turned[k, 2] * by_qx
+            if near_y == y:
+                by_y -= turned[k, 2] * by_qy
+            by_qz = -near_x * by_qx - near_y * by_qy
+            by_turn[k, 0], by_turn[k, 1], by_turn[k, 2] = _to_world(rotation, by_qx, by_qy, by_qz)
+        by_z -= (x * by_x + y * by_y) / z
+        world_x, world_y, world_z = _to_world(rotation, by_x / z, by_y / z, by_z)
+        slopes[0, j] += world_x
+        slopes[1, j] += world_y
+        slopes[2, j] += world_z
+        slopes[after, j] = total[MOMENT] / (1.0 + math.exp(np.float64(opacity[0, i])))
+        _differentiate_turn(rot, i, quaternion, by_turn, slopes, after + 4, j)
+
+
+@inlined
+def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j):
+    """Fill the rows of f_dc and f_rest, and in those of positions the effect of view direction."""
+    coefficients = len(f_rest) // 3
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    x, y, z = dx / distance, dy / distance, dz / distance
+    sh_basis(x, y, z, coefficients, basis)
+    weights[:] = 0.0
+    for channel in range(3):
+        row = channel * coefficients
+        value = 0.5 + SH_C0 * f_dc[channel, i]
+        for k in range(coefficients):
+            value += basis[k] * f_rest[row + k, i]
+        by_value = total[BY_RED + channel] if value > 0.0 else 0.0
+        slopes[_F_DC + channel, j] = SH_C0 * by_value
+        for k in range(coefficients):
+            slopes[_F_REST + row + k, j] = basis[k] * by_value
+            weights[k] += f_rest[row + k, i] * by_value
+    by_x, by_y, by_z = sh_slope(x, y, z, coefficients, weights)
+    along = x * by_x + y * by_y + z * by_z
+    slopes[0, j] = (by_x - along * x) / distance
+    slopes[1, j] = (by_y - along * y) / distance
+    slopes[2, j] = (by_z - along * z) / distance
+
+
+@inlined
+def _differentiate_conic(axes, total, antialiased, by_axes):
+    """Fill ``by_axes (3, 2)``, derivatives by the axes in the image; return those by the centre."""
+    xx, xy, yy, sharp = covariance(axes)
+    determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
+    a = (yy + LOW_PASS) / determinant
+    b = -xy / determinant
+    c = (xx + LOW_PASS) / determinant
+    # K is the conic, M the second moments: the derivative by the covariance is K M K / 2.
+    mxx, mxy, myy = total[MOMENT_XX], total[MOMENT_XY], total[MOMENT_YY]
+    by_xx = 0.5 * (a * a * mxx + 2.0 * a * b * mxy + b * b * myy)
+    by_xy = a * b * mxx + (a * c + b * b) * mxy + b * c * myy
+    by_yy = 0.5 * (b * b * mxx + 2.0 * b * c * mxy + c * c * myy)
+    if antialiased and sharp / determinant > 0.000025:
+        by_determinant = -0.5 * total[MOMENT] / determinant
+        by_sharp = 0.5 * total[MOMENT] / sharp + by_determinant
+        by_xx += by_sharp * yy + LOW_PASS * by_determinant
+        by_xy -= 2.0 * by_sharp * xy
+        by_yy += by_sharp * xx + LOW_PASS * by_determinant
+    for k in range(3):
+        by_axes[k, 0] = 2.0 * axes[k, 0] * by_xx + axes[k, 1] * by_xy
+        by_axes[k, 1] = 2.0 * axes[k, 1] * by_yy + axes[k, 0] * by_xy
+    x, y = total[MOMENT_X], total[MOMENT_Y]
+    return a * x + b * y, b * x + c * y
+
+
+@inlined
+def _to_world(rotation, x, y, z):
+    """Transform a covector from the camera's axes to the world's."""
+    return (
+        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
+        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
+        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
+    )
+
+
+@inlined
+def _differentiate_turn(rot, i, quaternion, columns, slopes, row, j):
+    """Derivative by the stored quaternion, from the derivative by the rotation's columns."""
+    norm, a, b, c, d = quaternion
+    (g00, g10, g20), (g01, g11, g21), (g02, g12, g22) = (
+        (columns[0, 0], columns[0, 1], columns[0, 2]),
+        (columns[1, 0], columns[1, 1], columns[1, 2]),
+        (columns[2, 0], columns[2, 1], columns[2, 2]),
+    )
+    by_a = b * (g21 - g12) + c * (g02 - g20) + d * (g10 - g01)
+    by_b = a * (g21 - g12) + c * (g01 + g10) + d * (g02 + g20) - 2.0 * b * (g11 + g22)
+    by_c = a * (g02 - g20) + b * (g01 + g10) + d * (g12 + g21) - 2.0 * c * (g00 + g22)
+    by_d = a * (g10 - g01) + b * (g02 + g20) + c * (g12 + g21) - 2.0 * d * (g00 + g11)
+    along = a * by_a + b * by_b + c * by_c + d * by_d
+    # A zero quaternion counts as the identity; its derivative is 0.
+    size = max(abs(rot[0, i]), abs(rot[1, i]), abs(rot[2, i]), abs(rot[3, i]))
+    factor = 2.0 / norm if size > 0.0 else 0.0
+    slopes[row + 0, j] = factor * (by_a - along * a)
+    slopes[row + 1, j] = factor * (by_b - along * b)
+    slopes[row + 2, j] = factor * (by_c - along * c)
+    slopes[row + 3, j] = factor * (by_d - along * d)

@@ -1,0 +1,112 @@
+"""Derivatives of the loss of a view by every attribute of every Gaussian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.metrics.image_loss import ImageLoss, LossWeights, image_loss
+from gs_codec.rendering.backward import MOMENT_YY, differentiate_gaussians, differentiate_tiles
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import Frame, make_frame
+from gs_codec.rendering.trace import draw_tiles
+from gs_codec.runtime.kernels import kernel
+from gs_codec.scene import GROUPS, Scene, channel_count
+
+
+class Differentiated(NamedTuple):
+    """A view of a scene, its loss, and the derivatives by splat.
+
+    ``sums (N, 9)`` are the sums of `differentiate_tiles`. ``chosen (M,)`` lists, ascending, the
+    Gaussians whose sums are not all 0: those that were seen.
+    """
+
+    scene: Scene
+    camera: Camera
+    loss: ImageLoss
+    sums: NDArray[np.float64]
+    chosen: NDArray[np.int64]
+
+    def slopes(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Derivatives ``(14 + 3 K, stop - start)`` by attributes of ``chosen[start:stop]``.
+
+        Rows are the channels of the groups, in the order of `GROUPS`.
+        """
+        slopes = np.empty((channel_count(len(self.scene.f_rest) // 3), stop - start))
+        camera = self.camera
+        differentiate_gaussians(
+            *(getattr(self.scene, group) for group in GROUPS),
+            camera.rotation,
+            camera.position,
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+            camera.width,
+            camera.height,
+            self.scene.antialiased,
+            self.sums,
+            self.chosen,
+            start,
+            stop,
+            slopes,
+        )
+        return slopes
+
+
+def differentiate(
+    scene: Scene,
+    camera: Camera,
+    target: NDArray,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    weights: LossWeights = LossWeights(),  # noqa: B008
+) -> Differentiated:
+    """Draw a view and take its loss back to the splats (Kerbl et al. 2023, Appendix A).
+
+    Derivatives are exact, except that, as in 3DGS, which splats are drawn in which pixels and in
+    what order is constant. The derivative is 0 for an alpha at its limit and for a colour below 0.
+    Beyond 1.3 of the field of view, the projection's Jacobian is that of the edge.
+
+    Parameters
+    ----------
+    scene : Scene
+    camera : Camera
+    target : ndarray, shape (H, W, 3)
+        Target image, 0-1.
+    background : sequence of three float
+        RGB behind everything.
+    weights : LossWeights
+        Parts of the loss, by default those of 3DGS.
+    """
+    frame = make_frame(scene, camera)
+    colour = draw(frame, background)
+    goal = np.ascontiguousarray(target, np.float32)
+    loss = image_loss(colour, goal, weights)
+    pairs = np.empty((frame.pairs, MOMENT_YY + 1))
+    frame.over_tiles(differentiate_tiles, colour, loss.by_colour, pairs)
+    sums = frame.sum_pairs(scene.count, pairs)
+    chosen = np.empty(len(frame.splats.gaussians), np.int64)
+    count = _choose(sums, chosen)
+    return Differentiated(scene, camera, loss, sums, chosen[:count])
+
+
+def draw(frame: Frame, background: Sequence[float]) -> NDArray[np.float64]:
+    """Draw the image in float64: light behind a splat is the image minus the light in front."""
+    shape = (frame.camera.height, frame.camera.width)
+    colour, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape)
+    behind = np.array(background, np.float64)
+    frame.over_tiles(draw_tiles, behind, colour, alpha, depth, np.zeros((0, 4)))
+    return colour
+
+
+@kernel
+def _choose(sums, chosen):
+    """List the rows that are not all 0; return their number."""
+    count = 0
+    for i in range(len(sums)):
+        for value in sums[i]:
+            if value != 0.0:
+                chosen[count] = i
+                count += 1
+                break
+    return count

@@ -1,0 +1,204 @@
+"""A traced view: the weight alpha T of every Gaussian in every pixel that it is added to."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.project import TILE
+from gs_codec.rendering.trace import tile_bounds, trace_splat
+from gs_codec.runtime.kernels import kernel
+from gs_codec.scene import Scene
+
+#: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
+SQUARED = 3
+
+#: Initial size of the buffers, entries; at least those of one splat in a tile.
+_FIRST_ENTRIES = 1 << 16
+
+
+class TracedView(NamedTuple):
+    """Weights of a view, by splat-tile pair; the pairs of a tile are nearest first.
+
+    Attributes
+    ----------
+    camera : Camera
+    seen : ndarray, shape (V,), int64
+        Gaussians that may be seen, ascending.
+    pairs : ndarray, shape (pairs,), int32
+        Index in `seen` of each pair's Gaussian.
+    starts : ndarray, shape (tiles + 1,), int64
+        Where the pairs of each tile start.
+    ends : ndarray, shape (pairs,), int64
+        Where the entries of each pair end.
+    pixels : ndarray, shape (entries,), uint8
+        Pixel in the tile.
+    weights : ndarray, shape (entries,), float32
+    left : ndarray, shape (tiles, 256), float32
+        Transmittance of each pixel behind all splats.
+    """
+
+    camera: Camera
+    seen: NDArray[np.int64]
+    pairs: NDArray[np.int32]
+    starts: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    pixels: NDArray[np.uint8]
+    weights: NDArray[np.float32]
+    left: NDArray[np.float32]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return sum(array.nbytes for array in self[1:])
+
+    def transpose(
+        self, colours: NDArray[np.float64], target: NDArray, background: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], float]:
+        """Sums ``(V, 4)`` of alpha T times the residual and of (alpha T)^2, and the squared error.
+
+        Parameters
+        ----------
+        colours : ndarray, shape (V, 3)
+            Of the Gaussians in ``seen``.
+        target : ndarray, shape (H, W, 3)
+            The residual is this minus the image.
+        background : ndarray, shape (3,)
+        """
+        sums = np.zeros((len(self.seen), SQUARED + 1))
+        return sums, self._residual(colours, target, background, sums)
+
+    def error(
+        self, colours: NDArray[np.float64], target: NDArray, background: NDArray[np.float64]
+    ) -> float:
+        """Only the squared error, in half the time of `transpose`."""
+        return self._residual(colours, target, background, np.zeros((0, SQUARED + 1)))
+
+    def _residual(
+        self,
+        colours: NDArray[np.float64],
+        target: NDArray,
+        background: NDArray[np.float64],
+        sums: NDArray[np.float64],
+    ) -> float:
+        columns = -(-self.camera.width // TILE)
+        return float(_residual(*self[2:], columns, colours, target, background, sums))
+
+
+class TraceBuffers(NamedTuple):
+    """Buffers for entries, reused because new memory takes longer than tracing."""
+
+    pixels: NDArray[np.uint8]
+    weights: NDArray[np.float32]
+
+
+def trace_view(
+    scene: Scene, camera: Camera, buffers: TraceBuffers | None = None
+) -> tuple[TracedView, TraceBuffers]:
+    """Trace a view, see `render`; and the buffers that took, for the next."""
+    frame = make_frame(scene, camera)
+    order = np.argsort(frame.splats.gaussians)
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    ends = np.zeros(frame.pairs, np.int64)
+    left = np.zeros((frame.columns * frame.rows, TILE * TILE), np.float32)
+    size = (frame.columns, camera.width, camera.height)
+    buffers = buffers or TraceBuffers(
+        np.empty(_FIRST_ENTRIES, np.uint8), np.empty(_FIRST_ENTRIES, np.float32)
+    )
+    buffers = TraceBuffers(*_trace(frame.splats.fields, *frame.lists, *size, left, ends, *buffers))
+    used = ends.max(initial=0)
+    traced = TracedView(
+        camera,
+        frame.splats.gaussians[order],
+        rank[frame.lists.splats],
+        frame.lists.starts,
+        ends,
+        buffers.pixels[:used].copy(),
+        buffers.weights[:used].copy(),
+        left,
+    )
+    return traced, buffers
+
+
+@kernel
+def _trace(fields, splats, starts, columns, width, height, left_of, ends, pixels, weights):
+    """Fill the outputs; return `pixels` and `weights`, which are enlarged if needed."""
+    left = np.empty(TILE * TILE)
+    traced = np.empty(TILE * TILE, np.int64)
+    alphas = np.empty(TILE * TILE)
+    before = np.empty(TILE * TILE)
+    used = 0
+    for tile in range(len(starts) - 1):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        left[:] = 1.0
+        still_open = (x1 - x0) * (y1 - y0)
+        for pair in range(starts[tile], starts[tile + 1]):
+            if still_open > 0:
+                field = fields[splats[pair]]
+                count, done = trace_splat(field, x0, x1, y0, y1, left, traced, alphas, before)
+                still_open -= done
+                if used + count > len(pixels):
+                    pixels = np.concatenate((pixels, np.empty_like(pixels)))
+                    weights = np.concatenate((weights, np.empty_like(weights)))
+                for i in range(count):
+                    pixels[used] = traced[i]
+                    weights[used] = alphas[i] * before[i]
+                    used += 1
+            ends[pair] = used
+        for pixel in range(len(left)):
+            left_of[tile, pixel] = abs(left[pixel])
+    return pixels, weights
+
+
+@kernel
+def _residual(
+    pairs, starts, ends, pixels, weights, left, columns, colours, target, background, sums
+):
+    """Fill ``sums (V, 4)``, if it is not empty; returns the squared error."""
+    height, width = target.shape[:2]
+    residual = np.zeros((TILE * TILE, 3))
+    error = 0.0
+    start = 0
+    for tile in range(len(starts) - 1):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        residual[:] = 0.0
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                pixel = (y - y0) * TILE + x - x0
+                for channel in range(3):
+                    behind = left[tile, pixel] * background[channel]
+                    residual[pixel, channel] = target[y, x, channel] - behind
+        first = start
+        for pair in range(starts[tile], starts[tile + 1]):
+            red, green, blue = colours[pairs[pair]]
+            for j in range(start, ends[pair]):
+                light = residual[pixels[j]]
+                light[0] -= weights[j] * red
+                light[1] -= weights[j] * green
+                light[2] -= weights[j] * blue
+            start = ends[pair]
+        error += np.sum(residual * residual)
+        if len(sums) == 0:
+            continue
+        start = first
+        for pair in range(starts[tile], starts[tile + 1]):
+            red = green = blue = squared = 0.0
+            for j in range(start, ends[pair]):
+                weight = np.float64(weights[j])
+                light = residual[pixels[j]]
+                red += weight * light[0]
+                green += weight * light[1]
+                blue += weight * light[2]
+                squared += weight * weight
+            total = sums[pairs[pair]]
+            total[0] += red
+            total[1] += green
+            total[2] += blue
+            total[SQUARED] += squared
+            start = ends[pair]
+    return error

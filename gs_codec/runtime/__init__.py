@@ -1,0 +1,1 @@
+"""Run-time support: kernels, threads, memory, other programs, files."""

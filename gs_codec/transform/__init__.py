@@ -1,1 +1,0 @@
-"""Reordering of data without loss: interleaved to planar, Morton order."""

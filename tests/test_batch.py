@@ -453,13 +453,13 @@ def test_temporary_names_are_known_again(tmp_path, monkeypatch):
 
 
 def test_source_that_changes_meanwhile_is_an_error(folder):
-    original = local.LocalPlace.fetch
+    original = local.LocalStorage.fetch
 
     def fetch(self, spot: Spot, into: Path) -> Path:
         os.utime(spot.path, (1, 1))
         return original(self, spot, into)
 
-    folder.monkeypatch.setattr(local.LocalPlace, "fetch", fetch)
+    folder.monkeypatch.setattr(local.LocalStorage, "fetch", fetch)
     assert folder.run("batch", "in/a.ply", "out").status == 1
     assert records()[0]["error"]["text"].endswith("a.ply: changed while it was read")
     assert not Path("out/a.egs").exists()

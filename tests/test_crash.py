@@ -243,7 +243,7 @@ main()
 """
 
 
-@pytest.mark.parametrize("module", ["gs_codec.cli.main", "typer", "gs_codec.files", "numba"])
+@pytest.mark.parametrize("module", ["gs_codec.cli.main", "typer", "gs_codec.files.coding", "numba"])
 def test_interrupt_while_modules_are_imported_is_one_line(folder, module):
     done = in_child("-c", INTERRUPTED.format(module=module), cwd=folder)
     assert (done.returncode, done.stdout) == (130, "")
@@ -270,8 +270,8 @@ elif fail == "load":
 else:
     caching.CacheImpl._locator_classes = []
 import numpy as np
-from gs_codec.kernels import kernel
-from gs_codec.quantise import count_nonfinite
+from gs_codec.runtime.kernels import kernel
+from gs_codec.coding.quantise import count_nonfinite
 print(count_nonfinite(np.array([1, np.nan], np.float32)))
 """
 

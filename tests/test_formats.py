@@ -258,7 +258,7 @@ BAD_SPZ = {
     "flags": (spz(3, flags=8), "flags 0x8"),
     "one Gaussian more in gzip": (spz(3, 21), "bytes of attributes, expected"),
     "one less in gzip": (spz(3, 19), "left over, or cut off"),
-    "one more": (spz(4, 21), "stream 'positions': .* of 189"),
+    "one more": (spz(4, 21), "stream 'positions': .* and 189"),
     "2^32 Gaussians": (spz(4, (1 << 32) - 1), "at most 1073741824 are read"),
     "2^32 in gzip": (spz(3, (1 << 32) - 1), "at most 1073741824 are read"),
     "a zip bomb": (

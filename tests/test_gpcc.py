@@ -169,7 +169,7 @@ def test_auto_takes_the_program_where_there_is_one(stand_in, monkeypatch):
     [
         ({"geometry": "kd-tree"}, "geometry 'kd-tree': expected one of octree, gpcc, auto"),
         ({"geometry": "gpcc", "profile": "m"}, "profile 'm' has no uniformly quantised positions"),
-        ({"geometry": "gpcc", "profile": LOSSLESS}, "profile 'lossless' has no points"),
+        ({"geometry": "gpcc", "profile": LOSSLESS}, "profile 'lossless' has no uniformly"),
         ({"geometry": "gpcc", "depths": {"geometry": 19}}, "depth of geometry 19, at most 18"),
         ({"geometry": "gpcc", "depths": {"sh-dc": 9}}, "depth of sh-dc 9, at most 8"),
         ({"tmc3": "tmc3"}, "tmc3: geometry 'octree' does not use it"),

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 
 BEYOND = """
 import numpy as np
-from gs_codec.kernels import inlined, kernel
+from gs_codec.runtime.kernels import inlined, kernel
 @inlined
 def read(values, i):
     return values[i]
@@ -51,7 +51,7 @@ STARTED = """
 import sys
 import numba
 import numpy as np
-from gs_codec.kernels import inlined, kernel
+from gs_codec.runtime.kernels import inlined, kernel
 @inlined
 def square(value):
     return value * value

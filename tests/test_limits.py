@@ -78,7 +78,7 @@ BOMBS = {
 READ = """
 import re, sys
 from pathlib import Path
-from gs_codec.files import read_scene
+from gs_codec.files.scenes import read_scene
 
 def peak_bytes():  # of this process alone: what it was forked from may have had more
     return 1024 * int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
@@ -173,7 +173,7 @@ def test_functions_that_read_scenes_take_a_limit(tmp_path):
     for read, *others in ((gs_codec.read,), (gs_codec.render,), (gs_codec.prepare, plan)):
         with pytest.raises(InvalidInput, match="at most 999 are read"):
             read(path, *others, max_bytes=999)
-    with pytest.raises(InvalidInput, match="of scenes in files"):
+    with pytest.raises(InvalidInput, match="limits scenes in files"):
         gs_codec.render(gs_codec.read(path), max_bytes=999)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
-from gs_codec.codecs.adaptive.fixed_point import LARGEST, to_float
+from gs_codec.codecs.adaptive.lattice import LARGEST, to_float
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.entropygs.order import order_like
 from gs_codec.codecs.inspection import inspect_bytes

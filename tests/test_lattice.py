@@ -17,14 +17,14 @@ from gs_codec.codecs.adaptive.contexts import (
     share_tables,
 )
 from gs_codec.codecs.adaptive.diffusion import round_diffusing
-from gs_codec.codecs.adaptive.fixed_point import (
+from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
+    StepRule,
     from_lattice,
     to_float,
     to_lattice,
 )
-from gs_codec.codecs.adaptive.lattice import StepRule
 from gs_codec.codecs.adaptive.positions import centres, from_grid, to_grid
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, features, fit_step_sizes, make_rule
 from gs_codec.codecs.adaptive.tokens import ALPHABET, MAX_BITS, read_pass, tokenise

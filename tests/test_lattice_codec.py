@@ -21,7 +21,7 @@ from scenes import (
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
-from gs_codec.codecs.adaptive.fixed_point import LARGEST, to_float
+from gs_codec.codecs.adaptive.lattice import LARGEST, to_float
 from gs_codec.codecs.adaptive.section import UNITS, read_lattice
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes

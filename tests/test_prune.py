@@ -10,9 +10,15 @@ from scenes import edge_scenes, random_scene
 
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation import reference_views as targets_module
-from gs_codec.preparation.leave_one_out import leave_one_out, prune_leave_one_out
 from gs_codec.preparation.pipeline import Plan, prepare_scene
-from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
+from gs_codec.preparation.prune import (
+    importance,
+    keep_highest,
+    keep_near,
+    leave_one_out,
+    portion,
+    prune_leave_one_out,
+)
 from gs_codec.preparation.reference_views import ViewSplit, draw_reference_views
 from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.camera import Camera

@@ -12,7 +12,8 @@ import pytest
 from scenes import random_scene
 from typer.testing import CliRunner
 
-from gs_codec.bench import apart, beside, measure, scaling, sources
+from gs_codec.bench import apart, beside, measure, sources
+from gs_codec.bench import apart as scaling
 from gs_codec.bench.peers import AbsentPeer
 from gs_codec.bench.suite import run
 from gs_codec.bench.suite.run import GROUPS, Options, run_suite

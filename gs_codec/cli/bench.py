@@ -3,21 +3,130 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from gs_codec.cli import bench_suite
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.bench_tables import COLUMNS, add_to_rows, print_absent
-from gs_codec.cli.options import OPTIONS
-from gs_codec.cli.output import print_table, print_text
+from gs_codec.cli.options import OPTIONS, Overwrite, Threads
+from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
+from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
+
+COLUMNS = [
+    "scene, codec (* with its start)", "ratio", "bits/G", "over entropy", "encode s", "decode s",
+    "peak MB", "PSNR dB", "delta-PSNR",
+]  # fmt: skip
+
+
+def add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
+    """Put a result line into the rows, which are by name."""
+    kind, name = line["kind"], f"{line.get('scene')}, {line.get('profile')}"
+    if kind == "codec":
+        over = line["entropy"].get("total", {}).get("coded_overhead_percent", 0.0)
+        rows[name] = [name, *_size(line), f"{over:.3f} %", *_times(line), "", "", ""]
+    elif kind == "memory":
+        rows[name][6] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
+    elif kind == "rendered" and line["camera_guided"]:
+        label = f"{name}, camera-guided"
+        times = ["", f"{line['encode_seconds']:.1f}", "", ""]
+        rows[label] = [label, *_size(line), *times, *_quality(line)]
+    elif kind == "rendered":
+        rows[name][7:] = _quality(line)
+    elif kind == "beside" and "absent" not in line:
+        label = f"{line['scene']}, {line['codec']}" + " *" * line["own_process"]
+        rows[label] = [label, *_size(line), "", *_times(line), "", *_quality(line)]
+
+
+def print_absent(lines: list[dict[str, Any]]) -> None:
+    """Say which codecs could not be measured, and why; each reason once."""
+    for reason in sorted({line["absent"] for line in lines if "absent" in line}):
+        print_status(reason)
+
+
+def _size(line: dict[str, Any]) -> list[str]:
+    return [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}"]
+
+
+def _times(line: dict[str, Any]) -> list[str]:
+    return [f"{line[f'{way}_seconds']['median']:.3f}" for way in ("encode", "decode")]
+
+
+def _quality(line: dict[str, Any]) -> list[str]:
+    """PSNR and delta-PSNR, as far as they were measured."""
+    if "mean" not in line:
+        return ["", ""]
+    psnr, delta = line["mean"]["psnr"], line.get("delta")
+    return ["equal" if psnr is None else f"{psnr:.2f}", f"{delta['psnr']:+.3f}" if delta else ""]
+
+
+def measure_suite(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for suite.jsonl, report.md, pictures.")
+    ],
+    scenes: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="SCENE...",
+            help="3DGS .ply files; cameras.json and images beside one are its views.",
+            show_default=False,
+        ),
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="Timed runs; medians are reported.", min=1)] = 3,
+    threads: Threads = None,
+    width: Annotated[
+        int | None,
+        typer.Option(
+            help="Width of the views, pixels.", show_default="the cameras', or the photographs'"
+        ),
+    ] = None,
+    skip: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GROUP",
+            help="Leave out, repeatedly: codecs, curves, memory, scaling, peers, guided, pruned.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure scenes in full, other codecs too, and write a report.
+
+    Ten minutes for each 100,000 Gaussians, or so; suite.jsonl has all lines measured so far.
+    """
+    from gs_codec.analysis.plots import new_figure
+    from gs_codec.bench.suite.report import write_report
+    from gs_codec.bench.suite.run import Options, run_suite
+
+    options = Options(tuple(scenes or ()), repeats, threads, width, frozenset(skip or ()))
+    check_folder(out, overwrite)
+    new_figure(1, 1)  # without matplotlib there is no report: refused before the work
+    start = time.monotonic()
+
+    def tell(stage: str) -> None:
+        minutes, seconds = divmod(round(time.monotonic() - start), 60)
+        print_status(f"{minutes:3}:{seconds:02} {stage}")
+
+    target, lines = make_folder(out) / "suite.jsonl", []
+    check_writable(target)
+    measuring = run_suite(options, shlex.join(["gs-codec", *sys.argv[1:]]), tell)
+    with open(target, "w", encoding="utf-8") as file:
+        for line in measuring:
+            text = json.dumps(line, allow_nan=False)
+            print(text, file=file, flush=True)
+            print_text(text)
+            lines.append(line)
+    tell("report")
+    write_report(lines, out)
+    print_absent(lines)
+    print_status(f"report: {out / 'report.md'}")
+
 
 #: What `--set` does not take here: only depths are of interest for every profile.
 _UNUSED = set(OPTIONS) - {"depth"}
@@ -80,4 +189,4 @@ for _name, _help in (
     ("peers", "Measure profiles beside spz, splat-transform, pcodec and zstd."),
 ):
     app.command(_name, help=_help, epilog=measure.epilog)(measure)
-app.command("suite")(bench_suite.command)
+app.command("suite")(measure_suite)

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from gs_codec.codecs.adaptive.contexts import Pass, passes
-from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS
-from gs_codec.codecs.adaptive.lattice import Lattice, PositionGrid
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, Lattice, PositionGrid
 from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_lattice

@@ -23,8 +23,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.guide import Colours, Guidance, guide
 from gs_codec.guidance.search import COARSEST, FINEST, expected, search
-from gs_codec.preparation.leave_one_out import leave_one_out
-from gs_codec.preparation.prune import keep_highest
+from gs_codec.preparation.prune import keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes, step_counter
 from gs_codec.scene import Scene

@@ -13,9 +13,14 @@ from numpy.typing import NDArray
 
 from gs_codec.config import PROFILES, Config
 from gs_codec.preparation.compact_sh import compact_sh
-from gs_codec.preparation.leave_one_out import prune_leave_one_out
 from gs_codec.preparation.optimise import optimise
-from gs_codec.preparation.prune import importance, keep_highest, keep_near, portion
+from gs_codec.preparation.prune import (
+    importance,
+    keep_highest,
+    keep_near,
+    portion,
+    prune_leave_one_out,
+)
 from gs_codec.preparation.rectify import rectify
 from gs_codec.preparation.reference_views import (
     ReferenceViews,

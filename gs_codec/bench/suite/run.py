@@ -10,11 +10,11 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from gs_codec.bench.apart import measure_scaling
 from gs_codec.bench.beside import measure_beside, our_codecs
 from gs_codec.bench.host import machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
-from gs_codec.bench.scaling import measure_scaling
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.bench.suite.scenes import MeasuredScene, open_scenes
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.depths import as_deep, mean_octaves
-from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, LARGEST
-from gs_codec.codecs.adaptive.lattice import Lattice, PositionGrid, StepRule
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST, Lattice, PositionGrid, StepRule
 from gs_codec.codecs.adaptive.positions import to_grid
 from gs_codec.codecs.adaptive.step_sizes import (
     SH_RATIO,

@@ -11,7 +11,7 @@ from gs_codec.codecs.adaptive.arrange import Arranged
 from gs_codec.codecs.adaptive.colour import code_colours
 from gs_codec.codecs.adaptive.contexts import energy_class, sh_channels, shift_context
 from gs_codec.codecs.adaptive.diffusion import round_diffusing
-from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, LARGEST
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST
 from gs_codec.codecs.adaptive.positions import centres
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.adaptive.tokens import ALPHABET, tokenise

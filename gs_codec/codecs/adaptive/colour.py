@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.contexts import ACTIVITIES, COLOUR_SHIFTS
-from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, TOO_LARGE
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE
 from gs_codec.codecs.adaptive.tokens import raw_width, value_of
 from gs_codec.coding.binary import code_raw
 from gs_codec.coding.colour import predict, weigh

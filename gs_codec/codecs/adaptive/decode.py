@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import decode_colours
 from gs_codec.codecs.adaptive.contexts import ENERGIES, Pass, passes, sh_channels, shift_context
-from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, TOO_LARGE, to_float
-from gs_codec.codecs.adaptive.lattice import Lattice
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE, Lattice, to_float
 from gs_codec.codecs.adaptive.positions import centres, from_grid
 from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
 from gs_codec.codecs.adaptive.shape import Shape, walk_shape

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
 from gs_codec.codecs.adaptive.contexts import ContextTables, Pass, passes, share_tables
-from gs_codec.codecs.adaptive.fixed_point import to_float
+from gs_codec.codecs.adaptive.lattice import to_float
 from gs_codec.codecs.adaptive.positions import from_grid
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
 from gs_codec.codecs.adaptive.step_sizes import StepSizes

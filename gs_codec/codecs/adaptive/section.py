@@ -10,8 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.contexts import MAX_CLASSES, passes
-from gs_codec.codecs.adaptive.fixed_point import FRACTION_BITS, LARGEST
-from gs_codec.codecs.adaptive.lattice import MAX_SHIFT, Lattice, PositionGrid, StepRule
+from gs_codec.codecs.adaptive.lattice import (
+    FRACTION_BITS,
+    LARGEST,
+    MAX_SHIFT,
+    Lattice,
+    PositionGrid,
+    StepRule,
+)
 from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.context_rans import PRECISION
 from gs_codec.coding.fields import ByteReader

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.fixed_point import (
+from gs_codec.codecs.adaptive.lattice import (
     LARGEST,
     TOO_LARGE,
+    Lattice,
     from_lattice,
     to_float,
     to_lattice,
 )
-from gs_codec.codecs.adaptive.lattice import Lattice
 
 #: ``code(name, shifts) -> levels``: a decoder reads them, an encoder rounds to them.
 Coder = Callable[[str, NDArray[np.int64]], NDArray[np.int64]]

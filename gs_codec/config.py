@@ -260,7 +260,7 @@ class RateTarget:
         return None
 
 
-def as_rate_target(wish: RateTarget | Mapping[str, float]) -> RateTarget:
+def as_rate_target(target: RateTarget | Mapping[str, float]) -> RateTarget:
     """Make a target from a mapping of its parameters; a target is returned as it is.
 
     Raises
@@ -268,12 +268,12 @@ def as_rate_target(wish: RateTarget | Mapping[str, float]) -> RateTarget:
     InvalidInput
         If the mapping is not a valid target.
     """
-    if isinstance(wish, RateTarget):
-        return wish
+    if isinstance(target, RateTarget):
+        return target
     known = [f.name for f in fields(RateTarget)]
-    for name in wish:
+    for name in target:
         Option("", values=tuple(known)).check("target", name)
-    return RateTarget(**wish)  # type: ignore[arg-type]
+    return RateTarget(**target)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

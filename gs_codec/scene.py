@@ -220,11 +220,11 @@ class Scene:
 def gather(planes: NDArray, index: NDArray) -> NDArray:
     """Columns of ``planes (C, N)`` that `index` (positions or mask) selects, in that order."""
     index = np.asarray(index)
-    places = np.flatnonzero(index) if index.dtype == bool else index
-    gathered = empty((len(planes), len(places)), planes.dtype)
+    indices = np.flatnonzero(index) if index.dtype == bool else index
+    gathered = empty((len(planes), len(indices)), planes.dtype)
 
     def work(row: int) -> None:
-        gathered[row] = np.take(planes[row], places)
+        gathered[row] = np.take(planes[row], indices)
 
     run_all(work, range(len(planes)))
     return gathered

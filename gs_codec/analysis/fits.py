@@ -96,15 +96,15 @@ class Fit:
 def fits_of(scene: Scene, config: Config, advance: Callable[[], None] | None = None) -> list[Fit]:
     """One fit per channel, at the bit depths of a paper profile, in stream order."""
     depths = config.resolved_depths()
-    places = channel_order(len(scene.f_rest) // 3)
+    keys = channel_order(len(scene.f_rest) // 3)
 
-    def work(place: tuple[str, int, str]) -> Fit:
-        group, index, stream = place
+    def work(key: tuple[str, int, str]) -> Fit:
+        group, index, stream = key
         values = getattr(scene, group)[index]
         quantiser, scale = fit_channel(values, group, depths[stream])
         return _fit(values, Channel(group, index, stream, quantiser), scale)
 
-    return run_all(work, places, advance=advance)
+    return run_all(work, keys, advance=advance)
 
 
 def _fit(values: NDArray[np.float32], channel: Channel, scale: float | None) -> Fit:

@@ -20,13 +20,13 @@ log = logging.getLogger(__name__)
 
 
 class LocalStorage:
-    """See `Place`."""
+    """See `Storage`."""
 
     shared = True
     local = True
 
     def find(self, pattern: str) -> list[tuple[str, Spot]]:
-        """See `Place.find`; hidden files and folders match only if the pattern writes the dot.
+        """See `Storage.find`; hidden files and folders match only if the pattern writes the dot.
 
         A file or folder that several links lead to is taken once.
         """
@@ -42,15 +42,15 @@ class LocalStorage:
         return [(os.path.relpath(path, root), Spot(path)) for path in sorted(files)]
 
     def spot(self, folder: str, name: str) -> Spot:
-        """See `Place.spot`."""
+        """See `Storage.spot`."""
         return Spot(os.path.join(os.path.abspath(local_path(folder)), name))
 
     def shown(self, spot: Spot) -> str:
-        """See `Place.shown`."""
+        """See `Storage.shown`."""
         return spot.path
 
     def check_folder(self, folder: str) -> None:
-        """See `Place.check_folder`."""
+        """See `Storage.check_folder`."""
         path = os.path.abspath(local_path(folder))
         try:
             os.makedirs(path, exist_ok=True)
@@ -60,7 +60,7 @@ class LocalStorage:
             raise InvalidInput(f"{path}: no permission to write there")
 
     def stamp(self, spot: Spot) -> Stamp | None:
-        """See `Place.stamp`."""
+        """See `Storage.stamp`."""
         try:
             found = os.stat(spot.path)
         except FileNotFoundError:
@@ -70,11 +70,11 @@ class LocalStorage:
         return Stamp(found.st_size, found.st_mtime_ns)
 
     def sha256(self, spot: Spot) -> str:
-        """See `Place.sha256`."""
+        """See `Storage.sha256`."""
         return file_sha256(spot.path)
 
     def fetch(self, spot: Spot, folder: Path) -> Path:
-        """See `Place.fetch`; only regular files are accepted."""
+        """See `Storage.fetch`; only regular files are accepted."""
         try:
             mode = os.stat(spot.path).st_mode
         except OSError as error:
@@ -88,7 +88,7 @@ class LocalStorage:
         raise NotImplementedError
 
     def sweep(self, spots: Iterable[Spot], mark: str) -> None:
-        """See `Place.sweep`; on this machine, any file that no process is writing is left over."""
+        """See `Storage.sweep`; on this machine, any file that no process writes is left over."""
         for folder, names in by_folder(spots).items():
             try:
                 entries = os.listdir(folder)

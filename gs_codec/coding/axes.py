@@ -35,9 +35,9 @@ def _turns() -> NDArray[np.float64]:
             ]
         )
         a, b, c = np.argmax(np.abs(matrix), axis=0)
-        place = 9 * a + 3 * b + c
-        turns[place, filled[place]] = w, x, y, z
-        filled[place] += 1
+        row = 9 * a + 3 * b + c
+        turns[row, filled[row]] = w, x, y, z
+        filled[row] += 1
     return turns
 
 

@@ -36,10 +36,10 @@ def _code_residual(state, data, contexts, base, residual):
         return 0
     negative = code_bit(state, data, contexts, base + _MAGNITUDES, residual < 0)
     value = 1
-    for place in range(known - 2, -1, -1):
-        rank = min(known - 2 - place, 2)
+    for shift in range(known - 2, -1, -1):
+        rank = min(known - 2 - shift, 2)
         context = base + (1 + rank) * _MAGNITUDES + known
-        bit = code_bit(state, data, contexts, context, (size >> place) & 1)
+        bit = code_bit(state, data, contexts, context, (size >> shift) & 1)
         value = 2 * value + (1 if bit else 0)
     return -value if negative else value
 

@@ -62,18 +62,18 @@ def _merge_lanes(keys):
 
 
 @inlined
-def find_nearest(places, i, near, distances, keys):
+def find_nearest(points, i, near, distances, keys):
     """Fill `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
 
     Ties go to the later point; `distances` are squared, in position steps, and exact while
-    ``places (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is scratch memory.
+    ``points (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is scratch memory.
     """
     known = min(i, WINDOW)
-    x, y, z = np.float64(places[0, i]), np.float64(places[1, i]), np.float64(places[2, i])
+    x, y, z = np.float64(points[0, i]), np.float64(points[1, i]), np.float64(points[2, i])
     for j in range(known):
-        dx = np.float64(places[0, i - known + j]) - x
-        dy = np.float64(places[1, i - known + j]) - y
-        dz = np.float64(places[2, i - known + j]) - z
+        dx = np.float64(points[0, i - known + j]) - x
+        dy = np.float64(points[1, i - known + j]) - y
+        dz = np.float64(points[2, i - known + j]) - z
         # The distance; in the low bits, how many points ago its point came.
         keys[j] = (dx * dx + dy * dy + dz * dz) * WINDOW + np.float64(known - 1 - j)
     for j in range(known, WINDOW):
@@ -89,10 +89,10 @@ def find_nearest(places, i, near, distances, keys):
 
 
 @kernel
-def _find_all(places, near, distances):
+def _find_all(points, near, distances):
     keys = np.empty(WINDOW)
     for i in range(len(near)):
-        find_nearest(places, i, near[i], distances[i], keys)
+        find_nearest(points, i, near[i], distances[i], keys)
 
 
 class Nearest(NamedTuple):
@@ -105,9 +105,9 @@ class Nearest(NamedTuple):
     distances: NDArray[np.int64]
 
 
-def find_all_nearest(places: NDArray[np.int64]) -> Nearest:
-    """Find the nearest of all points; ``places (3, n)``, in position steps, are below 2**23."""
-    near = np.zeros((places.shape[1], NEIGHBOURS), np.int32)
+def find_all_nearest(points: NDArray[np.int64]) -> Nearest:
+    """Find the nearest of all points; ``points (3, n)``, in position steps, are below 2**23."""
+    near = np.zeros((points.shape[1], NEIGHBOURS), np.int32)
     distances = np.zeros(near.shape, np.int64)
-    _find_all(places, near, distances)
+    _find_all(points, near, distances)
     return Nearest(near, distances)

@@ -89,11 +89,11 @@ def _walk(weights, mantissa, state, data, contexts, encoding):
             weights[symbol] = 0
             continue
         value = 1
-        for place in range(length - 2, -1, -1):
-            rank = length - 2 - place
+        for shift in range(length - 2, -1, -1):
+            rank = length - 2 - shift
             bit = 0
             if rank < mantissa:
-                given = (weight >> place) & 1
+                given = (weight >> shift) & 1
                 bit = 1 if code_bit(state, data, contexts, _MANTISSA + rank, given) else 0
             value = 2 * value + bit
         weights[symbol] = value

@@ -66,7 +66,7 @@ def largest_restored(
     """
     rest = np.sqrt(np.maximum(0.0, 1.0 - (three * three).sum(axis=0)))
     rows = np.arange(4)[:, None]
-    place = np.clip(rows - (rows > largest), 0, 2)
-    return np.where(rows == largest, rest, np.take_along_axis(three, place, axis=0)).astype(
+    column = np.clip(rows - (rows > largest), 0, 2)
+    return np.where(rows == largest, rest, np.take_along_axis(three, column, axis=0)).astype(
         np.float32
     )

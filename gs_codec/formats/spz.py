@@ -154,22 +154,22 @@ def _decompress(data: bytes, max_bytes: int | None) -> tuple[_Header, list[Bytes
     wanted = sum(size > 0 for size in sizes)
     if number != wanted:
         raise InvalidInput(f"{number} streams, expected {wanted}")
-    place = table + 16 * number
-    if not _ZSTD_HEADER.size <= table <= place <= len(data):
+    offset = table + 16 * number
+    if not _ZSTD_HEADER.size <= table <= offset <= len(data):
         raise InvalidInput(f"table of streams at byte {table}, of a file of {len(data)}")
-    entries = iter(struct.iter_unpack("<QQ", data[table:place]))
+    entries = iter(struct.iter_unpack("<QQ", data[table:offset]))
     streams: list[Bytes] = []
     for name, size in zip(_STREAMS, sizes, strict=True):
         packed, stated = next(entries) if size else (0, 0)
-        if stated != size or packed > len(data) - place:
+        if stated != size or packed > len(data) - offset:
             raise InvalidInput(
                 f"stream '{name}': {packed} bytes packed, {stated} unpacked; expected at most "
-                f"{len(data) - place} and {size}"
+                f"{len(data) - offset} and {size}"
             )
-        streams.append(_decompress_stream(data[place : place + packed], name, size))
-        place += packed
-    if place < len(data):
-        raise InvalidInput(f"{len(data) - place} bytes left over after the last stream")
+        streams.append(_decompress_stream(data[offset : offset + packed], name, size))
+        offset += packed
+    if offset < len(data):
+        raise InvalidInput(f"{len(data) - offset} bytes left over after the last stream")
     return header, streams, data[_ZSTD_HEADER.size : table]
 
 
@@ -195,12 +195,12 @@ def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
 
 def _read_extensions(path: str | Path, data: bytes) -> str:
     """The coordinate system from the extensions; unknown extensions give a warning."""
-    system, place = _SYSTEM, 0
-    while place < len(data):
-        if len(data) - place < 8:
-            raise InvalidInput(f"{len(data) - place} bytes left over after the extensions")
-        kind, size = struct.unpack_from("<II", data, place)
-        payload = data[place + 8 : place + 8 + size]
+    system, offset = _SYSTEM, 0
+    while offset < len(data):
+        if len(data) - offset < 8:
+            raise InvalidInput(f"{len(data) - offset} bytes left over after the extensions")
+        kind, size = struct.unpack_from("<II", data, offset)
+        payload = data[offset + 8 : offset + 8 + size]
         if len(payload) != size:
             raise InvalidInput(f"extension {kind:#010x}: {len(payload)} bytes, expected {size}")
         if kind == _SYSTEM_EXTENSION and size == 4:
@@ -210,7 +210,7 @@ def _read_extensions(path: str | Path, data: bytes) -> str:
             system = _SYSTEMS[value - 1] if value else _SYSTEM
         else:
             log.warning("%s: extension %#010x of %d bytes not kept", path, kind, size)
-        place += 8 + size
+        offset += 8 + size
     return system
 
 

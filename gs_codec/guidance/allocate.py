@@ -117,7 +117,7 @@ def encode_to_target(
     steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
     rate = RateReport(
         target,
-        2.0**met.trials.place,
+        2.0**met.trials.octaves,
         steps,
         len(data),
         met.predicted_bytes,
@@ -165,7 +165,7 @@ class _Trials:
     times : StageTimes
     coloured : Scene
         The scene with the colours refitted last.
-    place : float
+    octaves : float
         Log2 of the coarseness of `last`.
     last : tuple
         File and report of the last encoding.
@@ -182,7 +182,7 @@ class _Trials:
     guidance: Guidance | None
     times: StageTimes
     coloured: Scene = field(init=False)
-    place: float = 0.0
+    octaves: float = 0.0
     last: tuple[bytes, EncodeReport] = field(init=False)
     number: int = 0
     loss: float | None = None
@@ -191,30 +191,30 @@ class _Trials:
     def __post_init__(self) -> None:
         self.coloured = self.scene
 
-    def config_at(self, place: float) -> Config:
-        return replace(self.config, coarseness=2.0**place)
+    def config_at(self, octaves: float) -> Config:
+        return replace(self.config, coarseness=2.0**octaves)
 
-    def size(self, place: float) -> int:
+    def size(self, octaves: float) -> int:
         """Encode with the current colours; return the file's size, bytes."""
-        config = self.config_at(place)
+        config = self.config_at(octaves)
         with self.times.stage("search"):
             steps = None
             if self.guidance is not None:
                 steps = self.guidance.steps(self.coloured, config.resolved_lattice())
             self.last = encode_scene(self.coloured, config, steps=steps)
-        self.place = place
+        self.octaves = octaves
         self.number += 1
         return len(self.last[0])
 
-    def compact(self, place: float) -> None:
+    def compact(self, octaves: float) -> None:
         """Compact SH for steps of this coarseness, without deciding whether it pays."""
-        self._recolour(place, lambda colours, *shaped: colours.sketch(*shaped))
+        self._recolour(octaves, lambda colours, *shaped: colours.sketch(*shaped))
 
-    def settle(self, place: float) -> None:
+    def settle(self, octaves: float) -> None:
         """As `compact`, but decide first whether compaction pays; the decision is kept."""
-        self._recolour(place, lambda colours, *shaped: colours.compact(*shaped))
+        self._recolour(octaves, lambda colours, *shaped: colours.compact(*shaped))
 
-    def refit(self, place: float) -> None:
+    def refit(self, octaves: float) -> None:
         """Compact and refit SH for steps of this coarseness."""
 
         def both(colours: Colours, decoded: Scene, *steps: Any) -> Scene:
@@ -222,11 +222,11 @@ class _Trials:
                 decoded = colours.compact(decoded, *steps)
             return colours.refit(decoded)
 
-        self._recolour(place, both)
+        self._recolour(octaves, both)
 
-    def _recolour(self, place: float, choose: Callable[..., Scene]) -> None:
+    def _recolour(self, octaves: float, choose: Callable[..., Scene]) -> None:
         assert self.guidance is not None
-        config = self.config_at(place)
+        config = self.config_at(octaves)
         profile = config.resolved_lattice()
         with self.times.stage("recolour"):
             steps = self.guidance.steps(self.scene, profile)
@@ -268,11 +268,11 @@ def _meet_pruning(
     renders = seen.views.renders
     best: _Met | None = None
     refused: _OutOfReach | None = None
-    least, place, encodings = math.inf, 0.0, 0
+    least, octaves, encodings = math.inf, 0.0, 0
     for part in range(1, _MOST_PARTS + 1):
         trials = _begin(scene, config, targets, times, progress)
         try:
-            met = _meet(trials, target, limit, seen, place)
+            met = _meet(trials, target, limit, seen, octaves)
         except _OutOfReach as refusal:
             refused, cost = refusal, math.inf
             if not isinstance(refusal, _TooLarge):
@@ -280,7 +280,7 @@ def _meet_pruning(
         else:
             data = trials.last[0]
             cost = len(data) if limit is None else seen.loss(data)
-            place = trials.place
+            octaves = trials.octaves
         finally:
             encodings += trials.number
         if cost < least:
@@ -334,12 +334,12 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
         plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
         search(trials.size, *plain, start, _SIZE_SLOPE)
-        _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
-        trials.settle(trials.place)
-        if not before[0] <= trials.size(trials.place) <= before[1]:
+        _search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
+        trials.settle(trials.octaves)
+        if not before[0] <= trials.size(trials.octaves) <= before[1]:
             # Compaction does not pay at these steps, so it is left out.
-            _search_recoloured(trials.compact, trials.size, before, trials.place, _SIZE_SLOPE)
-        predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.place
+            _search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
+        predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.octaves
     recolour = None if trials.guidance is None else trials.refit
     found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)
     if found is None:
@@ -354,8 +354,8 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
     """Search for steps at which the loss of views is just within the limit."""
     measured, before = seen.views.held_out, float(np.mean(seen.before))
 
-    def drop(place: float) -> float:
-        trials.size(place)
+    def drop(octaves: float) -> float:
+        trials.size(octaves)
         trials.loss = seen.loss(trials.last[0])
         return trials.loss
 
@@ -372,7 +372,7 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
         least, most = (drop(end) for end in (FINEST, COARSEST))
         if most > wanted:
             raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
-    predicted = measured.drop(before + at_once * 4.0**trials.place, before)
+    predicted = measured.drop(before + at_once * 4.0**trials.octaves, before)
     return _Met(trials, None, predicted, at_end=found is None)
 
 
@@ -384,18 +384,18 @@ def _search_recoloured(
     slope: float,
 ) -> float | None:
     """`search`, with colours refitted for about the steps that are found."""
-    place = start
+    octaves = start
     for _ in range(_MOST_RECOLOURINGS):
         if recolour is None:
             break
-        recolour(place)
-        value = measure(place)
+        recolour(octaves)
+        value = measure(octaves)
         if interval[0] <= value <= interval[1]:
-            return place
-        following = expected(value, *interval, place, slope)
-        if following == place:
+            return octaves
+        following = expected(value, *interval, octaves, slope)
+        if following == octaves:
             return None
-        moved, place = abs(following - place), following
+        moved, octaves = abs(following - octaves), following
         if moved <= _RECOLOUR_AGAIN:
             break
-    return search(measure, *interval, place, slope)
+    return search(measure, *interval, octaves, slope)

@@ -41,18 +41,18 @@ def encode_by_plan(
         scene, prepared = prepare_scene(scene, plan, progress, config=config)
         views = prepared.views
     if rate is not None:
-        wish = as_rate_target(rate)
-        return encode_goal(scene, original, ply_bytes, config, wish, plan, progress, views)
+        target = as_rate_target(rate)
+        return encode_at_rate(scene, original, ply_bytes, config, target, plan, progress, views)
     targets = None if views is None else views.renders
     return encode_planned(scene, config, plan, progress, targets)
 
 
-def encode_goal(
+def encode_at_rate(
     scene: Scene,
     original: Scene,
     ply_bytes: int,
     config: Config,
-    goal: RateTarget,
+    rate: RateTarget,
     plan: Plan | None = None,
     progress: Progress | None = None,
     views: ViewSplit | None = None,
@@ -71,21 +71,23 @@ def encode_goal(
     from gs_codec.guidance.allocate import Seen, check_searchable, encode_to_target
 
     check_searchable(scene, config)
-    limit = goal.limit(original.count, ply_bytes)
-    if plan is None and (limit is None or goal.allow_prune):
+    limit = rate.limit(original.count, ply_bytes)
+    if plan is None and (limit is None or rate.allow_prune):
         from gs_codec.preparation.steps import Plan
 
         plan = Plan()
     if plan is None:
-        return encode_to_target(scene, config, goal, limit)
+        return encode_to_target(scene, config, rate, limit)
     seen = None
-    if limit is None or goal.allow_prune:
+    if limit is None or rate.allow_prune:
         from gs_codec.preparation.pipeline import choose_views
 
         views = views or choose_views(original, plan, progress)
         seen = Seen(views, views.held_out.errors(original, progress), progress)
-    targets = wanted_of(scene, plan, progress, views.renders if views is not None else None)
-    return encode_to_target(scene, config, goal, limit, targets, seen, progress)
+    targets = reference_views_of(
+        scene, plan, progress, views.renders if views is not None else None
+    )
+    return encode_to_target(scene, config, rate, limit, targets, seen, progress)
 
 
 def encode_planned(
@@ -103,7 +105,7 @@ def encode_planned(
         return encode_scene(scene, config, progress)
     from gs_codec.guidance.guide import guide
 
-    targets = wanted_of(scene, plan, progress, targets)
+    targets = reference_views_of(scene, plan, progress, targets)
     times = StageTimes()
     with using_threads(config.threads):
         with times.stage("check"):
@@ -121,7 +123,7 @@ def encode_planned(
     return b"".join(parts), replace(report, **changed)
 
 
-def wanted_of(
+def reference_views_of(
     scene: Scene,
     plan: Plan,
     progress: Progress | None = None,

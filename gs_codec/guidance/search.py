@@ -29,11 +29,11 @@ _BESIDE = (3, -3, 6, -6, 9, -9, 12, -12)
 _LEAST = 1e-6
 
 
-def expected(value: float, low: float, high: float, place: float, slope: float) -> float:
+def expected(value: float, low: float, high: float, octaves: float, slope: float) -> float:
     """Log2 of a coarseness that should take a measure from `value` to within its interval."""
     aim = (1 - _AIM) * low + _AIM * high
     reach = math.log2(max(aim, _LEAST) / max(value, _LEAST)) / slope
-    return min(max(place + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)
+    return min(max(octaves + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)
 
 
 class _Met(Exception):
@@ -65,23 +65,23 @@ def search(
     below: dict[float, float] = {}
 
     @cache
-    def height(place: float) -> float:
-        value = measure(place)
+    def height(octaves: float) -> float:
+        value = measure(octaves)
         if low <= value <= high:
-            raise _Met(place)
+            raise _Met(octaves)
         if value < low:
-            below[value] = place
+            below[value] = octaves
         return math.log2(max(value, _LEAST)) - aim
 
     try:
         bracket = _bracket(height, min(max(start, FINEST), COARSEST), slope)
         if bracket is not None:
-            place = brentq(height, *bracket, xtol=_NARROW)
+            octaves = brentq(height, *bracket, xtol=_NARROW)
             for shift in _BESIDE:
-                height(min(max(place + shift * _NARROW, FINEST), COARSEST))
-            place = below[max(below)]
-            measure(place)
-            return place
+                height(min(max(octaves + shift * _NARROW, FINEST), COARSEST))
+            octaves = below[max(below)]
+            measure(octaves)
+            return octaves
     except _Met as met:
         return float(met.args[0])
     return None
@@ -94,14 +94,14 @@ def _bracket(
     found = height(start)
     before, reach = start, -found / slope
     while True:
-        place = min(max(start + reach, FINEST), COARSEST)
-        if place == before:
+        octaves = min(max(start + reach, FINEST), COARSEST)
+        if octaves == before:
             return None
-        value = height(place)
+        value = height(octaves)
         if value * found < 0:
-            return before, place
+            return before, octaves
         # Go beyond where the secant is 0, but at most double the distance from the start.
-        line = (value - found) / (place - start)
+        line = (value - found) / (octaves - start)
         further = abs(_BEYOND * value / line) if line * slope > 0 else math.inf
         further = min(max(further, _LEAST_STEP), abs(reach))
-        before, reach = place, reach + math.copysign(further, reach)
+        before, reach = octaves, reach + math.copysign(further, reach)

@@ -210,8 +210,8 @@ def _with_values(scene: Scene, values: NDArray[np.float32]) -> Scene:
 
 def _view(seed: int, iteration: int, views: int) -> int:
     """Index of an iteration's view; derived from the seed, so checkpoints need not store it."""
-    epoch, place = divmod(iteration, views)
-    return int(np.random.default_rng([seed, epoch]).permutation(views)[place])
+    epoch, index = divmod(iteration, views)
+    return int(np.random.default_rng([seed, epoch]).permutation(views)[index])
 
 
 def _update(

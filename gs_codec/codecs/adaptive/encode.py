@@ -70,9 +70,9 @@ class ShapedScene:
 
     def with_colours(self, coloured: Scene) -> ShapedScene:
         """The scene with the SH of `coloured`, which is in stream order."""
-        place = np.empty_like(self.order)
-        place[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
-        f_dc, f_rest = gather(coloured.f_dc, place), gather(coloured.f_rest, place)
+        rank = np.empty_like(self.order)
+        rank[self.order] = np.arange(len(self.order), dtype=self.order.dtype)
+        f_dc, f_rest = gather(coloured.f_dc, rank), gather(coloured.f_rest, rank)
         source = replace(self.arranged.source, f_dc=f_dc, f_rest=f_rest)
         return replace(self, arranged=replace(self.arranged, source=source))
 

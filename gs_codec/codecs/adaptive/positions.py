@@ -25,9 +25,9 @@ def centres(
         Bits of x, y, z.
     """
     widths = np.zeros((3, sum(bits) + 1), np.int64)
-    for place, axis in enumerate(bit_layout(bits)[::-1]):
-        widths[:, place + 1] = widths[:, place]
-        widths[axis, place + 1] += 1
+    for bit, axis in enumerate(bit_layout(bits)[::-1]):
+        widths[:, bit + 1] = widths[:, bit]
+        widths[axis, bit + 1] += 1
     cells = 2 * decode_morton(codes, bits).astype(np.int64)
     return cells + (np.int64(1) << widths[:, dropped])
 

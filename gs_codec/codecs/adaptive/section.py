@@ -101,10 +101,10 @@ def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassMode
     TruncatedStream, CorruptStream
     """
     reader = ByteReader(data, _WHERE)
-    *place, step = reader.unpack("4f")
+    *origin, step = reader.unpack("4f")
     bits = reader.unpack("3B")
-    grid = PositionGrid((place[0], place[1], place[2]), step, bits)
-    if not (all(map(math.isfinite, place)) and 0 < step < math.inf and max(bits) <= 21):
+    grid = PositionGrid((origin[0], origin[1], origin[2]), step, bits)
+    if not (all(map(math.isfinite, origin)) and 0 < step < math.inf and max(bits) <= 21):
         raise CorruptStream(f"{_WHERE}: grid of {bits} bits, step {step}")
     classes = reader.unpack("2B")
     if not all(1 <= number <= MAX_CLASSES for number in classes):

@@ -54,9 +54,9 @@ def _header(scene: Scene, config: Config) -> Header:
 
 def _channels_section(scene: Scene, ordered: Ordered, coded: Coded) -> Section:
     channels = (*ordered.channels, *coded.constants, *coded.channels)
-    by_place = {(channel.group, channel.index): channel for channel in channels}
-    places = channel_order(len(scene.f_rest) // 3)
-    data = write_channels(by_place[group, index] for group, index, _ in places)
+    by_key = {(channel.group, channel.index): channel for channel in channels}
+    keys = channel_order(len(scene.f_rest) // 3)
+    data = write_channels(by_key[group, index] for group, index, _ in keys)
     return Section(SectionId.CHANNELS, 0, data)
 
 

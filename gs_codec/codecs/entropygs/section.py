@@ -76,16 +76,14 @@ def channel_order(coefficients: int) -> list[tuple[str, int, str]]:
     """
     streams = [group for group in GROUPS if group != "f_rest"]
     rows = group_rows(coefficients)
-    places = [
+    keys = [
         (group, index, stream)
         for group, stream in zip(streams, DEPTH_GROUPS, strict=False)
         for index in range(rows[group])
     ]
     for stream, band in zip(SH_STREAMS, sh_bands(coefficients), strict=False):
-        places += [
-            ("f_rest", colour * coefficients + i, stream) for colour in range(3) for i in band
-        ]
-    return places
+        keys += [("f_rest", colour * coefficients + i, stream) for colour in range(3) for i in band]
+    return keys
 
 
 def write_channels(channels: Iterable[Channel]) -> bytes:

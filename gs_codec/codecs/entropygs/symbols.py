@@ -51,11 +51,11 @@ def quantise_and_model(
 ) -> Coded:
     """Quantise all channels but geometry and SH-DC, in `order`, and choose their models."""
     depths = config.resolved_depths()
-    places = [p for p in channel_order(len(scene.f_rest) // 3) if p[2] in RANS_STREAMS]
-    symbols = empty((len(places), scene.count), np.uint16)
+    keys = [p for p in channel_order(len(scene.f_rest) // 3) if p[2] in RANS_STREAMS]
+    symbols = empty((len(keys), scene.count), np.uint16)
 
     def work(row: int) -> tuple[Channel, NDArray[np.int64], Choice | None, int]:
-        group, index, stream = places[row]
+        group, index, stream = keys[row]
         quantiser, scale = fit_channel(getattr(scene, group)[index], group, depths[stream])
         symbols[row], histogram, clamped = quantise(getattr(scene, group)[index], quantiser, order)
         channel = Channel(group, index, stream, quantiser)
@@ -64,8 +64,8 @@ def quantise_and_model(
         choice = choose_model(histogram, scale, sent_table_bytes)
         return replace(channel, model=choice.model), histogram, choice, clamped
 
-    advance = step_counter(progress, "quantise", len(places))
-    results = run_all(work, range(len(places)), advance=advance)
+    advance = step_counter(progress, "quantise", len(keys))
+    results = run_all(work, range(len(keys)), advance=advance)
     return _collect(results, symbols)
 
 

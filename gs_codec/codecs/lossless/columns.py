@@ -135,19 +135,19 @@ def _count(guide, counts):
 
 
 @kernel
-def _split(values, guide, places, grouped):
+def _split(values, guide, offsets, grouped):
     for i in range(guide.size):
         group = _class_of(guide[i])
-        grouped[places[group]] = values[i]
-        places[group] += 1
+        grouped[offsets[group]] = values[i]
+        offsets[group] += 1
 
 
 @kernel
-def _merge(grouped, guide, places, values):
+def _merge(grouped, guide, offsets, values):
     for i in range(guide.size):
         group = _class_of(guide[i])
-        values[i] = grouped[places[group]]
-        places[group] += 1
+        values[i] = grouped[offsets[group]]
+        offsets[group] += 1
 
 
 def _class_bounds(guide: Bits) -> NDArray[np.int64]:

@@ -6,9 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gs_codec.codecs.matching import (
-    without_order,
-)
+from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.report import Progress

@@ -13,12 +13,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.images import View, compare_images
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import (
-    find_image,
-    output_names,
-    read_image,
-    write_png,
-)
+from gs_codec.rendering.images import find_image, output_names, read_image, write_png
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import make_folder

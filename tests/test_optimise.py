@@ -16,12 +16,12 @@ from test_render import TEAL, crowd, real_cameras, render, splats, straight, tur
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply import read_ply
-from gs_codec.metrics.image_loss import LossWeights, image_loss
 from gs_codec.preparation.adam import Rates, adam_step, new_state, rig_radius
 from gs_codec.preparation.optimise import optimise
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.gradients import differentiate, draw
+from gs_codec.rendering.image_loss import LossWeights, image_loss
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS, Scene
 

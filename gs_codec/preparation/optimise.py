@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.metrics.image_loss import LossWeights
 from gs_codec.preparation.adam import AdamState, Rates, adam_step, new_state, step_sizes
 from gs_codec.preparation.checkpoint import Checkpoint, digest_of, read_checkpoint, write_checkpoint
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.gradients import Differentiated, differentiate
+from gs_codec.rendering.image_loss import LossWeights
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import check_writable
 from gs_codec.runtime.threads import run_all

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.metrics.image_loss import ImageLoss, LossWeights, image_loss
 from gs_codec.rendering.backward import MOMENT_YY, differentiate_gaussians, differentiate_tiles
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import Frame, make_frame
+from gs_codec.rendering.image_loss import ImageLoss, LossWeights, image_loss
 from gs_codec.rendering.trace import draw_tiles
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene, channel_count

@@ -81,7 +81,7 @@ def _encode(
             max_memory=options.max_memory, max_bytes=limit,
         )  # fmt: skip
     with open_scene(file) as opened:
-        packed = opened.is_compressed
+        counted = opened.ratio_bytes(report.raw_bytes)
     after = sources.stamp(task.source)
     if before is None or before != after:
         # The bytes that were read may be a mix of the old and the new scene.
@@ -100,7 +100,7 @@ def _encode(
         output_bytes=written[1],
         output_sha256=written[0],
         gaussians=report.count,
-        ratio=(report.raw_bytes if packed else size) / written[1],
+        ratio=counted / written[1],
         bits_per_gaussian=8 * written[1] / max(report.count, 1),
         seconds=seconds,
         changed=_changed(report),

@@ -52,8 +52,7 @@ def command(
             )  # fmt: skip
         _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
         with open_scene(file) as opened:
-            size, compressed = opened.stored_bytes, opened.is_compressed
-        ratio = (done.raw_bytes if compressed else size) / done.file_bytes
+            size, ratio = opened.stored_bytes, opened.ratio_bytes(done.raw_bytes) / done.file_bytes
         if asked["json"]:
             print_json(
                 {"input": str(source), "output": str(target), "profile": config.profile}

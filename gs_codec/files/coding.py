@@ -158,8 +158,7 @@ def _read_source(
         # Bits of a PLY or .egs stay as they are, and the comment that names another system.
         stays = file.is_egs or file.format == "ply"
         scene = _scene_of(file, extra, None, None if stays else CONVENTION, max_bytes)
-        counts = file.is_compressed
-        return scene, scene.float_bytes if counts else file.stored_bytes
+        return scene, file.ratio_bytes(scene.float_bytes)
 
 
 def decode_file(

@@ -105,6 +105,10 @@ class SceneFile:
         """Size of the scene, bytes: of this file, or of all files of a SOG scene."""
         return sog_bytes(self.path) if self.format == "sog" else len(self.data)
 
+    def ratio_bytes(self, raw_bytes: int) -> int:
+        """Bytes that a ratio counts from: of a PLY, or the floats' `raw_bytes` if compressed."""
+        return raw_bytes if self.is_compressed else self.stored_bytes
+
     def stated_bytes(self) -> int:
         """Bytes of floats that the header states (not for `.egs`); reads only the header.
 

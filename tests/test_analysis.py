@@ -13,17 +13,11 @@ from scipy.stats import entropy, laplace
 from test_cli import Folder, strict_json
 
 from gs_codec.analysis.analyse import Options, analyse_scene
+from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.analysis.fits import fits_of
 from gs_codec.analysis.information import bin_count, into_bins, mutual_information
 from gs_codec.analysis.maps import map_count, maps_of, mean_by_attribute, mean_by_relation
-from gs_codec.analysis.page import (
-    bits_by_attribute,
-    depths_by_group,
-    entropy_by_group,
-    page,
-    picture,
-    table,
-)
+from gs_codec.analysis.page import page, picture, table
 from gs_codec.analysis.plots import new_figure
 from gs_codec.analysis.save import draw_pictures
 from gs_codec.analysis.sensitivity import LEVELS, THRESHOLD, level_at, measure_sensitivity

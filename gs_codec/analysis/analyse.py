@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from gs_codec import __version__
+from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.analysis.fits import Fit, fits_of
 from gs_codec.analysis.information import bin_count
 from gs_codec.analysis.maps import Map, map_count, maps_of, mean_by_attribute, mean_by_relation
-from gs_codec.analysis.page import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.analysis.sensitivity import SensitivityCurves, measure_sensitivity
 from gs_codec.codecs import encode_scene
 from gs_codec.coding.clean import drop_nonfinite

@@ -19,6 +19,12 @@ _VALUES_A_CELL = 50
 _CHUNK = 1 << 14
 
 
+#: Threshold relative to the channel's mean magnitude. Quantised formats store several values next
+#: to zero. With a Laplace distribution, one value in a hundred is below it, but never all of a
+#: colour.
+_SHARE = 0.01
+
+
 @dataclass(frozen=True)
 class Information:
     """Normalised mutual information of channels with others.
@@ -108,12 +114,6 @@ def _count_pairs(first, second, tables):
         for k in range(len(second)):
             for i in range(start, stop):
                 tables[k, first[i], second[k, i]] += 1
-
-
-#: Threshold relative to the channel's mean magnitude. Quantised formats store several values next
-#: to zero. With a Laplace distribution, one value in a hundred is below it, but never all of a
-#: colour.
-_SHARE = 0.01
 
 
 def is_zero(planes: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -26,6 +26,10 @@ _OTHERS = {"rot": "rotation", "log_scale": "scaling", "opacity": "opacity", "f_d
 _COMPONENTS = {"rot": "wxyz", "log_scale": "012", "opacity": " ", "f_dc": "RGB"}
 
 
+#: A colour map that also reads well in greyscale and with colour blindness.
+_COLOURS = "cividis"
+
+
 @dataclass(frozen=True)
 class Map:
     """Normalised mutual information of the channels `rows` with the channels `columns`."""
@@ -139,10 +143,6 @@ def _labels(letters: tuple[str, ...], coefficients: int) -> tuple[str, ...]:
     if coefficients == 1:
         return letters
     return tuple(f"{letter} {k + 1}" for letter in letters for k in range(coefficients))
-
-
-#: A colour map that also reads well in greyscale and with colour blindness.
-_COLOURS = "cividis"
 
 
 def plot_within_colours(every: Map, coloured: Map) -> Figure:

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from gs_codec.errors import MissingTool
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gs_codec.analysis.sensitivity import LEVELS, SensitivityCurves
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 from gs_codec.analysis.fits import Fit
+from gs_codec.analysis.sensitivity import LEVELS, SensitivityCurves
+from gs_codec.errors import MissingTool
 from gs_codec.scene import sh_bands
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+_MARKERS = "osD^vX"
+_DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
+_HATCHES = ("", "//", "", "\\\\", "", "xx", "", "..", "")
+
+_BARS, _CURVE = "0.72", "#00204c"  # light grey; the dark end of cividis
+
+_TITLES = {
+    "geometry": "positions",
+    "sh-dc": "SH-DC",
+    "opacity": "opacity (logit)",
+    "scaling": "scaling (log)",
+    "rotation": "rotation",
+}
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -43,11 +45,6 @@ def new_figure(width: float, height: float) -> Figure:
     except ImportError:
         raise MissingTool("plots: need matplotlib (pip install matplotlib)") from None
     return Figure(figsize=(width, height), dpi=110)
-
-
-_MARKERS = "osD^vX"
-_DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
-_HATCHES = ("", "//", "", "\\\\", "", "xx", "", "..", "")
 
 
 def plot_sensitivity(sensitivity: SensitivityCurves) -> Figure:
@@ -113,17 +110,6 @@ def _stack(axis: Axes, bits: dict[str, dict[str, float]]) -> None:
     axis.margins(x=0.08)
     axis.set_xlim(left=0)
     axis.spines[["top", "right"]].set_visible(False)
-
-
-_BARS, _CURVE = "0.72", "#00204c"  # light grey; the dark end of cividis
-
-_TITLES = {
-    "geometry": "positions",
-    "sh-dc": "SH-DC",
-    "opacity": "opacity (logit)",
-    "scaling": "scaling (log)",
-    "rotation": "rotation",
-}
 
 
 def plot_attributes(fits: Sequence[Fit]) -> Figure:

@@ -29,6 +29,9 @@ from gs_codec.errors import InvalidInput, MissingTool, one_line
 _SHARE = 0.7
 
 
+_HOST = "127.0.0.1"
+
+
 class Cluster:
     """Encodes scenes on the workers of a Dask scheduler, or of one started on this machine.
 
@@ -216,9 +219,6 @@ def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str)
 
     with _GATE.passed(task.need, room):
         return encode_one(task, options, worker.local_directory, throttled(tell))
-
-
-_HOST = "127.0.0.1"
 
 
 class _Silent:

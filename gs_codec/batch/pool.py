@@ -24,6 +24,10 @@ Work = Callable[[Task, Progress], Record]
 _SPAWN = multiprocessing.get_context("spawn")
 
 
+#: Least seconds between two progress reports of a stage.
+_EVERY = 0.1
+
+
 class Pool:
     """Processes that work on one task after another.
 
@@ -173,10 +177,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-#: Least seconds between two progress reports of a stage.
-_EVERY = 0.1
 
 
 class Watcher:

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gs_codec.analysis.page import entropy_by_group
+from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.apart import run_apart
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config

@@ -26,6 +26,10 @@ COLUMNS = [
 ]  # fmt: skip
 
 
+#: What `--set` does not take here: only depths are of interest for every profile.
+_UNUSED = set(OPTIONS) - {"depth"}
+
+
 def add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
     """Put a result line into the rows, which are by name."""
     kind, name = line["kind"], f"{line.get('scene')}, {line.get('profile')}"
@@ -126,10 +130,6 @@ def measure_suite(
     write_report(lines, out)
     print_absent(lines)
     print_status(f"report: {out / 'report.md'}")
-
-
-#: What `--set` does not take here: only depths are of interest for every profile.
-_UNUSED = set(OPTIONS) - {"depth"}
 
 
 class _Group(TyperGroup):

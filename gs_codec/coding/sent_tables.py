@@ -22,6 +22,14 @@ MAX_EXPONENT = 32
 MAX_MANTISSA = 15
 
 
+_STEPS = MAX_EXPONENT + 1
+_SAME = 0  # contexts of 'length unchanged', by whether the last one was, and by alphabet
+_SIGN = 6
+_SIZE = 12
+_MANTISSA = _SIZE + 2 * _STEPS
+_CONTEXTS = _MANTISSA + MAX_MANTISSA + 1
+
+
 @dataclass(frozen=True)
 class SentModel:
     """Weights ``(A,)`` below 2**32 whose bits after the first `mantissa` + 1 are 0."""
@@ -48,14 +56,6 @@ class SentModel:
     def describe(self) -> dict[str, int]:
         """Symbols in use and bits of the mantissas, for reports."""
         return {"symbols": int(np.count_nonzero(self.weights)), "mantissa": self.mantissa}
-
-
-_STEPS = MAX_EXPONENT + 1
-_SAME = 0  # contexts of 'length unchanged', by whether the last one was, and by alphabet
-_SIGN = 6
-_SIZE = 12
-_MANTISSA = _SIZE + 2 * _STEPS
-_CONTEXTS = _MANTISSA + MAX_MANTISSA + 1
 
 
 @kernel

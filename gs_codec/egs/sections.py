@@ -21,6 +21,14 @@ _COMMENT_BYTES = 1 << 20
 _EXTRA = "section 'extra'"
 
 
+_LAYOUT = "<6f"
+
+Box = tuple[tuple[float, ...], tuple[float, ...]]
+
+#: Most characters of a version line.
+MAX_LENGTH = 200
+
+
 def carried_sections(scene: Scene, order: NDArray[np.integer]) -> list[Section]:
     """Sections `comments` and `extra` of a scene, with Gaussians in the given order."""
     sections = []
@@ -124,11 +132,6 @@ def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
     return rows.reshape(-1).view(dtype)
 
 
-_LAYOUT = "<6f"
-
-Box = tuple[tuple[float, ...], tuple[float, ...]]
-
-
 def write_box(positions: NDArray[np.float32]) -> bytes:
     """Serialise the box of the finite coordinates of ``positions (3, N)``; zeros without any."""
     finite = [row[np.isfinite(row)] for row in positions]
@@ -153,10 +156,6 @@ def read_box(data: memoryview) -> Box:
     if not np.isfinite(values).all() or any(a > b for a, b in zip(low, high, strict=True)):
         raise CorruptStream(f"section 'box': {low} to {high} is no box")
     return low, high
-
-
-#: Most characters of a version line.
-MAX_LENGTH = 200
 
 
 def write_tool(version: str) -> bytes:

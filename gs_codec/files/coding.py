@@ -14,6 +14,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
+from gs_codec.files.scenes import check_target, scene_in
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
@@ -27,7 +28,6 @@ from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
-from gs_codec.files.scenes import _scene_of, check_target
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def _read_source(
             )
         # Bits of a PLY or .egs stay as they are, and the comment that names another system.
         stays = file.is_egs or file.format == "ply"
-        scene = _scene_of(file, extra, None, None if stays else CONVENTION, max_bytes)
+        scene = scene_in(file, extra, None, None if stays else CONVENTION, max_bytes)
         return scene, file.ratio_bytes(scene.float_bytes)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config
+from gs_codec.files.scenes import check_target, read_scene, write_scene
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, make_folder
@@ -17,7 +18,6 @@ from gs_codec.runtime.threads import using_threads
 if TYPE_CHECKING:
     from gs_codec.preparation.report import PrepareReport
     from gs_codec.preparation.steps import Plan
-from gs_codec.files.scenes import check_target, read_scene, write_scene
 
 
 def prepare_file(

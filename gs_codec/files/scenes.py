@@ -6,7 +6,7 @@ import logging
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from gs_codec.codecs import decode_part, encode_scene
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
@@ -29,10 +29,6 @@ from gs_codec.report import Progress
 from gs_codec.runtime.atomic import atomic_writer, check_writable
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, float_bytes
-
-if TYPE_CHECKING:
-    pass
-
 
 log = logging.getLogger(__name__)
 
@@ -104,16 +100,17 @@ def read_scene(
     `Scene.coordinates` names if that is not the convention's.
     """
     with open_scene(path) as file:
-        return _scene_of(file, extra, progress, coordinates, max_bytes)
+        return scene_in(file, extra, progress, coordinates, max_bytes)
 
 
-def _scene_of(
+def scene_in(
     file: SceneFile,
     extra: Literal["error", "keep", "drop"],
     progress: Progress | None,
     coordinates: str | None,
     max_bytes: int | None,
 ) -> Scene:
+    """The scene of an opened file; see `read_scene`."""
     if file.is_egs:
         scene = _decode_ordered(file, progress, max_bytes)
     else:

@@ -27,6 +27,17 @@ _TABLE = 256
 _FLOAT32 = float(np.finfo(np.float32).max)
 
 
+ZIP = b"PK\x03\x04"
+
+#: Reads a file, given its name and the most bytes it may have.
+Files = Callable[[str, int], bytes]
+
+_ENTRIES = 1000
+
+#: Animation flag of an extended WebP file.
+_ANIMATION = 2
+
+
 @dataclass(frozen=True)
 class Meta:
     """Contents of `meta.json`.
@@ -178,17 +189,6 @@ def _whole(value: Any, where: str) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 31:
         raise InvalidInput(f"meta.json: {where} is {value!a:.40}, expected a whole number")
     return value
-
-
-ZIP = b"PK\x03\x04"
-
-#: Reads a file, given its name and the most bytes it may have.
-Files = Callable[[str, int], bytes]
-
-_ENTRIES = 1000
-
-#: Animation flag of an extended WebP file.
-_ANIMATION = 2
 
 
 @contextmanager

@@ -14,6 +14,15 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene
 
+_BETA_1, _BETA_2 = 0.9, 0.999
+_EPSILON = np.float32(1e-15)
+
+#: Larger derivatives count as 0: float32 cannot hold their squares.
+_LARGEST = 1e15
+
+#: Smaller means become 0: processors are slow with denormal floats.
+_SMALLEST = np.float32(1e-30)
+
 
 @dataclass(frozen=True)
 class Rates:
@@ -61,16 +70,6 @@ def step_sizes(scene: Scene, cameras: Sequence[Camera], rates: Rates) -> NDArray
     """Step sizes ``(C,)`` of Adam at the start, for each channel in the order of `GROUPS`."""
     sizes = asdict(rates) | {"positions": rates.positions * rig_radius(cameras)}
     return np.concatenate([np.full(len(getattr(scene, group)), sizes[group]) for group in GROUPS])
-
-
-_BETA_1, _BETA_2 = 0.9, 0.999
-_EPSILON = np.float32(1e-15)
-
-#: Larger derivatives count as 0: float32 cannot hold their squares.
-_LARGEST = 1e15
-
-#: Smaller means become 0: processors are slow with denormal floats.
-_SMALLEST = np.float32(1e-30)
 
 
 class AdamState(NamedTuple):

@@ -33,6 +33,16 @@ from gs_codec.scene import Scene
 _VOLUME_POWER, _VOLUME_QUANTILE = 0.1, 0.9
 
 
+#: Transmittance where a pixel ends; low, as the removal of an opaque splat shows what it hid.
+_LEAST = 1e-6
+
+#: Share of the remaining Gaussians that a round may remove.
+_ROUND = 0.2
+
+#: Bisections of the last round, where the loss reaches its limit.
+_BISECTIONS = 6
+
+
 def portion(count: int, percent: float) -> int:
     """Number of Gaussians in `percent` percent of `count`, rounded down.
 
@@ -87,10 +97,6 @@ def importance(
     largest = np.quantile(log_volume, _VOLUME_QUANTILE) if scene.count else 0.0
     volume = np.exp(_VOLUME_POWER * np.minimum(log_volume - largest, 0.0))
     return seen / (1.0 + np.exp(-scene.opacity[0].astype(np.float64))) * volume
-
-
-#: Transmittance where a pixel ends; low, as the removal of an opaque splat shows what it hid.
-_LEAST = 1e-6
 
 
 def leave_one_out(
@@ -166,13 +172,6 @@ def _leave_out(fields, splats, starts, first, end, columns, width, height, backg
                     change = behind[pixel, channel] * uncovered - own
                     added += change * change
             errors[pair, 0] = added
-
-
-#: Share of the remaining Gaussians that a round may remove.
-_ROUND = 0.2
-
-#: Bisections of the last round, where the loss reaches its limit.
-_BISECTIONS = 6
 
 
 def prune_leave_one_out(

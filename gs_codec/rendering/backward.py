@@ -35,6 +35,10 @@ from gs_codec.scene import SH_C0
 BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
 
 
+#: First rows of f_dc and f_rest in a column; opacity, log_scale and rot follow f_rest.
+_F_DC, _F_REST = 3, 6
+
+
 @kernel
 def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_colour, sums):
     """Fill ``sums (pairs, 9)`` for tiles `first` to `end`.
@@ -97,10 +101,6 @@ def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_
             total[BY_RED], total[BY_GREEN], total[BY_BLUE] = by_red, by_green, by_blue
             total[MOMENT], total[MOMENT_X], total[MOMENT_Y] = moment, moment_x, moment_y
             total[MOMENT_XX], total[MOMENT_XY], total[MOMENT_YY] = moment_xx, moment_xy, moment_yy
-
-
-#: First rows of f_dc and f_rest in a column; opacity, log_scale and rot follow f_rest.
-_F_DC, _F_REST = 3, 6
 
 
 @kernel

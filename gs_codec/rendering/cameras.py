@@ -26,6 +26,10 @@ _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 _COLMAP_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
 
 
+#: What `find_cameras` can select.
+SPLITS = ("held-out", "test", "train", "all")
+
+
 def read_cameras(path: str | Path) -> list[Camera]:
     """Read the cameras of a dataset or of a trained scene.
 
@@ -90,10 +94,6 @@ def _check_name(where: str, name: str) -> None:
         raise InvalidInput(f"{where}: name of {len(name)} characters, expected 1 to {_MAX_NAME}")
     if _UNPRINTABLE.search(name):
         raise InvalidInput(f"{where}: control characters in name {reprlib.repr(name)}")
-
-
-#: What `find_cameras` can select.
-SPLITS = ("held-out", "test", "train", "all")
 
 
 def find_cameras(

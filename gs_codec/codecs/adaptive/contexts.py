@@ -28,6 +28,10 @@ COLOUR_SHIFTS, ACTIVITIES = 16, 6
 ENERGIES = np.array([0, 1, 2, 3, 5, 8, 13, 22, 41], np.int64)
 
 
+#: Approximate bits that each symbol in use costs in a sent table.
+_SYMBOL_BITS = 7.0
+
+
 @dataclass(frozen=True)
 class Pass:
     """A run of symbols of one kind."""
@@ -87,10 +91,6 @@ def energy_class(levels: NDArray[np.int32]) -> NDArray[np.uint8]:
     classes = np.empty(levels.shape[1], np.uint8)
     _classify(levels, class_of.astype(np.uint8), classes)
     return classes
-
-
-#: Approximate bits that each symbol in use costs in a sent table.
-_SYMBOL_BITS = 7.0
 
 
 @dataclass(frozen=True)

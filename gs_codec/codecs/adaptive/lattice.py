@@ -23,6 +23,13 @@ LARGEST = 400.0
 TOO_LARGE = 4 * LARGEST
 
 
+#: Fraction bits of a rule's numbers.
+RULE_FRACTION_BITS = 16
+
+#: A step size is at most its unit times 2 to this power.
+MAX_SHIFT = 31
+
+
 @kernel
 def _to_lattice(values, centre, unit, shifts, limit, levels):
     clamped = 0
@@ -56,13 +63,6 @@ def from_lattice(
 def to_float(fixed: NDArray[np.int64]) -> NDArray[np.float64]:
     """Exact float64 of fixed-point values."""
     return fixed / float(1 << FRACTION_BITS)
-
-
-#: Fraction bits of a rule's numbers.
-RULE_FRACTION_BITS = 16
-
-#: A step size is at most its unit times 2 to this power.
-MAX_SHIFT = 31
 
 
 @dataclass(frozen=True)

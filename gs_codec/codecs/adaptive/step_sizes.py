@@ -24,6 +24,48 @@ from gs_codec.codecs.adaptive.lattice import RULE_FRACTION_BITS, StepRule
 from gs_codec.coding.linear import combine, fitting
 from gs_codec.scene import SH_C0
 
+#: Number of classes: what these views hardly see must not become too coarse for others.
+_CLASSES = 9
+
+#: Share of Gaussians more sensitive than the finest class; share whose sensitivity is raised.
+_FINEST, _LEAST_SEEN = 1e-4, 0.02
+
+#: Share of Gaussians whose step sizes may be coarser than wanted.
+_COARSER = 1e-3
+
+#: Rules are fitted to a sample of about this many Gaussians.
+_SAMPLE = 20_000
+_ROUNDS, _TURNS = 4, 12
+
+#: Which features (1, min(logit, 0), longest, middle, shortest log-scale) a group's rule has.
+_FEATURES = {
+    "opacity": [0],
+    "scale_0": [0, 1],
+    "scale_1": [0, 1, 2],
+    "scale_2": [0, 1, 2, 3],
+    "rotation": [0, 1, 2, 3, 4],
+    "position": [0, 1, 2, 3, 4],
+    "colour": [0, 1, 2, 3, 4],
+}
+
+#: SH-DC for a unit of colour.
+_BY_COLOUR = math.log2(1 / SH_C0)
+
+#: Constant; then octaves per octave of opacity (where it is low) and of each scale, longest
+#: first.
+_LEVELS = {
+    "opacity": (-3.0,),
+    "scale_0": (-0.45, 0.75),
+    "scale_1": (-2.75, 0.75, 0.625),
+    "scale_2": (-4.25, 0.75, 0.375, 0.375),
+    "rotation": (-4.0, 0.75, 1.375, -0.375, -0.375),
+    "position": (-2.875, 0.75, 0.125, -0.375, -0.25),
+    "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
+}
+
+#: Ratio of the step sizes of SH-AC to those of SH-DC.
+SH_RATIO = 2.0**-0.25
+
 
 class Sensitivity(NamedTuple):
     """Squared error that views gain for a squared unit of change of an attribute, float64.
@@ -50,31 +92,6 @@ class Sensitivity(NamedTuple):
     rot: NDArray[np.float64]
     opacity: NDArray[np.float64]
     colour: NDArray[np.float64]
-
-
-#: Number of classes: what these views hardly see must not become too coarse for others.
-_CLASSES = 9
-
-#: Share of Gaussians more sensitive than the finest class; share whose sensitivity is raised.
-_FINEST, _LEAST_SEEN = 1e-4, 0.02
-
-#: Share of Gaussians whose step sizes may be coarser than wanted.
-_COARSER = 1e-3
-
-#: Rules are fitted to a sample of about this many Gaussians.
-_SAMPLE = 20_000
-_ROUNDS, _TURNS = 4, 12
-
-#: Which features (1, min(logit, 0), longest, middle, shortest log-scale) a group's rule has.
-_FEATURES = {
-    "opacity": [0],
-    "scale_0": [0, 1],
-    "scale_1": [0, 1, 2],
-    "scale_2": [0, 1, 2, 3],
-    "rotation": [0, 1, 2, 3, 4],
-    "position": [0, 1, 2, 3, 4],
-    "colour": [0, 1, 2, 3, 4],
-}
 
 
 @dataclass(frozen=True)
@@ -208,25 +225,6 @@ def make_rule(
 
 def _fixed(number: float) -> int:
     return min(max(round(number * (1 << RULE_FRACTION_BITS)), -(1 << 31)), (1 << 31) - 1)
-
-
-#: SH-DC for a unit of colour.
-_BY_COLOUR = math.log2(1 / SH_C0)
-
-#: Constant; then octaves per octave of opacity (where it is low) and of each scale, longest
-#: first.
-_LEVELS = {
-    "opacity": (-3.0,),
-    "scale_0": (-0.45, 0.75),
-    "scale_1": (-2.75, 0.75, 0.625),
-    "scale_2": (-4.25, 0.75, 0.375, 0.375),
-    "rotation": (-4.0, 0.75, 1.375, -0.375, -0.375),
-    "position": (-2.875, 0.75, 0.125, -0.375, -0.25),
-    "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
-}
-
-#: Ratio of the step sizes of SH-AC to those of SH-DC.
-SH_RATIO = 2.0**-0.25
 
 
 def blind_coefficients(

@@ -59,6 +59,12 @@ _PLY_TYPES = {
 }
 
 
+_CHECKSUM = "<I"
+
+#: Fewest Gaussians in a block if there are several: the program runs once for each.
+_LEAST_BLOCK = 512
+
+
 def encode_points(tool: Tmc3, cells: NDArray[np.uint32], colours: NDArray[np.uint16]) -> bytes:
     """Code points of at most 18 bits an axis and 8 a colour.
 
@@ -150,12 +156,6 @@ def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
     if not np.all((column >= 0) & (column < 1 << depth)) or np.any(column % 1):
         raise ToolFailed(f"gave a value of {name} that is no integer of {depth} bits")
     return column.astype(np.uint32)
-
-
-_CHECKSUM = "<I"
-
-#: Fewest Gaussians in a block if there are several: the program runs once for each.
-_LEAST_BLOCK = 512
 
 
 def tool_of(config: Config) -> Tmc3 | None:

@@ -16,6 +16,25 @@ from gs_codec.coding.linear import dot
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.runtime.kernels import kernel
 
+MAX_COMPONENTS = 4
+_ITERATIONS = 200
+_TOLERANCE = 1e-8
+_SMALLEST_SIGMA = 0.25
+
+#: floor(2**60 exp(-1/8192)), from which the normal distribution's table follows.
+_STEP_DECAY = 1152780775708076725
+_TABLE_SIZE = 512  # 8 sigma in steps of 1/64
+
+#: Precisions of tables to try; a larger one must save this share, as it decodes slower.
+_PRECISIONS = (12, 14, 15)
+_WORTHWHILE = 2e-4
+
+_MANTISSAS = (2, 3, 4, 6)
+
+# Bytes of a model's parameters in the stream, beside its kind and precision.
+_LAPLACE_BYTES = 2
+_COMPONENT_BYTES = 10
+
 
 @dataclass(frozen=True)
 class LaplaceModel:
@@ -55,16 +74,6 @@ class LaplaceModel:
     def describe(self) -> dict[str, float]:
         """Parameters in symbols, for reports."""
         return {"scale": -0.5 / math.log(self.decay / 65536)}
-
-
-MAX_COMPONENTS = 4
-_ITERATIONS = 200
-_TOLERANCE = 1e-8
-_SMALLEST_SIGMA = 0.25
-
-#: floor(2**60 exp(-1/8192)), from which the normal distribution's table follows.
-_STEP_DECAY = 1152780775708076725
-_TABLE_SIZE = 512  # 8 sigma in steps of 1/64
 
 
 @cache
@@ -191,16 +200,6 @@ def fit_mixture(histogram: NDArray[np.int64], count: int, precision: int) -> Mix
 
 
 Model = LaplaceModel | MixtureModel | SentModel
-
-#: Precisions of tables to try; a larger one must save this share, as it decodes slower.
-_PRECISIONS = (12, 14, 15)
-_WORTHWHILE = 2e-4
-
-_MANTISSAS = (2, 3, 4, 6)
-
-# Bytes of a model's parameters in the stream, beside its kind and precision.
-_LAPLACE_BYTES = 2
-_COMPONENT_BYTES = 10
 
 
 @dataclass(frozen=True)

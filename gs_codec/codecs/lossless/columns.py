@@ -25,6 +25,21 @@ from gs_codec.runtime.kernels import inlined, kernel
 _SIGN = np.uint32(1 << 31)
 
 
+_LEVEL = 10
+_FORMAT = 4
+_CONSECUTIVE = 1
+
+#: Number of values that are coded both ways, to decide whether to code differences.
+_SAMPLE = 8192
+_DELTAS = (DeltaSpec.no_op(), DeltaSpec.try_consecutive(1))
+
+Bits = NDArray[np.uint32]
+
+_PLAIN, _UNIT = range(2)
+_CLASS_COUNT = 32
+_HALF = np.uint32(1 << 31)
+
+
 def to_ordered(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Integers that ascend with the floats of these bit patterns, one for each pattern."""
     return np.where(bits & _SIGN, ~bits, bits | _SIGN)
@@ -61,15 +76,6 @@ def float_order(
     rows = [row for plane in others for row in plane[:, ties].view(np.uint32)]
     order[tied] = ties[np.lexsort((*rows, low[ties], high[ties]))]
     return order
-
-
-_LEVEL = 10
-_FORMAT = 4
-_CONSECUTIVE = 1
-
-#: Number of values that are coded both ways, to decide whether to code differences.
-_SAMPLE = 8192
-_DELTAS = (DeltaSpec.no_op(), DeltaSpec.try_consecutive(1))
 
 
 def write_integers(values: NDArray[np.uint32]) -> bytes:
@@ -113,13 +119,6 @@ def read_integers(data: memoryview, count: int, where: str) -> NDArray[np.uint32
     if progress.n_processed != count or not progress.finished or size + used != len(packed):
         raise CorruptStream(f"{where}: {len(packed)} bytes do not hold exactly {count} values")
     return values
-
-
-Bits = NDArray[np.uint32]
-
-_PLAIN, _UNIT = range(2)
-_CLASS_COUNT = 32
-_HALF = np.uint32(1 << 31)
 
 
 @inlined

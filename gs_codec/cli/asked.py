@@ -199,7 +199,7 @@ def plan_of(asked: Asked) -> Plan | None:
 
 
 def _goes_by_views(asked: Asked) -> bool:
-    """Whether coding without preparation goes by views; what has no effect is refused."""
+    """Whether coding without preparation is camera-guided; refuses what has no effect."""
     profile, measured = Config(asked["profile"]).profile, asked["max_psnr_drop"] is not None
     if not measured:
         asked.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")

@@ -20,7 +20,7 @@ def many(driver: Driver) -> int:
     """How many keys are pressed while nothing waits for what they change."""
     pressed = 0
     for keys in ("mf", "nmf15", "mf5", "5fm", "p5mf"):
-        for _ in range(20):
+        for _ in range(8):
             for key in keys:
                 driver.viewer.press(ord(key))
                 driver.tick(1 + pressed % 2)

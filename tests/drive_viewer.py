@@ -64,14 +64,14 @@ class Driver:
         """Tick until nothing moves any more; what is on the screen then."""
         before, equal = None, 0
         for _ in range(400):
-            self.tick(3, pause=0.03)  # few frames: a software driver draws each for long
+            self.tick(2, pause=0.03)  # few frames: a software driver draws each for long
             if self.viewer.busy or not self.viewer.stage.panes:
                 before = None
                 continue
             now = grab(self.viewer.window)
             # A frame may be on its way: a software driver takes its time on a busy machine.
             equal = equal + 1 if before is not None and np.array_equal(now, before) else 0
-            if equal == 3:
+            if equal == 2:
                 return now
             before = now
         raise SystemExit("the window never rests")
@@ -170,10 +170,10 @@ def drags(driver: Driver) -> dict:
     """The cameras after the same drags and back, in events as many as not, however panes are."""
     viewer, found = driver.viewer, {}
     cases = [
-        ("side", 1, "", (1, 5, 20, 50)),
-        ("side", 1, "ctrl", (1, 5, 20, 50)),
+        ("side", 1, "", (1, 5, 50)),
+        ("side", 1, "ctrl", (1, 20)),
         ("side", 3, "", (1, 20)),
-        ("wipe", 1, "", (1, 20)),
+        ("wipe", 1, "", (1, 50)),
         ("wipe", 1, "ctrl", (1, 20)),
     ]
     for mode, button, key, numbers in cases:
@@ -240,7 +240,7 @@ def slide(driver: Driver) -> float:
         driver.xdotool("mousemove", x + step, y)
     driver.xdotool("mouseup", 1)
     driver.rest()
-    return driver.viewer.choice.place
+    return driver.viewer.choice.wipe
 
 
 def views(driver: Driver, found: dict) -> None:
@@ -278,7 +278,7 @@ def wipes(driver: Driver, found: dict) -> None:
     half = driver.scenes(wiped)
     found["wiped_quality"] = viewer.stage.quality
     found["dragged"], found["wide"] = slide(driver), viewer.stage.size[0]
-    viewer.set_place(0.2)
+    viewer.set_wipe(0.2)
     fifth = driver.scenes(driver.rest())
     found["line"] = int(fifth[-20:, viewer.stage.divider.widget.frame.x + 1].min())
     columns = np.flatnonzero((np.abs(half - fifth) > 12).any(axis=(0, 2))) / half.shape[1]

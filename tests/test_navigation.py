@@ -41,7 +41,7 @@ def matrix(pose: Pose) -> np.ndarray:
     return np.column_stack([pose.rotation, pose.position])
 
 
-def place(pose: Pose, point: np.ndarray = TARGET) -> np.ndarray:
+def pixel(pose: Pose, point: np.ndarray = TARGET) -> np.ndarray:
     return pose.project(point[None], *SIZE)[0][0]
 
 
@@ -67,7 +67,7 @@ def test_half_a_height_is_a_quarter_turn_about_the_target():
     assert after[1] == pytest.approx(before[1])
     assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before))
     assert before[[0, 2]] @ after[[0, 2]] == pytest.approx(0, abs=1e-9)
-    np.testing.assert_allclose(place(turned), [300, 200], atol=1e-9)
+    np.testing.assert_allclose(pixel(turned), [300, 200], atol=1e-9)
 
 
 @pytest.mark.parametrize("roll", [0, 30, 90, 180])
@@ -77,7 +77,7 @@ def test_what_is_before_the_target_follows_the_mouse(roll):
     pose = replace(POSE, rotation=np.array(rolled) @ POSE.rotation)
     near = TARGET - 2 * pose.rotation[2]
     for right, down in ((3, 0), (0, 3), (-2, 2)):
-        moved = place(dragged([(right, down)], 1, False, pose)[0], near) - place(pose, near)
+        moved = pixel(dragged([(right, down)], 1, False, pose)[0], near) - pixel(pose, near)
         drag = np.array([right, down])
         assert moved @ drag > 0.9 * np.linalg.norm(moved) * np.linalg.norm(drag)
 
@@ -97,16 +97,16 @@ def test_a_look_along_the_axis_can_be_turned():
     for way in ((40, 0), (0, -40)):
         turned, _ = dragged([way], 1, False, above)
         assert np.abs(turned.rotation - rotation).max() > 0.2
-        np.testing.assert_allclose(place(turned), [300, 200], atol=1e-6)
+        np.testing.assert_allclose(pixel(turned), [300, 200], atol=1e-6)
 
 
 def test_shifts_carry_the_point_ahead_with_the_mouse_and_it_stays_the_centre():
     shifted, hand = dragged([(100, 40)], 4, True)
-    np.testing.assert_allclose(place(shifted), [400, 240], atol=1e-9)
+    np.testing.assert_allclose(pixel(shifted), [400, 240], atol=1e-9)
     np.testing.assert_array_equal(shifted.rotation, POSE.rotation)
     centre = shifted.position + hand.distance * shifted.rotation[2]
     turned = hand.turned(shifted, 0.2, 0.1)
-    np.testing.assert_allclose(place(turned, centre), [300, 200], atol=1e-9)
+    np.testing.assert_allclose(pixel(turned, centre), [300, 200], atol=1e-9)
 
 
 def test_the_wheel_comes_nearer_goes_away_and_never_sticks():

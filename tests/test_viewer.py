@@ -45,7 +45,7 @@ from viewer.picture import Shown, draw_points, draw_scene, measure, outlined, wi
 from viewer.pose import UPS, Pose, look_at, of_camera, overview, up_of
 from viewer.request import Request, parse_layers
 from viewer.screenshot import draw_request
-from viewer.viewpoints import find_places, known_ups
+from viewer.viewpoints import find_viewpoints, known_ups
 from viewer.worker import Worker
 
 STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
@@ -243,8 +243,8 @@ def test_poses_show_their_target_in_the_middle():
     pose = look_at(np.array([1.0, -2.0, -5.0]), np.array([0.3, 0.1, 0.2]))
     np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose.rotation) == pytest.approx(1)
-    place, depth = pose.project(np.array([[0.3, 0.1, 0.2]]), 300, 200)
-    np.testing.assert_allclose(place, [[150, 100]], atol=1e-9)
+    pixel, depth = pose.project(np.array([[0.3, 0.1, 0.2]]), 300, 200)
+    np.testing.assert_allclose(pixel, [[150, 100]], atol=1e-9)
     assert depth[0] > 0
 
 
@@ -260,18 +260,21 @@ def test_poses_draw_what_their_cameras_draw(files):
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_the_overview_is_upright_and_the_first_place(files, up):
+def test_the_overview_is_upright_and_the_first_viewpoint(files, up):
     scene = open_scene(files / "a.ply")
     cameras = gs_codec.render(scene.cloud, "auto").cameras[:4]
-    places = find_places(scene, cameras, True, up)
-    assert [place.name for place in places] == ["overview", *(camera.name for camera in cameras)]
-    for place in places:
-        right, down, _ = place.pose.rotation
+    viewpoints = find_viewpoints(scene, cameras, True, up)
+    assert [viewpoint.name for viewpoint in viewpoints] == [
+        "overview",
+        *(camera.name for camera in cameras),
+    ]
+    for viewpoint in viewpoints:
+        right, down, _ = viewpoint.pose.rotation
         assert right @ UPS[up] == pytest.approx(0, abs=1e-9)
         assert down @ UPS[up] <= 0
-        assert np.linalg.det(place.pose.rotation) == pytest.approx(1)
-    np.testing.assert_allclose(places[1].pose.rotation[2], cameras[0].rotation[2], atol=1e-9)
-    inside = places[0].pose.project(np.median(scene.positions, axis=0)[None], 60, 40)[0]
+        assert np.linalg.det(viewpoint.pose.rotation) == pytest.approx(1)
+    np.testing.assert_allclose(viewpoints[1].pose.rotation[2], cameras[0].rotation[2], atol=1e-9)
+    inside = viewpoints[0].pose.project(np.median(scene.positions, axis=0)[None], 60, 40)[0]
     np.testing.assert_allclose(inside, [[30, 20]], atol=1)
 
 
@@ -283,9 +286,9 @@ def test_cameras_of_a_file_say_what_is_up(files):
     given = gs_codec.render(files / "a.ply", [camera.camera(60, 40) for camera in cameras]).cameras
     assert known_ups(given, chosen=False)[0] == "cameras"
     assert known_ups(given, chosen=True)[0] == "-y"
-    places = find_places(open_scene(files / "a.ply"), given, False, "cameras")
-    assert places[0].pose.rotation[1] @ up < -0.5
-    np.testing.assert_array_equal(places[3].pose.rotation, given[2].rotation)
+    viewpoints = find_viewpoints(open_scene(files / "a.ply"), given, False, "cameras")
+    assert viewpoints[0].pose.rotation[1] @ up < -0.5
+    np.testing.assert_array_equal(viewpoints[3].pose.rotation, given[2].rotation)
 
 
 # Pictures
@@ -297,8 +300,8 @@ def test_pictures_show_all_that_their_camera_sees(files, width, height):
     pose = of_camera(camera)
     corners = np.array([[-0.5, -0.5], [0.5, 0.5]]) * (camera.width, camera.height)
     rays = np.column_stack([corners / (camera.fx, camera.fy), np.ones(2)])
-    places, _ = pose.project(rays @ camera.rotation + camera.position, width, height)
-    sides = places[1] - places[0]
+    pixels, _ = pose.project(rays @ camera.rotation + camera.position, width, height)
+    sides = pixels[1] - pixels[0]
     assert np.all(sides <= np.array([width, height]) + 1e-6)
     assert np.isclose(sides, (width, height)).any()
 
@@ -345,9 +348,9 @@ def test_wipes_show_both():
     assert (image[:, 24:] == 0.5).all()
 
 
-@pytest.mark.parametrize("place", [0.0, 0.5, 1.0])
-def test_a_wipe_leaves_some_of_both(place):
-    start, stop = wipe_line(place, 40)
+@pytest.mark.parametrize("wipe", [0.0, 0.5, 1.0])
+def test_a_wipe_leaves_some_of_both(wipe):
+    start, stop = wipe_line(wipe, 40)
     assert 0 < start < stop < 40
 
 

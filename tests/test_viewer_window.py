@@ -203,7 +203,7 @@ def keyed(display, folder) -> dict:
 
 
 def test_the_window_lives_through_many_keys(keyed):
-    assert keyed["pressed"] == 340
+    assert keyed["pressed"] == 136
 
 
 def test_keys_are_for_the_dialog_alone(keyed):

@@ -22,7 +22,7 @@ class Choice:
         One of `MODES`.
     front : {0, 1}
         Which scene ``flip`` shows.
-    place : float, 0-1
+    wipe : float, 0-1
         Position of the line of ``wipe``.
     up : str
         Name of the up axis, in `UPS` or "cameras".
@@ -32,5 +32,5 @@ class Choice:
     colouring: str
     mode: str
     front: int = 1
-    place: float = 0.5
+    wipe: float = 0.5
     up: str = "-y"

@@ -126,14 +126,14 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
     box.add_child(row)
 
 
-def ask_place(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
+def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
     """Ask which of two scenes to replace."""
     dialog, box = _box(window, "Open", f"Show {name} in place of")
-    for place, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
+    for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
 
-        def chosen(place: int = place) -> None:
+        def chosen(index: int = index) -> None:
             window.close_dialog()
-            then(place)
+            then(index)
 
         _add_button(box, f"{letter}: {scene}", chosen)
     _add_button(box, "Cancel", window.close_dialog)

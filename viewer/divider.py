@@ -36,7 +36,7 @@ class Divider:
         self._size = (0, 0)
         window.add_child(self.widget)
 
-    def place(self, rect: gui.Rect) -> None:
+    def move_to(self, rect: gui.Rect) -> None:
         """Set its position in the window; to hide it, its size is `HIDDEN`."""
         # If only the position changed, Open3D would draw the scene at the old position.
         self.widget.frame = gui.Rect(rect.x, rect.y, rect.width, rect.height + 1)

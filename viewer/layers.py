@@ -61,10 +61,10 @@ class Points:
 
 def heat(values: NDArray, low: float, high: float) -> NDArray[np.float32]:
     """Colours ``(..., 3)`` of values, from dark to bright."""
-    places = np.clip((np.asarray(values) - low) / ((high - low) or 1.0), 0, 1)
-    places = np.nan_to_num(places) * (len(_VIRIDIS) - 1)
+    scaled = np.clip((np.asarray(values) - low) / ((high - low) or 1.0), 0, 1)
+    scaled = np.nan_to_num(scaled) * (len(_VIRIDIS) - 1)
     known = np.arange(len(_VIRIDIS))
-    channels = [np.interp(places, known, _VIRIDIS[:, k]) for k in range(3)]
+    channels = [np.interp(scaled, known, _VIRIDIS[:, k]) for k in range(3)]
     return np.stack(channels, axis=-1).astype(np.float32)
 
 
@@ -85,9 +85,9 @@ def heat_bar(width: int, height: int) -> NDArray[np.float32]:
     return np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
 
 
-def reason_colour(place: int) -> tuple[float, float, float]:
+def reason_colour(index: int) -> tuple[float, float, float]:
     """The colour of a reason for pruning, by its index."""
-    red, green, blue = _REASONS[place % len(_REASONS)].tolist()
+    red, green, blue = _REASONS[index % len(_REASONS)].tolist()
     return red, green, blue
 
 
@@ -96,9 +96,9 @@ def thinned(count: int, most: int) -> slice:
     return slice(None, None, max(1, -(-count // max(most, 1))))
 
 
-def block_colour(place: int) -> tuple[float, float, float]:
+def block_colour(index: int) -> tuple[float, float, float]:
     """The colour of a block, by its index."""
-    return colorsys.hsv_to_rgb(place * _HUE_STEP % 1, 0.65, 0.95)
+    return colorsys.hsv_to_rgb(index * _HUE_STEP % 1, 0.65, 0.95)
 
 
 def centres(
@@ -142,8 +142,8 @@ def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.f
         return np.zeros(len(colours), np.float32)
     finite = np.isfinite(reference.positions).all(axis=1)
     tree = cKDTree(reference.positions[finite])
-    places = np.nan_to_num(scene.positions[some])
-    nearest = tree.query(places, workers=-1)[1]
+    positions = np.nan_to_num(scene.positions[some])
+    nearest = tree.query(positions, workers=-1)[1]
     known = reference.colours[finite][nearest]
     return np.sqrt(np.mean((colours - known) ** 2, axis=1))
 

@@ -89,8 +89,8 @@ class Pane:
             self._replace("outline", *_ring(corners))
         near = self.widget.scene.camera.get_near()
         nearby = np.diag([_BEFORE * near] * 3 + [1.0])
-        place = np.linalg.inv(pose.extrinsics) @ nearby
-        self.widget.scene.set_geometry_transform("outline", place)
+        transform = np.linalg.inv(pose.extrinsics) @ nearby
+        self.widget.scene.set_geometry_transform("outline", transform)
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""

@@ -58,12 +58,12 @@ class Panel:
         for box in self.boxes.values():
             self.widget.add_child(box)
         self.colouring = self._choice(
-            "centres by", COLOURINGS, lambda place: viewer.set_colouring(COLOURINGS[place])
+            "centres by", COLOURINGS, lambda index: viewer.set_colouring(COLOURINGS[index])
         )
         self.mode = self._choice(
-            "two scenes", _MODE_NAMES, lambda place: viewer.set_mode(MODES[place])
+            "two scenes", _MODE_NAMES, lambda index: viewer.set_mode(MODES[index])
         )
-        self.up = self._choice("up axis", UPS, lambda place: viewer.set_up(viewer.ups[place]))
+        self.up = self._choice("up axis", UPS, lambda index: viewer.set_up(viewer.ups[index]))
         self.turned = gui.Checkbox("reverse B's y and z axes (T)")
         self.turned.set_on_checked(lambda _: viewer.turn())
         self.widget.add_child(self.turned)
@@ -85,8 +85,8 @@ class Panel:
         for row in self._legends:
             self.widget.add_child(row.widget)
         self._reasons = [gui.Label("") for _ in range(4)]
-        for place, label in enumerate(self._reasons):
-            label.text_color = gui.Color(*reason_colour(place))
+        for index, label in enumerate(self._reasons):
+            label.text_color = gui.Color(*reason_colour(index))
             self.widget.add_child(label)
         self._numbers = gui.Label("")
         self._numbers.font_id = font
@@ -106,8 +106,8 @@ class Panel:
 
     def next_colouring(self) -> None:
         """Colour centres by the next of `COLOURINGS`."""
-        place = (COLOURINGS.index(self.viewer.choice.colouring) + 1) % len(COLOURINGS)
-        self.viewer.set_colouring(COLOURINGS[place])
+        index = (COLOURINGS.index(self.viewer.choice.colouring) + 1) % len(COLOURINGS)
+        self.viewer.set_colouring(COLOURINGS[index])
 
     def next_up(self) -> None:
         """Select the next up axis."""
@@ -131,7 +131,7 @@ class Panel:
             for name in viewer.ups:
                 self.up.add_item(name)
         self.up.selected_index = viewer.ups.index(choice.up)
-        self._views.visible = self._view.visible = bool(viewer.places)
+        self._views.visible = self._view.visible = bool(viewer.viewpoints)
         self._view.text = "\n".join(folded(viewer.where, 34))
         self._bar.update_image(self._bars[bool(stage.legends)])
         for row, legend in zip_longest(self._legends, stage.legends):
@@ -174,7 +174,7 @@ class Panel:
         box = gui.Combobox()
         for name in names:
             box.add_item(name)
-        box.set_on_selection_changed(lambda _, place: chosen(place))
+        box.set_on_selection_changed(lambda _, index: chosen(index))
         row = gui.Horiz(0.4 * self._em)
         row.add_child(gui.Label(text))
         row.add_child(box)

@@ -150,10 +150,10 @@ def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> s
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
     """Draw points as squares of `size` pixels into an image, nearest on top."""
     height, width = image.shape[:2]
-    places, depth = pose.project(points.positions, width, height)
-    inside = (depth > _NEAR) & np.all((places > -size) & (places < (width, height)), axis=1)
+    pixels, depth = pose.project(points.positions, width, height)
+    inside = (depth > _NEAR) & np.all((pixels > -size) & (pixels < (width, height)), axis=1)
     order = np.flatnonzero(inside)[np.argsort(-depth[inside], kind="stable")]
-    corner = np.floor(places[order] - (size - 1) / 2).astype(np.int64)
+    corner = np.floor(pixels[order] - (size - 1) / 2).astype(np.int64)
     offsets = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2)
     columns, rows = (corner[:, None] + offsets).reshape(-1, 2).T
     within = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
@@ -175,9 +175,9 @@ def draw_boxes(image: NDArray, boxes: NDArray, pose: Pose) -> NDArray[np.float32
         ends = _clipped(before[:, a], before[:, b])
         if ends is not None:
             world = np.stack(ends) @ pose.rotation + pose.position
-            places, _ = pose.project(world, width, height)
+            pixels, _ = pose.project(world, width, height)
             colour = _bytes(block_colour(edge // EDGES))
-            pen.line([tuple(np.clip(p, -1e6, 1e6)) for p in places], fill=colour)
+            pen.line([tuple(np.clip(p, -1e6, 1e6)) for p in pixels], fill=colour)
     return from_pillow(canvas)
 
 
@@ -201,18 +201,18 @@ def side_by_side(images: Sequence[NDArray]) -> NDArray[np.float32]:
     return np.concatenate(parts, axis=1)
 
 
-def wiped(first: NDArray, second: NDArray, place: float) -> NDArray[np.float32]:
-    """The first image left of `place` (0-1), the second right of it, and a line between."""
-    start, stop = wipe_line(place, first.shape[1])
+def wiped(first: NDArray, second: NDArray, wipe: float) -> NDArray[np.float32]:
+    """The first image left of `wipe` (0-1), the second right of it, and a line between."""
+    start, stop = wipe_line(wipe, first.shape[1])
     image = np.concatenate([first[:, :start], second[:, start:]], axis=1)
     image[:, start:stop] = LINE_COLOUR
     return image
 
 
-def wipe_line(place: float, width: int) -> tuple[int, int]:
-    """First and end column of the line of a wipe at `place` (0-1) in a picture of this width."""
+def wipe_line(wipe: float, width: int) -> tuple[int, int]:
+    """First and end column of the line of a wipe at `wipe` (0-1) in a picture of this width."""
     line = min(WIPE_LINE, width - 2)
-    start = min(max(round(place * width) - line // 2, 1), width - line - 1)
+    start = min(max(round(wipe * width) - line // 2, 1), width - line - 1)
     return start, start + line
 
 
@@ -240,9 +240,9 @@ def labelled(
         top = canvas.height - 52 * (row + 1)
         _write(pen, (20, top), legend.title, font)
         canvas.paste(bar, (20, top + 20))
-        places = np.linspace(20, 20 + _BAR, len(legend.marks))
-        for place, mark in zip(places, legend.marks, strict=True):
-            _write(pen, (round(place), top + 32), mark, font, "ma")
+        columns = np.linspace(20, 20 + _BAR, len(legend.marks))
+        for column, mark in zip(columns, legend.marks, strict=True):
+            _write(pen, (round(column), top + 32), mark, font, "ma")
     return canvas
 
 
@@ -262,10 +262,10 @@ def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
 
 
 def _write(
-    pen: ImageDraw.ImageDraw, place: tuple[int, int], text: str, font: Any, anchor: str = "la"
+    pen: ImageDraw.ImageDraw, corner: tuple[int, int], text: str, font: Any, anchor: str = "la"
 ) -> None:
     edge = (0, 0, 0)
-    pen.text(place, text, (255, 255, 255), font, anchor, stroke_width=2, stroke_fill=edge)
+    pen.text(corner, text, (255, 255, 255), font, anchor, stroke_width=2, stroke_fill=edge)
 
 
 def _bytes(colour: tuple[float, float, float]) -> tuple[int, ...]:

@@ -128,8 +128,8 @@ def find_views(request: Request, scene: Opened) -> list[Any]:
     return cameras
 
 
-def first_place(request: Request, cameras: list[Any]) -> int:
-    """Index in `find_places` of the first view: the requested camera, the first, or overview."""
+def first_view(request: Request, cameras: list[Any]) -> int:
+    """Index of the first view in `find_viewpoints`: the requested camera, the first, or overview."""
     if request.view is not None:
         return 1 + request.view
     return 1 if cameras and not request.chosen else 0

@@ -28,8 +28,8 @@ from viewer.picture import (
     write_reasons,
 )
 from viewer.pose import Pose
-from viewer.request import Request, find_pruned, find_views, first_place
-from viewer.viewpoints import find_places, known_ups
+from viewer.request import Request, find_pruned, find_views, first_view
+from viewer.viewpoints import find_viewpoints, known_ups
 
 
 def write_screenshot(request: Request, path: Path) -> str:
@@ -63,26 +63,26 @@ def draw_request(request: Request) -> tuple[Image.Image, str]:
         raise gs_codec.GsCodecError("screenshot: no scene to draw")
     cameras = find_views(request, scenes[0])
     up = request.up or known_ups(cameras, request.chosen)[0]
-    places = find_places(scenes[0], cameras, request.chosen, up)
-    place = places[first_place(request, cameras)]
+    viewpoints = find_viewpoints(scenes[0], cameras, request.chosen, up)
+    viewpoint = viewpoints[first_view(request, cameras)]
     pruned = find_pruned(request, scenes[0])
     shown = Shown(request.layers, request.colouring, tuple(scenes), pruned)
     photograph, missing = None, ""
     if request.images is not None:
         try:
-            path = find_image(request.images, place.name)
+            path = find_image(request.images, viewpoint.name)
         except gs_codec.GsCodecError as error:
             missing = str(error)
         else:
             photograph = read_image(path)
-    return compose(place.pose, shown, request.mode, 0.5, request.size, photograph), missing
+    return compose(viewpoint.pose, shown, request.mode, 0.5, request.size, photograph), missing
 
 
 def compose(
     pose: Pose,
     shown: Shown,
     mode: str,
-    place: float,
+    wipe: float,
     size: tuple[int, int],
     photograph: NDArray[np.float32] | None = None,
     front: int = 1,
@@ -94,7 +94,7 @@ def compose(
     pose : Pose
     shown : Shown
     mode : {"side", "wipe", "flip"}
-    place : float, 0-1
+    wipe : float, 0-1
         Position of the line of a wipe.
     size : tuple of two int
         Width and height of the whole picture, pixels.
@@ -114,7 +114,7 @@ def compose(
         drawn = [(outlined(image, pose), legends) for image, legends in drawn]
         wide, high = pose.measured
         labels[1] += f"\n{measure(views, scenes, pose)} in the frame, {wide}x{high}"
-    parts = _arrange(drawn, labels, mode, place, front)
+    parts = _arrange(drawn, labels, mode, wipe, front)
     has_first = mode != "flip" or len(scenes) < 2 or front == 0
     if shown.pruned is not None and "pruned" in shown.layers and has_first:
         write_reasons(parts[0], shown.pruned)
@@ -127,13 +127,13 @@ def _arrange(
     drawn: list[tuple[NDArray, list[Legend]]],
     labels: list[str],
     mode: str,
-    place: float,
+    wipe: float,
     front: int,
 ) -> list[Image.Image]:
     """The labelled picture of each pane."""
     if len(drawn) > 1 and mode == "wipe":
-        image = wiped(drawn[0][0], drawn[1][0], place)
-        _, right = wipe_line(place, image.shape[1])
+        image = wiped(drawn[0][0], drawn[1][0], wipe)
+        _, right = wipe_line(wipe, image.shape[1])
         return [labelled(image, [(0, labels[0]), (right, labels[1])], drawn[1][1])]
     if len(drawn) > 1 and mode == "flip":
         drawn, labels = [drawn[front]], [labels[front]]

@@ -199,27 +199,27 @@ class Stage:
 
     def lay_out(self, left: int, top: int, width: int, height: int) -> None:
         """Put the panes into a part of the window, each below its caption."""
-        visible, places = self.visible, self._places(width)
+        visible, columns = self.visible, self._columns(width)
         line = self.caption_height
         below, high = top + line, max(height - line, 1)
         for pane in self.panes:
             if pane not in visible:
                 pane.widget.frame = gui.Rect(left + width - 1, top, *HIDDEN)
-        for pane, (start, stop, _, _) in zip(visible, places, strict=True):
+        for pane, (start, stop, _, _) in zip(visible, columns, strict=True):
             pane.widget.frame = gui.Rect(left + start, below, max(stop - start, 1), high)
         names = dict(zip(self.panes, self.shown.captions, strict=True))
         for k, label in enumerate(self.captions):
             label.visible = k < len(visible)
             if label.visible:
-                start, stop = places[k][:2]
+                start, stop = columns[k][:2]
                 # Most characters: a longer text would be wrapped.
                 most = 2 * (stop - start) // self.window.theme.font_size
                 label.text = f" {names[visible[k]]}"[:most]
                 label.frame = gui.Rect(left + start, top, stop - start, line)
         gap = gui.Rect(left + width - 1, top, *HIDDEN)
         if len(visible) == 2 and self.choice.mode == "wipe":
-            gap = gui.Rect(left + places[0][1], below, places[1][0] - places[0][1], high)
-        self.divider.place(gap)
+            gap = gui.Rect(left + columns[0][1], below, columns[1][0] - columns[0][1], high)
+        self.divider.move_to(gap)
         self.size, self._left = (width, high), left
         self._look()
         self._laid_out = True
@@ -233,16 +233,16 @@ class Stage:
         """Move the line of a wipe to a column of the window."""
         self.wipe_to((x - self._left) / self.size[0])
 
-    def wipe_to(self, place: float) -> None:
+    def wipe_to(self, wipe: float) -> None:
         """Move the line of a wipe, 0-1."""
-        self.choice.place = min(max(place, 0.0), 1.0)
+        self.choice.wipe = min(max(wipe, 0.0), 1.0)
         self.arrange()
 
-    def _places(self, width: int) -> list[tuple[int, int, int, int]]:
+    def _columns(self, width: int) -> list[tuple[int, int, int, int]]:
         """For each visible pane: start and stop column, picture width, and first picture column."""
         count = len(self.visible)
         if count == 2 and self.choice.mode == "wipe":
-            stop, start = wipe_line(self.choice.place, width)
+            stop, start = wipe_line(self.choice.wipe, width)
             return [(0, stop, width, 0), (start, width, width, start)]
         each = width // max(count, 1)
         return [(k * each, (k + 1) * each - (k < count - 1), each, 0) for k in range(count)]
@@ -251,7 +251,7 @@ class Stage:
         if self.pose is None:
             return
         width, height = self.size
-        for pane, (_, _, wide, left) in zip(self.visible, self._places(width), strict=True):
+        for pane, (_, _, wide, left) in zip(self.visible, self._columns(width), strict=True):
             pane.look(self.pose, wide, height, left)
             if len(self.scenes) > 1:
                 pane.outline(self.pose, wide, height)
@@ -271,7 +271,7 @@ class Stage:
             shifts = not left or event.is_modifier_down(gui.KeyModifier.CTRL)
             navigator.hold(pose, event.x, event.y, shifts)
         elif event.type == kind.DRAG:
-            wide = self._places(self.size[0])[0][2]
+            wide = self._columns(self.size[0])[0][2]
             moved = navigator.drag(event.x, event.y, wide, self.size[1])
         elif event.type == kind.BUTTON_UP:
             navigator.release()
@@ -307,18 +307,18 @@ class Stage:
         """Start drawing the pictures of all visible panes; after full ones, measure B."""
         visible, shown, by_hand = list(self.visible), self.shown, self.by_hand
         views, pose, (width, height) = self._views, self.pose, self.size
-        places = self._places(width)
+        columns = self._columns(width)
         assert pose is not None
         wanted = [by_hand or shown.shows_error(pane.scene) for pane in visible]
 
         def draw(stale: Stale) -> Any:
-            wide, high = max(places[0][2] // coarse, 1), max(height // coarse, 1)
+            wide, high = max(columns[0][2] // coarse, 1), max(height // coarse, 1)
             pictures: list[NDArray | None] = []
-            for pane, place, want in zip(visible, places, wanted, strict=True):
+            for pane, cut, want in zip(visible, columns, wanted, strict=True):
                 if stale():
                     return None
                 image = picture(views, pane.scene, pose, wide, high, shown) if want else None
-                pictures.append(None if image is None else _cut(image, place, coarse))
+                pictures.append(None if image is None else _cut(image, cut, coarse))
             return pictures
 
         def done(pictures: Any) -> None:
@@ -355,8 +355,8 @@ class Stage:
         self.worker.submit("measure", work, done, self._failed)
 
 
-def _cut(image: NDArray, place: tuple[int, int, int, int], coarse: int) -> NDArray[np.float32]:
+def _cut(image: NDArray, cut: tuple[int, int, int, int], coarse: int) -> NDArray[np.float32]:
     """The part of a picture that a pane shows."""
-    start, stop, _, left = place
+    start, stop, _, left = cut
     first = min(left // coarse, image.shape[1] - 1)
     return image[:, first : first + max((stop - start) // coarse, 1)]

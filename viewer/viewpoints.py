@@ -32,7 +32,9 @@ class Viewpoint:
 BY_CAMERAS = "cameras"
 
 
-def find_places(scene: Opened, cameras: Sequence[Any], chosen: bool, up: str) -> list[Viewpoint]:
+def find_viewpoints(
+    scene: Opened, cameras: Sequence[Any], chosen: bool, up: str
+) -> list[Viewpoint]:
     """The overview first, then the cameras.
 
     Parameters
@@ -45,11 +47,11 @@ def find_places(scene: Opened, cameras: Sequence[Any], chosen: bool, up: str) ->
         One of `known_ups`.
     """
     axis = up_axis(up, cameras)
-    places = [Viewpoint("overview", overview(scene.positions, scene.opacities, axis))]
+    viewpoints = [Viewpoint("overview", overview(scene.positions, scene.opacities, axis))]
     for camera in cameras:
         pose = of_camera(camera)
-        places.append(Viewpoint(camera.name, upright(pose, axis) if chosen else pose))
-    return places
+        viewpoints.append(Viewpoint(camera.name, upright(pose, axis) if chosen else pose))
+    return viewpoints
 
 
 def known_ups(cameras: Sequence[Any], chosen: bool) -> list[str]:

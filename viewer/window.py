@@ -17,10 +17,10 @@ from viewer.choice import MODES, Choice
 from viewer.opened import Opened, Pruned, open_scene, turned
 from viewer.pane import HIDDEN, picture_of
 from viewer.panel import Panel, monospace
-from viewer.request import Request, find_pruned, find_views, first_place
+from viewer.request import Request, find_pruned, find_views, first_view
 from viewer.screenshot import compose, save_picture
 from viewer.stage import Stage
-from viewer.viewpoints import Viewpoint, find_places, known_ups, up_axis
+from viewer.viewpoints import Viewpoint, find_viewpoints, known_ups, up_axis
 from viewer.worker import Stale, Worker
 
 #: Width of the panel, in font sizes.
@@ -43,7 +43,7 @@ class Viewer:
     ----------
     choice : Choice
     stage : Stage
-    places : list of Place
+    viewpoints : list of Viewpoint
         The overview, and cameras.
     number : int
         Index of the viewpoint visited last.
@@ -59,7 +59,7 @@ class Viewer:
         self.request = request
         self.choice = Choice(set(request.layers), request.colouring, request.mode)
         self.cameras: list[Any] = []
-        self.places: list[Viewpoint] = []
+        self.viewpoints: list[Viewpoint] = []
         self.number = 0
         self._moved = False
         self.message: tuple[str, str] | None = None
@@ -98,29 +98,29 @@ class Viewer:
         self.panel.say("loading ...", progress=0)
         self.worker.submit("load", read, lambda found: self.show(*found), self.fail)
 
-    def open(self, path: str, place: int | None = None) -> None:
+    def open(self, path: str, pane: int | None = None) -> None:
         """Open a file as the first scene, the second, or in place of one of two (0 or 1).
 
-        If two scenes are open and `place` is None, a dialog asks which one to replace.
+        If two scenes are open and `pane` is None, a dialog asks which one to replace.
         """
         before = list(self.stage.scenes)
-        if len(before) > 1 and place is None:
+        if len(before) > 1 and pane is None:
             names = [scene.name for scene in before]
-            dialogs.ask_place(self.modal, Path(path).name, names, partial(self.open, path))
+            dialogs.ask_pane(self.modal, Path(path).name, names, partial(self.open, path))
             return
-        place = len(before) if place is None else place
+        pane = len(before) if pane is None else pane
 
         def read(stale: Stale) -> list[Opened]:
             progress = self.worker.progress(stale, self.panel.show_progress)
             return [
-                *before[:place],
+                *before[:pane],
                 open_scene(Path(path), progress=progress),
-                *before[place + 1 :],
+                *before[pane + 1 :],
             ]
 
         def done(scenes: list[Opened]) -> None:
             cameras = [] if self.request.chosen else self.cameras
-            self.show(scenes, cameras, self.stage.pruned if place else None)
+            self.show(scenes, cameras, self.stage.pruned if pane else None)
 
         self.panel.say(f"loading {Path(path).name} ...", progress=0)
         self.worker.submit("load", read, done, self.fail)
@@ -141,9 +141,9 @@ class Viewer:
         self.worker.cancel("cameras")
         self.cameras = cameras
         self.choice.up = self.request.up or self.ups[0]
-        self._find_places()
+        self._find_viewpoints()
         self.refresh()
-        self.go_to(first_place(self.request, cameras))
+        self.go_to(first_view(self.request, cameras))
         # Choosing cameras takes seconds; if the rasteriser draws, do it after the first picture.
         self._without_cameras = not cameras
         if not self.stage.by_hand:
@@ -154,9 +154,9 @@ class Viewer:
         """Names of the possible up axes."""
         return known_ups(self.cameras, self.request.chosen)
 
-    def _find_places(self) -> None:
+    def _find_viewpoints(self) -> None:
         scene, chosen = self.stage.scenes[0], self.request.chosen
-        self.places = find_places(scene, self.cameras, chosen, self.choice.up)
+        self.viewpoints = find_viewpoints(scene, self.cameras, chosen, self.choice.up)
         self.stage.navigator.up = up_axis(self.choice.up, self.cameras)
 
     def _pictured(self) -> None:
@@ -175,10 +175,10 @@ class Viewer:
 
         def done(cameras: list[Any]) -> None:
             self.panel.say("")
-            here = self.places[0]
+            here = self.viewpoints[0]
             self.cameras = cameras
-            self._find_places()
-            self.places[0] = here
+            self._find_viewpoints()
+            self.viewpoints[0] = here
             self.panel.refresh()
 
         self.panel.say("choosing views ...")
@@ -223,9 +223,9 @@ class Viewer:
         self.choice.mode = mode
         self.refresh()
 
-    def set_place(self, place: float) -> None:
+    def set_wipe(self, wipe: float) -> None:
         """Move the wipe."""
-        self.stage.wipe_to(place)
+        self.stage.wipe_to(wipe)
 
     def flip(self) -> None:
         """Show the other of two scenes, in one view."""
@@ -236,8 +236,8 @@ class Viewer:
     def set_up(self, up: str) -> None:
         """Set the up axis, for the overview and for cameras chosen from the scene."""
         self.choice.up = up
-        if self.places:
-            self._find_places()
+        if self.viewpoints:
+            self._find_viewpoints()
             self.go_to(self.number if self.request.chosen else 0)
 
     def turn(self) -> None:
@@ -253,38 +253,38 @@ class Viewer:
 
     def go(self, step: int) -> None:
         """Go to the next or previous viewpoint."""
-        if self.places:
-            self.go_to((self.number + step) % len(self.places))
+        if self.viewpoints:
+            self.go_to((self.number + step) % len(self.viewpoints))
 
     def reset(self) -> None:
         """Go back to the viewpoint visited last."""
-        if self.places:
+        if self.viewpoints:
             self.go_to(self.number)
 
     def overview(self) -> None:
         """Go to the overview."""
-        if self.places:
+        if self.viewpoints:
             self.go_to(0)
 
     def go_to(self, number: int) -> None:
         """Go to a viewpoint by its index."""
         self.number = number
         self._show_photograph()
-        self.stage.look_from(self.places[number].pose)
+        self.stage.look_from(self.viewpoints[number].pose)
         self.panel.refresh()
 
     @property
     def moved(self) -> bool:
         """Whether the pose has moved away from the viewpoint visited last."""
-        return bool(self.places) and self.stage.pose is not self.places[self.number].pose
+        return bool(self.viewpoints) and self.stage.pose is not self.viewpoints[self.number].pose
 
     @property
     def where(self) -> str:
         """Text that describes the present viewpoint."""
-        count = len(self.places) - 1
+        count = len(self.viewpoints) - 1
         text = f"overview; {count} views"
         if self.number:
-            text = f"view {self.number - 1} of {count}: {self.places[self.number].name}"
+            text = f"view {self.number - 1} of {count}: {self.viewpoints[self.number].name}"
         return f"moved away from {text} (R goes back)" if self.moved else text
 
     def _tick(self) -> bool:
@@ -303,7 +303,7 @@ class Viewer:
         self.photographed = False
         if self.request.images is not None and self.number:
             try:
-                name = self.places[self.number].name
+                name = self.viewpoints[self.number].name
                 image = read_image(find_image(self.request.images, name))
             except gs_codec.GsCodecError as error:
                 self.panel.say(str(error))
@@ -330,7 +330,7 @@ class Viewer:
             below = gui.Rect(left, rect.y + line, rest - width, rect.height - line)
             self.photograph.frame = below
             self._caption.frame = gui.Rect(left, rect.y, rest - width, line)
-            photograph = f" photograph of {self.places[self.number].name}"
+            photograph = f" photograph of {self.viewpoints[self.number].name}"
             self._caption.text = photograph + (" (you have moved away)" if self.moved else "")
         self.stage.lay_out(rect.x, rect.y, width, rect.height)
 
@@ -343,7 +343,7 @@ class Viewer:
 
     def press(self, key: int) -> bool:
         """Do the action of a key; tell whether it has one."""
-        place = self.choice.place
+        wipe = self.choice.wipe
         modes = MODES[1:] + MODES[:1]
         actions: dict[int, Callable[[], None]] = {
             ord("n"): lambda: self.go(1),
@@ -360,8 +360,8 @@ class Viewer:
             ord("h"): self.help,
             ord("q"): self.window.close,
             int(gui.KeyName.BACKSPACE): self.stop_loading,
-            int(gui.KeyName.LEFT): lambda: self.set_place(place - _WIPE),
-            int(gui.KeyName.RIGHT): lambda: self.set_place(place + _WIPE),
+            int(gui.KeyName.LEFT): lambda: self.set_wipe(wipe - _WIPE),
+            int(gui.KeyName.RIGHT): lambda: self.set_wipe(wipe + _WIPE),
         }
         for number, layer in enumerate(self.panel.boxes, 1):
             actions[ord(str(number))] = partial(self.toggle, layer)
@@ -384,13 +384,13 @@ class Viewer:
 
     def save(self, path: str) -> None:
         """Write a picture of what is shown, drawn in software."""
-        stage, mode, place = self.stage, self.choice.mode, self.choice.place
+        stage, mode, wipe = self.stage, self.choice.mode, self.choice.wipe
         if stage.pose is None:
             return
         pose, shown, size, front = stage.pose, stage.shown, stage.size, self.choice.front
 
         def draw(stale: Stale) -> None:
-            picture = compose(pose, shown, mode, place, size, front=front)
+            picture = compose(pose, shown, mode, wipe, size, front=front)
             save_picture(picture, Path(path))
 
         def done(_: None) -> None:

@@ -95,19 +95,22 @@ $(VENV)/installed: pyproject.toml .ci/system-packages
 	$(PIP) install -e .
 	@touch $@
 
-$(VENV)/installed-test: $(VENV)/installed
-	@echo "Installing what tests and lint run on: pytest, pytest-xdist, hypothesis, matplotlib, pdoc, ruff, mypy"
-	$(PIP) install -e '.[test]'
-	@touch $@
+# For tests, modules are compiled when they are imported: all of them would take half of the time to install.
+$(VENV)/installed-test: pyproject.toml .ci/system-packages
+	@echo "Installing gs-codec and what tests and lint run on into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, pdoc, ruff, mypy"
+	.ci/system-packages
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install --no-compile -e '.[test]'
+	@touch $(VENV)/installed $@
 
 # torch 2.13.0 is pinned because other releases may bring gigabytes of CUDA.
-$(VENV)/installed-all: $(VENV)/installed-test
-	@echo "Installing what a few tests need, another gigabyte: torch, torchac and g++ for the paper's coder; Dask and"
-	@echo "sshfs for clusters and places elsewhere; openssh-server to put files on; Xvfb and xdotool for windows"
+$(VENV)/installed-all: pyproject.toml .ci/system-packages
+	@echo "Installing gs-codec and all that tests need into $(VENV), two gigabytes: torch, torchac and g++ for the paper's"
+	@echo "coder; Dask and sshfs for clusters and places elsewhere; openssh-server to put files on; Xvfb and xdotool for windows"
 	.ci/system-packages all
-	$(PIP) install torch==2.13.0
-	$(PIP) install -e '.[cluster,paper,test]'
-	@touch $@
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install --no-compile torch==2.13.0 -e '.[cluster,paper,test]'
+	@touch $(VENV)/installed $(VENV)/installed-test $@
 
 clean:
 	rm -rf $(VENV) demo build fuzz *.egg-info

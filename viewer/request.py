@@ -129,7 +129,7 @@ def find_views(request: Request, scene: Opened) -> list[Any]:
 
 
 def first_view(request: Request, cameras: list[Any]) -> int:
-    """Index of the first view in `find_viewpoints`: the requested camera, the first, or overview."""
+    """Index of the first view in `find_viewpoints`: the requested camera, or the first, if any."""
     if request.view is not None:
         return 1 + request.view
     return 1 if cameras and not request.chosen else 0

@@ -50,14 +50,14 @@ def sum_moments(fields, splats, starts, columns, width, height, background, sums
         nearest = pair = starts[tile]
         ends = np.zeros(starts[tile + 1] - nearest + 1, np.int64)
         while pair < starts[tile + 1] and still_open > 0:
-            place = ends[pair - nearest]
+            used = ends[pair - nearest]
             count, done = trace_splat(
                 fields[splats[pair]], x0, x1, y0, y1, left,
-                pixels[place:], alphas[place:], before[place:],
+                pixels[used:], alphas[used:], before[used:],
             )  # fmt: skip
             still_open -= done
             pair += 1
-            ends[pair - nearest] = place + count
+            ends[pair - nearest] = used + count
         for pixel in range(TILE * TILE):
             for channel in range(3):
                 behind[pixel, channel] = abs(left[pixel]) * background[channel]
@@ -78,7 +78,7 @@ def _add_pixels(field, x0, y0, start, stop, pixels, alphas, before, behind, tota
     sum_eeee = sum_eeef = sum_eeff = sum_efff = sum_ffff = 0.0
     for i in range(start, stop):
         # Unsigned, so that numba does not test each index for being negative.
-        place = np.uint64(pixels[i])
+        pixel = np.uint64(pixels[i])
         alpha = alphas[i]
         weight = alpha * before[i]
         squared_weight += weight * weight
@@ -86,12 +86,12 @@ def _add_pixels(field, x0, y0, start, stop, pixels, alphas, before, behind, tota
         # An alpha at its limit does not change.
         if alpha < MAX_ALPHA:
             uncovered = alpha / (1.0 - alpha)
-            by_red = own_red - behind[place, 0] * uncovered
-            by_green = own_green - behind[place, 1] * uncovered
-            by_blue = own_blue - behind[place, 2] * uncovered
+            by_red = own_red - behind[pixel, 0] * uncovered
+            by_green = own_green - behind[pixel, 1] * uncovered
+            by_blue = own_blue - behind[pixel, 2] * uncovered
             g = by_red * by_red + by_green * by_green + by_blue * by_blue
-            dy = np.int64(place // np.uint64(TILE)) - v
-            e = fxx * (np.int64(place % np.uint64(TILE)) - u) + fxy * dy
+            dy = np.int64(pixel // np.uint64(TILE)) - v
+            e = fxx * (np.int64(pixel % np.uint64(TILE)) - u) + fxy * dy
             f = fyy * dy
             ee, ef, ff = e * e, e * f, f * f
             sum_g += g
@@ -103,9 +103,9 @@ def _add_pixels(field, x0, y0, start, stop, pixels, alphas, before, behind, tota
             sum_eeff += g * ee * ff
             sum_efff += g * ef * ff
             sum_ffff += g * ff * ff
-        behind[place, 0] += own_red
-        behind[place, 1] += own_green
-        behind[place, 2] += own_blue
+        behind[pixel, 0] += own_red
+        behind[pixel, 1] += own_green
+        behind[pixel, 2] += own_blue
     total[G] += sum_g
     total[G_EE] += sum_ee
     total[G_EF] += sum_ef

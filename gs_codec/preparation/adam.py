@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput
 from gs_codec.rendering.camera import Camera
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene
@@ -24,40 +22,21 @@ _LARGEST = 1e15
 _SMALLEST = np.float32(1e-30)
 
 
-@dataclass(frozen=True)
-class Rates:
-    """Step sizes of Adam at the start, and the factor on them at the end.
+#: Step sizes at the start; positions in radii of the camera rig (see `rig_radius`). The 3DGS
+#: trainer has 1.6e-4, 2.5e-3, 1.25e-4, 0.05, 5e-3 and 1e-3 over 30,000 iterations; its rate for
+#: positions falls to 0.01, the others are constant. Here a run has a tenth of those iterations; on
+#: bonsai, higher rates that all fall were better.
+RATES = {
+    "positions": 6.4e-5,
+    "f_dc": 1e-2,
+    "f_rest": 5e-4,
+    "opacity": 0.1,
+    "log_scale": 2e-2,
+    "rot": 4e-3,
+}
 
-    In between they fall exponentially. The 3DGS trainer has 1.6e-4, 2.5e-3, 1.25e-4, 0.05, 5e-3
-    and 1e-3 over 30,000 iterations; its rate for positions falls to 0.01, the others are constant.
-    Here a run has a tenth of those iterations; on bonsai, higher rates that all fall were better.
-
-    Parameters
-    ----------
-    positions : float
-        In radii of the camera rig (see `rig_radius`).
-    f_dc, f_rest : float
-    opacity : float
-        Logit.
-    log_scale : float
-    rot : float
-        Quaternion as stored.
-    last : float
-        Factor on all rates at the end of the run; above 0.
-    """
-
-    positions: float = 6.4e-5
-    f_dc: float = 1e-2
-    f_rest: float = 5e-4
-    opacity: float = 0.1
-    log_scale: float = 2e-2
-    rot: float = 4e-3
-    last: float = 0.03
-
-    def __post_init__(self) -> None:
-        for name, rate in asdict(self).items():
-            if not 0 <= rate < np.inf or (name == "last" and rate == 0):
-                raise InvalidInput(f"rate {name}: {rate}, expected a finite number of at least 0")
+#: Factor on all rates at the end of a run; in between they fall exponentially.
+LAST = 0.03
 
 
 def rig_radius(cameras: Sequence[Camera]) -> float:
@@ -66,9 +45,9 @@ def rig_radius(cameras: Sequence[Camera]) -> float:
     return 1.1 * float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
 
-def step_sizes(scene: Scene, cameras: Sequence[Camera], rates: Rates) -> NDArray[np.float64]:
+def step_sizes(scene: Scene, cameras: Sequence[Camera]) -> NDArray[np.float64]:
     """Step sizes ``(C,)`` of Adam at the start, for each channel in the order of `GROUPS`."""
-    sizes = asdict(rates) | {"positions": rates.positions * rig_radius(cameras)}
+    sizes = RATES | {"positions": RATES["positions"] * rig_radius(cameras)}
     return np.concatenate([np.full(len(getattr(scene, group)), sizes[group]) for group in GROUPS])
 
 

@@ -162,17 +162,10 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _optimise(scene: Scene, context: _Context) -> _Outcome:
-    views = context.views.wanted
-    fitted, report = optimise(
-        scene,
-        views.cameras,
-        views.images,
-        context.steps.refine,
-        background=views.background,
-        checkpoint=None if context.checkpoint is None else Path(context.checkpoint),
-        progress=context.progress,
+    fitted, details = optimise(
+        scene, context.views.wanted, context.steps.refine, context.checkpoint, context.progress
     )
-    return None, fitted, asdict(report)
+    return None, fitted, details
 
 
 def _compact(scene: Scene, context: _Context) -> _Outcome:

@@ -57,11 +57,11 @@ def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_
         left[:] = 1.0
         for y in range(y0, y1):
             for x in range(x0, x1):
-                pixel = pull[(y - y0) * TILE + x - x0]
-                pixel[3] = 0.0
+                light = pull[(y - y0) * TILE + x - x0]
+                light[3] = 0.0
                 for channel in range(3):
-                    pixel[channel] = by_colour[y, x, channel]
-                    pixel[3] += by_colour[y, x, channel] * colour[y, x, channel]
+                    light[channel] = by_colour[y, x, channel]
+                    light[3] += by_colour[y, x, channel] * colour[y, x, channel]
         still_open = (x1 - x0) * (y1 - y0)
         for pair in range(starts[tile], starts[tile + 1]):
             total = sums[pair]
@@ -77,21 +77,21 @@ def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_
             moment_x = moment_y = moment_xx = moment_xy = moment_yy = 0.0
             for i in range(count):
                 # Unsigned, so that numba does not test each index for being negative.
-                place = np.uint64(pixels[i])
+                pixel = np.uint64(pixels[i])
                 alpha = alphas[i]
                 weight = alpha * before[i]
-                pull_red, pull_green, pull_blue = pull[place, 0], pull[place, 1], pull[place, 2]
+                pull_red, pull_green, pull_blue = pull[pixel, 0], pull[pixel, 1], pull[pixel, 2]
                 by_red += weight * pull_red
                 by_green += weight * pull_green
                 by_blue += weight * pull_blue
                 own = weight * (pull_red * red + pull_green * green + pull_blue * blue)
-                behind = pull[place, 3] - own
-                pull[place, 3] = behind
+                behind = pull[pixel, 3] - own
+                pull[pixel, 3] = behind
                 # An alpha at its limit does not change.
                 if alpha < MAX_ALPHA:
                     change = own - behind * (alpha / (1.0 - alpha))
-                    dx = np.int64(place % np.uint64(TILE)) - u
-                    dy = np.int64(place // np.uint64(TILE)) - v
+                    dx = np.int64(pixel % np.uint64(TILE)) - u
+                    dy = np.int64(pixel // np.uint64(TILE)) - v
                     moment += change
                     moment_x += change * dx
                     moment_y += change * dy
@@ -118,8 +118,8 @@ def differentiate_gaussians(
     turned, axes, by_axes = np.empty((3, 3)), np.empty((3, 2)), np.empty((3, 2))
     by_turn = np.empty((3, 3))
     after = _F_REST + len(f_rest)
-    for place in range(start, stop):
-        i, j = chosen[place], place - start
+    for j in range(stop - start):
+        i = chosen[start + j]
         total = sums[i]
         dx = positions[0, i] - position[0]
         dy = positions[1, i] - position[1]

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from gs_codec.rendering.backward import MOMENT_YY, differentiate_gaussians, differentiate_tiles
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import Frame, make_frame
-from gs_codec.rendering.image_loss import ImageLoss, LossWeights, image_loss
+from gs_codec.rendering.image_loss import differentiate_loss
+from gs_codec.rendering.project import camera_arguments
 from gs_codec.rendering.trace import draw_tiles
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene, channel_count
 
 
 class Differentiated(NamedTuple):
-    """A view of a scene, its loss, and the derivatives by splat.
+    """A view of a scene, its mean squared error, and the derivatives of its loss by splat.
 
     ``sums (N, 9)`` are the sums of `differentiate_tiles`. ``chosen (M,)`` lists, ascending, the
     Gaussians whose sums are not all 0: those that were seen.
@@ -26,7 +27,7 @@ class Differentiated(NamedTuple):
 
     scene: Scene
     camera: Camera
-    loss: ImageLoss
+    squared_error: float
     sums: NDArray[np.float64]
     chosen: NDArray[np.int64]
 
@@ -36,14 +37,9 @@ class Differentiated(NamedTuple):
         Rows are the channels of the groups, in the order of `GROUPS`.
         """
         slopes = np.empty((channel_count(len(self.scene.f_rest) // 3), stop - start))
-        camera = self.camera
         differentiate_gaussians(
             *(getattr(self.scene, group) for group in GROUPS),
-            camera.rotation,
-            camera.position,
-            np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-            camera.width,
-            camera.height,
+            *camera_arguments(self.camera),
             self.scene.antialiased,
             self.sums,
             self.chosen,
@@ -55,11 +51,7 @@ class Differentiated(NamedTuple):
 
 
 def differentiate(
-    scene: Scene,
-    camera: Camera,
-    target: NDArray,
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-    weights: LossWeights = LossWeights(),  # noqa: B008
+    scene: Scene, camera: Camera, target: NDArray[np.float32], background: Sequence[float]
 ) -> Differentiated:
     """Draw a view and take its loss back to the splats (Kerbl et al. 2023, Appendix A).
 
@@ -71,23 +63,19 @@ def differentiate(
     ----------
     scene : Scene
     camera : Camera
-    target : ndarray, shape (H, W, 3)
-        Target image, 0-1.
+    target : ndarray, shape (H, W, 3), float32
     background : sequence of three float
         RGB behind everything.
-    weights : LossWeights
-        Parts of the loss, by default those of 3DGS.
     """
     frame = make_frame(scene, camera)
     colour = draw(frame, background)
-    goal = np.ascontiguousarray(target, np.float32)
-    loss = image_loss(colour, goal, weights)
+    by_colour, squared_error = differentiate_loss(colour, target)
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
-    frame.over_tiles(differentiate_tiles, colour, loss.by_colour, pairs)
+    frame.over_tiles(differentiate_tiles, colour, by_colour, pairs)
     sums = frame.sum_pairs(scene.count, pairs)
     chosen = np.empty(len(frame.splats.gaussians), np.int64)
     count = _choose(sums, chosen)
-    return Differentiated(scene, camera, loss, sums, chosen[:count])
+    return Differentiated(scene, camera, squared_error, sums, chosen[:count])
 
 
 def draw(frame: Frame, background: Sequence[float]) -> NDArray[np.float64]:

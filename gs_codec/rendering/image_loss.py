@@ -1,14 +1,15 @@
-"""The loss of 3DGS between an image and its target, and its derivative by the image."""
+"""The derivative of 3DGS' loss between an image and its target (Kerbl et al. 2023, Equation 7)."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
+
+#: Weights of the mean absolute error and of 1 - SSIM in the loss.
+_ABSOLUTE, _SSIM = 0.8, 0.2
 
 #: Half the window of SSIM, pixels.
 _HALF = 5
@@ -22,31 +23,10 @@ _C1, _C2 = 0.01**2, 0.03**2
 _BAND = 16
 
 
-class LossWeights(NamedTuple):
-    """Parts of the loss: mean absolute and squared error, and 1 - SSIM.
-
-    The default is that of 3DGS (Kerbl et al. 2023, Equation 7, lambda = 0.2).
-    """
-
-    absolute: float = 0.8
-    squared: float = 0.0
-    ssim: float = 0.2
-
-
-class ImageLoss(NamedTuple):
-    """A loss, the mean squared error, and ``by_colour (H, W, 3)``, the loss's derivative."""
-
-    value: float
-    squared_error: float
-    by_colour: NDArray[np.float64]
-
-
-def image_loss(
-    colour: NDArray[np.float64],
-    target: NDArray,
-    weights: LossWeights = LossWeights(),  # noqa: B008
-) -> ImageLoss:
-    """Compare images ``(H, W, 3)``, not clipped; means are over pixels and colours.
+def differentiate_loss(
+    colour: NDArray[np.float64], target: NDArray
+) -> tuple[NDArray[np.float64], float]:
+    """Derivative of the loss by an image ``(H, W, 3)``, not clipped, and the mean squared error.
 
     SSIM has the Gaussian window of sigma 1.5, 11 pixels wide (Wang et al. 2004), and as in the
     3DGS trainer what lies outside an image is 0.
@@ -54,25 +34,18 @@ def image_loss(
     height, width, _ = colour.shape
     image, goal = colour.reshape(height, -1), target.reshape(height, -1)
     by_image = np.empty_like(image)
-    totals = np.zeros((height, 3))
+    errors = np.empty(height)
     # Rows outside the image stay 0.
     means = np.zeros((5, height + 2 * _HALF, 3 * width))
     slopes = np.zeros((3, height + 2 * _HALF, 3 * width))
-    factors = np.array(weights) / image.size
     bands = [(y, min(y + _BAND, height)) for y in range(0, height, _BAND)]
-    if weights.ssim:
-        run_all(lambda band: _blur_across(image, goal, *band, means), bands)
-        run_all(
-            lambda band: _compare_windows(means, -weights.ssim / image.size, *band, slopes, totals),
-            bands,
-        )
+    run_all(lambda band: _blur_across(image, goal, *band, means), bands)
+    run_all(lambda band: _compare_windows(means, -_SSIM / image.size, *band, slopes), bands)
+    factor = _ABSOLUTE / image.size
     run_all(
-        lambda band: _differentiate(image, goal, slopes, factors, *band, by_image, totals),
-        bands,
+        lambda band: _differentiate(image, goal, slopes, factor, *band, by_image, errors), bands
     )
-    absolute, squared, ssim = totals.sum(axis=0) / image.size
-    value = weights.absolute * absolute + weights.squared * squared + weights.ssim * (1 - ssim)
-    return ImageLoss(float(value), float(squared), by_image.reshape(colour.shape))
+    return by_image.reshape(colour.shape), float(errors.sum() / image.size)
 
 
 @inlined
@@ -127,15 +100,14 @@ def _blur_across(image, goal, first, end, means):
 
 
 @kernel
-def _compare_windows(means, factor, first, end, slopes, totals):
-    """SSIM of each window, and row sums of its derivatives by the windowed x, x^2 and x t."""
+def _compare_windows(means, factor, first, end, slopes):
+    """Windowed row sums of the derivatives of SSIM by the windowed x, x^2 and x t."""
     size = means.shape[2]
     window = np.empty((5, size))
     padded = np.zeros((3, size + 30))
     for y in range(first, end):
         for k in range(5):
             _blur_column(means[k], y, window[k])
-        total = 0.0
         for j in range(size):
             x, t = window[0, j], window[1, j]
             top_mean = 2.0 * x * t + _C1
@@ -143,7 +115,6 @@ def _compare_windows(means, factor, first, end, slopes, totals):
             mean = 1.0 / (x * x + t * t + _C1)
             spread = 1.0 / (window[2, j] - x * x + window[3, j] - t * t + _C2)
             ssim = top_mean * top_spread * mean * spread
-            total += ssim
             by_both = 2.0 * factor * top_mean * mean * spread
             by_square = -factor * ssim * spread
             padded[0, 15 + j] = (
@@ -153,31 +124,23 @@ def _compare_windows(means, factor, first, end, slopes, totals):
             )
             padded[1, 15 + j] = by_square
             padded[2, 15 + j] = by_both
-        totals[y, 2] = total
         for k in range(3):
             _blur_row(padded[k], slopes[k, y + _HALF])
 
 
 @kernel
-def _differentiate(image, goal, slopes, factors, first, end, by_image, totals):
+def _differentiate(image, goal, slopes, factor, first, end, by_image, errors):
     size = image.shape[1]
-    window = np.zeros((3, size))
+    window = np.empty((3, size))
     for y in range(first, end):
-        if factors[2] != 0.0:
-            for k in range(3):
-                _blur_column(slopes[k], y, window[k])
-        absolute = squared = 0.0
+        for k in range(3):
+            _blur_column(slopes[k], y, window[k])
+        squared = 0.0
         for j in range(size):
             x, t = image[y, j], np.float64(goal[y, j])
             error = x - t
-            absolute += abs(error)
             squared += error * error
             by_image[y, j] = (
-                factors[0] * np.sign(error)
-                + 2.0 * factors[1] * error
-                + window[0, j]
-                + 2.0 * x * window[1, j]
-                + t * window[2, j]
+                factor * np.sign(error) + window[0, j] + 2.0 * x * window[1, j] + t * window[2, j]
             )
-        totals[y, 0] = absolute
-        totals[y, 1] = squared
+        errors[y] = squared

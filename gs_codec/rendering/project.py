@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.runtime.kernels import inlined, kernel
-from gs_codec.scene import SH_C0, Scene
+from gs_codec.scene import GROUPS, SH_C0, Scene
 
 #: Gaussians whose depth is below this are not drawn, scene units.
 NEAR = 0.2
@@ -50,20 +50,21 @@ class Splats(NamedTuple):
     gaussians: NDArray[np.int64]
 
 
+def camera_arguments(camera: Camera) -> tuple[NDArray, NDArray, NDArray, int, int]:
+    """A camera as kernels take it: rotation, position, intrinsics, width and height."""
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    return camera.rotation, camera.position, intrinsics, camera.width, camera.height
+
+
 def project(scene: Scene, camera: Camera, antialiased: bool, start: int, stop: int) -> Splats:
     """Project Gaussians `start` to `stop`; leave out those that cannot be seen."""
     count = stop - start
     fields = np.empty((count, DEPTH + 1))
     tiles = np.empty((count, 4), np.int32)
     gaussians = np.empty(count, np.int64)
-    planes = (scene.positions, scene.f_dc, scene.f_rest, scene.opacity, scene.log_scale, scene.rot)
     seen = _project(
-        *(np.asarray(plane) for plane in planes),
-        camera.rotation,
-        camera.position,
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-        camera.width,
-        camera.height,
+        *(np.asarray(getattr(scene, group)) for group in GROUPS),
+        *camera_arguments(camera),
         antialiased,
         start,
         stop,
@@ -89,12 +90,12 @@ def _project(
         dx = positions[0, i] - position[0]
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
-        z = rotation[2, 0] * dx + rotation[2, 1] * dy + rotation[2, 2] * dz
+        x, y, z = before_camera(rotation, dx, dy, dz)
         if not NEAR < z < np.inf or not _are_finite(opacity, log_scale, i):
             continue
         alpha = 1.0 / (1.0 + math.exp(-np.float64(opacity[0, i])))
-        x = (rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz) / z
-        y = (rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz) / z
+        x /= z
+        y /= z
         _screen_axes(log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height, axes)
         xx, xy, yy, sharp = covariance(axes)
         determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS

@@ -14,7 +14,8 @@ from gs_codec.codecs import encode_scene
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
-from gs_codec.guidance.guide import guided_steps
+from gs_codec.guidance.guide import Guidance
+from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
@@ -113,8 +114,13 @@ def steps_for(
     scene: Scene, config: Config, sensitivity: Sensitivity, loss: float = 0.0
 ) -> StepSizes:
     """Step sizes that follow from a sensitivity, to views of a thousand pixels a Gaussian."""
-    profile = config.resolved_lattice()
-    return guided_steps(scene, profile, sensitivity, loss, 1000 * scene.count)
+    return told(scene, sensitivity, loss).steps(scene, config.resolved_lattice())
+
+
+def told(scene: Scene, sensitivity: Sensitivity, loss: float = 0.0) -> Guidance:
+    """What views of a thousand pixels a Gaussian tell; they cannot compact or refit colours."""
+    nothing = ReferenceViews((), (), False, (0.0, 0.0, 0.0))
+    return Guidance(sensitivity, loss, 1000 * scene.count, nothing, np.zeros((0, scene.count)))
 
 
 def made_up_guide(seed: int = 0, spread: float = 3.0) -> Guide:

@@ -126,7 +126,7 @@ def test_a_target_moves_only_the_others(scene):
     config = Config("m", {"rotation": 7})
     steps = finest_steps(encode_scene(scene, config)[0])
     for bits in (90, 220):
-        data, _ = encode_to_target(scene, config, RateTarget(bits=bits), bits * scene.count // 8)
+        data, _ = encode_to_target(scene, scene, 1, config, RateTarget(bits=bits))
         assert 0.98 * bits <= 8 * len(data) / scene.count <= bits
         found = finest_steps(data)
         assert found["rotation"] == steps["rotation"]

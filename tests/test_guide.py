@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -42,9 +43,13 @@ def compacting(strength: float) -> AdaptiveProfile:
     return replace(ADAPTIVE_PROFILES["m"], compaction=strength)
 
 
+def shaped(decoded: Scene, order: np.ndarray, steps: np.ndarray) -> SimpleNamespace:
+    """A scene whose shapes are rounded."""
+    return SimpleNamespace(decoded=lambda: decoded, order=order, sh_steps=lambda: steps)
+
+
 def recolour(found: Guidance, decoded: Scene, steps: np.ndarray, profile) -> Scene:
-    colours = found.colours
-    return colours.refit(colours.compact(decoded, np.arange(decoded.count), steps, profile))
+    return found.recolour(shaped(decoded, np.arange(decoded.count), steps), profile)
 
 
 @pytest.fixture(scope="module")
@@ -221,10 +226,12 @@ def test_photographs_without_a_step_are_refused(tmp_path):
 
 
 def test_colours_do_not_depend_on_the_order(scene, plan):
-    colours = guide(scene, draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))).colours
+    found = guide(scene, draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0)))
     steps = np.linspace(0.05, 0.3, scene.count, dtype=np.float32)
     order = np.random.default_rng(93).permutation(scene.count)
-    as_given = colours.compact(scene, np.arange(scene.count), steps, compacting(1e-3))
-    shuffled = colours.compact(scene.take(order), order, steps[order], compacting(1e-3))
+    given = shaped(scene, np.arange(scene.count), steps)
+    as_given = found.compact(given, compacting(1e-3))
+    moved = shaped(scene.take(order), order, steps[order])
+    shuffled = found.compact(moved, compacting(1e-3))
     assert np.count_nonzero(as_given.f_rest == 0) > np.count_nonzero(scene.f_rest == 0)
     np.testing.assert_array_equal(shuffled.f_rest, as_given.f_rest[:, order])

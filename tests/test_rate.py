@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from scenes import made_up_sensitivity, random_scene
+from scenes import made_up_sensitivity, random_scene, told
 from test_guide import cameras
 from typer.testing import CliRunner
 
@@ -29,12 +29,10 @@ from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.ply import vertex_rows, write_ply
 from gs_codec.guidance import allocate
 from gs_codec.guidance.allocate import encode_to_target
-from gs_codec.guidance.guide import Guidance
-from gs_codec.guidance.planned import encode_at_rate
 from gs_codec.guidance.search import COARSEST, FINEST, search
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import choose_views
-from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
+from gs_codec.preparation.reference_views import draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import Scene
 from samples.generate import generate
@@ -45,16 +43,12 @@ def scene() -> Scene:
     return random_scene(3000, 2, seed=200)
 
 
-def to_target(scene, config, target, ply_bytes=1, targets=None):
-    return encode_to_target(scene, config, target, target.limit(scene.count, ply_bytes), targets)
+def to_target(scene, config, target, ply_bytes=1, plan=None):
+    return encode_to_target(scene, scene, ply_bytes, config, target, plan)
 
 
-def unchanged(decoded, *_):
-    return decoded
-
-
-#: Views that leave colours as they are.
-UNCHANGING = SimpleNamespace(compact=unchanged, sketch=unchanged, refit=unchanged)
+def unchanged(shaped, *_, **__):
+    return shaped.decoded()
 
 
 # Targets
@@ -162,10 +156,11 @@ def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_sizes_are_met_from_below(scene, target, profile, guided, monkeypatch):
     ply_bytes = vertex_rows(scene).nbytes
-    told = Guidance(made_up_sensitivity(scene, seed=3), 0.0, 1000 * scene.count, UNCHANGING)
-    monkeypatch.setattr(allocate, "guide", lambda *_: told)
-    targets = ReferenceViews((), (), False, (0.0, 0.0, 0.0)) if guided else None
-    data, report = to_target(scene, Config(profile), target, ply_bytes, targets)
+    guidance = told(scene, made_up_sensitivity(scene, seed=3))
+    guidance.compact = guidance.recolour = unchanged
+    monkeypatch.setattr(allocate, "guide", lambda *_: guidance)
+    plan = Plan(Steps(), cameras(1)) if guided else None
+    data, report = to_target(scene, Config(profile), target, ply_bytes, plan)
     limit = target.limit(scene.count, ply_bytes)
     assert 0.98 * limit <= len(data) <= limit
     assert report.file_bytes == report.rate.file_bytes == len(data)
@@ -232,7 +227,9 @@ def seen() -> tuple[Scene, Plan]:
 @pytest.mark.parametrize("wanted", [0.03, 0.1, 0.5])
 def test_losses_are_met_from_below(seen, wanted):
     scene, plan = seen
-    data, report = encode_at_rate(scene, scene, 1, Config("m"), RateTarget(psnr_drop=wanted), plan)
+    data, report = encode_to_target(
+        scene, scene, 1, Config("m"), RateTarget(psnr_drop=wanted), plan
+    )
     measured = choose_views(scene, plan).held_out
     loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
     assert wanted - 0.02 <= loss <= wanted
@@ -241,14 +238,14 @@ def test_losses_are_met_from_below(seen, wanted):
 
 def test_a_size_by_views_is_met(seen):
     scene, plan = seen
-    data, report = encode_at_rate(scene, scene, 1, Config("m"), RateTarget(bits=60), plan)
+    data, report = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=60), plan)
     assert 0.98 * 60 * scene.count <= 8 * len(data) <= 60 * scene.count
     assert report.rate.predicted_bytes == pytest.approx(len(data), rel=0.3)
 
 
 def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
     scene, plan = seen
-    _, report = encode_at_rate(scene, scene, 1, Config("m"), RateTarget(psnr_drop=60), plan)
+    _, report = encode_to_target(scene, scene, 1, Config("m"), RateTarget(psnr_drop=60), plan)
     assert report.rate.coarseness == 2.0**COARSEST
     assert report.rate.psnr_drop < 60
     assert report.rate.at_end
@@ -257,7 +254,7 @@ def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
 def test_a_loss_out_of_reach_is_refused(seen):
     scene, plan = seen
     with pytest.raises(InvalidInput, match=r"target 1e-09 dB: .* dB are in reach"):
-        encode_at_rate(scene, scene, 1, Config("m"), RateTarget(psnr_drop=1e-9), plan)
+        encode_to_target(scene, scene, 1, Config("m"), RateTarget(psnr_drop=1e-9), plan)
 
 
 def test_photographs_tell_what_is_lost(seen, tmp_path):
@@ -269,8 +266,8 @@ def test_photographs_tell_what_is_lost(seen, tmp_path):
         Image.fromarray(np.uint8(noisy)).save(tmp_path / f"{camera.name}.png")
     by_photographs = replace(plan, gt_images=tmp_path)
     target = RateTarget(psnr_drop=0.1)
-    without = encode_at_rate(scene, scene, 1, Config("m"), target, plan)[1].rate
-    data, report = encode_at_rate(scene, scene, 1, Config("m"), target, by_photographs)
+    without = encode_to_target(scene, scene, 1, Config("m"), target, plan)[1].rate
+    data, report = encode_to_target(scene, scene, 1, Config("m"), target, by_photographs)
     # Noise of 20 dB hides more than the 30 dB that are taken for granted without photographs.
     assert report.rate.coarseness > 1.5 * without.coarseness
     held_out = [camera for camera in plan.cameras if camera.split == "test"]
@@ -297,7 +294,7 @@ def test_pruning_makes_room_for_the_others(crowded):
     errors = []
     for allowed in (False, True):
         target = RateTarget(bits=34, allow_prune=allowed)
-        data, report = encode_at_rate(scene, scene, 1, Config("m"), target, plan)
+        data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
         assert 0.98 * 34 * scene.count <= 8 * len(data) <= 34 * scene.count
         assert decode_scene(data).count == report.count == scene.count - report.rate.pruned
         errors.append(measured.error(decode_scene(data)))
@@ -311,7 +308,7 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
     sizes = []
     for allowed in (False, True):
         target = RateTarget(psnr_drop=1.0, allow_prune=allowed)
-        data, _ = encode_at_rate(scene, scene, 1, Config("m"), target, plan)
+        data, _ = encode_to_target(scene, scene, 1, Config("m"), target, plan)
         loss = measured.drop(measured.errors(decode_scene(data)), 0.0)
         assert 0.8 <= loss <= 1.0  # few views have jumps
         sizes.append(len(data))
@@ -321,14 +318,14 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
 def test_pruning_reaches_what_steps_do_not(crowded):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="are in reach"):
-        encode_at_rate(scene, scene, 1, Config("m"), RateTarget(bits=14), plan)
+        encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=14), plan)
     target = RateTarget(bits=14, allow_prune=True)
     counted = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             allocate, "encode_scene", lambda *a, **k: counted.append(1) or encode_scene(*a, **k)
         )
-        data, report = encode_at_rate(scene, scene, 1, Config("m"), target, plan)
+        data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
     assert 8 * len(data) <= 14 * scene.count
     assert report.rate.pruned > 0
     # Those that were too large too; the others choose colours alone.
@@ -339,14 +336,14 @@ def test_pruning_reaches_what_steps_do_not(crowded):
 def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="are in reach"):
-        encode_at_rate(scene, scene, 1, Config("m"), replace(target, allow_prune=True), plan)
+        encode_to_target(scene, scene, 1, Config("m"), replace(target, allow_prune=True), plan)
 
 
 def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
     scene, plan = seen
     target = RateTarget(bits=250, allow_prune=True)
-    data, report = encode_at_rate(scene, scene, 1, Config("m"), target, plan)
-    plain, _ = encode_at_rate(scene, scene, 1, Config("m"), RateTarget(bits=250), plan)
+    data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
+    plain, _ = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=250), plan)
     assert report.rate.pruned == 0
     assert data == plain
 
@@ -380,7 +377,7 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
 def test_bits_are_those_of_the_input_where_some_is_pruned(crowded):
     scene, plan = crowded
     half = scene.take(np.arange(0, scene.count, 2))
-    data, _ = encode_at_rate(half, scene, 1, Config("m"), RateTarget(bits=30), plan)
+    data, _ = encode_to_target(half, scene, 1, Config("m"), RateTarget(bits=30), plan)
     assert 0.98 * 30 * scene.count <= 8 * len(data) <= 30 * scene.count
 
 

@@ -117,7 +117,7 @@ def _guided(config: Config, plan: Plan, percent: float) -> Peer:
             chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
             scene, report = prepare_scene(scene, chosen)
             targets = report.views.renders
-        return encode_planned(scene, config, chosen, targets=targets)[0]
+        return encode_planned(scene, config, chosen, references=targets)[0]
 
     how = f", {percent:g} % pruned" if percent else GUIDED
     return replace(_camera_free(config), name=config.profile + how, encode=encode, once=True)

@@ -10,21 +10,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs import decode_scene, encode_scene
-from gs_codec.codecs.adaptive.encode import shape_scene
+from gs_codec.codecs.adaptive.encode import ShapedScene, shape_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.config import ADAPTIVE_PROFILES, AdaptiveProfile, Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.guidance.guide import Colours, Guidance, guide
+from gs_codec.guidance.guide import Guidance, guide
 from gs_codec.guidance.search import COARSEST, FINEST, expected, search
+from gs_codec.preparation.pipeline import choose_views, guiding_views
 from gs_codec.preparation.prune import keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
+from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes, step_counter
 from gs_codec.scene import Scene
 
@@ -50,22 +51,12 @@ _PART, _MOST_PARTS = 0.2, 10
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Views that measure the loss, and their errors before encoding.
-
-    Attributes
-    ----------
-    views : ViewSplit
-        The held-out views measure the loss.
-    before : ndarray, shape (views,)
-        Mean squared errors of the held-out views at a loss of 0 dB.
-    progress : callable, optional
-        Called after each view that is measured.
-    """
+class _Seen:
+    """Views, and the mean squared errors of the held-out ones ``(views,)`` before encoding."""
 
     views: ViewSplit
     before: NDArray[np.float64]
-    progress: Progress | None = None
+    progress: Progress | None
 
     def loss(self, data: bytes) -> float:
         """PSNR loss of a file in the held-out views, dB."""
@@ -75,73 +66,61 @@ class Seen:
 
 def encode_to_target(
     scene: Scene,
+    original: Scene,
+    ply_bytes: int,
     config: Config,
     target: RateTarget,
-    limit: int | None,
-    targets: ReferenceViews | None = None,
-    seen: Seen | None = None,
+    plan: Plan | None = None,
     progress: Progress | None = None,
+    views: ViewSplit | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene at the coarseness that meets a target.
+    """Encode a scene at the coarseness that meets a target, which is relative to the original.
 
-    Parameters
-    ----------
-    scene : Scene
-    config : Config
-        Of profile ``l``, ``m`` or ``s``; where the search begins.
-    target : RateTarget
-    limit : int or None
-        Largest file size, bytes; None if the target is a loss.
-    targets : ReferenceViews, optional
-        Reference views; without them the encoder is camera-free.
-    seen : Seen, optional
-        Needed if the target is a loss or allows pruning.
-    progress : callable, optional
+    With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
+    against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
+    that are chosen from the scene. `views` are the plan's, if they are known.
 
     Raises
     ------
     InvalidInput
         If the profile has fixed steps, or the target is unreachable; the error gives the range.
     """
-    check_searchable(scene, config)
-    if seen is None and (limit is None or target.allow_prune):
-        raise InvalidInput("target: a loss in dB, or pruning, needs views")
-    clean, changed = clean_scene(scene, config)
-    times = StageTimes()
-    if seen is not None and target.allow_prune:
-        met, encodings = _meet_pruning(clean, config, target, limit, targets, seen, times, progress)
-    else:
-        met = _meet(_begin(clean, config, targets, times, progress), target, limit, seen, 0.0)
-        encodings = met.trials.number
-    data, report = met.trials.last
-    steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
-    rate = RateReport(
-        target,
-        2.0**met.trials.octaves,
-        steps,
-        len(data),
-        met.predicted_bytes,
-        met.trials.loss,
-        met.predicted_drop,
-        encodings,
-        clean.count - met.trials.scene.count,
-        met.at_end,
-    )
-    return data, replace(report, **changed, seconds=times.seconds, rate=rate)
-
-
-def check_searchable(scene: Scene, config: Config) -> None:
-    """Check that the profile and the scene allow a target.
-
-    Raises
-    ------
-    InvalidInput
-    """
     if config.profile not in ADAPTIVE_PROFILES:
         known = ", ".join(ADAPTIVE_PROFILES)
         raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, expected {known}")
     if not scene.count:
         raise InvalidInput("target: the scene has no Gaussians")
+    limit = target.limit(original.count, ply_bytes)
+    seen = references = None
+    if limit is None or target.allow_prune:
+        plan = plan or Plan()
+        views = views or choose_views(original, plan, progress)
+        seen = _Seen(views, views.held_out.errors(original, progress), progress)
+    if plan is not None:
+        known_views = None if views is None else views.renders
+        references = guiding_views(scene, plan, progress, known_views)
+    clean, changed = clean_scene(scene, config)
+    asked = _Search(config, target, limit, references, seen, progress)
+    if seen is not None and target.allow_prune:
+        trials = _meet_pruning(clean, asked, seen)
+    else:
+        trials = _begin(clean, asked)
+        _meet(trials, 0.0)
+    data, report = trials.last
+    steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
+    rate = RateReport(
+        target,
+        2.0**trials.octaves,
+        steps,
+        len(data),
+        trials.predicted_bytes,
+        trials.loss,
+        trials.predicted_drop,
+        asked.encodings,
+        clean.count - trials.scene.count,
+        trials.at_end,
+    )
+    return data, replace(report, **changed, seconds=asked.times.seconds, rate=rate)
 
 
 class _OutOfReach(InvalidInput):
@@ -153,6 +132,24 @@ class _TooLarge(_OutOfReach):
 
 
 @dataclass
+class _Search:
+    """What is asked for, and the time and encodings that it has taken.
+
+    Without `references` the encoder is camera-free; `limit` (bytes) is None if the target is a
+    loss, which needs `seen`.
+    """
+
+    config: Config
+    target: RateTarget
+    limit: int | None
+    references: ReferenceViews | None
+    seen: _Seen | None
+    progress: Progress | None
+    times: StageTimes = field(default_factory=StageTimes)
+    encodings: int = 0
+
+
+@dataclass
 class _Trials:
     """Trial encodings of a scene, with the colours that were refitted last.
 
@@ -160,175 +157,141 @@ class _Trials:
     ----------
     scene : Scene
         As given.
-    config : Config
+    asked : _Search
     guidance : Guidance or None
-    times : StageTimes
     coloured : Scene
         The scene with the colours refitted last.
     octaves : float
         Log2 of the coarseness of `last`.
     last : tuple
         File and report of the last encoding.
-    number : int
-        Number of encodings, including those to refit colours.
     loss : float or None
         PSNR loss of `last`, dB; None if it was not measured.
     compacting : bool
         Whether `refit` compacts SH first.
+    predicted_bytes, predicted_drop : number or None
+        As in `RateReport`.
+    at_end : bool
+        Whether no steps come nearer to the target.
     """
 
     scene: Scene
-    config: Config
+    asked: _Search
     guidance: Guidance | None
-    times: StageTimes
     coloured: Scene = field(init=False)
     octaves: float = 0.0
     last: tuple[bytes, EncodeReport] = field(init=False)
-    number: int = 0
     loss: float | None = None
     compacting: bool = True
+    predicted_bytes: int | None = None
+    predicted_drop: float | None = None
+    at_end: bool = False
 
     def __post_init__(self) -> None:
         self.coloured = self.scene
 
     def config_at(self, octaves: float) -> Config:
-        return replace(self.config, coarseness=2.0**octaves)
+        return replace(self.asked.config, coarseness=2.0**octaves)
 
     def size(self, octaves: float) -> int:
         """Encode with the current colours; return the file's size, bytes."""
         config = self.config_at(octaves)
-        with self.times.stage("search"):
+        with self.asked.times.stage("search"):
             steps = None
             if self.guidance is not None:
                 steps = self.guidance.steps(self.coloured, config.resolved_lattice())
             self.last = encode_scene(self.coloured, config, steps=steps)
         self.octaves = octaves
-        self.number += 1
+        self.asked.encodings += 1
         return len(self.last[0])
 
     def compact(self, octaves: float) -> None:
         """Compact SH for steps of this coarseness, without deciding whether it pays."""
-        self._recolour(octaves, lambda colours, *shaped: colours.sketch(*shaped))
+        self._recolour(octaves, lambda guidance, *to: guidance.compact(*to, decide=False))
 
     def settle(self, octaves: float) -> None:
         """As `compact`, but decide first whether compaction pays; the decision is kept."""
-        self._recolour(octaves, lambda colours, *shaped: colours.compact(*shaped))
+        self._recolour(octaves, lambda guidance, *to: guidance.compact(*to))
 
     def refit(self, octaves: float) -> None:
         """Compact and refit SH for steps of this coarseness."""
+        self._recolour(octaves, lambda guidance, *to: guidance.recolour(*to, self.compacting))
 
-        def both(colours: Colours, decoded: Scene, *steps: Any) -> Scene:
-            if self.compacting:
-                decoded = colours.compact(decoded, *steps)
-            return colours.refit(decoded)
-
-        self._recolour(octaves, both)
-
-    def _recolour(self, octaves: float, choose: Callable[..., Scene]) -> None:
+    def _recolour(
+        self, octaves: float, choose: Callable[[Guidance, ShapedScene, AdaptiveProfile], Scene]
+    ) -> None:
         assert self.guidance is not None
         config = self.config_at(octaves)
         profile = config.resolved_lattice()
-        with self.times.stage("recolour"):
+        with self.asked.times.stage("recolour"):
             steps = self.guidance.steps(self.scene, profile)
             shaped = shape_scene(self.scene, config, steps, StageTimes())
-            asked = (shaped.decoded(), shaped.order, shaped.sh_steps(), profile)
-            shaped = shaped.with_colours(choose(self.guidance.colours, *asked))
+            shaped = shaped.with_colours(choose(self.guidance, shaped, profile))
         self.coloured = shaped.arranged.source
-        self.number += 1
+        self.asked.encodings += 1
 
 
-@dataclass(frozen=True)
-class _Met:
-    """Trials whose last encoding meets a target, and predictions of its size or loss.
-
-    `at_end` tells that no steps come nearer to the target.
-    """
-
-    trials: _Trials
-    predicted_bytes: int | None = None
-    predicted_drop: float | None = None
-    at_end: bool = False
-
-
-def _meet_pruning(
-    scene: Scene,
-    config: Config,
-    target: RateTarget,
-    limit: int | None,
-    targets: ReferenceViews | None,
-    seen: Seen,
-    times: StageTimes,
-    progress: Progress | None,
-) -> tuple[_Met, int]:
+def _meet_pruning(scene: Scene, asked: _Search, seen: _Seen) -> _Trials:
     """Meet a target with the number of Gaussians that gives the least loss, or the smallest file.
 
-    Each round removes the Gaussians of lowest leave-one-out error, as long as this pays. Return
-    also how many encodings it took.
+    Each round removes the Gaussians of lowest leave-one-out error, as long as this pays.
     """
     renders = seen.views.renders
-    best: _Met | None = None
+    best: _Trials | None = None
     refused: _OutOfReach | None = None
-    least, octaves, encodings = math.inf, 0.0, 0
+    least, octaves = math.inf, 0.0
     for part in range(1, _MOST_PARTS + 1):
-        trials = _begin(scene, config, targets, times, progress)
+        trials = _begin(scene, asked)
         try:
-            met = _meet(trials, target, limit, seen, octaves)
+            _meet(trials, octaves)
         except _OutOfReach as refusal:
             refused, cost = refusal, math.inf
             if not isinstance(refusal, _TooLarge):
                 break
         else:
             data = trials.last[0]
-            cost = len(data) if limit is None else seen.loss(data)
+            cost = len(data) if asked.limit is None else seen.loss(data)
             octaves = trials.octaves
-        finally:
-            encodings += trials.number
         if cost < least:
-            best, least = met, cost
+            best, least = trials, cost
         elif best is not None:
             break
         removed = int(_PART * scene.count)
         if not removed:
             break
-        with times.stage("prune"):
-            advance = step_counter(progress, f"leave-one-out, part {part}", len(renders.cameras))
+        with asked.times.stage("prune"):
+            stage = f"leave-one-out, part {part}"
+            advance = step_counter(asked.progress, stage, len(renders.cameras))
             scores = leave_one_out(scene, renders.cameras, renders.background, advance)
             scene = scene.take(keep_highest(scores, removed))
     if best is None:
         assert refused is not None
         raise refused
-    return best, encodings
+    return best
 
 
-def _begin(
-    scene: Scene,
-    config: Config,
-    targets: ReferenceViews | None,
-    times: StageTimes,
-    progress: Progress | None,
-) -> _Trials:
+def _begin(scene: Scene, asked: _Search) -> _Trials:
     """New trials of a scene, with guidance from its reference views if there are any."""
     guidance = None
-    if targets is not None:
-        with times.stage("views"):
-            guidance = guide(scene, targets, progress)
-    return _Trials(scene, config, guidance, times)
+    if asked.references is not None:
+        with asked.times.stage("views"):
+            guidance = guide(scene, asked.references, asked.progress)
+    return _Trials(scene, asked, guidance)
 
 
-def _meet(
-    trials: _Trials, target: RateTarget, limit: int | None, seen: Seen | None, start: float
-) -> _Met:
-    """Meet a target with all Gaussians of a scene."""
-    if limit is not None:
-        return _meet_size(trials, limit, start)
-    assert seen is not None
-    return _meet_drop(trials, float(target.psnr_drop or 0), seen)
+def _meet(trials: _Trials, start: float) -> None:
+    """Meet the target with all Gaussians of a scene; the search begins at `start` octaves."""
+    asked = trials.asked
+    if asked.limit is not None:
+        _meet_size(trials, asked.limit, start)
+    else:
+        assert asked.seen is not None
+        _meet_drop(trials, float(asked.target.psnr_drop or 0), asked.seen)
 
 
-def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
+def _meet_size(trials: _Trials, limit: int, start: float) -> None:
     """Search for steps at which the file is just within the limit."""
     interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
-    predicted = None
     if trials.guidance is not None:
         # Current colours, then compacted ones, are quick and give most of the final size.
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
@@ -339,7 +302,8 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
         if not before[0] <= trials.size(trials.octaves) <= before[1]:
             # Compaction does not pay at these steps, so it is left out.
             _search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
-        predicted, start = round(len(trials.last[0]) * _REFIT_ADDS), trials.octaves
+        trials.predicted_bytes = round(len(trials.last[0]) * _REFIT_ADDS)
+        start = trials.octaves
     recolour = None if trials.guidance is None else trials.refit
     found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)
     if found is None:
@@ -347,10 +311,10 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> _Met:
         if most > limit:
             kind = _TooLarge if least > limit else _OutOfReach
             raise kind(f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach")
-    return _Met(trials, predicted, at_end=found is None)
+    trials.at_end = found is None
 
 
-def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
+def _meet_drop(trials: _Trials, wanted: float, seen: _Seen) -> None:
     """Search for steps at which the loss of views is just within the limit."""
     measured, before = seen.views.held_out, float(np.mean(seen.before))
 
@@ -372,8 +336,8 @@ def _meet_drop(trials: _Trials, wanted: float, seen: Seen) -> _Met:
         least, most = (drop(end) for end in (FINEST, COARSEST))
         if most > wanted:
             raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
-    predicted = measured.drop(before + at_once * 4.0**trials.octaves, before)
-    return _Met(trials, None, predicted, at_end=found is None)
+    trials.predicted_drop = measured.drop(before + at_once * 4.0**trials.octaves, before)
+    trials.at_end = found is None
 
 
 def _search_recoloured(

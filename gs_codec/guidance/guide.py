@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +43,7 @@ _EPS = 1e-12
 _LARGEST = 1 << 11
 
 
-@dataclass(frozen=True)
+@dataclass
 class Guidance:
     """What cameras tell the encoder about a scene.
 
@@ -54,165 +54,78 @@ class Guidance:
         Mean squared error of an image value before encoding; pruning may have caused it.
     pixels : int
         Of all views together.
-    colours : Colours
+    views : ReferenceViews
+    weights : ndarray, shape (views, N), float32
+        Sums of (alpha T)^2 of the scene that is encoded, in its own order.
+    progress : callable, optional
+    compacts : bool or None
+        Whether compaction of SH pays; None until it is decided.
+    operator : ImageOperator or None
+        Images as a function of SH, for the shapes that were used last.
     """
 
     sensitivity: Sensitivity
     loss: float
     pixels: int
-    colours: Colours
-
-    def steps(self, scene: Scene, profile: AdaptiveProfile) -> StepSizes:
-        """Step sizes of the scene; its colours may have changed."""
-        return guided_steps(scene, profile, self.sensitivity, self.loss, self.pixels)
-
-    def recolour(self, shaped: ShapedScene, profile: AdaptiveProfile) -> ShapedScene:
-        """Compact and refit the SH of a scene whose shapes are rounded."""
-        decoded, steps = shaped.decoded(), shaped.sh_steps()
-        decoded = self.colours.compact(decoded, shaped.order, steps, profile)
-        return shaped.with_colours(self.colours.refit(decoded))
-
-
-def guided_steps(
-    scene: Scene, profile: AdaptiveProfile, sensitivity: Sensitivity, loss: float, pixels: int
-) -> StepSizes:
-    """Step sizes that add the error which a profile allows; see `Guidance`."""
-    axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
-    sorted_axes = np.take_along_axis(sensitivity.log_scale, axes.astype(np.int64), 0)
-    # The error that all parameters may add, divided by their number.
-    parameters = scene.count * channel_count(len(scene.f_rest) // 3)
-    error = (profile.error + profile.of_loss * loss) * 3 * pixels / parameters
-    return fit_step_sizes(
-        sensitivity._replace(log_scale=sorted_axes), scene.opacity[0], scales, error
-    )
-
-
-def guide(
-    scene: Scene,
-    views: ReferenceViews,
-    progress: Progress | None = None,
-) -> Guidance:
-    """Measure what the encoder needs to know from the views of a scene."""
-    cameras = views.cameras
-    loss = views.error(scene, progress)
-    found, weights = sensitivity(
-        scene, cameras, views.background, progress, keep=scene.sh_degree > 0
-    )
-    pixels = sum(camera.width * camera.height for camera in cameras)
-    return Guidance(found, loss, pixels, Colours(views, weights, progress))
-
-
-@dataclass
-class Colours:
-    """Compaction and refit of the SH of a scene whose shapes are rounded.
-
-    The `decoded` scene has decoded shapes and the original's SH. Its Gaussian i is number
-    ``order[i]`` of the scene whose views were measured. `steps` ``(N,)`` are the step sizes of its
-    SH. SH are compacted if this pays, which the first call of `compact` decides.
-
-    Attributes
-    ----------
-    views : ReferenceViews
-    weights : ndarray, shape (views, N), float32
-        Sums of (alpha T)^2 of the scene that is encoded, in its own order.
-    compacts : bool or None
-        Whether compaction pays; None until it is decided.
-    operator : ImageOperator or None
-        Images as a function of SH, for the shapes that were used last.
-    """
-
     views: ReferenceViews
     weights: NDArray[np.float32]
-    progress: Progress | None
+    progress: Progress | None = None
     compacts: bool | None = None
     operator: ImageOperator | None = None
 
-    def compact(
-        self,
-        decoded: Scene,
-        order: NDArray[np.unsignedinteger],
-        steps: NDArray[np.float32],
-        profile: AdaptiveProfile,
-    ) -> Scene:
-        """A scene with fewer non-zero SH, if this pays."""
-        if decoded.sh_degree and self.compacts is None:
-            trial = self._compaction(order, steps, profile)
-            self.compacts = trial.pays(decoded, self._operator_of(decoded))
-        return self.sketch(decoded, order, steps, profile)
+    def steps(self, scene: Scene, profile: AdaptiveProfile) -> StepSizes:
+        """Step sizes that add the error which a profile allows; colours may have changed."""
+        found = self.sensitivity
+        axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
+        sorted_axes = np.take_along_axis(found.log_scale, axes.astype(np.int64), 0)
+        # The error that all parameters may add, divided by their number.
+        parameters = scene.count * channel_count(len(scene.f_rest) // 3)
+        error = (profile.error + profile.of_loss * self.loss) * 3 * self.pixels / parameters
+        found = found._replace(log_scale=sorted_axes)
+        return fit_step_sizes(found, scene.opacity[0], scales, error)
 
-    def sketch(
-        self,
-        decoded: Scene,
-        order: NDArray[np.unsignedinteger],
-        steps: NDArray[np.float32],
-        profile: AdaptiveProfile,
+    def recolour(
+        self, shaped: ShapedScene, profile: AdaptiveProfile, compacting: bool = True
     ) -> Scene:
-        """As `compact`, without deciding whether it pays: quick, to estimate sizes."""
-        if not decoded.sh_degree or self.compacts is False:
+        """As `compact`, with SH refitted to compensate for rounded shapes and compaction."""
+        decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
+        operator = self._operator_of(decoded)
+        return refit_colour(decoded, self.views, _REFIT, operator=operator, progress=self.progress)[
+            0
+        ]
+
+    def compact(self, shaped: ShapedScene, profile: AdaptiveProfile, decide: bool = True) -> Scene:
+        """The decoded scene in stream order, its SH compacted if this pays.
+
+        The first call decides whether it pays. Without `decide` it is not measured but taken to pay
+        unless already decided: this is quick, to estimate sizes.
+        """
+        decoded, steps = shaped.decoded(), shaped.sh_steps()
+        if not decoded.sh_degree:
             return decoded
-        return self._compaction(order, steps, profile).whole(decoded)
+        weights = self.weights[:, shaped.order]
 
-    def refit(self, decoded: Scene) -> Scene:
-        """A scene with SH refitted to compensate for rounded shapes and compaction."""
-        return refit_colour(
-            decoded,
-            self.views.cameras,
-            self.views.images,
-            _REFIT,
-            operator=self._operator_of(decoded),
-            progress=self.progress,
-        )[0]
+        def compacted(seen: Sequence[int]) -> Scene:
+            """The scene compacted with some of the views."""
+            return compact_sh(
+                decoded,
+                [self.views.cameras[i] for i in seen],
+                profile.compaction,
+                smallest=0.5 * steps,
+                weights=weights[list(seen)],
+                progress=self.progress,
+            )[0]
 
-    def _compaction(
+        if decide and self.compacts is None:
+            self.compacts = self._pays(decoded, steps, compacted)
+        return decoded if self.compacts is False else compacted(range(len(weights)))
+
+    def _pays(
         self,
-        order: NDArray[np.unsignedinteger],
+        decoded: Scene,
         steps: NDArray[np.float32],
-        profile: AdaptiveProfile,
-    ) -> _Compaction:
-        weights = self.weights[:, order]
-        return _Compaction(self.views, weights, steps, profile, self.progress)
-
-    def _operator_of(self, scene: Scene) -> ImageOperator:
-        if self.operator is None or not _same_shapes(self.operator.scene, scene):
-            self.operator = None  # Both would not fit into memory.
-            views = self.views
-            self.operator = ImageOperator(scene, views.cameras, views.background)
-        return self.operator
-
-
-def _same_shapes(first: Scene, second: Scene) -> bool:
-    return all(
-        np.array_equal(getattr(first, name), getattr(second, name))
-        for name in ("positions", "opacity", "log_scale", "rot")
-    )
-
-
-@dataclass(frozen=True)
-class _Compaction:
-    """Compaction of a scene for given step sizes of its SH."""
-
-    views: ReferenceViews
-    weights: NDArray[np.float32]
-    steps: NDArray[np.float32]
-    profile: AdaptiveProfile
-    progress: Progress | None
-
-    def whole(self, scene: Scene) -> Scene:
-        """Compact the scene with all views."""
-        return self.by(scene, range(len(self.weights)))
-
-    def by(self, scene: Scene, seen: Sequence[int]) -> Scene:
-        """Compact the scene with some of the views."""
-        return compact_sh(
-            scene,
-            [self.views.cameras[i] for i in seen],
-            self.profile.compaction,
-            smallest=0.5 * self.steps,
-            weights=self.weights[list(seen)],
-            progress=self.progress,
-        )[0]
-
-    def pays(self, scene: Scene, operator: ImageOperator) -> bool:
+        compacted: Callable[[Sequence[int]], Scene],
+    ) -> bool:
         """Whether compaction pays, measured in views that it did not use.
 
         Each fold compacts with most of the views and measures in the others. Compaction pays if,
@@ -223,11 +136,12 @@ class _Compaction:
         count = len(self.weights)
         if count < 2:
             return False
-        plain, plain_bits, levels = _rounded(scene, self.steps)
+        operator = self._operator_of(decoded)
+        plain, plain_bits, levels = _rounded(decoded, steps)
         for first in range(min(_FOLDS, count)):
             others = range(first, count, _FOLDS)
             most = sorted(set(range(count)) - set(others))
-            sparse, sparse_bits, _ = _rounded(self.by(scene, most), self.steps)
+            sparse, sparse_bits, _ = _rounded(compacted(most), steps)
             lost, before = (self._errors(coded, operator, others) for coded in (sparse, plain))
             # Halving all steps takes one bit for each non-zero value and divides the error by 4.
             octaves = 0.5 * math.log2(lost.mean() / before.mean())
@@ -243,8 +157,32 @@ class _Compaction:
         """Mean squared errors in some of the views."""
         values = [self.views.images[view].size for view in seen]
         advance = step_counter(self.progress, "measure", len(seen))
-        errors = operator.errors(coefficients_of(scene), self.views.images, seen, advance)
+        errors = operator.errors(coefficients_of(scene), seen, advance)
         return np.maximum(errors / values, _EPS)
+
+    def _operator_of(self, scene: Scene) -> ImageOperator:
+        if self.operator is None or not _same_shapes(self.operator.scene, scene):
+            self.operator = None  # Both would not fit into memory.
+            self.operator = ImageOperator(scene, self.views)
+        return self.operator
+
+
+def _same_shapes(first: Scene, second: Scene) -> bool:
+    return all(
+        np.array_equal(getattr(first, name), getattr(second, name))
+        for name in ("positions", "opacity", "log_scale", "rot")
+    )
+
+
+def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None) -> Guidance:
+    """Measure what the encoder needs to know from the views of a scene."""
+    cameras = views.cameras
+    loss = views.error(scene, progress)
+    found, weights = sensitivity(
+        scene, cameras, views.background, progress, keep=scene.sh_degree > 0
+    )
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    return Guidance(found, loss, pixels, views, weights, progress)
 
 
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:

@@ -15,7 +15,7 @@ from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
+    from gs_codec.preparation.reference_views import ReferenceViews
     from gs_codec.preparation.steps import Plan
 
 
@@ -41,53 +41,12 @@ def encode_by_plan(
         scene, prepared = prepare_scene(scene, plan, progress, config=config)
         views = prepared.views
     if rate is not None:
+        from gs_codec.guidance.allocate import encode_to_target
+
         target = as_rate_target(rate)
-        return encode_at_rate(scene, original, ply_bytes, config, target, plan, progress, views)
-    targets = None if views is None else views.renders
-    return encode_planned(scene, config, plan, progress, targets)
-
-
-def encode_at_rate(
-    scene: Scene,
-    original: Scene,
-    ply_bytes: int,
-    config: Config,
-    rate: RateTarget,
-    plan: Plan | None = None,
-    progress: Progress | None = None,
-    views: ViewSplit | None = None,
-) -> tuple[bytes, EncodeReport]:
-    """Encode a scene to a rate target, which is relative to the original.
-
-    With a plan, its views guide the step sizes. A loss in dB is measured in the held-out views,
-    against ground-truth images if there are any. Without a plan, a loss in dB or pruning uses views
-    that are chosen from the scene. `views` are the plan's, if they are known.
-
-    Raises
-    ------
-    InvalidInput
-        If the target is unreachable, or the profile has fixed steps.
-    """
-    from gs_codec.guidance.allocate import Seen, check_searchable, encode_to_target
-
-    check_searchable(scene, config)
-    limit = rate.limit(original.count, ply_bytes)
-    if plan is None and (limit is None or rate.allow_prune):
-        from gs_codec.preparation.steps import Plan
-
-        plan = Plan()
-    if plan is None:
-        return encode_to_target(scene, config, rate, limit)
-    seen = None
-    if limit is None or rate.allow_prune:
-        from gs_codec.preparation.pipeline import choose_views
-
-        views = views or choose_views(original, plan, progress)
-        seen = Seen(views, views.held_out.errors(original, progress), progress)
-    targets = reference_views_of(
-        scene, plan, progress, views.renders if views is not None else None
-    )
-    return encode_to_target(scene, config, rate, limit, targets, seen, progress)
+        return encode_to_target(scene, original, ply_bytes, config, target, plan, progress, views)
+    references = None if views is None else views.renders
+    return encode_planned(scene, config, plan, progress, references)
 
 
 def encode_planned(
@@ -95,17 +54,18 @@ def encode_planned(
     config: Config,
     plan: Plan | None,
     progress: Progress | None = None,
-    targets: ReferenceViews | None = None,
+    references: ReferenceViews | None = None,
 ) -> tuple[bytes, EncodeReport]:
     """Encode a scene, guided by a plan's views if there is a plan and the profile has step sizes.
 
-    `targets` are the reference views, if they are known.
+    `references` are these views, if they are known.
     """
     if plan is None or config.profile not in ADAPTIVE_PROFILES or not scene.count:
         return encode_scene(scene, config, progress)
     from gs_codec.guidance.guide import guide
+    from gs_codec.preparation.pipeline import guiding_views
 
-    targets = reference_views_of(scene, plan, progress, targets)
+    references = guiding_views(scene, plan, progress, references)
     times = StageTimes()
     with using_threads(config.threads):
         with times.stage("check"):
@@ -113,30 +73,11 @@ def encode_planned(
         if not clean.count:
             return encode_scene(scene, config, progress)
         with times.stage("views"):
-            guidance = guide(clean, targets, progress)
+            guidance = guide(clean, references, progress)
         profile = config.resolved_lattice()
         shaped = shape_scene(clean, config, guidance.steps(clean, profile), times)
         with times.stage("recolour"):
-            shaped = guidance.recolour(shaped, profile)
+            shaped = shaped.with_colours(guidance.recolour(shaped, profile))
         del guidance  # It holds large arrays: a weight for each Gaussian in each view.
         parts, report = encode_shaped(shaped, times, progress)
     return b"".join(parts), replace(report, **changed)
-
-
-def reference_views_of(
-    scene: Scene,
-    plan: Plan,
-    progress: Progress | None = None,
-    targets: ReferenceViews | None = None,
-) -> ReferenceViews:
-    """The reference views of a plan, for encoding.
-
-    If the scene was optimised, they are its own renders; else `targets`, by default its renders.
-    """
-    from gs_codec.preparation.pipeline import draw_views
-    from gs_codec.preparation.reference_views import draw_reference_views
-
-    targets = targets or draw_views(scene, plan, progress)
-    if plan.steps.refine:
-        targets = draw_reference_views(scene, targets.cameras, targets.background, progress)
-    return targets

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput
 from gs_codec.preparation.sh_weights import (
     coefficients_of,
     fill_matrix,
@@ -36,41 +34,15 @@ _INERTIA = 1e-9
 _CHUNK = 1 << 12
 
 
-@dataclass(frozen=True)
-class CompactReport:
-    """What compaction did to the SH-AC of `count` Gaussians.
-
-    Attributes
-    ----------
-    count : int
-        Gaussians.
-    unseen : int
-        Those that no camera sees; their SH-AC are 0 now.
-    unsolved : int
-        Those left unchanged because of values that are not finite.
-    without_ac : int
-        Those whose SH-AC were all 0 before, as training leaves colours that stay black.
-    zeros_before, zeros_after : int
-        SH-AC that are exactly 0, of ``3 K count``.
-    """
-
-    count: int
-    unseen: int
-    unsolved: int
-    without_ac: int
-    zeros_before: int
-    zeros_after: int
-
-
 def compact_sh(
     scene: Scene,
     cameras: Sequence[Camera],
-    strength: float = 2e-5,
+    strength: float,
     *,
     smallest: float | NDArray[np.float32] = SMALLEST,
     weights: NDArray[np.float32] | None = None,
     progress: Progress | None = None,
-) -> tuple[Scene, CompactReport]:
+) -> tuple[Scene, dict[str, Any]]:
     """Replace SH by sparser ones that give the cameras nearly the same colours.
 
     For each Gaussian and colour, coefficients a minimise ::
@@ -88,7 +60,7 @@ def compact_sh(
     Parameters
     ----------
     scene : Scene
-    cameras : sequence of Camera
+    cameras : sequence of Camera, at least one
         Colours that they do not see are lost; a Gaussian that none of them sees keeps only its DC.
     strength : float, above 0
         Mean squared error of an image value (0-1) if every SH-AC costs the full L, which is
@@ -99,12 +71,15 @@ def compact_sh(
         `squared_weights` of the scene, if already computed.
     progress : callable, optional
 
-    Raises
-    ------
-    InvalidInput
-        If there is no camera, or a number is out of range.
+    Returns
+    -------
+    Scene
+    dict
+        For reports: ``count`` of Gaussians; those that no camera sees, whose SH-AC are 0 now,
+        ``unseen``; those left unchanged because of values that are not finite, ``unsolved``; those
+        whose SH-AC were all 0 before, as training leaves colours that stay black, ``without_ac``;
+        and SH-AC that are exactly 0, ``zeros_before`` and ``zeros_after``.
     """
-    _check(cameras, strength, smallest)
     if weights is None:
         weights = squared_weights(scene, cameras, progress)
     least = np.broadcast_to(np.asarray(smallest, np.float32), scene.count)
@@ -126,30 +101,19 @@ def compact_sh(
         counts = run_all(run, starts, advance=step_counter(progress, "compact", len(starts)))
         unseen, unsolved = (sum(count) for count in zip(*counts, strict=True))
     result = with_coefficients(scene, after)
-    return result, CompactReport(
-        count=scene.count,
-        unseen=unseen,
-        unsolved=unsolved,
-        without_ac=int((~scene.f_rest.any(axis=0)).sum()),
-        zeros_before=int((scene.f_rest == 0).sum()),
-        zeros_after=int((result.f_rest == 0).sum()),
-    )
+    return result, {
+        "count": scene.count,
+        "unseen": unseen,
+        "unsolved": unsolved,
+        "without_ac": int((~scene.f_rest.any(axis=0)).sum()),
+        "zeros_before": int((scene.f_rest == 0).sum()),
+        "zeros_after": int((result.f_rest == 0).sum()),
+    }
 
 
 def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
     """Squared error that one SH-AC may cost; `pixels` is the total of all cameras."""
     return strength * pixels / max(len(scene.f_rest) // 3 * scene.count, 1)
-
-
-def _check(
-    cameras: Sequence[Camera], strength: float, smallest: float | NDArray[np.float32]
-) -> None:
-    if not cameras:
-        raise InvalidInput("cameras: none, expected at least one")
-    if not 0 < strength < math.inf:
-        raise InvalidInput(f"strength {strength}: expected a number above 0")
-    if not np.all((np.asarray(smallest) >= 0) & (np.asarray(smallest) < math.inf)):
-        raise InvalidInput(f"smallest {smallest}: expected a number from 0 up")
 
 
 @kernel

@@ -8,23 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput
+from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.sh_weights import sh_row
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.traced_view import SQUARED, TraceBuffers, TracedView, trace_view
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
 
-#: Image ``(H, W, 3)`` of each view.
-Images = Sequence[NDArray]
-
 Advance = Callable[[], None] | None
+Result = TypeVar("Result")
 
 #: Gaussians whose gradient one task adds up.
 _CHUNK = 1 << 14
@@ -67,155 +64,110 @@ class ImageOperator:
     ----------
     scene : Scene
         Its colours are not used.
-    cameras : sequence of Camera
-    background : sequence of three float
+    views : ReferenceViews
+        A residual is ``reference - image``.
     """
 
     scene: Scene
-    cameras: Sequence[Camera]
-    background: Sequence[float] = (0.0, 0.0, 0.0)
+    views: ReferenceViews
     kept: dict[int, TracedView] = field(default_factory=dict, init=False, repr=False)
     all_buffers: list[TraceBuffers] = field(default_factory=list, init=False, repr=False)
 
-    def linearise(self, coefficients: NDArray, targets: Images, advance: Advance = None) -> Linear:
-        """Linearise all views at `coefficients`; the residual is ``target - image``.
-
-        Raises
-        ------
-        InvalidInput
-            If a target does not have the shape of its camera's image.
-        """
+    def linearise(self, coefficients: NDArray, advance: Advance = None) -> Linear:
+        """Linearise all views at `coefficients`."""
         gradient, curvature = np.zeros_like(coefficients), np.zeros_like(coefficients)
-        lit = np.zeros((len(self.cameras), self.scene.count), np.uint8)
-
-        def gather(view: int) -> _Gathered:
-            target = _target(targets, view, self.cameras[view])
-            return self._gather(view, coefficients, lit[view], target)
-
-        error = self._add_up(gather, lit, gradient, curvature, advance)
+        lit = np.zeros((len(self.views.cameras), self.scene.count), np.uint8)
+        error = self._add_up(coefficients, lit, True, gradient, curvature, advance)
         return Linear(gradient, curvature, lit, error)
 
     def errors(
-        self,
-        coefficients: NDArray,
-        targets: Images,
-        views: Sequence[int] | None = None,
-        advance: Advance = None,
+        self, coefficients: NDArray, chosen: Sequence[int], advance: Advance = None
     ) -> NDArray[np.float64]:
-        """Squared residual of each of the `views` (default all), summed over pixels and colours."""
+        """Squared residual of each of the `chosen` views, summed over pixels and colours."""
 
-        def measure(view: int) -> tuple[TracedView, float]:
-            target = _target(targets, view, self.cameras[view])
+        def measure(view: int, traced: TracedView) -> float:
             lit = np.empty(self.scene.count, np.uint8)
-            traced = self._traced(view)
-            colours = self._colours(traced, coefficients, lit, clamp=True)
-            return traced, traced.error(colours, target, np.array(self.background, np.float64))
+            return self._residual(view, traced, coefficients, lit, clamp=True, summed=False)[1]
 
-        chosen = range(len(self.cameras)) if views is None else views
-        errors = []
-        for group in self._groups(chosen):
-            for view, (traced, error) in zip(
-                group, run_all(measure, group, len(group), advance), strict=True
-            ):
-                errors.append(error)
-                self._keep(view, traced)
-        return np.array(errors)
+        return np.array([error for *_, error in self._of_each(measure, chosen, advance)])
 
     def apply(self, direction: NDArray, lit: NDArray[np.uint8], advance: Advance = None) -> NDArray:
         """Apply the normal equations to a change of SH: the operator, then its transpose."""
         product = np.zeros_like(direction)
-
-        def gather(view: int) -> _Gathered:
-            return self._gather(view, direction, lit[view], None)
-
-        self._add_up(gather, lit, product, product[:0], advance)
+        self._add_up(direction, lit, False, product, product[:0], advance)
         return np.negative(product, out=product)
 
-    def _gather(
-        self, view: int, coefficients: NDArray, lit: NDArray[np.uint8], target: NDArray | None
-    ) -> _Gathered:
-        """Apply the transpose to a view's residual; without a target, to minus its change by SH."""
-        camera, traced = self.cameras[view], self._traced(view)
-        colours = self._colours(traced, coefficients, lit, clamp=target is not None)
-        if target is None:
-            background = np.zeros(3)
-            target = np.zeros((camera.height, camera.width, 3), np.float32)
-        else:
-            background = np.array(self.background, np.float64)
-        return _Gathered(traced, *traced.transpose(colours, target, background))
-
-    def _colours(
-        self, traced: TracedView, coefficients: NDArray, lit: NDArray[np.uint8], clamp: bool
-    ) -> NDArray[np.float64]:
-        """Colours ``(V, 3)`` of the Gaussians that a view sees; see `_fill_colours`."""
+    def _residual(
+        self,
+        view: int,
+        traced: TracedView,
+        coefficients: NDArray,
+        lit: NDArray[np.uint8],
+        clamp: bool,
+        summed: bool = True,
+    ) -> tuple[NDArray[np.float64], float]:
+        """Residual of a view, as `TracedView.residual`; without `clamp`, minus its change by SH."""
         colours = np.empty((len(traced.seen), 3))
         seen = (self.scene.positions, traced.camera.position, traced.seen)
         _fill_colours(*seen, coefficients, clamp, lit, colours)
-        return colours
+        target, background = self.views.images[view], np.array(self.views.background, np.float64)
+        if not clamp:
+            target, background = np.zeros_like(target), np.zeros(3)
+        return traced.residual(colours, target, background, summed)
 
     def _add_up(
         self,
-        gather: Callable[[int], _Gathered],
+        coefficients: NDArray,
         lit: NDArray[np.uint8],
+        clamp: bool,
         gradient: NDArray,
         curvature: NDArray,
         advance: Advance,
     ) -> float:
         """Add views in order to the gradient and, unless empty, curvature; return their error."""
-        error = 0.0
-        for group in self._groups(range(len(self.cameras))):
-            for view, found in zip(group, run_all(gather, group, len(group), advance), strict=True):
-                error += found.error
-                self._keep(view, found.traced)
-                seen, camera = found.traced.seen, self.cameras[view]
-                of_view = (self.scene.positions, camera.position, seen, found.sums, lit[view])
 
-                def add(start: int, of_view: tuple = of_view, count: int = len(seen)) -> None:
-                    stop = min(start + _CHUNK, count)
-                    _add_gradient(*of_view, start, stop, gradient, curvature)
+        def gather(view: int, traced: TracedView) -> tuple[NDArray[np.float64], float]:
+            return self._residual(view, traced, coefficients, lit[view], clamp)
 
-                run_all(add, range(0, len(seen), _CHUNK))
-        return error
+        total = 0.0
+        for view, traced, (sums, error) in self._of_each(gather, range(len(lit)), advance):
+            total += error
+            count = len(traced.seen)
+            of_view = (self.scene.positions, traced.camera.position, traced.seen, sums, lit[view])
 
-    def _groups(self, views: Sequence[int]) -> Iterator[Sequence[int]]:
-        """Groups of views that are processed together."""
+            def add(start: int, of_view: tuple = of_view, count: int = count) -> None:
+                stop = min(start + _CHUNK, count)
+                _add_gradient(*of_view, start, stop, gradient, curvature)
+
+            run_all(add, range(0, count, _CHUNK))
+        return total
+
+    def _of_each(
+        self, function: Callable[[int, TracedView], Result], chosen: Sequence[int], advance: Advance
+    ) -> Iterator[tuple[int, TracedView, Result]]:
+        """Call a function for the `chosen` views, a few at a time; yield its results in order."""
+
+        def run(view: int) -> tuple[int, TracedView, Result]:
+            traced = self.kept[view] if view in self.kept else self._trace(view)
+            return view, traced, function(view, traced)
+
         at_once = min(available_threads(), _MOST_AT_ONCE)
-        for first in range(0, len(views), at_once):
-            yield views[first : first + at_once]
+        for first in range(0, len(chosen), at_once):
+            for found in run_all(run, chosen[first : first + at_once], advance=advance):
+                view, traced, _ = found
+                taken = sum(known.nbytes for known in self.kept.values())
+                if view not in self.kept and taken + traced.nbytes <= _KEPT_BYTES:
+                    self.kept[view] = traced
+                yield found
 
-    def _traced(self, view: int) -> TracedView:
-        if view in self.kept:
-            return self.kept[view]
+    def _trace(self, view: int) -> TracedView:
         try:
             buffers = self.all_buffers.pop()
         except IndexError:
             buffers = None
-        traced, buffers = trace_view(self.scene, self.cameras[view], buffers)
+        traced, buffers = trace_view(self.scene, self.views.cameras[view], buffers)
         self.all_buffers.append(buffers)
         return traced
-
-    def _keep(self, view: int, traced: TracedView) -> None:
-        taken = sum(known.nbytes for known in self.kept.values())
-        if view not in self.kept and taken + traced.nbytes <= _KEPT_BYTES:
-            self.kept[view] = traced
-
-
-class _Gathered(NamedTuple):
-    """A view, sums ``(V, 4)`` over its pixels, and its squared error."""
-
-    traced: TracedView
-    sums: NDArray[np.float64]
-    error: float
-
-
-def _target(targets: Images, view: int, camera: Camera) -> NDArray:
-    target = targets[view]
-    if target.shape != (camera.height, camera.width, 3):
-        raise InvalidInput(
-            f"target {view}: shape {target.shape}, "
-            f"expected ({camera.height}, {camera.width}, 3) of camera '{camera.name}'"
-        )
-    return target
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -120,9 +120,23 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     return ViewSplit(renders, photographs, read_targets(measured, plan.background))
 
 
-def draw_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ReferenceViews:
-    """Draw only the renders of `choose_views`."""
-    cameras = evenly(_split(scene, plan)[0], plan.views)
+def guiding_views(
+    scene: Scene,
+    plan: Plan,
+    progress: Progress | None = None,
+    references: ReferenceViews | None = None,
+) -> ReferenceViews:
+    """The reference views of a plan that guide the encoder.
+
+    If the scene was optimised, they are its own renders; else `references`, by default the renders
+    of `choose_views`.
+    """
+    if references is None:
+        cameras = evenly(_split(scene, plan)[0], plan.views)
+    elif plan.steps.refine:
+        cameras = list(references.cameras)
+    else:
+        return references
     return draw_reference_views(scene, cameras, plan.background, progress)
 
 
@@ -169,23 +183,21 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _compact(scene: Scene, context: _Context) -> _Outcome:
-    compact, report = compact_sh(
+    compact, details = compact_sh(
         scene, context.views.renders.cameras, context.steps.compact_sh, progress=context.progress
     )
-    return None, compact, asdict(report)
+    return None, compact, details
 
 
 def _refit(scene: Scene, context: _Context) -> _Outcome:
-    views, steps = context.views.renders, context.steps
+    steps = context.steps
     fitted, report = refit_colour(
         scene,
-        views.cameras,
-        views.images,
+        context.views.renders,
         steps.refit_colour,
         strength=steps.compact_sh,
         # SH-AC that training left at 0 may have to compensate for removed Gaussians.
         keep_zeros=steps.compact_sh > 0,
-        background=views.background,
         progress=context.progress,
     )
     return None, fitted, {"psnr": [_finite(psnr) for psnr in report.psnr], "kept": report.kept}

@@ -56,8 +56,12 @@ class TracedView(NamedTuple):
         """Memory it takes."""
         return sum(array.nbytes for array in self[1:])
 
-    def transpose(
-        self, colours: NDArray[np.float64], target: NDArray, background: NDArray[np.float64]
+    def residual(
+        self,
+        colours: NDArray[np.float64],
+        target: NDArray,
+        background: NDArray[np.float64],
+        summed: bool,
     ) -> tuple[NDArray[np.float64], float]:
         """Sums ``(V, 4)`` of alpha T times the residual and of (alpha T)^2, and the squared error.
 
@@ -68,25 +72,12 @@ class TracedView(NamedTuple):
         target : ndarray, shape (H, W, 3)
             The residual is this minus the image.
         background : ndarray, shape (3,)
+        summed : bool
+            Whether to sum; without, the sums are empty, and it takes half the time.
         """
-        sums = np.zeros((len(self.seen), SQUARED + 1))
-        return sums, self._residual(colours, target, background, sums)
-
-    def error(
-        self, colours: NDArray[np.float64], target: NDArray, background: NDArray[np.float64]
-    ) -> float:
-        """Only the squared error, in half the time of `transpose`."""
-        return self._residual(colours, target, background, np.zeros((0, SQUARED + 1)))
-
-    def _residual(
-        self,
-        colours: NDArray[np.float64],
-        target: NDArray,
-        background: NDArray[np.float64],
-        sums: NDArray[np.float64],
-    ) -> float:
+        sums = np.zeros((len(self.seen) if summed else 0, SQUARED + 1))
         columns = -(-self.camera.width // TILE)
-        return float(_residual(*self[2:], columns, colours, target, background, sums))
+        return sums, _residual(*self[2:], columns, colours, target, background, sums)
 
 
 class TraceBuffers(NamedTuple):

@@ -21,7 +21,6 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
 from gs_codec.preparation.pipeline import Plan, prepare_scene
-from gs_codec.preparation.rectify import rectify
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
 from gs_codec.preparation.report import LABELS
 from gs_codec.preparation.steps import Steps
@@ -191,7 +190,8 @@ def test_rectification_goes_by_the_depths_of_the_profile(scene):
 def test_each_band_is_rectified_at_its_own_depth(degree):
     scene = random_scene(300, degree, seed=5)
     scene.f_rest[:, 7] = 40.0
-    edges = rectify(scene, {"sh1": 2, "sh2": 5, "sh3": 8})[0].f_rest[:, 7].reshape(3, -1)
+    config = Config("paper-m", depths={"sh1": 2, "sh2": 5, "sh3": 8})
+    edges = prepare_scene(scene, plan(rectify=True), config=config)[0].f_rest[:, 7].reshape(3, -1)
     bands = np.split(edges, [3, 8][: degree - 1], axis=1)
     for coarse, fine in zip(bands, bands[1:], strict=False):
         assert coarse.max() < fine.min()

@@ -26,7 +26,7 @@ from gs_codec.preparation.pipeline import choose_views, guiding_views
 from gs_codec.preparation.prune import keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.preparation.steps import Plan
-from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes, step_counter
+from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes
 from gs_codec.scene import Scene
 
 #: A file may be smaller than asked for by at most this share.
@@ -236,7 +236,6 @@ def _meet_pruning(scene: Scene, asked: _Search, seen: _Seen) -> _Trials:
 
     Each round removes the Gaussians of lowest leave-one-out error, as long as this pays.
     """
-    renders = seen.views.renders
     best: _Trials | None = None
     refused: _OutOfReach | None = None
     least, octaves = math.inf, 0.0
@@ -260,9 +259,7 @@ def _meet_pruning(scene: Scene, asked: _Search, seen: _Seen) -> _Trials:
         if not removed:
             break
         with asked.times.stage("prune"):
-            stage = f"leave-one-out, part {part}"
-            advance = step_counter(asked.progress, stage, len(renders.cameras))
-            scores = leave_one_out(scene, renders.cameras, renders.background, advance)
+            scores = leave_one_out(scene, seen.views.renders, f"part {part}", asked.progress)
             scene = scene.take(keep_highest(scores, removed))
     if best is None:
         assert refused is not None

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
+from math import isqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.config import PROFILES, Config
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.optimise import optimise
@@ -21,21 +22,20 @@ from gs_codec.preparation.prune import (
     portion,
     prune_leave_one_out,
 )
-from gs_codec.preparation.rectify import rectify
 from gs_codec.preparation.reference_views import (
     ReferenceViews,
     ViewSplit,
     draw_reference_views,
     evenly,
     photographed,
-    read_targets,
+    read_photographs,
 )
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
-from gs_codec.report import Progress, step_counter
+from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
 #: What a step returns: the indices of the Gaussians that stay (None: all), the new scene, and
@@ -43,19 +43,13 @@ from gs_codec.scene import Scene
 _Outcome = tuple[NDArray[np.int64] | None, Scene, dict[str, Any]]
 
 
-@dataclass(frozen=True)
-class _Context:
+class _Context(NamedTuple):
     """What the steps need besides the scene: options, views, and where to report progress."""
 
-    steps: Steps
+    plan: Plan
     views: ViewSplit
-    checkpoint: str | Path | None
     progress: Progress | None
     config: Config
-
-    def counter(self, stage: str, total: int) -> Callable[[], None] | None:
-        """See `step_counter`."""
-        return step_counter(self.progress, stage, total)
 
 
 def prepare_scene(
@@ -75,14 +69,13 @@ def prepare_scene(
     InvalidInput
         If there are no cameras, no Gaussian would be left, or an image is broken.
     """
-    steps = plan.steps
     views = views or choose_views(scene, plan, progress)
-    context = _Context(steps, views, plan.checkpoint, progress, config or Config())
+    context = _Context(plan, views, progress, config or Config())
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
     for step in _STEPS:
-        if not step.is_asked(steps):
+        if not step.is_asked(plan.steps):
             continue
         start = time.perf_counter()
         stay, scene, details = step.run(scene, context)
@@ -108,16 +101,15 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     renders = draw_reference_views(scene, evenly(rest, plan.views), plan.background, progress)
     photographs = None
     if plan.gt_images is not None:
-        found = photographed(rest, plan.gt_images)
-        photographs = read_targets(evenly(found, plan.views), plan.background)
+        found = evenly(photographed(rest, plan.gt_images), plan.views)
+        photographs = read_photographs(found, plan.background)
     if test == rest:
-        return ViewSplit(renders, photographs, photographs or renders)
-    if plan.gt_images is None:
-        return ViewSplit(
-            renders, photographs, draw_reference_views(scene, test, plan.background, progress)
-        )
-    measured = photographed(test, plan.gt_images)
-    return ViewSplit(renders, photographs, read_targets(measured, plan.background))
+        held_out = photographs or renders
+    elif plan.gt_images is not None:
+        held_out = read_photographs(photographed(test, plan.gt_images), plan.background)
+    else:
+        held_out = draw_reference_views(scene, test, plan.background, progress)
+    return ViewSplit(renders, photographs, held_out)
 
 
 def guiding_views(
@@ -156,41 +148,37 @@ def _report(
 
 
 def _prune_importance(scene: Scene, context: _Context) -> _Outcome:
-    cameras = context.views.renders.cameras
-    scores = importance(scene, cameras, context.counter("importance", len(cameras)))
-    stay = keep_highest(scores, portion(scene.count, context.steps.prune_importance))
+    scores = importance(scene, context.views.renders.cameras, context.progress)
+    stay = keep_highest(scores, portion(scene.count, context.plan.steps.prune_importance))
     return stay, scene.take(stay), {}
 
 
 def _prune_geometry(scene: Scene, context: _Context) -> _Outcome:
-    stay = keep_near(scene, context.steps.prune_geometry)
+    stay = keep_near(scene, context.plan.steps.prune_geometry)
     return stay, scene.take(stay), {}
 
 
 def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
-    steps = context.steps
-    stay, details = prune_leave_one_out(
-        scene, context.views, steps.prune, steps.prune_max_psnr_drop, context.progress
-    )
+    stay, details = prune_leave_one_out(scene, context.views, context.plan.steps, context.progress)
     return stay, scene.take(stay), details
 
 
 def _optimise(scene: Scene, context: _Context) -> _Outcome:
+    plan, references = context.plan, context.views.wanted
     fitted, details = optimise(
-        scene, context.views.wanted, context.steps.refine, context.checkpoint, context.progress
+        scene, references, plan.steps.refine, plan.checkpoint, context.progress
     )
     return None, fitted, details
 
 
 def _compact(scene: Scene, context: _Context) -> _Outcome:
-    compact, details = compact_sh(
-        scene, context.views.renders.cameras, context.steps.compact_sh, progress=context.progress
-    )
+    cameras, strength = context.views.renders.cameras, context.plan.steps.compact_sh
+    compact, details = compact_sh(scene, cameras, strength, progress=context.progress)
     return None, compact, details
 
 
 def _refit(scene: Scene, context: _Context) -> _Outcome:
-    steps = context.steps
+    steps = context.plan.steps
     fitted, report = refit_colour(
         scene,
         context.views.renders,
@@ -200,22 +188,26 @@ def _refit(scene: Scene, context: _Context) -> _Outcome:
         keep_zeros=steps.compact_sh > 0,
         progress=context.progress,
     )
-    return None, fitted, {"psnr": [_finite(psnr) for psnr in report.psnr], "kept": report.kept}
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
+    psnr = [value if np.isfinite(value) else None for value in report.psnr]
+    return None, fitted, {"psnr": psnr, "kept": report.kept}
 
 
 def _rectify(scene: Scene, context: _Context) -> _Outcome:
+    """Clip each SH-AC channel to the range it has at its band's depth; see `fit_centred`."""
     config = context.config
-    paper = config.profile in PROFILES
-    changed, moved = rectify(scene, config.resolved_depths() if paper else PROFILES["paper-m"])
-    return None, changed, {"moved": moved}
+    depths = config.resolved_depths() if config.profile in PROFILES else PROFILES["paper-m"]
+    clipped = scene.f_rest.copy()
+    for index, row in enumerate(clipped):
+        band = isqrt(index % (len(clipped) // 3) + 1)
+        quantiser, _ = fit_centred(row, depths[f"sh{band}"])
+        if isinstance(quantiser, CentredQuantiser):
+            centre, reach = quantiser.centre, quantiser.half_range
+            np.clip(row, centre - reach, centre + reach, out=row)
+    moved = int(np.count_nonzero(clipped != scene.f_rest))
+    return None, replace(scene, f_rest=clipped), {"moved": moved}
 
 
-@dataclass(frozen=True)
-class _Step:
+class _Step(NamedTuple):
     """A step: its name, when it runs, its function, and the label of Gaussians it removes."""
 
     name: str

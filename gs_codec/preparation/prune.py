@@ -12,7 +12,7 @@ again after each round.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
+from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import RED, TILE
@@ -31,7 +32,6 @@ from gs_codec.scene import Scene
 
 #: Exponent of a Gaussian's volume in LightGaussian's score, and the quantile it is divided by.
 _VOLUME_POWER, _VOLUME_QUANTILE = 0.1, 0.9
-
 
 #: Transmittance where a pixel ends; low, as the removal of an opaque splat shows what it hid.
 _LEAST = 1e-6
@@ -49,10 +49,8 @@ def portion(count: int, percent: float) -> int:
     Raises
     ------
     InvalidInput
-        If the percentage is not from 0 to 100, or nothing would be left.
+        If nothing would be left.
     """
-    if not 0 <= percent <= 100:
-        raise InvalidInput(f"{percent:g} %: expected a percentage, 0 to 100")
     # The millionth makes up for binary rounding of percentages: 7 % of 100 is 7.
     number = int(np.floor(count * percent / 100 + 1e-6))
     if number >= count > 0:
@@ -79,7 +77,7 @@ def keep_near(scene: Scene, percent: float) -> NDArray[np.int64]:
 
 
 def importance(
-    scene: Scene, cameras: Sequence[Camera], advance: Callable[[], None] | None = None
+    scene: Scene, cameras: Sequence[Camera], progress: Progress | None = None
 ) -> NDArray[np.float64]:
     """LightGaussian's score (Fan et al. 2023, Section 3.2; the paper's Section 4.2), ``(N,)``.
 
@@ -87,6 +85,7 @@ def importance(
     times (volume / 90th percentile of volumes)^0.1. Larger volumes count as the 90th percentile.
     """
     seen = np.zeros(scene.count)
+    advance = step_counter(progress, "importance", len(cameras))
     for camera in cameras:
         sums = render(scene, camera, accumulate=True).accumulations
         assert sums is not None
@@ -100,33 +99,17 @@ def importance(
 
 
 def leave_one_out(
-    scene: Scene,
-    cameras: Sequence[Camera],
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-    advance: Callable[[], None] | None = None,
+    scene: Scene, views: ReferenceViews, stage: str, progress: Progress | None = None
 ) -> NDArray[np.float64]:
-    """Squared error that the images of a scene would have without each single Gaussian.
+    """Squared error that a scene's views would have without each single Gaussian, ``(N,)``.
 
     Errors against other images are not a better guide: all Gaussians whose removal reduces the
     same error would be removed together, which is too many.
-
-    Parameters
-    ----------
-    scene : Scene
-    cameras : sequence of Camera
-    background : sequence of three float
-        RGB behind the scene.
-    advance : callable, optional
-        Called after each view.
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        Sum over views, pixels and colours.
     """
     scores = np.zeros(scene.count)
-    behind = np.array(background, np.float64)
-    for camera in cameras:
+    behind = np.array(views.background, np.float64)
+    advance = step_counter(progress, f"leave-one-out, {stage}", len(views.cameras))
+    for camera in views.cameras:
         frame = make_frame(scene, camera)
         errors = np.zeros((frame.pairs, 1))
         frame.over_tiles(_leave_out, camera.width, camera.height, behind, errors)
@@ -175,40 +158,27 @@ def _leave_out(fields, splats, starts, first, end, columns, width, height, backg
 
 
 def prune_leave_one_out(
-    scene: Scene,
-    views: ViewSplit,
-    percent: float,
-    max_drop: float | None,
-    progress: Progress | None = None,
+    scene: Scene, views: ViewSplit, steps: Steps, progress: Progress | None = None
 ) -> tuple[NDArray[np.int64], dict[str, Any]]:
     """Prune in rounds; return indices of the Gaussians that stay, and details of the rounds.
 
-    Parameters
-    ----------
-    scene : Scene
-    views : ViewSplit
-        Scores use its renders; `max_drop` is measured on its photographs if there are any.
-    percent : float
-        Largest percentage to remove; 0 with `max_drop` means as many as that allows.
-    max_drop : float or None
-        Largest PSNR loss of the views, dB; see `ReferenceViews.drop`.
-    progress : callable, optional
+    Scores use the renders of `views`; the PSNR loss is measured on its photographs if there are
+    any. A limit on the loss without a percentage removes as many as that allows.
     """
-    wanted = portion(scene.count, percent)
+    max_drop = steps.prune_max_psnr_drop
+    wanted = portion(scene.count, steps.prune)
     least = scene.count - wanted if wanted or max_drop is None else 1
     kept = np.arange(scene.count)
     rounds: list[dict[str, Any]] = []
-    cameras, targets = views.renders.cameras, views.wanted
-    before = targets.errors(scene, progress) if max_drop is not None else np.zeros(1)
+    references = views.wanted
+    before = references.errors(scene, progress) if max_drop is not None else np.zeros(1)
     while len(kept) > least:
         current = scene.take(kept)
-        stage = f"leave-one-out, round {len(rounds) + 1}"
-        advance = step_counter(progress, stage, len(cameras))
-        scores = leave_one_out(current, cameras, views.renders.background, advance)
+        scores = leave_one_out(current, views.renders, f"round {len(rounds) + 1}", progress)
         rounds.append({"gaussians": len(kept)})
         asked = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
         if max_drop is not None:
-            removed = _allowed(current, scores, asked, targets, before, max_drop, progress)
+            removed = _allowed(current, scores, asked, references, before, max_drop, progress)
         kept = kept[keep_highest(scores, removed)]
         if removed < asked:
             break
@@ -219,7 +189,7 @@ def _allowed(
     scene: Scene,
     scores: NDArray[np.float64],
     most: int,
-    targets: ReferenceViews,
+    references: ReferenceViews,
     before: NDArray[np.float64],
     max_drop: float,
     progress: Progress | None,
@@ -228,7 +198,7 @@ def _allowed(
 
     def fits(number: int) -> bool:
         left = scene.take(keep_highest(scores, number))
-        return targets.drop(targets.errors(left, progress), before) <= max_drop
+        return references.drop(references.errors(left, progress), before) <= max_drop
 
     if fits(most):
         return most

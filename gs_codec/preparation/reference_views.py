@@ -145,7 +145,7 @@ def draw_reference_views(
 
 
 @other_files()
-def read_targets(
+def read_photographs(
     found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
 ) -> ReferenceViews:
     """Read photographs, and resize the cameras to them.

@@ -87,7 +87,7 @@ class PrepareReport:
             "views": len(self.views.renders.cameras),
             "held_out": len(self.views.held_out.cameras),
             "photographs": self.views.held_out.photographs,
-            "steps": [_plain_step(step) for step in self.steps],
+            "steps": [dict(vars(step), quality=step.quality.as_dict()) for step in self.steps],
         }
 
     def table(self) -> list[list[str]]:
@@ -98,10 +98,6 @@ class PrepareReport:
             cells = (f"{n:.{digits}f}" for n, digits in zip(numbers, (3, 3, 4, 1), strict=True))
             rows.append([step.name, f"{step.count:,}", *cells])
         return rows
-
-
-def _plain_step(step: StepReport) -> dict[str, Any]:
-    return dict(vars(step), quality=step.quality.as_dict())
 
 
 def save_report(folder: str | Path, report: PrepareReport) -> None:
@@ -144,32 +140,16 @@ def coding_steps(
     if config.profile not in PROFILES:
         name, took = f"coding ({config.profile})", sum(report.seconds.values())
         return [StepReport(name, report.count, report.file_bytes, quality, took)]
-    quantised = _quantised_bytes(scene, config)
+    # Bytes of each depth group's symbols, packed at its depth.
+    rows = Counter(stream for _, _, stream in channel_order(len(scene.f_rest) // 3))
+    depths = config.resolved_depths()
+    quantised = {name: depths[name] * number * scene.count / 8 for name, number in rows.items()}
     points = ("geometry", "sh-dc", "gpcc", "tool")
     coded = report.file_bytes - sum(report.section_bytes.get(name, 0) for name in points)
     plain = quantised["geometry"] + quantised["sh-dc"]
-    sizes = {
-        "quantisation": sum(quantised.values()),
-        "entropy coding": coded + plain,
-        "geometry coding": report.file_bytes,
-    }
-    seconds = _seconds(report)
-    return [
-        StepReport(name, report.count, size, quality, seconds[name]) for name, size in sizes.items()
-    ]
-
-
-def _quantised_bytes(scene: Scene, config: Config) -> dict[str, float]:
-    """Bytes of each depth group's symbols, packed at its depth."""
-    rows = Counter(stream for _, _, stream in channel_order(len(scene.f_rest) // 3))
-    depths = config.resolved_depths()
-    return {name: depths[name] * number * scene.count / 8 for name, number in rows.items()}
-
-
-def _seconds(report: EncodeReport) -> dict[str, float]:
-    times = report.seconds
-    return {
-        "quantisation": times.get("quantise and model", 0.0),
-        "entropy coding": times.get("code", 0.0),
-        "geometry coding": 0.0,
-    }
+    steps = (
+        ("quantisation", sum(quantised.values()), report.seconds.get("quantise and model", 0.0)),
+        ("entropy coding", coded + plain, report.seconds.get("code", 0.0)),
+        ("geometry coding", report.file_bytes, 0.0),
+    )
+    return [StepReport(name, report.count, size, quality, took) for name, size, took in steps]

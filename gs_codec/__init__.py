@@ -44,8 +44,7 @@ _PUBLIC = {
     "gs_codec.preparation.report": ("PrepareReport", "StepReport"),
     "gs_codec.codecs.entropygs.section": ("Channel",),
     "gs_codec.codecs.adaptive.lattice": ("PositionGrid",),
-    "gs_codec.rendering.drawn": ("RenderedViews",),
-    "gs_codec.rendering.renderer": ("Rendering", "Accumulations"),
+    "gs_codec.rendering.renderer": ("RenderedViews", "Rendering", "Accumulations"),
 }
 
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}

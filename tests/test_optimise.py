@@ -23,7 +23,7 @@ from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.gradients import differentiate, draw
+from gs_codec.rendering.gradients import differentiate
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS, Scene
@@ -119,7 +119,8 @@ def assert_differences(scene: Scene, camera: Camera, antialiased=False, seed=0):
     _, found = gradients(exact, camera, target, TEAL)
 
     def loss() -> float:
-        return loss_of(draw(make_frame(exact, camera), TEAL), target)
+        colour, _, _ = make_frame(exact, camera).draw(TEAL, np.float64, np.zeros((0, 4)))
+        return loss_of(colour, target)
 
     for group in GROUPS:
         plane, largest = getattr(exact, group), np.abs(found[group]).max(initial=0)

@@ -13,9 +13,9 @@ from test_render import TEAL, splats, straight, turned
 
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity
 from gs_codec.guidance.sensitivity import sensitivity
+from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.sh_weights import squared_weights
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.gradients import draw
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
 STEPS = (1e-5, 1e-6)
@@ -35,7 +35,8 @@ TOLERANCE = {"positions": 0.03, "log_scale": 1e-5, "rot": 1e-5, "opacity": 1e-5,
 
 def images(planes: SimpleNamespace, cameras, antialiased: bool) -> np.ndarray:
     """Pixels of all views in full precision."""
-    drawn = [draw(make_frame(planes, camera, antialiased), TEAL) for camera in cameras]
+    frames = [make_frame(planes, camera, antialiased) for camera in cameras]
+    drawn = [frame.draw(TEAL, np.float64, np.zeros((0, 4)))[0] for frame in frames]
     return np.concatenate([image.ravel() for image in drawn])
 
 
@@ -58,9 +59,14 @@ def turn(rot: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return np.vstack([a * b - (x * y).sum(axis=0), a * y + b * x + np.cross(x, y, axis=0)])
 
 
-def summed(*arguments, **options) -> Sensitivity:
+def references(cameras, background=(0.0, 0.0, 0.0)) -> ReferenceViews:
+    """Views whose images nobody looks at."""
+    return ReferenceViews(tuple(cameras), (), False, background)
+
+
+def summed(scene, cameras, background=(0.0, 0.0, 0.0), progress=None) -> Sensitivity:
     """What all views together tell."""
-    return sensitivity(*arguments, **options)[0]
+    return sensitivity(scene, references(cameras, background), progress)[0]
 
 
 def rows_of(found: Sensitivity) -> np.ndarray:
@@ -202,13 +208,14 @@ def test_views_add_up_and_are_counted():
 
 
 def test_weights_of_views_are_those_of_drawing():
-    scene = cloud(9, 50)
-    total, weights = sensitivity(scene, CAMERAS, TEAL)
-    np.testing.assert_array_equal(rows_of(total), rows_of(summed(scene, CAMERAS, TEAL, keep=False)))
+    plain = cloud(9, 50)
+    scene = replace(plain, f_rest=np.zeros((9, 50), np.float32))
+    total, weights = sensitivity(scene, references(CAMERAS, TEAL))
+    np.testing.assert_array_equal(rows_of(total), rows_of(summed(plain, CAMERAS, TEAL)))
     np.testing.assert_allclose(weights, squared_weights(scene, CAMERAS), rtol=1e-5)
     np.testing.assert_allclose(weights.sum(axis=0), total.colour, rtol=1e-5)
     assert weights.any()
-    assert sensitivity(scene, CAMERAS, keep=False)[1].shape == (0, 50)
+    assert sensitivity(plain, references(CAMERAS))[1].shape == (0, 50)
 
 
 def test_it_is_as_the_scene_says():

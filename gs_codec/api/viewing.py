@@ -17,8 +17,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.steps import Plan
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.drawn import RenderedViews
-from gs_codec.rendering.renderer import Rendering
+from gs_codec.rendering.renderer import RenderedViews, Rendering
 from gs_codec.rendering.renderer import render as render_view
 from gs_codec.report import Progress
 from gs_codec.runtime.threads import using_threads

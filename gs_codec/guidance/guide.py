@@ -176,12 +176,9 @@ def _same_shapes(first: Scene, second: Scene) -> bool:
 
 def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None) -> Guidance:
     """Measure what the encoder needs to know from the views of a scene."""
-    cameras = views.cameras
     loss = views.error(scene, progress)
-    found, weights = sensitivity(
-        scene, cameras, views.background, progress, keep=scene.sh_degree > 0
-    )
-    pixels = sum(camera.width * camera.height for camera in cameras)
+    found, weights = sensitivity(scene, views, progress)
+    pixels = sum(camera.width * camera.height for camera in views.cameras)
     return Guidance(found, loss, pixels, views, weights, progress)
 
 

@@ -21,6 +21,7 @@ from gs_codec.guidance.splat_moments import (
     second_moment,
     sum_moments,
 )
+from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import (
@@ -47,11 +48,7 @@ _VIEWS_A_THREAD = 4
 
 
 def sensitivity(
-    scene: Scene,
-    cameras: Sequence[Camera],
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-    progress: Progress | None = None,
-    keep: bool = True,
+    scene: Scene, views: ReferenceViews, progress: Progress | None = None
 ) -> tuple[Sensitivity, NDArray[np.float32]]:
     """Squared error over views, pixels and colours from small changes of each attribute.
 
@@ -61,37 +58,28 @@ def sensitivity(
     the splat's shape and on view-dependent colour is left out. An alpha at its limit does not
     change. `colour` is the sum of (alpha T)^2, also where a colour is clamped at black.
 
-    Parameters
-    ----------
-    scene : Scene
-    cameras : sequence of Camera
-    background : sequence of three float
-        RGB behind the scene.
-    progress : callable, optional
-    keep : bool
-        Whether to keep what each view adds to `colour`.
-
     Returns
     -------
     Sensitivity
         0 for Gaussians that are not drawn in any view, and so for those with values that are
         not finite.
     ndarray, shape (views, N), float32
-        What each view adds to `colour`, as in `squared_weights`; shape (0, N) without `keep`.
+        What each view adds to `colour`, as in `squared_weights`; shape (0, N) for SH degree 0.
     """
+    cameras = views.cameras
     advance = step_counter(progress, "sensitivity", len(cameras))
     totals = np.zeros((scene.count, _COLUMNS))
-    weights = np.zeros((len(cameras) if keep else 0, scene.count), np.float32)
+    weights = np.zeros((len(cameras) if scene.sh_degree else 0, scene.count), np.float32)
     size = _VIEWS_A_THREAD * available_threads()
     for start in range(0, len(cameras), size):
-        views = run_all(
-            lambda camera: _look(scene, camera, background),
+        looks = run_all(
+            lambda camera: _look(scene, camera, views.background),
             cameras[start : start + size],
             advance=advance,
         )
-        for view, (gaussians, found) in enumerate(views, start):
+        for view, (gaussians, found) in enumerate(looks, start):
             totals[gaussians] += found
-            if keep:
+            if len(weights):
                 weights[view, gaussians] = found[:, _COLOUR]
     columns = np.ascontiguousarray(totals.T)
     summed = Sensitivity(

@@ -25,7 +25,7 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import RED, TILE
 from gs_codec.rendering.renderer import render
-from gs_codec.rendering.trace import tile_bounds, trace_down_to
+from gs_codec.rendering.trace import tile_bounds, tile_buffers, trace_down_to
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
@@ -122,10 +122,7 @@ def leave_one_out(
 @kernel
 def _leave_out(fields, splats, starts, first, end, columns, width, height, background, errors):
     """Fill ``errors (pairs, 1)``."""
-    left = np.empty(TILE * TILE)
-    pixels = np.empty(TILE * TILE, np.int64)
-    alphas = np.empty(TILE * TILE)
-    before = np.empty(TILE * TILE)
+    left, pixels, alphas, before = tile_buffers()
     behind = np.empty((TILE * TILE, 3))
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)

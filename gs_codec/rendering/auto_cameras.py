@@ -106,9 +106,9 @@ def _layout(scene: Scene) -> _Layout:
     reach = max(float(np.quantile(distance, 0.9)), size)
     some = slice(None, None, max(1, len(points) // 5000))
 
-    def misfit(place: NDArray) -> float:
-        squares = ((points[some] - centre - size * place[:3]) ** 2).sum(axis=1)
-        left = sizes[some] - 0.5 * np.log(squares / size**2 + np.exp(2 * np.clip(place[3], -9, 9)))
+    def misfit(guess: NDArray) -> float:
+        squares = ((points[some] - centre - size * guess[:3]) ** 2).sum(axis=1)
+        left = sizes[some] - 0.5 * np.log(squares / size**2 + np.exp(2 * np.clip(guess[3], -9, 9)))
         return float(np.abs(left - np.median(left)).mean())
 
     alone = float(np.abs(sizes[some] - np.median(sizes[some])).mean())
@@ -116,14 +116,13 @@ def _layout(scene: Scene) -> _Layout:
     fits = [minimize(misfit, start, method="Nelder-Mead") for start in starts]
     best = min(fits, key=lambda fit: fit.fun)
     is_room = best.fun < (1 - _ROOM_GAIN) * alone and np.linalg.norm(best.x[:3]) < 2
-    if is_room:
-        centre = centre + size * best.x[:3]
     focus = None
     if is_room:
+        centre = centre + size * best.x[:3]
         small = points[sizes <= np.quantile(sizes, 0.1)]
-        place = np.median(small, axis=0)
-        if np.median(np.linalg.norm(small - place, axis=1)) < _FOCUSED * size:
-            focus = place
+        middle = np.median(small, axis=0)
+        if np.median(np.linalg.norm(small - middle, axis=1)) < _FOCUSED * size:
+            focus = middle
     return _Layout(centre, size, reach, bool(is_room), focus, _vertical(scene, centre))
 
 
@@ -154,8 +153,8 @@ def _candidates(layout: _Layout, count: int) -> list[Camera]:
         low, high = np.log(_AWAY)
         offsets = layout.size * np.exp(rng.uniform(low, high, (len(sides), 1))) * sides
         return [_look(layout.focus + offset, layout.focus, layout.up) for offset in offsets]
-    places, aims = rng.standard_normal((2, _INSIDE, 3)) * layout.size
-    inside = zip(layout.centre + _SPREAD * places, layout.centre + _AIM * aims, strict=True)
+    offsets, aims = rng.standard_normal((2, _INSIDE, 3)) * layout.size
+    inside = zip(layout.centre + _SPREAD * offsets, layout.centre + _AIM * aims, strict=True)
     views = [_look(position, target, layout.up) for position, target in inside]
     if not layout.is_room:
         whole = 2.2 * layout.reach

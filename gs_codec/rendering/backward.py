@@ -25,7 +25,7 @@ from gs_codec.rendering.project import (
     covariance,
     quaternion_turn,
 )
-from gs_codec.rendering.trace import MAX_ALPHA, tile_bounds, trace_splat
+from gs_codec.rendering.trace import MAX_ALPHA, tile_bounds, tile_buffers, trace_splat
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import SH_C0
 
@@ -33,7 +33,6 @@ from gs_codec.scene import SH_C0
 #: s = alpha dL/dalpha: s, s dx, s dy, s dx^2, s dx dy, s dy^2, with (dx, dy) from the splat's
 #: centre to the pixel. They suffice: alpha = opacity exp(-q / 2), and q is quadratic in (dx, dy).
 BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
-
 
 #: First rows of f_dc and f_rest in a column; opacity, log_scale and rot follow f_rest.
 _F_DC, _F_REST = 3, 6
@@ -48,10 +47,7 @@ def differentiate_tiles(fields, splats, starts, first, end, columns, colour, by_
     """
     height, width, _ = colour.shape
     pull = np.empty((TILE * TILE, 4))
-    left = np.empty(TILE * TILE)
-    pixels = np.empty(TILE * TILE, np.int64)
-    alphas = np.empty(TILE * TILE)
-    before = np.empty(TILE * TILE)
+    left, pixels, alphas, before = tile_buffers()
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
         left[:] = 1.0

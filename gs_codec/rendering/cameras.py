@@ -13,7 +13,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.rendering.auto_cameras import auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.colmap import find_model, read_colmap
-from gs_codec.rendering.inria import camera_fields, read_inria
+from gs_codec.rendering.inria import as_camera, read_inria
 from gs_codec.runtime.mapped import other_files
 from gs_codec.scene import Scene
 
@@ -143,15 +143,3 @@ def find_cameras(
             raise InvalidInput(f"width {width}: expected at least 1 pixel")
         chosen = [c.resized(width, max(1, round(c.height * width / c.width))) for c in chosen]
     return chosen
-
-
-def as_camera(camera: Camera | Mapping[str, Any]) -> Camera:
-    """Convert an entry of ``cameras.json`` to a `Camera`.
-
-    Raises
-    ------
-    InvalidInput
-    """
-    if isinstance(camera, Camera):
-        return camera
-    return Camera(**camera_fields("camera", camera))

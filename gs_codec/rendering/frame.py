@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.project import DEPTH, TILE, Splats, project
-from gs_codec.rendering.tiles import TileLists, list_tiles
-from gs_codec.runtime.kernels import kernel
+from gs_codec.rendering.project import (
+    CENTRE_X,
+    CENTRE_Y,
+    DEPTH,
+    FACTOR_XX,
+    FACTOR_XY,
+    FACTOR_YY,
+    REACH,
+    TILE,
+    Splats,
+    project,
+    to_tile,
+)
+from gs_codec.rendering.trace import draw_tiles
+from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
 
 _CHUNK = 1 << 14
+
+
+class TileLists(NamedTuple):
+    """Splat-tile pairs: tile t draws ``splats[starts[t] : starts[t + 1]]``, nearest first."""
+
+    splats: NDArray[np.int32]
+    starts: NDArray[np.int64]
 
 
 class Frame(NamedTuple):
@@ -48,6 +68,17 @@ class Frame(NamedTuple):
 
         run_all(run, range(0, tiles, size))
 
+    def draw(
+        self, background: Sequence[float], dtype: type[np.floating], sums: NDArray[np.float64]
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        """Draw colour ``(H, W, 3)``, alpha and depth ``(H, W)``; see `draw_tiles` for `sums`."""
+        shape = (self.camera.height, self.camera.width)
+        colour = np.empty((*shape, 3), dtype)
+        alpha, depth = np.empty(shape, dtype), np.empty(shape, dtype)
+        behind = np.array(background, np.float64)
+        self.over_tiles(draw_tiles, behind, colour, alpha, depth, sums)
+        return colour, alpha, depth
+
     def sum_pairs(self, count: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum ``values (pairs, K)`` over the pairs of each of `count` Gaussians: ``(count, K)``."""
         totals = np.zeros((count, values.shape[1]))
@@ -61,8 +92,7 @@ def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) ->
         antialiased = scene.antialiased
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
     splats = _sorted_splats(scene, camera, antialiased)
-    lists = list_tiles(splats.fields, splats.tiles, columns, rows)
-    return Frame(camera, splats, lists, columns, rows)
+    return Frame(camera, splats, _list_tiles(splats, columns, rows), columns, rows)
 
 
 def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
@@ -76,6 +106,75 @@ def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
     order = np.argsort(fields[:, DEPTH], kind="stable")
     tiles, gaussians = (np.concatenate([part[i] for part in parts])[order] for i in (1, 2))
     return Splats(fields[order], tiles, gaussians)
+
+
+def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
+    """List splats, sorted by depth, by tile."""
+    fields, tiles, _ = splats
+    threads = available_threads()
+    bounds = np.linspace(0, len(fields), threads + 1).astype(np.int64)
+    parts = list(zip(bounds[:-1], bounds[1:], strict=True))
+    counts = np.zeros((threads, columns * rows), np.int64)
+    run_all(
+        lambda job: _count(fields, tiles, columns, *job[0], job[1]), zip(parts, counts, strict=True)
+    )
+    # Splats of an earlier part come earlier in each tile.
+    starts = np.concatenate([[0], np.cumsum(counts.T)])
+    cursors = starts[:-1].reshape(columns * rows, threads).T
+    listed = np.empty(int(starts[-1]), np.int32)
+    run_all(
+        lambda job: _fill(fields, tiles, columns, *job[0], job[1].copy(), listed),
+        zip(parts, cursors, strict=True),
+    )
+    return TileLists(listed, starts[::threads].copy())
+
+
+@kernel
+def _count(fields, tiles, columns, start, stop, counts):
+    for i in range(start, stop):
+        for row in range(tiles[i, 2], tiles[i, 3]):
+            first, end = _span(fields[i], tiles[i], row)
+            for column in range(first, end):
+                counts[row * columns + column] += 1
+
+
+@kernel
+def _fill(fields, tiles, columns, start, stop, cursors, splats):
+    for i in range(start, stop):
+        for row in range(tiles[i, 2], tiles[i, 3]):
+            first, end = _span(fields[i], tiles[i], row)
+            for column in range(first, end):
+                tile = row * columns + column
+                splats[cursors[tile]] = i
+                cursors[tile] += 1
+
+
+@inlined
+def _span(field, box, row):
+    """First and end tile of a row of tiles that the ellipse q <= REACH meets."""
+    fxx = field[FACTOR_XX]
+    fyy = field[FACTOR_YY]
+    slope = -field[FACTOR_XY] / fxx
+    # Heights over the centre where the ellipse ends, and where it reaches farthest right.
+    top = math.sqrt(field[REACH]) / fyy
+    turn = top * slope / math.sqrt(slope * slope + (fyy / fxx) ** 2)
+    low = max(row * TILE - field[CENTRE_Y], -top)
+    high = min(row * TILE + TILE - 1 - field[CENTRE_Y], top)
+    if low > high:
+        return 0, 0
+    left = _edge(field, fxx, fyy, slope, min(high, max(low, -turn)), -1.0)
+    right = _edge(field, fxx, fyy, slope, min(high, max(low, turn)), 1.0)
+    # One pixel of margin, so that rounding has no effect.
+    first = max(box[0], to_tile(left - 1.0, box[1]))
+    end = min(box[1], to_tile(right + 1.0 + TILE, box[1]))
+    return first, end
+
+
+@inlined
+def _edge(field, fxx, fyy, slope, y, side):
+    """Column of the ellipse's boundary at height `y` over its centre."""
+    left = field[REACH] - (fyy * y) ** 2
+    return field[CENTRE_X] + slope * y + side * math.sqrt(max(0.0, left)) / fxx
 
 
 @kernel

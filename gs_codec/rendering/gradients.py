@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from gs_codec.rendering.backward import MOMENT_YY, differentiate_gaussians, differentiate_tiles
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.frame import Frame, make_frame
+from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.rendering.project import camera_arguments
-from gs_codec.rendering.trace import draw_tiles
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene, channel_count
 
@@ -68,7 +67,8 @@ def differentiate(
         RGB behind everything.
     """
     frame = make_frame(scene, camera)
-    colour = draw(frame, background)
+    # In float64: light behind a splat is the image minus the light in front.
+    colour, _, _ = frame.draw(background, np.float64, np.zeros((0, 4)))
     by_colour, squared_error = differentiate_loss(colour, target)
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
     frame.over_tiles(differentiate_tiles, colour, by_colour, pairs)
@@ -76,15 +76,6 @@ def differentiate(
     chosen = np.empty(len(frame.splats.gaussians), np.int64)
     count = _choose(sums, chosen)
     return Differentiated(scene, camera, squared_error, sums, chosen[:count])
-
-
-def draw(frame: Frame, background: Sequence[float]) -> NDArray[np.float64]:
-    """Draw the image in float64: light behind a splat is the image minus the light in front."""
-    shape = (frame.camera.height, frame.camera.width)
-    colour, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape)
-    behind = np.array(background, np.float64)
-    frame.over_tiles(draw_tiles, behind, colour, alpha, depth, np.zeros((0, 4)))
-    return colour
 
 
 @kernel

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import reprlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gs_codec.errors import InvalidInput
+from gs_codec.rendering.camera import Camera
 from gs_codec.runtime.mapped import opened
 
 #: Largest file, bytes: some 80,000 cameras. A hostile JSON text takes 30 times that in memory.
@@ -42,7 +43,7 @@ def read_inria(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         raise InvalidInput(f"{path}: {_short(entries)}, expected a list of cameras")
     for index, entry in enumerate(entries):
         where = f"{path}: entry {index}"
-        yield where, camera_fields(where, entry)
+        yield where, _fields(where, entry)
 
 
 def _load(path: Path) -> Any:
@@ -65,14 +66,20 @@ def _integer(text: str) -> int | float:
     return int(text) if len(text) < 16 else float(text)
 
 
-def camera_fields(where: str, entry: Any) -> dict[str, Any]:
-    """Convert an entry of ``cameras.json`` to the fields of a `Camera`; ranges are not checked.
+def as_camera(camera: Camera | Mapping[str, Any]) -> Camera:
+    """Convert an entry of ``cameras.json`` to a `Camera`.
 
     Raises
     ------
     InvalidInput
-        If the entry is broken; the message begins with `where`.
     """
+    if isinstance(camera, Camera):
+        return camera
+    return Camera(**_fields("camera", camera))
+
+
+def _fields(where: str, entry: Any) -> dict[str, Any]:
+    """Convert an entry of ``cameras.json`` to the fields of a `Camera`; ranges are not checked."""
     if not isinstance(entry, dict):
         raise InvalidInput(f"{where}: {_short(entry)}, expected a camera")
     name, split = _get(where, entry, "img_name"), entry.get("split")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from gs_codec.errors import MissingTool
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.frame import Frame, make_frame
-from gs_codec.rendering.trace import draw_tiles
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.inria import as_camera
+from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
 
 
@@ -106,16 +107,69 @@ def render(
         colour, alpha, depth, pairs = gsplat_backend.draw(scene, camera, background, antialiased)
         return Rendering(colour, alpha, depth, None, pairs)
     frame = make_frame(scene, camera, antialiased)
-    shape = (camera.height, camera.width)
-    colour = np.empty((*shape, 3), np.float32)
-    alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
     sums = np.zeros((frame.pairs if accumulate else 0, 4))
-    behind = np.array(background, np.float64)
-    frame.over_tiles(draw_tiles, behind, colour, alpha, depth, sums)
-    accumulations = _gather(frame, scene.count, sums) if accumulate else None
-    return Rendering(colour, alpha, depth, accumulations, frame.pairs)
+    images = frame.draw(background, np.float32, sums)
+    accumulations = None
+    if accumulate:
+        weight, squared, transmittance, pixels = frame.sum_pairs(scene.count, sums).T
+        accumulations = Accumulations(weight, squared, transmittance, pixels.astype(np.int64))
+    return Rendering(*images, accumulations, frame.pairs)
 
 
-def _gather(frame: Frame, count: int, sums: NDArray) -> Accumulations:
-    weight, squared, transmittance, pixels = frame.sum_pairs(count, sums).T
-    return Accumulations(weight, squared, transmittance, pixels.astype(np.int64))
+class RenderedViews:
+    """A scene's views, drawn on demand; what `render` returns.
+
+    Iterates over ``(Camera, Rendering)``; a `Rendering` has ``colour (H, W, 3)``,
+    ``alpha (H, W)`` and ``depth (H, W)``, float32. Its length is the number of cameras.
+
+    Attributes
+    ----------
+    cameras : list of Camera
+        In the order they are drawn.
+    """
+
+    def __init__(
+        self,
+        cameras: list[Camera],
+        draw: Callable[[Camera], Rendering],
+        progress: Progress | None = None,
+    ) -> None:
+        self.cameras = cameras
+        self._draw, self._progress = draw, progress
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __iter__(self) -> Iterator[tuple[Camera, Rendering]]:
+        advance = step_counter(self._progress, "views", len(self))
+        for camera in self.cameras:
+            yield camera, self._draw(camera)
+            if advance is not None:
+                advance()
+
+    def draw(self, camera: Camera | Mapping[str, Any]) -> Rendering:
+        """Draw what any camera sees, including one that is not in `cameras`.
+
+        Parameters
+        ----------
+        camera : Camera or mapping
+            A mapping is an entry of the trainer's ``cameras.json``.
+
+        Returns
+        -------
+        Rendering
+
+        Raises
+        ------
+        InvalidInput
+            If the mapping is not a camera.
+        MissingTool
+            If ``cuda`` was asked for but is not available.
+
+        Examples
+        --------
+        >>> views = gs_codec.render("scene.ply", "cameras.json")
+        >>> views.draw(views.cameras[0].resized(32, 24)).alpha.shape
+        (24, 32)
+        """
+        return self._draw(as_camera(camera))

@@ -46,6 +46,13 @@ def tile_bounds(tile, columns, width, height):
 
 
 @inlined
+def tile_buffers():
+    """Arrays that `trace_splat` takes: left, pixels, alphas and before, each ``(256,)``."""
+    size = TILE * TILE
+    return np.empty(size), np.empty(size, np.int64), np.empty(size), np.empty(size)
+
+
+@inlined
 def trace_splat(field, x0, x1, y0, y1, left, pixels, alphas, before):
     """List the pixels that a splat is added to, and reduce their transmittance by it.
 
@@ -125,10 +132,7 @@ def draw_tiles(fields, splats, starts, first, end, columns, background, colour, 
     """
     height, width = alpha.shape
     light = np.empty((TILE * TILE, 4))
-    left = np.empty(TILE * TILE)
-    pixels = np.empty(TILE * TILE, np.int64)
-    alphas = np.empty(TILE * TILE)
-    before = np.empty(TILE * TILE)
+    left, pixels, alphas, before = tile_buffers()
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
         light[:] = 0.0

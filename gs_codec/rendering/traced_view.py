@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import TILE
-from gs_codec.rendering.trace import tile_bounds, trace_splat
+from gs_codec.rendering.trace import tile_bounds, tile_buffers, trace_splat
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 
@@ -119,10 +119,7 @@ def trace_view(
 @kernel
 def _trace(fields, splats, starts, columns, width, height, left_of, ends, pixels, weights):
     """Fill the outputs; return `pixels` and `weights`, which are enlarged if needed."""
-    left = np.empty(TILE * TILE)
-    traced = np.empty(TILE * TILE, np.int64)
-    alphas = np.empty(TILE * TILE)
-    before = np.empty(TILE * TILE)
+    left, traced, alphas, before = tile_buffers()
     used = 0
     for tile in range(len(starts) - 1):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)

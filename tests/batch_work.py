@@ -6,15 +6,18 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gs_codec.batch import cluster, run
+from gs_codec.batch import run, work
 from gs_codec.batch.ledger import Record
+from gs_codec.batch.pool import Watcher
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError
 
-encode_in, encode_one = run._encode_in, cluster.encode_one
+encode_in, encode_one = run._encode_in, work.encode_one
 
 FOREVER = 3600.0
 
@@ -46,6 +49,23 @@ def killed(options: Options, scratch: str, task: Task, progress: Any) -> Record:
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return encode_in(options, scratch, task, progress)
+
+
+class OneProcess:
+    """In place of `Pool`: works on one task after another in this process."""
+
+    def __init__(self, work: Any, jobs: int, limit: int | None, watcher: Watcher) -> None:
+        self.work, self.watcher, self.stopped = work, watcher, False
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Record]]:
+        for task in tasks:
+            if self.stopped:
+                return
+            self.watcher.started(task)
+            yield task, self.work(task, partial(self.watcher.stage, task))
+
+    def stop(self) -> None:
+        self.stopped = True
 
 
 def waiting(options: Options, scratch: str, task: Task, progress: Any) -> Record:
@@ -87,6 +107,8 @@ def main() -> None:
 
 def dask_setup(worker: Any) -> None:
     """What ``dask worker --preload`` calls."""
+    from gs_codec.batch import cluster
+
     cluster.encode_one = held
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import sys
 from collections import Counter
 from dataclasses import replace
 from inspect import signature
@@ -12,17 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from batch_work import OneProcess
 from scenes import random_scene
 from test_cameras import inria_entry, write_json
 from test_cli import Folder, assert_one_error_line
 
-from gs_codec.batch import cluster, local, memory, run, scenes
+from gs_codec.batch import local, memory, remote, run, scenes
 from gs_codec.batch.ledger import Record, parse_record
+from gs_codec.batch.local import Location
 from gs_codec.batch.pool import Pool, Watcher
-from gs_codec.batch.remote import place_of
+from gs_codec.batch.remote import is_url, storage_of
 from gs_codec.batch.run import Batch, Summary, run_batch
 from gs_codec.batch.scenes import Options, Task
-from gs_codec.batch.storage import Spot, is_url
 from gs_codec.cli import batch, encode
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput, MissingTool
@@ -42,7 +44,8 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
         path = tmp_path / "in" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_ply(path, random_scene(200, seed, seed=seed))
-    monkeypatch.setattr(run, "Pool", lambda work, jobs, room, watcher: run._Here(work, watcher))
+    monkeypatch.setattr(run, "Pool", OneProcess)
+    monkeypatch.setattr(remote, "_OWN", "")  # the memory of this one process is a store then
     monkeypatch.chdir(tmp_path)
     return Folder(tmp_path, monkeypatch, capsys)
 
@@ -254,12 +257,10 @@ def test_folder_that_cannot_be_read_is_said(folder, caplog):
         (("in", "nonsense://out"), "nonsense://out: Protocol not known: nonsense"),
         (("in", "simplecache::memory://out"), "a chain of protocols can be read only"),
         (("in", "out", "--report", "s3://a:b@c"), "report s3://a@c: expected a file of this"),
-        (("memory://in/a.ply", "out", "--dask", "local"), "this process's own"),
     ],
 )
 def test_wrong_use_is_one_line(folder, arguments, text):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
-    place_of("memory://in")._fs.pipe_file("/in/a.ply", b"x")
     before = {name for name in folder.contents() if name != "out"}
     status, out, err = folder.run("batch", *arguments)
     assert (status, out) == (2, "")
@@ -277,7 +278,7 @@ def test_two_sources_of_one_output_are_refused(folder):
 
 def test_keys_of_a_store_do_not_lead_out_of_the_folder(folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
-    store = place_of("memory://")._fs
+    store = storage_of("memory://")._fs
     folder.monkeypatch.setattr(store, "find", lambda *_, **__: {"/way/../../out.ply": {}})
     store.pipe_file("/way/a.ply", b"x")
     err = folder.refuse("batch", "memory://way", ".")
@@ -455,9 +456,9 @@ def test_temporary_names_are_known_again(tmp_path, monkeypatch):
 def test_source_that_changes_meanwhile_is_an_error(folder):
     original = local.LocalStorage.fetch
 
-    def fetch(self, spot: Spot, into: Path) -> Path:
-        os.utime(spot.path, (1, 1))
-        return original(self, spot, into)
+    def fetch(self, file: Location, into: Path) -> Path:
+        os.utime(file.path, (1, 1))
+        return original(self, file, into)
 
     folder.monkeypatch.setattr(local.LocalStorage, "fetch", fetch)
     assert folder.run("batch", "in/a.ply", "out").status == 1
@@ -579,7 +580,8 @@ def test_digest_tells_what_bytes_depend_on(tmp_path):
 
 
 def task(name: str, need: int) -> Task:
-    return Task(name, Spot(name), Spot(name), (name, name), place_of(".").stamp(Spot(".")), need)
+    file = Location(name)
+    return Task(name, file, file, (name, name), local.Stamp(0, 0), need)
 
 
 def test_tasks_start_as_they_fit():
@@ -624,11 +626,8 @@ def test_scenes_share_the_processors(monkeypatch, jobs, threads, count, expected
     monkeypatch.setattr(scenes, "available_threads", lambda: 8)
     options = Options(Config(threads=threads))
     batch = Batch("in", "out", options, jobs)
-    pool = run._runner(batch, options, count, "", True, Watcher())
+    pool = run._runner(batch, options, count, "", Watcher())
     assert (pool._jobs, pool._work.args[0].config.threads) == expected
-    # What no other process sees is worked on one after another.
-    here = run._runner(batch, options, count, "", False, Watcher())
-    assert here._work.args[0].config.threads == (threads or 8)
 
 
 @pytest.mark.parametrize(
@@ -637,7 +636,8 @@ def test_scenes_share_the_processors(monkeypatch, jobs, threads, count, expected
 def test_scenes_of_a_cluster_share_the_processors_of_a_host(
     monkeypatch, on_host, of_worker, expected
 ):
-    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    from gs_codec.batch import cluster
 
     class Worker:
         memory_manager = type("", (), {"memory_limit": None})
@@ -645,7 +645,7 @@ def test_scenes_of_a_cluster_share_the_processors_of_a_host(
         local_directory = "."
 
     heard = []
-    monkeypatch.setattr(distributed, "get_worker", Worker)
+    monkeypatch.setattr(cluster, "get_worker", Worker)
     monkeypatch.setattr(scenes, "available_threads", lambda: 8)
     monkeypatch.setattr(cluster, "encode_one", lambda task, options, *_: heard.append(options))
     hosts = Counter({platform.node(): on_host, "another": 99})
@@ -693,7 +693,7 @@ def test_views_are_counted(tmp_path):
         Options(Config(), Plan(Steps(), "missing.json")).pixels()
 
 
-def test_room_is_what_control_groups_leave(tmp_path):
+def test_free_memory_is_what_control_groups_leave(tmp_path):
     group = tmp_path / "user/me"
     group.mkdir(parents=True)
     (group / "memory.max").write_text("max\n")
@@ -701,12 +701,12 @@ def test_room_is_what_control_groups_leave(tmp_path):
         (folder / "memory.max").write_text(f"{most}\n")
         (folder / "memory.current").write_text("300\n")
         (folder / "memory.stat").write_text("anon 7\ninactive_file 50\n")
-    rooms = memory._along(tmp_path, "/user/me", "memory.max", "memory.current")
-    assert sorted(rooms) == [650, 750]
+    free = memory._along(tmp_path, "/user/me", "memory.max", "memory.current")
+    assert sorted(free) == [650, 750]
     assert memory.available_bytes() is None or memory.available_bytes() > 0
 
 
-# Places
+# Storage
 
 
 def test_urls_are_told_from_paths():
@@ -724,12 +724,25 @@ def test_missing_backend_is_named_with_the_line_that_installs_it(monkeypatch):
 
     monkeypatch.setattr(fsspec.core, "url_to_fs", missing)
     with pytest.raises(MissingTool, match=r"s3://b/a: Install s3fs .* pip install 'gs-codec\[clu"):
-        place_of("s3://b/a")
+        storage_of("s3://b/a")
 
 
-def test_memory_is_a_place_too(folder):
+def test_memory_of_a_process_is_refused():
+    with pytest.raises(InvalidInput, match="memory://a: this process's own storage, expected"):
+        storage_of("memory://a")
+
+
+def test_dask_that_is_not_installed_is_named_with_the_line_that_installs_it(folder):
+    folder.monkeypatch.delitem(sys.modules, "gs_codec.batch.cluster", raising=False)
+    folder.monkeypatch.setitem(sys.modules, "dask", None)
+    status, out, err = folder.run("batch", "in", "out", "--dask", "local")
+    assert (status, out) == (2, "")
+    assert err == "gs-codec: error: --dask: needs dask; pip install 'gs-codec[cluster]'\n"
+
+
+def test_store_without_folders_is_storage_too(folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
-    store = place_of("memory://")._fs
+    store = storage_of("memory://")._fs
     for name in NAMES:
         store.pipe_file(f"/scenes/{name}", Path("in", name).read_bytes())
     store.pipe_file("/scenes/bad.ply", b"no scene")
@@ -745,9 +758,9 @@ def test_memory_is_a_place_too(folder):
     assert run_batch(batch).done == 1
 
 
-def test_errors_of_a_place_have_no_secrets(monkeypatch):
+def test_errors_of_a_storage_have_no_secrets(monkeypatch):
     pytest.importorskip("aiohttp", reason="no client for the web")
-    place = place_of("https://host/a.ply?signature=secret")
+    place = storage_of("https://host/a.ply?signature=secret")
 
     def fails(error: Exception) -> str:
         def raise_it(*arguments: Any) -> None:
@@ -755,7 +768,7 @@ def test_errors_of_a_place_have_no_secrets(monkeypatch):
 
         monkeypatch.setattr(place._fs, "info", raise_it)
         with pytest.raises(InvalidInput) as caught:
-            place.find("https://host/a.ply?signature=secret")
+            place.find()
         return str(caught.value)
 
     missing = FileNotFoundError("https://host/a.ply?signature=secret")
@@ -767,20 +780,20 @@ def test_errors_of_a_place_have_no_secrets(monkeypatch):
 
 def test_warnings_name_the_scene_and_not_its_copy(folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
-    store = place_of("memory://")._fs
+    store = storage_of("memory://")._fs
     store.pipe_file("/scenes/a.ply", Path("in/a.ply").read_bytes() + b"more")
     assert folder.run("batch", "memory://scenes/a.ply", "out").status == 0
     (warning,) = records()[0]["warnings"]
     assert warning.startswith("memory://scenes/a.ply: 4 bytes after the last vertex")
 
 
-def test_download_needs_room(folder):
+def test_download_needs_free_space(folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
-    place_of("memory://")._fs.pipe_file("/scenes/large.ply", b"large")
+    storage_of("memory://")._fs.pipe_file("/scenes/large.ply", b"large")
     folder.monkeypatch.setattr("shutil.disk_usage", lambda path: type("", (), {"free": 4}))
     assert folder.run("batch", "memory://scenes/large.ply", "out").status == 1
     assert "memory://scenes/large.ply: 5 bytes, " in records()[0]["error"]["text"]
-    assert records()[0]["error"]["text"].endswith("has room for 4")
+    assert records()[0]["error"]["text"].endswith("has 4 free")
 
 
 def test_watcher_hears_every_scene_and_its_stages(folder):

@@ -19,9 +19,9 @@ from urllib.parse import quote, quote_plus, urlsplit
 import pytest
 from scenes import random_scene
 
+from gs_codec.batch.local import Location
 from gs_codec.batch.redaction import redact_process, redacted, without_secrets
-from gs_codec.batch.remote import place_of
-from gs_codec.batch.storage import Spot
+from gs_codec.batch.remote import storage_of
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply import write_ply
 
@@ -157,23 +157,23 @@ def test_folders_of_a_server_are_read_as_far_as_they_go(server, pattern):
     own = "".join(f'<a href="{name}">x</a>' for name in ("a.ply", "sub/", "./", "../", "?C=N"))
     server.files |= {"/tree/": own.encode(), "/tree/sub/": own.encode(), "/tree/sub/sub/": b""}
     url = f"{server.url}/{pattern}"
-    assert [name for name, _ in place_of(url).find(url)] == ["a.ply", "sub/a.ply"]
+    assert [name for name, _ in storage_of(url).find()] == ["a.ply", "sub/a.ply"]
 
 
 @pytest.mark.parametrize("pattern", ["loop/", "loop/**/*.ply"])
 def test_folders_of_a_server_without_an_end_are_given_up(server, pattern):
     url = f"{server.url}/{pattern}"
     with pytest.raises(InvalidInput, match="loop/: 33 folders deep, expected links without"):
-        place_of(url).find(url)
+        storage_of(url).find()
 
 
 @pytest.mark.parametrize(("name", "most"), [("endless.ply", 9000), ("more.ply", 100)])
 def test_files_without_an_end_are_given_up(server, tmp_path, monkeypatch, name, most):
     monkeypatch.setattr("shutil.disk_usage", lambda path: type("", (), {"free": 10_000}))
-    place = place_of(f"{server.url}/{name}")
-    ((_, spot),) = place.find(f"{server.url}/{name}")
+    place = storage_of(f"{server.url}/{name}")
+    ((_, file),) = place.find()
     with pytest.raises(InvalidInput, match=f"/{name}: more than {most} bytes received"):
-        place.fetch(spot, tmp_path)
+        place.fetch(file, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ def test_text_that_means_harm_takes_no_time():
 
 def test_logs_and_what_libraries_show_have_no_secrets(monkeypatch, capsys):
     url = SIGNED.format(host="host", name="a")
-    assert str(Spot(url, url)) == "Spot('http://host/a', 'http://host/a')"
+    assert str(Location(url, url)) == "Location('http://host/a', 'http://host/a')"
     handler = logging.StreamHandler(sys.stderr)
     monkeypatch.setattr(logging.root, "handlers", [handler])
     monkeypatch.setattr(logging, "lastResort", None)

@@ -13,14 +13,15 @@ from pathlib import Path
 import foreign
 import numpy as np
 import pytest
+from batch_work import OneProcess
 from damage import TIMES_FILE, TIMES_LIMIT
 from PIL import Image
 from scenes import random_scene
 from test_cli import Folder, assert_one_error_line
 
 import gs_codec
-from gs_codec.batch import memory, run
-from gs_codec.batch.remote import place_of
+from gs_codec.batch import memory, remote, run
+from gs_codec.batch.remote import storage_of
 from gs_codec.batch.scenes import Options, find_tasks
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
@@ -109,7 +110,8 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
     """A scene, and batches that run in this process."""
     (tmp_path / "in").mkdir()
     write_scene(tmp_path / "in/a.ply", random_scene(40, 0), Config())
-    monkeypatch.setattr(run, "Pool", lambda work, jobs, room, watcher: run._Here(work, watcher))
+    monkeypatch.setattr(run, "Pool", OneProcess)
+    monkeypatch.setattr(remote, "_OWN", "")  # the memory of this one process is a store then
     monkeypatch.chdir(tmp_path)
     return Folder(tmp_path, monkeypatch, capsys)
 
@@ -193,12 +195,12 @@ def test_a_batch_is_planned_by_what_headers_state(tmp_path):
     (tmp_path / "a.spz").write_bytes(spz_bomb(4, 0, floats))
     (tmp_path / "b.sog").write_bytes(sog_bomb(2, 0, floats))
     (tmp_path / "c.spz").write_bytes(b"no scene")
-    places = place_of("in"), place_of("out")
-    tasks = find_tasks(str(tmp_path), "out", *places, Options(Config()))
+    storages = storage_of(str(tmp_path)), storage_of("out")
+    tasks = find_tasks("in", *storages, Options(Config()), "")
     assert memory.needed_bytes(floats) - tasks[0].need < 1000
     assert memory.needed_bytes(floats) - tasks[1].need < 1000
     assert tasks[2].need < memory.needed_bytes(1000)
-    limited = find_tasks(str(tmp_path), "out", *places, Options(Config(), max_bytes=1000))
+    limited = find_tasks("in", *storages, Options(Config(), max_bytes=1000), "")
     assert max(task.need for task in limited) == memory.needed_bytes(1000)
 
 
@@ -211,7 +213,7 @@ def test_a_batch_refuses_what_takes_more_than_its_limit(folder: Folder):
 def test_a_batch_does_not_unfold_much_more_than_planned_of_remote_files(folder: Folder):
     pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
     bomb = spz_bomb(4, 0, 2 * memory.most_floats(0, "a.spz"))
-    place_of("memory://")._fs.pipe_file("/bombs/a.spz", bomb)
+    storage_of("memory://")._fs.pipe_file("/bombs/a.spz", bomb)
     assert folder.run("batch", "memory://bombs/a.spz", "out").status == 1
     report = json.loads(Path("out/report.jsonl").read_text())
     assert "are read from a file of" in report["error"]["text"]

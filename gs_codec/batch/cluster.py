@@ -13,7 +13,17 @@ from functools import lru_cache
 from typing import Any
 
 import dask
-from distributed import Nanny, Scheduler, Security, SpecCluster, Worker
+from distributed import (
+    Client,
+    KilledWorker,
+    Nanny,
+    Scheduler,
+    Security,
+    SpecCluster,
+    Worker,
+    as_completed,
+    get_worker,
+)
 from distributed.system import MEMORY_LIMIT
 
 from gs_codec import __version__
@@ -50,22 +60,12 @@ class Cluster:
     options : Options
     watcher : Watcher
 
-    Raises
-    ------
-    InvalidInput, MissingTool
-        If Dask is not installed, or there is no scheduler at the address.
     """
 
     def __init__(
         self, address: str, jobs: int, folder: str, options: Options, watcher: Watcher
     ) -> None:
-        try:
-            import distributed
-        except ImportError as error:
-            text = f"--dask: needs {error.name}; pip install 'gs-codec[cluster]'"
-            raise MissingTool(text) from error
-        self._distributed, self._address = distributed, address
-        self._jobs, self._folder = jobs, folder
+        self._address, self._jobs, self._folder = address, jobs, folder
         self._name = f"--dask {without_secrets(address)}"
         self._options, self._watcher = options, watcher
         self._futures: dict[Any, Task] = {}
@@ -77,7 +77,13 @@ class Cluster:
                 logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def run(self, tasks: Sequence[Task]) -> Generator[tuple[Task, Record], None, None]:
-        """See `Runner.run`."""
+        """Yield each task and its record when it is done.
+
+        Raises
+        ------
+        InvalidInput, MissingTool
+            If there is no scheduler at the address, or a worker has another version.
+        """
         with ExitStack() as stack:
             self._client = stack.enter_context(self._connected())
             hosts = self._hosts()
@@ -90,13 +96,13 @@ class Cluster:
                 self._futures[future] = task
             # Cancel what is still queued, also when the caller stops iterating early.
             stack.callback(self.stop)
-            done = self._distributed.as_completed(self._futures, loop=self._client.loop)
+            done = as_completed(self._futures, loop=self._client.loop)
             for future in done:
                 task = self._futures.pop(future)
-                if future.status in ("cancelled", "lost"):
-                    self._check_scheduler()
-                    continue
-                yield task, self._record(task, future)
+                if future.status not in ("cancelled", "lost"):
+                    yield task, self._record(task, future)
+                elif self._client.status != "running":
+                    raise InvalidInput(f"{self._name}: the scheduler is gone")
 
     def stop(self) -> None:
         """Start no more scenes."""
@@ -115,9 +121,7 @@ class Cluster:
                 scheduler: Any = self._address
                 if scheduler == "local":
                     scheduler = stack.enter_context(start_cluster(self._jobs, self._folder))
-                client = stack.enter_context(
-                    self._distributed.Client(scheduler, set_as_default=False)
-                )
+                client = stack.enter_context(Client(scheduler, set_as_default=False))
             except ImportError as error:
                 text = f"{self._name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
                 raise MissingTool(text) from error
@@ -144,15 +148,11 @@ class Cluster:
             hosts[host] += threads
         return hosts
 
-    def _check_scheduler(self) -> None:
-        if self._client.status != "running":
-            raise InvalidInput(f"{self._name}: the scheduler is gone")
-
     def _record(self, task: Task, future: Any) -> Record:
         if future.status == "finished":
             return future.result()
         error = future.exception()
-        lost = isinstance(error, self._distributed.KilledWorker)
+        lost = isinstance(error, KilledWorker)
         kind = "WorkerLost" if lost else type(error).__name__
         text = f"{task.shown[0]}: {one_line(error) or kind}"
         return Record(*task.shown, error={"kind": kind, "text": text})
@@ -170,11 +170,11 @@ class _Gate:
         self._taken, self._running, self._changed = 0, 0, threading.Condition()
 
     @contextmanager
-    def passed(self, need: int, room: int | None) -> Iterator[None]:
+    def passed(self, need: int, most: int | None) -> Iterator[None]:
         """Wait until the task fits into memory, or nothing else runs."""
         with self._changed:
             self._changed.wait_for(
-                lambda: not self._running or room is None or self._taken + need <= room
+                lambda: not self._running or most is None or self._taken + need <= most
             )
             self._taken += need
             self._running += 1
@@ -198,9 +198,7 @@ def _free_at_first() -> int | None:
 
 def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str) -> Record:
     """Encode a scene on a worker, with its share of the host; progress is sent as Dask events."""
-    import distributed
-
-    worker = distributed.get_worker()
+    worker = get_worker()
     limit = worker.memory_manager.memory_limit
     if limit is not None and task.need > limit:
         text = (
@@ -208,7 +206,7 @@ def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str)
             f"the limit of {worker.address} is {limit / 1e9:.1f} GB"
         )
         return Record(*task.shown, error={"kind": "InvalidInput", "text": text})
-    room = _free_at_first() if limit is None else int(limit * _SHARE)
+    most = _free_at_first() if limit is None else int(limit * _SHARE)
     # A worker that joined later is not counted in `hosts`.
     at_once = max(hosts[platform.node()], worker.state.nthreads)
     options = options.with_share(at_once)
@@ -217,7 +215,7 @@ def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str)
         said = {"name": task.name, "stage": stage, "done": done, "total": total}
         worker.log_event(topic, said)
 
-    with _GATE.passed(task.need, room):
+    with _GATE.passed(task.need, most):
         return encode_one(task, options, worker.local_directory, throttled(tell))
 
 

@@ -9,17 +9,12 @@ import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, get_args, get_origin, get_type_hints
 
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.runtime.atomic import check_writable
-
-try:
-    import fcntl
-except ImportError:  # Windows: two batches with the same report are not detected
-    fcntl = None  # type: ignore[assignment]
+from gs_codec.runtime.atomic import check_writable, try_lock
 
 log = logging.getLogger(__name__)
 
@@ -115,7 +110,8 @@ def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Itera
     except OSError as error:
         raise InvalidInput(f"{path}: {one_line(error)}") from error
     with file:
-        _lock(path, file)
+        if not try_lock(file.fileno()):
+            raise InvalidInput(f"{path}: another batch is writing to it")
         file.seek(0)
         content = file.read()
         if content and not content.startswith(_START) and not _START.startswith(content):
@@ -128,17 +124,6 @@ def open_ledger(path: str | Path, resume: bool, overwrite: bool = True) -> Itera
         content = content[: content.rfind(b"\n") + 1]
         file.truncate(len(content))
         yield Ledger(Path(path), file, _read_records(path, content))
-
-
-def _lock(path: str | Path, file: Any) -> None:
-    if fcntl is None:
-        return
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise InvalidInput(f"{path}: another batch is writing to it") from error
-    except OSError as error:  # file systems without locks
-        log.warning("%s: cannot be locked (%s)", path, one_line(error))
 
 
 def _read_records(path: str | Path, content: bytes) -> dict[tuple[str, str], Record]:
@@ -162,41 +147,25 @@ def parse_record(line: bytes) -> Record | None:
         return None
     if not isinstance(found, dict):
         return None
-    known = {f.name: found[f.name] for f in fields(Record) if f.name in found}
-    sound = {"source", "output"} <= known.keys() and all(map(_is_sound, known, known.values()))
-    return Record(**known) if sound else None
+    known = {name: found[name] for name in _TYPES if name in found}
+    sound = all(_fits(value, _TYPES[name]) for name, value in known.items())
+    return Record(**known) if sound and {"source", "output"} <= known.keys() else None
 
 
-def _is_sound(name: str, value: Any) -> bool:
-    """Whether a field has the expected type."""
-    kind, inner = _TYPES[name]
-    if not isinstance(value, kind) or isinstance(value, bool):
+_TYPES = get_type_hints(Record)
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value parsed from JSON is of a type; an integer also stands for a float."""
+    items = get_args(kind)
+    if get_origin(kind) is dict:
+        return isinstance(value, dict) and all(_fits(v, items[1]) for v in value.values())
+    if get_origin(kind) is list:
+        return isinstance(value, list) and all(_fits(v, items[0]) for v in value)
+    if items:  # a union
+        return any(_fits(value, one) for one in items)
+    if isinstance(value, bool):
         return False
-    if isinstance(value, dict):
-        return all(isinstance(v, inner) and not isinstance(v, bool) for v in value.values())
-    if isinstance(value, list):
-        return all(isinstance(v, inner) for v in value)
-    return not isinstance(value, float) or math.isfinite(value)
-
-
-_NUMBER = (int, float)
-
-#: Type of each field, and of its items.
-_TYPES: dict[str, tuple[Any, Any]] = {
-    "source": (str, None),
-    "output": (str, None),
-    "options": (str, None),
-    "versions": (dict, str),
-    "input_bytes": (int, None),
-    "input_modified": ((int, str), None),
-    "input_sha256": (str, None),
-    "output_bytes": (int, None),
-    "output_sha256": (str, None),
-    "gaussians": (int, None),
-    "ratio": (_NUMBER, None),
-    "bits_per_gaussian": (_NUMBER, None),
-    "seconds": (dict, _NUMBER),
-    "changed": (dict, int),
-    "warnings": (list, str),
-    "error": ((dict, type(None)), str),
-}
+    if kind is float:
+        return isinstance(value, int | float) and math.isfinite(value)
+    return isinstance(value, kind)

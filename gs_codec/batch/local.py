@@ -1,4 +1,4 @@
-"""Storage on this machine: scenes in local folders."""
+"""Where scenes are read and written: locations, and storage in folders of this machine."""
 
 from __future__ import annotations
 
@@ -10,86 +10,129 @@ import re
 import stat
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
-from gs_codec.batch.storage import SUFFIXES, Spot, Stamp, local_path
+from gs_codec.batch.redaction import without_secrets
 from gs_codec.errors import InvalidInput, one_line
-from gs_codec.runtime.atomic import leftovers, remove_leftover
+from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 
 log = logging.getLogger(__name__)
 
+#: Suffixes of the files in a folder that are taken as scenes.
+SUFFIXES = (".ply", ".splat", ".spz", ".sog")
+
+
+@dataclass(frozen=True)
+class Location:
+    """A file in a storage.
+
+    Parameters
+    ----------
+    path : str
+        Path in the file system of the storage.
+    base : str
+        The URL that was given for the storage; empty on this machine.
+    """
+
+    path: str
+    base: str = ""
+
+    def __repr__(self) -> str:
+        """Text without secrets, because libraries may log it."""
+        return f"Location({without_secrets(self.path)!r}, {without_secrets(self.base)!r})"
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """Size and modification stamp of a file, to detect changes.
+
+    Parameters
+    ----------
+    size : int
+        Bytes; -1 if the storage does not say.
+    modified : int or str
+        Nanoseconds on this machine; elsewhere what the storage has: a time, an ETag, or empty.
+    """
+
+    size: int
+    modified: int | str
+
 
 class LocalStorage:
-    """See `Storage`."""
+    """A folder, file or glob of this machine; `RemoteStorage` has the same methods.
 
-    shared = True
-    local = True
+    Parameters
+    ----------
+    base : str
+        A path or a ``file://`` URL.
+    """
 
-    def find(self, pattern: str) -> list[tuple[str, Spot]]:
-        """See `Storage.find`; hidden files and folders match only if the pattern writes the dot.
+    def __init__(self, base: str) -> None:
+        plain = unquote(urlsplit(base).path) if base.startswith("file://") else base
+        self.path = os.path.abspath(plain)
 
-        A file or folder that several links lead to is taken once.
+    def find(self) -> list[tuple[str, Location]]:
+        """The scenes it matches, named relative to its part without wildcards.
+
+        Hidden files and folders match only if the pattern writes the dot. A file or folder that
+        several links lead to is taken once.
         """
-        text = os.path.abspath(local_path(pattern))
-        if os.path.isdir(text):
-            root, found = text, matching_paths(glob.escape(text) + "/**/*")
+        if os.path.isdir(self.path):
+            root, found = self.path, matching_paths(glob.escape(self.path) + "/**/*")
             paths = [path for path in found if path.lower().endswith(SUFFIXES)]
-        elif os.path.lexists(text) or not glob.has_magic(text):
-            root, paths = os.path.dirname(text), [text] if os.path.lexists(text) else []
+        elif os.path.lexists(self.path) or not glob.has_magic(self.path):
+            root = os.path.dirname(self.path)
+            paths = [self.path] if os.path.lexists(self.path) else []
         else:
-            root, paths = fixed_part(text), matching_paths(text)
+            root, paths = fixed_part(self.path), matching_paths(self.path)
         files = _each_once(root, [path for path in set(paths) if not os.path.isdir(path)])
-        return [(os.path.relpath(path, root), Spot(path)) for path in sorted(files)]
+        return [(os.path.relpath(path, root), Location(path)) for path in sorted(files)]
 
-    def spot(self, folder: str, name: str) -> Spot:
-        """See `Storage.spot`."""
-        return Spot(os.path.join(os.path.abspath(local_path(folder)), name))
+    def location(self, name: str) -> Location:
+        """The file with a name, which may contain folders, below it."""
+        return Location(os.path.join(self.path, name))
 
-    def shown(self, spot: Spot) -> str:
-        """See `Storage.shown`."""
-        return spot.path
+    def shown(self, location: Location) -> str:
+        """Name of a file for messages, without secrets."""
+        return location.path
 
-    def check_folder(self, folder: str) -> None:
-        """See `Storage.check_folder`."""
-        path = os.path.abspath(local_path(folder))
+    def check_folder(self) -> None:
+        """Make the folder if it is missing; refuse one that cannot be written to."""
+        if not os.access(make_folder(self.path), os.W_OK):
+            raise InvalidInput(f"{self.path}: no permission to write there")
+
+    def stamp(self, location: Location) -> Stamp | None:
+        """Size and modification stamp of a file; None if it does not exist."""
         try:
-            os.makedirs(path, exist_ok=True)
-        except OSError as error:
-            raise InvalidInput(f"{path}: {one_line(error)}, expected a folder") from error
-        if not os.access(path, os.W_OK):
-            raise InvalidInput(f"{path}: no permission to write there")
-
-    def stamp(self, spot: Spot) -> Stamp | None:
-        """See `Storage.stamp`."""
-        try:
-            found = os.stat(spot.path)
+            found = os.stat(location.path)
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise InvalidInput(f"{spot.path}: {one_line(error)}") from error
+            raise InvalidInput(f"{location.path}: {one_line(error)}") from error
         return Stamp(found.st_size, found.st_mtime_ns)
 
-    def sha256(self, spot: Spot) -> str:
-        """See `Storage.sha256`."""
-        return file_sha256(spot.path)
+    def sha256(self, location: Location) -> str:
+        """Checksum of a file."""
+        return file_sha256(location.path)
 
-    def fetch(self, spot: Spot, folder: Path) -> Path:
-        """See `Storage.fetch`; only regular files are accepted."""
+    def fetch(self, location: Location, folder: Path) -> Path:
+        """Path of a regular file; storage elsewhere copies it to `folder` first."""
         try:
-            mode = os.stat(spot.path).st_mode
+            mode = os.stat(location.path).st_mode
         except OSError as error:
-            raise InvalidInput(f"{spot.path}: {one_line(error)}") from error
+            raise InvalidInput(f"{location.path}: {one_line(error)}") from error
         if not stat.S_ISREG(mode):
-            raise InvalidInput(f"{spot.path}: not a regular file")
-        return Path(spot.path)
+            raise InvalidInput(f"{location.path}: not a regular file")
+        return Path(location.path)
 
-    def store(self, file: Path, spot: Spot, mark: str) -> None:
-        """Not used: outputs on this machine are written directly to their path."""
-        raise NotImplementedError
+    def sweep(self, locations: Iterable[Location], mark: str) -> None:
+        """Remove half-written copies of these files that a batch with this mark left.
 
-    def sweep(self, spots: Iterable[Spot], mark: str) -> None:
-        """See `Storage.sweep`; on this machine, any file that no process writes is left over."""
-        for folder, names in by_folder(spots).items():
+        On this machine the mark does not matter: any file that no process writes is left over.
+        """
+        for folder, names in by_folder(locations).items():
             try:
                 entries = os.listdir(folder)
             except OSError:  # nothing was ever written there
@@ -177,10 +220,10 @@ def fixed_part(pattern: str, wild: str = "*?[") -> str:
     return "/".join(fixed) or "/"
 
 
-def by_folder(spots: Iterable[Spot]) -> dict[str, set[str]]:
+def by_folder(locations: Iterable[Location]) -> dict[str, set[str]]:
     """File names, grouped by folder."""
     folders: dict[str, set[str]] = {}
-    for spot in spots:
-        folder, _, name = spot.path.rpartition("/")
+    for location in locations:
+        folder, _, name = location.path.rpartition("/")
         folders.setdefault(folder or "/", set()).add(name)
     return folders

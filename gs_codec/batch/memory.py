@@ -52,8 +52,8 @@ def most_floats(size: int, name: str) -> int:
 
 def available_bytes() -> int | None:
     """Memory that this machine and its control groups have free now, bytes; None if unknown."""
-    rooms = [room for room in (_of_machine(), *_of_groups()) if room is not None]
-    return min(rooms, default=None)
+    known = [free for free in (_of_machine(), *_of_groups()) if free is not None]
+    return min(known, default=None)
 
 
 def _of_machine() -> int | None:

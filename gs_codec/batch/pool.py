@@ -38,13 +38,13 @@ class Pool:
     work : callable
     jobs : int
         Most processes.
-    room : int, optional
+    limit : int, optional
         Bytes of memory for all running tasks; a task that needs more runs alone. None: no limit.
     watcher : Watcher
     """
 
-    def __init__(self, work: Work, jobs: int, room: int | None, watcher: Watcher) -> None:
-        self._work, self._jobs, self._room, self._watcher = work, jobs, room, watcher
+    def __init__(self, work: Work, jobs: int, limit: int | None, watcher: Watcher) -> None:
+        self._work, self._jobs, self._limit, self._watcher = work, jobs, limit, watcher
         self._waiting: deque[Task] = deque()
         self._again: deque[Task] = deque()
         self._idle: list[_Worker] = []
@@ -84,7 +84,7 @@ class Pool:
         """The first waiting task that fits into memory beside the running ones."""
         taken = sum(worker.task.need for worker in self._busy)
         for task in self._waiting:
-            if not self._busy or self._room is None or taken + task.need <= self._room:
+            if not self._busy or self._limit is None or taken + task.need <= self._limit:
                 self._waiting.remove(task)
                 return task
         return self._again.popleft() if self._again and not self._busy else None

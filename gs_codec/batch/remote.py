@@ -8,20 +8,31 @@ import os
 import posixpath
 import re
 import shutil
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from gs_codec.batch.local import LocalStorage, by_folder, file_sha256, fixed_part
+from gs_codec.batch.local import (
+    SUFFIXES,
+    LocalStorage,
+    Location,
+    Stamp,
+    by_folder,
+    file_sha256,
+    fixed_part,
+)
 from gs_codec.batch.redaction import redacted, without_secrets
-from gs_codec.batch.storage import SUFFIXES, Spot, Stamp, Storage, is_url
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool, one_line
 from gs_codec.runtime.atomic import leftovers, temporary_name
 
 log = logging.getLogger(__name__)
 
 _READ_ONLY = ("http", "https")
+
+#: fsspec's protocol for the memory of one process, where workers would find and leave nothing.
+_OWN = "memory"
 
 #: Object stores: a file appears when it is closed; there are no folders and no renaming.
 _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory")
@@ -42,27 +53,14 @@ _MOST = 1000
 _INSTALL = "pip install 'gs-codec[cluster]'"
 
 
-def place_of(text: str) -> Storage:
-    """The storage of a path or URL.
-
-    Raises
-    ------
-    InvalidInput, MissingTool
-        If its protocol is unknown, or it cannot be reached.
-    """
-    return RemoteStorage(text) if is_url(text) else LocalStorage()
-
-
 class RemoteStorage:
-    """See `Storage`; `base` is the URL that was given.
+    """What fsspec reaches at the URL `base`; see `LocalStorage` for the methods.
 
     Raises
     ------
     InvalidInput, MissingTool
         If its protocol is unknown, the package for it is not installed, or it cannot be reached.
     """
-
-    local = False
 
     def __init__(self, base: str) -> None:
         self._base = base
@@ -71,11 +69,12 @@ class RemoteStorage:
         self._name = without_secrets(base)
         self._read_only = [name for name in self._protocols if name in _READ_ONLY]
         self._is_store = self._protocols[0] in _OBJECTS
-        self.shared = "memory" not in self._protocols
+        if _OWN in self._protocols:
+            text = "this process's own storage, expected one that workers reach"
+            raise InvalidInput(f"{self._name}: {text}")
         self._fs, self._root = self._open()
-        shown_root = self._name.rstrip("/")
-        known = shown_root.endswith(self._root.rstrip("/"))
-        self._prefix = shown_root[: len(shown_root) - len(self._root.rstrip("/"))] if known else ""
+        shown, root = self._name.rstrip("/"), self._root.rstrip("/")
+        self._prefix = shown.removesuffix(root) if shown.endswith(root) else ""
 
     def _open(self) -> tuple[Any, str]:
         try:
@@ -93,10 +92,10 @@ class RemoteStorage:
             raise InvalidInput(f"{self._name}: {_cause(error, self._base)}") from error
 
     @contextmanager
-    def _named(self, spot: Spot | None = None) -> Iterator[None]:
+    def _named(self, location: Location | None = None) -> Iterator[None]:
         """Turn any error of a backend into one line that names the storage or file."""
-        path = self._base if spot is None else spot.path
-        shown = self._name if spot is None else self.shown(spot)
+        path = self._base if location is None else location.path
+        shown = self._name if location is None else self.shown(location)
         try:
             yield
         except GsCodecError:
@@ -108,15 +107,15 @@ class RemoteStorage:
                 text = os.strerror(errno.ENOENT)
             raise InvalidInput(f"{shown}: {text}") from error
 
-    def find(self, pattern: str) -> list[tuple[str, Spot]]:
-        """See `Storage.find`; a web address is a folder if it ends in a slash."""
+    def find(self) -> list[tuple[str, Location]]:
+        """See `LocalStorage.find`; a web address is a folder if it ends in a slash."""
         wild = "*[" if self._read_only else "*[?"
         root = self._root
         with self._named():
             if any(sign in root for sign in wild):
                 root, glob = fixed_part(root, wild), root
                 found = self._matching(glob, root)
-            elif self._is_folder(pattern):
+            elif self._base.endswith("/") if self._read_only else self._fs.isdir(root):
                 found = self._below(root)
                 found = {p: info for p, info in found.items() if p.lower().endswith(SUFFIXES)}
             else:
@@ -125,7 +124,7 @@ class RemoteStorage:
         paths = sorted(path for path, info in found.items() if info.get("type") != "directory")
         root = without_secrets(root)
         names = [without_secrets(path).removeprefix(root).lstrip("/") for path in paths]
-        return [(name, Spot(path, self._base)) for name, path in zip(names, paths, strict=True)]
+        return [(name, self._at(path)) for name, path in zip(names, paths, strict=True)]
 
     def _matching(self, glob: str, root: str) -> dict[str, Any]:
         """Files that a glob matches, all below a folder."""
@@ -151,7 +150,7 @@ class RemoteStorage:
         while waiting:
             folder, depth = waiting.pop()
             if depth > _DEEPEST:
-                shown = self.shown(Spot(folder, self._base))
+                shown = self.shown(self._at(folder))
                 raise InvalidInput(f"{shown}: {depth} folders deep, expected links without circles")
             for path, info in self._listed(folder, depth):
                 if info.get("type") != "directory":
@@ -169,26 +168,24 @@ class RemoteStorage:
         except OSError as error:
             if not depth:
                 raise
-            shown = self.shown(Spot(folder, self._base))
+            shown = self.shown(self._at(folder))
             log.warning("%s: %s, skipped", shown, _cause(error, self._base, folder))
             return []
         return [(e["name"], e) for e in entries if e["name"].rstrip("/") != folder.rstrip("/")]
 
-    def _is_folder(self, pattern: str) -> bool:
-        if self._read_only:
-            return pattern.endswith("/")
-        return self._fs.isdir(self._root)
+    def location(self, name: str) -> Location:
+        """See `LocalStorage.location`."""
+        return self._at(posixpath.join(self._root, name))
 
-    def spot(self, folder: str, name: str) -> Spot:
-        """See `Storage.spot`."""
-        return Spot(posixpath.join(self._root, name), folder)
+    def _at(self, path: str) -> Location:
+        return Location(path, self._base)
 
-    def shown(self, spot: Spot) -> str:
-        """See `Storage.shown`."""
-        return self._prefix + without_secrets(spot.path)
+    def shown(self, location: Location) -> str:
+        """See `LocalStorage.shown`."""
+        return self._prefix + without_secrets(location.path)
 
-    def check_folder(self, folder: str) -> None:
-        """See `Storage.check_folder`."""
+    def check_folder(self) -> None:
+        """See `LocalStorage.check_folder`."""
         if self._read_only or len(self._protocols) > 1:
             kind = self._read_only[0] if self._read_only else "a chain of protocols"
             raise InvalidInput(f"{self._name}: {kind} can be read only")
@@ -196,11 +193,11 @@ class RemoteStorage:
             with self._named():
                 self._fs.makedirs(self._root, exist_ok=True)
 
-    def stamp(self, spot: Spot) -> Stamp | None:
-        """See `Storage.stamp`."""
-        with self._named(spot):
+    def stamp(self, location: Location) -> Stamp | None:
+        """See `LocalStorage.stamp`."""
+        with self._named(location):
             try:
-                info = self._fs.info(spot.path)
+                info = self._fs.info(location.path)
             except FileNotFoundError:
                 return None
         keys = ("mtime", "LastModified", "last_modified", "updated", "created", "ETag")
@@ -208,23 +205,21 @@ class RemoteStorage:
         size = info.get("size")
         return Stamp(size if isinstance(size, int) else -1, modified)
 
-    def sha256(self, spot: Spot) -> str:
-        """See `Storage.sha256`."""
-        import tempfile
-
+    def sha256(self, location: Location) -> str:
+        """See `LocalStorage.sha256`."""
         with tempfile.TemporaryDirectory() as folder:
-            return file_sha256(self.fetch(spot, Path(folder)))
+            return file_sha256(self.fetch(location, Path(folder)))
 
-    def fetch(self, spot: Spot, folder: Path) -> Path:
-        """See `Storage.fetch`; checks that the copy fits the disk and has the stated size."""
+    def fetch(self, location: Location, folder: Path) -> Path:
+        """See `LocalStorage.fetch`; checks that the copy fits the disk and has the stated size."""
         from fsspec.callbacks import Callback
 
-        shown, stamp = self.shown(spot), self.stamp(spot)
+        shown, stamp = self.shown(location), self.stamp(location)
         if stamp is None:
             raise InvalidInput(f"{shown}: {os.strerror(errno.ENOENT)}")
         if stamp.size > (free := shutil.disk_usage(folder).free):
-            raise InvalidInput(f"{shown}: {stamp.size} bytes, {folder} has room for {free}")
-        name = posixpath.basename(without_secrets(spot.path)) or "scene"
+            raise InvalidInput(f"{shown}: {stamp.size} bytes, {folder} has {free} free")
+        name = posixpath.basename(without_secrets(location.path)) or "scene"
         target = folder / name
         most = stamp.size if stamp.size >= 0 else int(_FILLED * free)
 
@@ -232,35 +227,35 @@ class RemoteStorage:
             if value > most:
                 raise InvalidInput(f"{shown}: more than {most} bytes received")
 
-        with self._named(spot):
-            self._fs.get_file(spot.path, str(target), callback=Callback(hooks={"most": check}))
+        with self._named(location):
+            self._fs.get_file(location.path, str(target), callback=Callback(hooks={"most": check}))
             size = target.stat().st_size
         if stamp.size not in (-1, size):
             raise InvalidInput(f"{shown}: {size} bytes received, expected {stamp.size}")
         return target
 
-    def store(self, file: Path, spot: Spot, mark: str) -> None:
-        """See `Storage.store`."""
-        with self._named(spot):
+    def store(self, file: Path, location: Location, mark: str) -> None:
+        """Copy a file to the storage, whole or not at all; `mark` identifies the batch."""
+        with self._named(location):
             if self._is_store:
-                self._fs.put_file(str(file), spot.path)
+                self._fs.put_file(str(file), location.path)
                 return
-            folder, _, name = spot.path.rpartition("/")
+            folder, _, name = location.path.rpartition("/")
             begun = posixpath.join(folder, temporary_name(name, mark))
             self._fs.makedirs(folder, exist_ok=True)
             try:
                 self._fs.put_file(str(file), begun)
-                self._fs.mv(begun, spot.path)
+                self._fs.mv(begun, location.path)
             except BaseException:
                 with suppress(Exception):
                     self._fs.rm_file(begun)
                 raise
 
-    def sweep(self, spots: Iterable[Spot], mark: str) -> None:
-        """See `Storage.sweep`."""
+    def sweep(self, locations: Iterable[Location], mark: str) -> None:
+        """See `LocalStorage.sweep`."""
         if self._is_store:
             return
-        for folder, names in by_folder(spots).items():
+        for folder, names in by_folder(locations).items():
             with self._named():
                 try:
                     entries = [posixpath.basename(p) for p in self._fs.ls(folder, detail=False)]
@@ -268,6 +263,25 @@ class RemoteStorage:
                     continue
                 for entry in leftovers(entries, names, mark):
                     self._fs.rm_file(posixpath.join(folder, entry))
+
+
+Storage = LocalStorage | RemoteStorage
+
+
+def is_url(text: str) -> bool:
+    """Whether this is a URL of remote storage; ``file://`` is not."""
+    return "://" in text and not text.startswith("file://")
+
+
+def storage_of(base: str) -> Storage:
+    """The storage of a path or URL.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If its protocol is unknown, or it cannot be reached.
+    """
+    return RemoteStorage(base) if is_url(base) else LocalStorage(base)
 
 
 def _cause(error: BaseException, *urls: str) -> str:

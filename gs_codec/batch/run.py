@@ -10,28 +10,29 @@ import shutil
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 from gs_codec import __version__
 from gs_codec.batch.ledger import Ledger, Record, open_ledger
+from gs_codec.batch.local import LocalStorage, Stamp
 from gs_codec.batch.memory import available_bytes
 from gs_codec.batch.pool import Pool, Watcher
 from gs_codec.batch.redaction import redacted, without_secrets
-from gs_codec.batch.remote import place_of
+from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
-from gs_codec.batch.storage import Stamp, Storage, is_url, local_path
 from gs_codec.batch.work import encode_one, versions
-from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
+from gs_codec.report import Progress
 from gs_codec.runtime.threads import available_threads
 
-_REPORT = "report.jsonl"
+if TYPE_CHECKING:
+    from gs_codec.batch.cluster import Cluster
 
-#: Tasks with their records.
-Results = Generator[tuple[Task, Record], None, None]
+_REPORT = "report.jsonl"
 
 
 @dataclass(frozen=True)
@@ -118,16 +119,6 @@ class Summary:
     seconds: float
 
 
-class Runner(Protocol):
-    """Runs tasks: in processes, on a cluster, or in this process."""
-
-    def run(self, tasks: Sequence[Task]) -> Results:
-        """Yield each task and its record when it is done."""
-
-    def stop(self) -> None:
-        """Start no more scenes."""
-
-
 def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
     """Encode the scenes of a folder or glob; a failed scene does not stop the others.
 
@@ -140,35 +131,32 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         If no scene matches, a storage cannot be used, or the report cannot be written.
     """
     start, watcher = time.perf_counter(), watcher or Watcher()
-    sources, targets = place_of(batch.source), place_of(batch.target)
+    sources, targets = storage_of(batch.source), storage_of(batch.target)
     options = batch.options.absolute()
-    path = batch.report or _default_report(batch.target, targets)
+    path = batch.report or _default_report(targets)
     mark = batch_mark(path)
-    tasks = find_tasks(batch.source, batch.target, sources, targets, options, mark)
-    if batch.dask is not None and not (sources.shared and targets.shared):
-        raise InvalidInput("memory: this process's own storage, expected one that workers reach")
-    targets.check_folder(batch.target)
+    tasks = find_tasks(batch.source, sources, targets, options, mark)
+    targets.check_folder()
     if not (batch.resume or batch.overwrite):
         _refuse_existing(tasks, targets)
-    with open_ledger(path, batch.resume, batch.overwrite) as ledger, _scratch(path) as scratch:
-        spots = [task.target for task in tasks]
-        targets.sweep(spots, mark)
+    with open_ledger(path, batch.resume, batch.overwrite) as ledger, _scratch(mark) as scratch:
+        outputs = [task.target for task in tasks]
+        targets.sweep(outputs, mark)
         digest = options.digest()
         known = {t: r for t in tasks if (r := _complete(t, ledger, digest, sources, targets))}
         waiting = [task for task in tasks if task not in known]
+        runner = _runner(batch, options, len(waiting), scratch, watcher)
         watcher.begun(len(waiting), len(known), path)
-        shared = sources.shared and targets.shared
-        runner = _runner(batch, options, len(waiting), scratch, shared, watcher)
         try:
             records = _work(runner, waiting, digest, batch, ledger, watcher)
         finally:
-            if targets.local:
-                targets.sweep(spots, mark)
+            if isinstance(targets, LocalStorage):
+                targets.sweep(outputs, mark)
     return _sum_up(path, records, list(known.values()), len(waiting), time.perf_counter() - start)
 
 
 def _work(
-    runner: Runner,
+    runner: Pool | Cluster,
     tasks: Sequence[Task],
     digest: str,
     batch: Batch,
@@ -176,8 +164,7 @@ def _work(
     watcher: Watcher,
 ) -> list[Record]:
     records: list[Record] = []
-    results = runner.run(tasks)
-    try:
+    with closing(runner.run(tasks)) as results:
         for task, record in results:
             record = _completed(record, task, digest)
             ledger.add(record)
@@ -185,15 +172,13 @@ def _work(
             watcher.ended(task, record)
             if record.error is not None and batch.on_error == "stop":
                 runner.stop()
-    finally:
-        results.close()
     return records
 
 
 def _completed(record: Record, task: Task, digest: str) -> Record:
     """The record with options and versions filled in, and with secrets removed from its texts."""
     record = replace(record, options=digest, versions=record.versions or versions())
-    urls = [url for spot in (task.source, task.target) for url in (spot.base, spot.path)]
+    urls = [url for file in (task.source, task.target) for url in (file.base, file.path)]
     record = replace(record, warnings=[redacted(text, *urls) for text in record.warnings])
     if record.error is None:
         return record
@@ -203,57 +188,34 @@ def _completed(record: Record, task: Task, digest: str) -> Record:
 
 
 def _refuse_existing(tasks: Sequence[Task], targets: Storage) -> None:
-    """Refuse to replace outputs that exist."""
     for task in tasks:
         if targets.stamp(task.target) is not None:
             raise InvalidInput(f"{task.shown[1]}: exists, expected --resume or --overwrite")
 
 
-def _default_report(target: str, targets: Storage) -> str:
-    return os.path.join(os.path.abspath(local_path(target)), _REPORT) if targets.local else _REPORT
+def _default_report(targets: Storage) -> str:
+    return os.path.join(targets.path, _REPORT) if isinstance(targets, LocalStorage) else _REPORT
 
 
 def _runner(
-    batch: Batch, options: Options, count: int, scratch: str, shared: bool, watcher: Watcher
-) -> Runner:
+    batch: Batch, options: Options, count: int, scratch: str, watcher: Watcher
+) -> Pool | Cluster:
     threads = options.config.threads or 1
     jobs = batch.jobs or max(available_threads() // threads, 1)
     jobs = min(jobs, max(count, 1))
-    if batch.dask is not None:
-        from gs_codec.batch.cluster import Cluster
-
-        return Cluster(batch.dask, jobs, scratch, options, watcher)
-    if shared:
+    if batch.dask is None:
         work = partial(_encode_in, options.with_share(jobs), scratch)
         return Pool(work, jobs, available_bytes(), watcher)
-    return _Here(partial(_encode_in, options.with_share(1), scratch), watcher)
+    try:
+        from gs_codec.batch.cluster import Cluster
+    except ImportError as error:
+        text = f"--dask: needs {error.name}; pip install 'gs-codec[cluster]'"
+        raise MissingTool(text) from error
+    return Cluster(batch.dask, jobs, scratch, options, watcher)
 
 
-def _encode_in(
-    options: Options, scratch: str, task: Task, progress: Callable[[str, int, int], None]
-) -> Record:
+def _encode_in(options: Options, scratch: str, task: Task, progress: Progress) -> Record:
     return encode_one(task, options, scratch, progress)
-
-
-class _Here:
-    """Runs tasks one after another in this process, for storage that no other process sees."""
-
-    def __init__(
-        self, work: Callable[[Task, Callable[[str, int, int], None]], Record], watcher: Watcher
-    ) -> None:
-        self._work, self._watcher, self._stopped = work, watcher, False
-
-    def run(self, tasks: Sequence[Task]) -> Results:
-        """See `Runner.run`."""
-        for task in tasks:
-            if self._stopped:
-                return
-            self._watcher.started(task)
-            yield task, self._work(task, partial(self._watcher.stage, task))
-
-    def stop(self) -> None:
-        """See `Runner.stop`."""
-        self._stopped = True
 
 
 def batch_mark(report: str) -> str:
@@ -263,10 +225,9 @@ def batch_mark(report: str) -> str:
 
 
 @contextmanager
-def _scratch(report: str) -> Iterator[str]:
-    """A temporary folder for copies; removes those of killed batches with this report first."""
-    digest = hashlib.sha256(os.path.abspath(report).encode("utf-8", "surrogateescape"))
-    prefix = f"gs-codec-{digest.hexdigest()[:16]}-"
+def _scratch(mark: str) -> Iterator[str]:
+    """A temporary folder for copies; removes those of killed batches with this mark first."""
+    prefix = f"gs-codec-{mark}-"
     for old in glob.glob(os.path.join(glob.escape(tempfile.gettempdir()), prefix + "*")):
         shutil.rmtree(old, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as folder:
@@ -286,20 +247,17 @@ def _complete(
         written = targets.stamp(task.target)
         if written is None or written.size not in (-1, record.output_bytes):
             return None
-        was = Stamp(record.input_bytes, record.input_modified)
-        if task.stamp != was and not _same_bytes(task, was, record, sources):
+        # A local file with a new modification time may still have the same content.
+        if task.stamp != Stamp(record.input_bytes, record.input_modified) and (
+            not isinstance(sources, LocalStorage)
+            or task.stamp.size != record.input_bytes
+            or sources.sha256(task.source) != record.input_sha256
+        ):
             return None
         same = targets.sha256(task.target) == record.output_sha256
     except GsCodecError:  # a file that cannot be read is not complete
         return None
     return record if same else None
-
-
-def _same_bytes(task: Task, was: Stamp, record: Record, sources: Storage) -> bool:
-    """Whether a local file with a new modification time still has the same content."""
-    if not sources.local or task.stamp.size != was.size:
-        return False
-    return sources.sha256(task.source) == record.input_sha256
 
 
 def _sum_up(

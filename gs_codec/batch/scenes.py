@@ -10,10 +10,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gs_codec.batch.local import file_sha256
+from gs_codec.batch.local import LocalStorage, Location, Stamp, file_sha256
 from gs_codec.batch.memory import expected_floats, needed_bytes
 from gs_codec.batch.redaction import without_secrets
-from gs_codec.batch.storage import Spot, Stamp, Storage
+from gs_codec.batch.remote import Storage
 from gs_codec.config import Config, RateTarget
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.runtime.threads import available_threads
@@ -108,7 +108,7 @@ class Task:
     ----------
     name : str
         Relative to the folder or the fixed part of the glob.
-    source, target : Spot
+    source, target : Location
     shown : tuple of str
         Names of both for reports, without secrets.
     stamp : Stamp
@@ -120,8 +120,8 @@ class Task:
     """
 
     name: str
-    source: Spot
-    target: Spot
+    source: Location
+    target: Location
     shown: tuple[str, str]
     stamp: Stamp
     need: int
@@ -129,22 +129,22 @@ class Task:
 
 
 def find_tasks(
-    source: str, target: str, sources: Storage, targets: Storage, options: Options, mark: str = ""
+    source: str, sources: Storage, targets: Storage, options: Options, mark: str
 ) -> list[Task]:
-    """The scenes that a file, folder or glob matches, with their outputs below the target.
+    """The scenes of a storage, named `source` in errors, with their outputs below the target.
 
     Raises
     ------
     InvalidInput
         If there are none, if two have the same output, or if an output is its own source.
     """
-    found = sources.find(source)
+    found = sources.find()
     if not found:
         raise InvalidInput(f"{without_secrets(source)}: no scenes there")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
-    for name, spot in found:
-        written = targets.spot(target, os.path.splitext(name)[0] + ".egs")
-        shown = sources.shown(spot), targets.shown(written)
+    for name, location in found:
+        target = targets.location(os.path.splitext(name)[0] + ".egs")
+        shown = sources.shown(location), targets.shown(target)
         if ".." in name.split("/"):  # keys of object stores may contain it
             raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")
         if shown[1] in taken:
@@ -153,31 +153,26 @@ def find_tasks(
         if shown[0] == shown[1]:
             raise InvalidInput(f"{shown[1]}: the source itself")
         taken[shown[1]] = shown[0]
-        stamp = _stamp(sources, spot)
-        floats = _stated(sources, spot)
+        try:
+            stamp = sources.stamp(location) or Stamp(-1, "")
+        except GsCodecError:  # reported when the scene is read
+            stamp = Stamp(-1, "")
+        floats = _stated(sources, location)
         if floats is None:
             floats = expected_floats(stamp.size, name)
         need = needed_bytes(min(floats, options.max_bytes or floats), pixels)
         need = min(need, options.max_memory or need)
-        tasks.append(Task(name, spot, written, shown, stamp, need, mark))
+        tasks.append(Task(name, location, target, shown, stamp, need, mark))
     return tasks
 
 
-def _stamp(sources: Storage, spot: Spot) -> Stamp:
-    """Stamp of a file; empty if it cannot be reached, so that only this scene fails later."""
-    try:
-        return sources.stamp(spot) or Stamp(-1, "")
-    except GsCodecError:
-        return Stamp(-1, "")
-
-
-def _stated(sources: Storage, spot: Spot) -> int | None:
+def _stated(sources: Storage, location: Location) -> int | None:
     """Bytes of floats that the header of a local file states; None if remote or unreadable."""
-    if not sources.local or not os.path.isfile(spot.path):
+    if not isinstance(sources, LocalStorage) or not os.path.isfile(location.path):
         return None
     from gs_codec.files.scenes import stated_bytes
 
     try:
-        return stated_bytes(spot.path)
+        return stated_bytes(location.path)
     except GsCodecError:  # reported when the scene is read
         return None

@@ -16,20 +16,19 @@ from pathlib import Path
 
 from gs_codec import __version__
 from gs_codec.batch.ledger import Record
-from gs_codec.batch.local import file_sha256
+from gs_codec.batch.local import LocalStorage, file_sha256
 from gs_codec.batch.memory import most_floats
-from gs_codec.batch.remote import place_of
+from gs_codec.batch.remote import RemoteStorage, storage_of
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
-from gs_codec.report import EncodeReport, Progress
+from gs_codec.report import Progress
+from gs_codec.runtime.atomic import make_folder
 
 #: Packages whose versions may change the output bytes.
 _COMPUTING = ("numpy", "numba", "llvmlite", "scipy", "pcodec")
 
 
-def encode_one(
-    task: Task, options: Options, scratch: str | None = None, progress: Progress | None = None
-) -> Record:
+def encode_one(task: Task, options: Options, scratch: str, progress: Progress) -> Record:
     """Encode a scene; any error becomes part of the record.
 
     Copies of remote files are in a temporary folder in `scratch`.
@@ -53,14 +52,14 @@ def _encode(
     task: Task,
     options: Options,
     folder: Path,
-    progress: Progress | None,
+    progress: Progress,
     blank: Record,
     warnings: list[str],
 ) -> Record:
     from gs_codec.files.coding import encode_file
     from gs_codec.formats.registry import open_scene
 
-    sources, targets = place_of(task.source.base), place_of(task.target.base)
+    sources, targets = storage_of(task.source.base), storage_of(task.target.base)
     if task.name.lower().endswith(".json"):
         # The other files of the scene would not be copied, nor checked for changes.
         raise InvalidInput(f"{task.shown[0]}: SOG of several files, expected a bundle (.sog)")
@@ -69,11 +68,12 @@ def _encode(
     file = sources.fetch(task.source, folder)
     digest, size = file_sha256(file), os.path.getsize(file)
     seconds = {"fetch": time.perf_counter() - start}
-    output = Path(task.target.path) if targets.local else folder / "scene.egs"
-    if targets.local:
-        targets.check_folder(str(output.parent))
+    output = folder / "scene.egs"
+    if isinstance(targets, LocalStorage):
+        output = Path(task.target.path)
+        make_folder(output.parent)
     limit = options.max_bytes
-    if limit is None and not sources.local:
+    if limit is None and isinstance(sources, RemoteStorage):
         limit = most_floats(size, task.name)
     with _named({str(file): task.shown[0], str(output): task.shown[1]}, warnings):
         report = encode_file(
@@ -89,9 +89,10 @@ def _encode(
         raise InvalidInput(f"{task.shown[0]}: changed while it was read")
     start = time.perf_counter()
     written = file_sha256(output), os.path.getsize(output)
-    if not targets.local:
+    if isinstance(targets, RemoteStorage):
         targets.store(output, task.target, task.mark)
     seconds |= report.seconds | {"store": time.perf_counter() - start}
+    names = ("dropped", "rectified", "zero_quaternions")
     return replace(
         blank,
         input_bytes=size,
@@ -103,13 +104,8 @@ def _encode(
         ratio=counted / written[1],
         bits_per_gaussian=8 * written[1] / max(report.count, 1),
         seconds=seconds,
-        changed=_changed(report),
+        changed={name: getattr(report, name) for name in names if getattr(report, name)},
     )
-
-
-def _changed(report: EncodeReport) -> dict[str, int]:
-    names = ("dropped", "rectified", "zero_quaternions")
-    return {name: getattr(report, name) for name in names if getattr(report, name)}
 
 
 @lru_cache

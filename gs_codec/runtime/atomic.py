@@ -62,7 +62,7 @@ def make_folder(path: str | Path) -> Path:
     try:
         os.makedirs(path, exist_ok=True)
     except OSError as error:
-        raise InvalidInput(f"{path}: {one_line(error)}") from error
+        raise InvalidInput(f"{path}: {one_line(error)}, expected a folder") from error
     return Path(path)
 
 
@@ -85,7 +85,7 @@ def remove_leftover(path: str | Path) -> None:
     except OSError:
         return
     try:
-        unused = _lock(descriptor)
+        unused = try_lock(descriptor)
     finally:
         os.close(descriptor)
     if unused:
@@ -93,15 +93,15 @@ def remove_leftover(path: str | Path) -> None:
             os.unlink(path)
 
 
-def _lock(descriptor: int) -> bool:
-    """Lock a file that is being written; False if another process has locked it."""
-    try:
-        if fcntl:
+def try_lock(descriptor: int) -> bool:
+    """Lock an open file; False if another process has locked it. Not all systems have locks."""
+    if fcntl:
+        try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # file systems without locks
-        return True
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            return True
     return True
 
 
@@ -110,7 +110,7 @@ def _locked(descriptor: int) -> Iterator[None]:
     """Keep a file locked within the block, even after it is closed."""
     own = os.dup(descriptor)
     try:
-        _lock(own)
+        try_lock(own)
         yield
     finally:
         os.close(own)

@@ -38,8 +38,8 @@ def read(
         What to do with properties of a PLY beyond the INRIA layout: refuse the file, keep them as
         attributes ``(N, 1)``, or leave them out.
     progress : callable, optional
-        Called as ``progress(stage, done, total)`` in the calling thread while an `.egs` file is
-        decoded; an exception from it stops decoding.
+        Called as ``progress(stage, done, total)`` in the calling thread while work is done; an
+        exception from it stops the work.
     max_bytes : int, optional
         Largest size of the scene's floats; by default 1 GiB or 1000 times the file.
 
@@ -164,7 +164,7 @@ def encode(
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud
-        With the attributes `read` gives; of ``log_scale`` and ``scale`` one is enough, two agree.
+        As for `write`.
     config : Config, optional
         By default profile ``m``.
     plan : Plan, optional
@@ -175,22 +175,21 @@ def encode(
         ``bits`` (per Gaussian) and ``psnr_drop`` (dB); and ``allow_prune``. The ratio is relative
         to the PLY that `write` writes.
     progress : callable, optional
-        Called as ``progress(stage, done, total)``.
+        As for `read`.
 
     Returns
     -------
     data : bytes
         The stream, which may be written to a file as it is.
     report : RateReport
-        With a rate alone: the steps it led to, and the size or quality expected and reached.
+        Only with a rate target: the step sizes, and the size or quality expected and reached.
 
     Raises
     ------
     InvalidInput
-        If an attribute is missing or of a wrong type, ``log_scale`` and ``scale`` disagree, a value
-        is not finite, or the rate cannot be reached.
+        As for `write`; or if the rate target cannot be reached.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC, and the program is missing or fails.
+        As for `write`.
 
     Examples
     --------
@@ -236,10 +235,8 @@ def decode(
     tmc3 : str or Path, optional
         MPEG's program, for streams that use G-PCC; by default what the environment variable
         ``GS_CODEC_TMC3`` or PATH say.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
-    max_bytes : int, optional
-        Largest size of the decoded floats; by default 1 GiB or 1000 times the stream.
+    progress, max_bytes
+        As for `read`.
 
     Returns
     -------

@@ -64,22 +64,18 @@ def render(
         Keep the sum of blending weights of each Gaussian.
     device : {"auto", "cpu", "cuda"}
         ``cuda`` renders with gsplat; ``auto`` uses ``cuda`` if possible.
-    progress : callable, optional
-        Called as ``progress("views", done, total)``.
-    max_bytes : int, optional
-        Largest size of the floats of a scene's file; by default 1 GiB or 1000 times the file.
+    progress, max_bytes
+        As for `read`; `max_bytes` only for paths.
 
     Returns
     -------
-    Views
+    RenderedViews
         Iterates over pairs of a camera and its rendering.
 
     Raises
     ------
-    InvalidInput
-        If the scene or the cameras cannot be read, or no camera is in the split.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If the scene is an `.egs` file that cannot be decoded.
+    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
+        As for `read`; or if the cameras cannot be read, or none is in the split.
     MissingTool
         When drawing, if ``cuda`` is asked for and not available.
 
@@ -136,11 +132,9 @@ def compare(
 
     Raises
     ------
-    InvalidInput
-        If a source cannot be read; without cameras, if the numbers of Gaussians differ; if images
-        differ in size, or are missing.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If a source is an `.egs` file that cannot be decoded.
+    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
+        As for `read`; or if images differ in size or are missing, or, without cameras, if the
+        numbers of Gaussians differ.
     MissingTool
         If ``cuda`` is asked for but not available.
 
@@ -184,8 +178,6 @@ def prepare(
 ) -> tuple[PointCloud, PrepareReport]:
     """Make a scene smaller before it is coded, and report the quality lost (paper, Section 4.2).
 
-    `prepare_file` has the same arguments.
-
     Parameters
     ----------
     source : open3d.t.geometry.PointCloud, or path of a scene
@@ -193,11 +185,9 @@ def prepare(
     plan : Plan
         Steps of preparation, and the views that guide them.
     config : Config, optional
-        How the scene will be coded, whose depths ``rectify`` goes by; by default profile ``m``.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
-    max_bytes : int, optional
-        Largest size of the floats of a scene's file; by default 1 GiB or 1000 times the file.
+        How the scene will be coded; ``rectify`` uses its depths. By default profile ``m``.
+    progress, max_bytes
+        As for `read`; `max_bytes` only for paths.
 
     Returns
     -------
@@ -208,10 +198,8 @@ def prepare(
 
     Raises
     ------
-    InvalidInput
-        If a file cannot be read, there are no cameras, or nothing would be left.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If the scene is an `.egs` file that cannot be decoded.
+    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
+        As for `read`; or if there are no cameras, or nothing would be left.
 
     Examples
     --------

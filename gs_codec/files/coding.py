@@ -36,14 +36,10 @@ class DecodeReport:
 
     Attributes
     ----------
-    count : int
-        Gaussians written.
-    sh_degree : int
-        0-3.
-    bytes_read : int
-        How much of the file a part of the scene took.
-    file_bytes : int
-        Size of the file.
+    count, sh_degree : int
+        Number of Gaussians written, and their SH degree.
+    bytes_read, file_bytes : int
+        Bytes of the `.egs` file that were read, and all of its bytes.
     seconds : dict of str to float
         Wall time of each stage.
     """
@@ -69,49 +65,35 @@ def encode_file(
 ) -> EncodeReport:
     """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
 
-    The arguments after `target` are those of `encode`. Does not load Open3D; comments of a PLY,
-    which clouds do not have, are kept.
+    Does not load Open3D. Comments of a PLY are kept.
 
     Parameters
     ----------
     source : str or Path
         PLY, `.egs`, `.splat`, `.spz` or SOG.
     target : str or Path
-        The file to write, an `.egs`.
-    config : Config, optional
-        By default profile ``m``.
-    plan : Plan, optional
-        How to prepare the scene first, if it has steps; profiles ``l``, ``m`` and ``s`` go by what
-        its views see.
-    rate : RateTarget or mapping, optional
-        A size or quality that profiles ``l``, ``m`` and ``s`` are to come to; a ratio counts from
-        the PLY, or from the floats of a compressed file.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
+        An `.egs` file.
+    config, plan, rate, progress
+        As for `encode`; the ratio of a compressed source is relative to its floats.
     max_memory : int, optional
-        Bytes; a scene that takes more is worked on in temporary files, with the same result. Not
-        with `plan` nor `rate`, and of a binary PLY of floats alone.
+        Maximum memory, bytes: large arrays are then in temporary files, with the same result. Only
+        for a binary PLY of floats, without `plan` and `rate`.
     max_bytes : int, optional
-        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+        As for `read`.
     overwrite : bool
-        Whether a `target` that exists is replaced, once the new one is whole; else it is refused
-        before the work. Default True, as for other functions of Python that write files; the
-        command line has ``--overwrite`` for it.
+        As for `write`; an existing target is refused before the work begins.
 
     Returns
     -------
     EncodeReport
-        Sizes, entropies, what was moved or left out, and seconds by stage.
+        Sizes, entropies, what was changed or left out, and seconds by stage.
 
     Raises
     ------
     InvalidInput
-        If the source cannot be used, the rate cannot be reached, the target cannot be written, or
-        `max_memory` or `max_bytes` is too little.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If the source is an `.egs` file that cannot be decoded.
-    MissingTool, ToolFailed
-        If `config` asks for G-PCC, and the program is missing or fails.
+        As for `read` and `encode`; or if the target cannot be written, or `max_memory` is too low.
+    CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
+        As for `read` and `encode`.
 
     Examples
     --------
@@ -175,9 +157,8 @@ def decode_file(
 ) -> DecodeReport:
     """Decode an `.egs` file, or a part of it, to a PLY file, which appears whole or not at all.
 
-    The arguments after `target` are those of `decode`. A comment line in the PLY says in which
-    order the Gaussians are, unless it is the original's, so that `compare` can match them. Does
-    not load Open3D.
+    Does not load Open3D. If the Gaussians are not in their original order, a comment in the PLY
+    states the order, so that `compare` can match them.
 
     Parameters
     ----------
@@ -185,36 +166,25 @@ def decode_file(
         An `.egs` file.
     target : str or Path
         The PLY to write, in the INRIA trainer's layout.
-    part : Part, optional
-        A box, a lower SH degree, or both; no more of the file is read than that needs.
-    threads : int, optional
-        Worker threads, 1-256; by default one for each available processor.
-    tmc3 : str or Path, optional
-        MPEG's program, for files that use G-PCC; by default what the environment variable
-        ``GS_CODEC_TMC3`` or PATH say.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
+    part, threads, tmc3, progress, max_bytes
+        As for `decode`; only the bytes that `part` needs are read.
     max_memory : int, optional
-        Bytes that are enough for a part of the scene at a time.
-    max_bytes : int, optional
-        Largest size of the decoded floats; by default 1 GiB or 1000 times the file.
+        Maximum memory, bytes: fewer blocks are then decoded at once.
     overwrite : bool
         As for `encode_file`.
 
     Returns
     -------
     DecodeReport
-        What came out, how much was read for it, and seconds by stage.
+        Number of Gaussians, bytes read, and seconds by stage.
 
     Raises
     ------
     InvalidInput
-        If the source cannot be read, the target cannot be written, a box has no Gaussians, or
+        As for `decode`; or if the source cannot be read, the target cannot be written, or
         `max_memory` is not enough for one block.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If the source is not a sound `.egs` file.
-    MissingTool, ToolFailed
-        If it uses G-PCC, and the program is not there or does not decode it.
+    CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
+        As for `decode`.
 
     Examples
     --------

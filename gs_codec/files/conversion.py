@@ -73,10 +73,8 @@ def convert_file(
     coordinates : str
         Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``.
         ``RUB:RDF`` converts from the first to the second, whatever the source states.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
-    max_bytes : int, optional
-        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+    progress, max_bytes
+        As for `read`.
     overwrite : bool
         As for `encode_file`.
 
@@ -87,10 +85,8 @@ def convert_file(
 
     Raises
     ------
-    InvalidInput
-        If the source cannot be used, or the target cannot be written.
-    CorruptStream, TruncatedStream, UnsupportedVersion
-        If the source is a damaged or newer `.egs` file.
+    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool, ToolFailed
+        As for `read` and `write`.
 
     Examples
     --------
@@ -100,42 +96,32 @@ def convert_file(
     """
     config = config or Config(extra="keep")
     suffix = check_target(source, target, overwrite=overwrite)
-    with using_threads(config.threads):
-        return _convert_file(source, target, suffix, config, coordinates, progress, max_bytes)
-
-
-def _convert_file(
-    source: str | Path,
-    target: str | Path,
-    suffix: str,
-    config: Config,
-    coordinates: str,
-    progress: Progress | None,
-    max_bytes: int | None,
-) -> ConvertReport:
-    start = time.perf_counter()
-    scene = read_scene(source, config.extra, progress, coordinates=None, max_bytes=max_bytes)
-    read = time.perf_counter() - start
-    dropped = 0
     stated, _, wanted = coordinates.rpartition(":")
-    with located(source):
-        if stated:
-            scene = state_system(scene, stated.upper())
-        before = system_of(scene)
-        if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
-            scene, dropped = drop_nonfinite(scene, config)
-        if wanted != "keep":
-            scene = turn_scene(scene, wanted.upper())
-    start = time.perf_counter()
-    lost = write_scene(target, scene, config)
+    dropped = 0
+    with using_threads(config.threads):
+        start = time.perf_counter()
+        scene = read_scene(source, config.extra, progress, coordinates=None, max_bytes=max_bytes)
+        read = time.perf_counter() - start
+        with located(source):
+            if stated:
+                scene = state_system(scene, stated.upper())
+            before = system_of(scene)
+            if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
+                scene, dropped = drop_nonfinite(scene, config)
+            if wanted != "keep":
+                scene = turn_scene(scene, wanted.upper())
+        start = time.perf_counter()
+        lost = write_scene(target, scene, config)
+        seconds = {"read": read, "write": time.perf_counter() - start}
+    after = system_of(scene)
     return ConvertReport(
         scene.count,
         0 if suffix == ".splat" else scene.sh_degree,
-        system_of(scene),
-        before if before != system_of(scene) else None,
+        after,
+        before if before != after else None,
         scene.antialiased,
         dropped,
         lost,
         os.path.getsize(target),
-        {"read": read, "write": time.perf_counter() - start},
+        seconds,
     )

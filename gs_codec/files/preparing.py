@@ -33,35 +33,32 @@ def prepare_file(
 ) -> PrepareReport:
     """Prepare the scene of a file and write it as ``.ply``, ``.egs`` or ``.splat``.
 
-    The arguments after `target` are those of `prepare`. Extra properties are kept.
+    Extra properties are kept.
 
     Parameters
     ----------
     source, target : str or Path
-        Scenes; the target is ``.ply``, ``.egs`` or ``.splat``.
-    plan : Plan
-        Steps of preparation, and the views that guide them.
+        Scenes; the suffix of the target selects its format.
+    plan, progress
+        As for `prepare`.
     config : Config, optional
-        How an ``.egs`` is coded, with the bytes that `encode_file` writes, and what the report's
-        last steps are of; by default profile ``m``.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
+        As for `prepare`; an ``.egs`` target has the bytes that `encode_file` writes.
     report_folder : str or Path, optional
-        Receives what preparation did, and what each stage of coding adds to it.
+        Output folder for the report: what preparation did, and what coding adds to the loss.
     max_bytes : int, optional
-        Largest size of the source's floats; by default 1 GiB or 1000 times the file.
+        As for `read`.
     overwrite : bool
         As for `encode_file`; also of files in `report_folder`.
 
     Returns
     -------
     PrepareReport
-        A label for each input Gaussian, and size and quality after each step.
+        As for `prepare`, with the steps of coding.
 
     Raises
     ------
-    InvalidInput
-        If the source cannot be used, or the target or the report cannot be written.
+    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
+        As for `prepare`; or if the target or the report cannot be written.
 
     Examples
     --------

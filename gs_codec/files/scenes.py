@@ -44,7 +44,7 @@ def write_scene(
     Returns
     -------
     tuple of str
-        What the format cannot hold, in words; warnings say it, too.
+        What the format cannot hold, in words; also logged as warnings.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def write_scene(
 
 
 def suffix_of(path: str | Path, known: tuple[str, ...] = _WRITTEN) -> str:
-    """The suffix of a scene to be written, which tells its format.
+    """The suffix of a scene to be written, which selects its format.
 
     Raises
     ------
@@ -94,10 +94,9 @@ def read_scene(
     coordinates: str | None = CONVENTION,
     max_bytes: int | None = None,
 ) -> Scene:
-    """The scene of a file, its format told by content; see `read_ply` for the options.
+    """The scene of a file of any format; see `gs_codec.read` for the options.
 
-    It is turned to the system `coordinates`; None leaves it in the file's, which
-    `Scene.coordinates` names if that is not the convention's.
+    It is converted to the system `coordinates`; None leaves it in the file's.
     """
     with open_scene(path) as file:
         return scene_in(file, extra, progress, coordinates, max_bytes)
@@ -112,7 +111,10 @@ def scene_in(
 ) -> Scene:
     """The scene of an opened file; see `read_scene`."""
     if file.is_egs:
-        scene = _decode_ordered(file, progress, max_bytes)
+        with located(file.path):
+            scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
+            order = order_of_file(describe(read))
+            scene = scene if order is None else with_order(scene, order)
     else:
         scene = file.scene(extra, max_bytes)
     with located(file.path):
@@ -120,7 +122,7 @@ def scene_in(
 
 
 def turn_scene(scene: Scene, coordinates: str) -> Scene:
-    """See `turn_axes`; comments that tell an order by places go with the places."""
+    """See `turn_axes`; a comment that states an order by positions is removed with them."""
     if system_of(scene) == coordinates:
         return scene
     return turn_axes(without_order(scene), coordinates)
@@ -143,7 +145,7 @@ def is_egs(path: str | Path) -> bool:
 
 
 def inspect_file(path: str | Path) -> Info:
-    """See `inspect_bytes`; of the blocks, which come before the comments, nothing is read."""
+    """See `inspect_bytes`; blocks are not read."""
     with opened(path) as data, located(path):
         return inspect_bytes(data)
 
@@ -153,7 +155,7 @@ def compare_files(
 ) -> Comparison:
     """Compare two scenes; one decoded from `.egs` is matched with its original.
 
-    Of different coordinate systems, one is turned to the other's.
+    If coordinate systems differ, one scene is converted.
     """
     scenes, orders = [], []
     for path in (first, second):
@@ -161,7 +163,7 @@ def compare_files(
         with located(path):
             orders.append(order_of(scenes[-1]))
     systems = system_of(scenes[0]), system_of(scenes[1])
-    # An order is that of the places it was made of, so that its scene is not turned.
+    # An order refers to positions as stored, so its scene is not converted.
     kept = 0 if orders[1] is None else 1
     scenes[1 - kept] = turn_axes(scenes[1 - kept], systems[kept])
     return replace(compare_scenes(*put_side_by_side(scenes[0], scenes[1])), systems=systems)
@@ -173,16 +175,8 @@ def check_target(
     known: tuple[str, ...] = _WRITTEN,
     overwrite: bool = True,
 ) -> str:
-    """Refuse a target that could not be written, before the work is done; else its suffix."""
+    """The suffix of a target; refuses one that cannot be written, before the work is done."""
     if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
         raise InvalidInput(f"{target}: the source itself")
     check_writable(target, overwrite)
     return suffix_of(target, known)
-
-
-def _decode_ordered(file: SceneFile, progress: Progress | None, max_bytes: int | None) -> Scene:
-    """A scene that tells its order."""
-    with located(file.path):
-        scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
-        order = order_of_file(describe(read))
-        return scene if order is None else with_order(scene, order)

@@ -66,12 +66,7 @@ class Option:
     expert: bool = True
 
     def check(self, name: str, value: Any) -> None:
-        """Refuse a value of field `name` that is not in `values`, or outside the range.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse a value of field `name` that is not in `values`, or outside the range."""
         if isinstance(self.values, tuple) and self.values and value not in self.values:
             raise InvalidInput(f"{name} '{value}': expected one of {', '.join(self.values)}")
         if self.kind not in (int, float) or self.keys:
@@ -96,12 +91,7 @@ def options_of(settings: Any) -> dict[str, Option]:
 
 
 def check_options(settings: Any) -> None:
-    """Refuse values of a dataclass's fields that their options do not allow; None is allowed.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse values of a dataclass's fields that their options do not allow; None is allowed."""
     for name, described in options_of(settings).items():
         if (value := getattr(settings, name)) is not None:
             described.check(name, value)
@@ -419,7 +409,7 @@ class Config:
                 if member not in DEPTH_GROUPS:
                     known = ", ".join((*DEPTH_GROUPS, "sh-ac"))
                     raise InvalidInput(f"depth group '{group}': expected one of {known}")
-                _check_range(f"depth of {group}", bits, 1, MAX_DEPTH[member])
+                Option("", int, low=1, high=MAX_DEPTH[member]).check(f"depth of {group}", bits)
                 asked[member] = bits
         return asked
 
@@ -440,8 +430,3 @@ def check_threads(threads: int | None) -> None:
     """Refuse a number of worker threads that is not 1-256, or None for all processors."""
     if threads is not None:
         options_of(Config)["threads"].check("threads", threads)
-
-
-def _check_range(name: str, value: int, low: int, high: int) -> None:
-    """Refuse a value that is not an integer in a range, both ends included."""
-    Option("", int, low=low, high=high).check(name, value)

@@ -86,11 +86,6 @@ def coordinates_comment(system: str) -> str:
     return f"CoordinateSystem: {system}"
 
 
-def is_coordinates_comment(line: str) -> bool:
-    """Whether a comment names a coordinate system."""
-    return bool(_COORDINATES.fullmatch(line))
-
-
 def coordinates_of(comments: Iterable[str]) -> str | None:
     """The coordinate system that comments name, as `Scene.coordinates`."""
     found = [m[1].upper() for m in map(_COORDINATES.fullmatch, comments) if m]

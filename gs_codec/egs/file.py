@@ -63,19 +63,6 @@ class SectionId(IntEnum):
         return cls[stream.upper().replace("-", "_")]
 
 
-#: Sections of the whole scene; the others are of a block.
-SCENE_SECTIONS = frozenset(
-    {
-        SectionId.CHANNELS,
-        SectionId.COMMENTS,
-        SectionId.EXTRA,
-        SectionId.LATTICE,
-        SectionId.BOUNDS,
-        SectionId.BOX,
-        SectionId.TOOL,
-    }
-)
-
 #: Sections that say how the others are coded.
 DESCRIPTIONS = frozenset(
     {
@@ -86,6 +73,9 @@ DESCRIPTIONS = frozenset(
         SectionId.TOOL,
     }
 )
+
+#: Sections of the whole scene; the others are of a block.
+SCENE_SECTIONS = DESCRIPTIONS | {SectionId.COMMENTS, SectionId.EXTRA}
 
 #: ``wanted(id, block)`` tells whether to read a section.
 Wanted = Callable[[int, int], bool]
@@ -271,7 +261,10 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     expected = reader.position + entries * struct.calcsize(_ENTRY) + 4
     if header_size != expected:
         raise CorruptStream(f"header: size {header_size}, expected {expected}")
-    table = [reader.unpack(_ENTRY[1:]) for _ in range(_available(reader, view, entries))]
+    needed, left = expected - reader.position, len(view) - reader.position
+    if left < needed:
+        raise TruncatedStream(f"header: {left} bytes of section table, expected {needed}")
+    table = [reader.unpack(_ENTRY[1:]) for _ in range(entries)]
     checksum = crc32c(view[: reader.position])
     if reader.unpack("I")[0] != checksum:
         raise CorruptStream("header: checksum does not match")
@@ -285,15 +278,6 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     header = Header(count, degree, PROFILE_NAMES[profile], block_size, normals, ordered)
     entries = _locate(reader.position, len(view), header, table)
     return EgsFile(header, view, reader.position, entries, {}, version).read(wanted)
-
-
-def _available(reader: ByteReader, view: memoryview, entries: int) -> int:
-    """The number of entries, after a check that the file is long enough for them."""
-    needed = entries * struct.calcsize(_ENTRY) + 4
-    if len(view) - reader.position < needed:
-        left = len(view) - reader.position
-        raise TruncatedStream(f"header: {left} bytes of section table, expected {needed}")
-    return entries
 
 
 def _locate(

@@ -78,12 +78,7 @@ def write_extra(extra: Mapping[str, NDArray], order: NDArray[np.integer]) -> byt
 
 
 def read_extra(data: memoryview, count: int) -> dict[str, NDArray]:
-    """The inverse of `write_extra` for `count` Gaussians, in stream order.
-
-    Raises
-    ------
-    TruncatedStream, CorruptStream
-    """
+    """The inverse of `write_extra` for `count` Gaussians, in stream order."""
     packed = _unpack(data)
     return {name: _inflate(planes, count, dtype) for name, (dtype, planes) in packed.items()}
 
@@ -142,12 +137,7 @@ def write_box(positions: NDArray[np.float32]) -> bytes:
 
 
 def read_box(data: memoryview) -> Box:
-    """Lowest and highest x, y, z.
-
-    Raises
-    ------
-    CorruptStream
-    """
+    """The inverse of `write_box`: lowest and highest x, y, z."""
     if len(data) != struct.calcsize(_LAYOUT):
         size = struct.calcsize(_LAYOUT)
         raise CorruptStream(f"section 'box': {len(data)} bytes, expected {size}")
@@ -164,13 +154,7 @@ def write_tool(version: str) -> bytes:
 
 
 def read_tool(data: memoryview) -> str:
-    """The inverse of `write_tool`.
-
-    Raises
-    ------
-    CorruptStream
-        If it is not such a line.
-    """
+    """The inverse of `write_tool`."""
     text = bytes(data[: MAX_LENGTH + 1])
     if not 1 <= len(text) <= MAX_LENGTH or any(not 32 <= byte < 127 for byte in text):
         raise CorruptStream(

@@ -7,15 +7,12 @@ and every failure is a `ToolFailed`.
 from __future__ import annotations
 
 import os
-import selectors
 import signal
 import subprocess
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
 
 from gs_codec.errors import ToolFailed
 
@@ -23,6 +20,9 @@ from gs_codec.errors import ToolFailed
 _LIMITED = 'ulimit -c 0; ulimit -S -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shift 3; exec "$@"'
 
 _LOG_BYTES = 4096
+
+#: Least bytes that a program may write to a file, so that its log, which is one, has room.
+_FILE = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -100,45 +100,29 @@ def _run(
     numbers = [
         _least(limits.processor_seconds, resource.getrlimit(resource.RLIMIT_CPU)[1], 1),
         _least(limits.memory_bytes, resource.getrlimit(resource.RLIMIT_AS)[1], 1 << 10),
-        _least(most + 512, resource.getrlimit(resource.RLIMIT_FSIZE)[1], 512),
+        _least(max(most + 512, _FILE), resource.getrlimit(resource.RLIMIT_FSIZE)[1], 512),
     ]
-    process = subprocess.Popen(
-        ["/bin/sh", "-c", _LIMITED, "sh", *numbers, *command],
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
-    assert process.stdout is not None
-    deadline = time.monotonic() + limits.seconds
-    try:
-        with process.stdout as pipe:
-            first, last = _read_log(pipe, deadline)
-        status = process.wait(max(deadline - time.monotonic(), 0.0))
-    except (TimeoutError, subprocess.TimeoutExpired):
-        raise ToolFailed(f"did not end in {limits.seconds:g} s") from None
-    finally:
-        if process.returncode is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-    return first, last, status
-
-
-def _read_log(pipe: IO[bytes], deadline: float) -> tuple[bytes, bytes]:
-    """Read a pipe until it is closed; return the first and the last bytes."""
-    first, last = b"", b""
-    with selectors.DefaultSelector() as selector:
-        selector.register(pipe, selectors.EVENT_READ)
-        while selector.select(max(deadline - time.monotonic(), 0.0)):
-            chunk = os.read(pipe.fileno(), 1 << 16)
-            if not chunk:
-                return first, last
-            first = (first + chunk)[:_LOG_BYTES]
-            last = (last + chunk)[-_LOG_BYTES:]
-            if time.monotonic() > deadline:
-                break
-    raise TimeoutError
+    with tempfile.TemporaryFile(dir=folder) as log:
+        process = subprocess.Popen(
+            ["/bin/sh", "-c", _LIMITED, "sh", *numbers, *command],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            status = process.wait(limits.seconds)
+        except subprocess.TimeoutExpired:
+            raise ToolFailed(f"did not end in {limits.seconds:g} s") from None
+        finally:
+            if process.returncode is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+        log.seek(0)
+        first = log.read(_LOG_BYTES)
+        log.seek(max(log.seek(0, os.SEEK_END) - _LOG_BYTES, 0))
+        return first, log.read(_LOG_BYTES), status
 
 
 def _least(limit: int | None, own: int, unit: int) -> str:

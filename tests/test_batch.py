@@ -645,7 +645,7 @@ def test_scenes_of_a_cluster_share_the_processors_of_a_host(
         local_directory = "."
 
     heard = []
-    monkeypatch.setattr(cluster, "get_worker", Worker)
+    monkeypatch.setattr(cluster.distributed, "get_worker", Worker)
     monkeypatch.setattr(scenes, "available_threads", lambda: 8)
     monkeypatch.setattr(cluster, "encode_one", lambda task, options, *_: heard.append(options))
     hosts = Counter({platform.node(): on_host, "another": 99})

@@ -22,12 +22,8 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     """A point cloud whose attributes share memory with the scene where layouts allow.
 
     A cloud cannot state its coordinate system, so every cloud is ``RDF``: a scene in another
-    system is converted.
-
-    Attributes are ``positions (N, 3)``, ``f_dc (N, 3)``, ``f_rest (N, K, 3)``, ``opacity (N, 1)``
-    (logit), ``log_scale (N, 3)``, ``scale (N, 3)`` (its exponential, for Open3D's shader),
-    ``rot (N, 4)`` (wxyz as stored); zero ``normals (N, 3)`` if the scene has them; and its
-    extra properties ``(N, 1)``.
+    system is converted. Attributes are those that `gs_codec.read` lists, zero ``normals (N, 3)``
+    if the scene has them, and its extra properties ``(N, 1)``.
     """
     import open3d
 

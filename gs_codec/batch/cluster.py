@@ -13,17 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 import dask
-from distributed import (
-    Client,
-    KilledWorker,
-    Nanny,
-    Scheduler,
-    Security,
-    SpecCluster,
-    Worker,
-    as_completed,
-    get_worker,
-)
+import distributed
 from distributed.system import MEMORY_LIMIT
 
 from gs_codec import __version__
@@ -96,7 +86,7 @@ class Cluster:
                 self._futures[future] = task
             # Cancel what is still queued, also when the caller stops iterating early.
             stack.callback(self.stop)
-            done = as_completed(self._futures, loop=self._client.loop)
+            done = distributed.as_completed(self._futures, loop=self._client.loop)
             for future in done:
                 task = self._futures.pop(future)
                 if future.status not in ("cancelled", "lost"):
@@ -121,7 +111,7 @@ class Cluster:
                 scheduler: Any = self._address
                 if scheduler == "local":
                     scheduler = stack.enter_context(start_cluster(self._jobs, self._folder))
-                client = stack.enter_context(Client(scheduler, set_as_default=False))
+                client = stack.enter_context(distributed.Client(scheduler, set_as_default=False))
             except ImportError as error:
                 text = f"{self._name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
                 raise MissingTool(text) from error
@@ -132,13 +122,7 @@ class Cluster:
             yield client
 
     def _hosts(self) -> Counter[str]:
-        """Number of scenes that each host encodes at once, by host name.
-
-        Raises
-        ------
-        InvalidInput
-            If a worker has another version.
-        """
+        """Number of scenes that each host encodes at once, by host name; checks versions."""
         hosts = Counter[str]()
         for worker, found in self._client.run(_introduced, on_error="return").items():
             version, host, threads = found if isinstance(found, tuple) else (None, "", 0)
@@ -152,7 +136,7 @@ class Cluster:
         if future.status == "finished":
             return future.result()
         error = future.exception()
-        lost = isinstance(error, KilledWorker)
+        lost = isinstance(error, distributed.KilledWorker)
         kind = "WorkerLost" if lost else type(error).__name__
         text = f"{task.shown[0]}: {one_line(error) or kind}"
         return Record(*task.shown, error={"kind": kind, "text": text})
@@ -198,7 +182,7 @@ def _free_at_first() -> int | None:
 
 def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str) -> Record:
     """Encode a scene on a worker, with its share of the host; progress is sent as Dask events."""
-    worker = get_worker()
+    worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit
     if limit is not None and task.need > limit:
         text = (
@@ -226,24 +210,24 @@ class _Silent:
         """Open no port."""
 
 
-class LocalScheduler(_Silent, Scheduler):
+class LocalScheduler(_Silent, distributed.Scheduler):
     """A scheduler without web pages."""
 
 
-class LocalWorker(_Silent, Worker):
+class LocalWorker(_Silent, distributed.Worker):
     """A worker without web pages."""
 
 
-def start_cluster(jobs: int, folder: str) -> SpecCluster:
+def start_cluster(jobs: int, folder: str) -> distributed.SpecCluster:
     """Start a scheduler and `jobs` worker processes that keep their files in `folder`.
 
     They and their client authenticate with a key that only this process has. Other users of the
     machine can reach the ports, but cannot connect without the key.
     """
-    security = Security.temporary()
+    security = distributed.Security.temporary()
     common = {"host": _HOST, "protocol": "tls://", "security": security}
     worker = {
-        "cls": Nanny,
+        "cls": distributed.Nanny,
         "options": common
         | {
             "worker_class": LocalWorker,
@@ -255,7 +239,7 @@ def start_cluster(jobs: int, folder: str) -> SpecCluster:
     }
     # Dask imports modules from its folder first; its default folder may belong to another user.
     with dask.config.set({"temporary-directory": folder}):
-        return SpecCluster(
+        return distributed.SpecCluster(
             workers=dict.fromkeys(range(jobs), worker),
             scheduler={"cls": LocalScheduler, "options": common | {"port": 0, "dashboard": False}},
             security=security,

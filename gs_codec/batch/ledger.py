@@ -78,13 +78,7 @@ class Ledger:
         self.path, self._file, self.records = path, file, records
 
     def add(self, record: Record) -> None:
-        """Append a record; it is on the disk when this returns.
-
-        Raises
-        ------
-        InvalidInput
-            If it cannot be written.
-        """
+        """Append a record; it is on the disk when this returns."""
         try:
             line = json.dumps(asdict(record)).encode() + b"\n"
             if self._file.write(line) < len(line):

@@ -193,13 +193,7 @@ def _each_once(root: str, paths: Iterable[str]) -> list[str]:
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file.
-
-    Raises
-    ------
-    InvalidInput
-        If it cannot be read.
-    """
+    """SHA-256 of a file."""
     digest, block = hashlib.sha256(), bytearray(1 << 20)
     try:
         with open(path, "rb", buffering=0) as file:

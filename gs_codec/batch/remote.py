@@ -41,7 +41,7 @@ _OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memo
 #: up on a host that does not answer.
 _SSH = {"known_hosts": (), "connect_timeout": 60, "keepalive_interval": 30}
 
-#: Deepest level of folders to read: links may lead up again.
+#: Deepest level of folders to read.
 _DEEPEST = 32
 
 #: Share of the free disk space that a file of unknown size may take.
@@ -136,13 +136,7 @@ class RemoteStorage:
         return {path: info for path, info in found.items() if wanted.match(path)}
 
     def _below(self, root: str) -> dict[str, Any]:
-        """All files below a folder.
-
-        Raises
-        ------
-        InvalidInput
-            If folders go too deep, as they do when a link leads up again.
-        """
+        """All files below a folder; refuses folders that are too deep: links may lead up again."""
         if self._is_store:
             return self._fs.find(root, detail=True)
         found: dict[str, Any] = {}
@@ -274,13 +268,7 @@ def is_url(text: str) -> bool:
 
 
 def storage_of(base: str) -> Storage:
-    """The storage of a path or URL.
-
-    Raises
-    ------
-    InvalidInput, MissingTool
-        If its protocol is unknown, or it cannot be reached.
-    """
+    """The storage of a path or URL; raises as `RemoteStorage` does."""
     return RemoteStorage(base) if is_url(base) else LocalStorage(base)
 
 

@@ -48,13 +48,7 @@ class Options:
         return replace(self, config=replace(self.config, threads=threads))
 
     def pixels(self) -> int:
-        """Upper bound on the pixels of all views that are drawn of a scene.
-
-        Raises
-        ------
-        InvalidInput
-            If the cameras cannot be read.
-        """
+        """Upper bound on the pixels of all views that are drawn of a scene."""
         plan, rate = self.plan, self.rate
         if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
             return 0

@@ -15,7 +15,7 @@ from gs_codec.cli.streams import piped_source
 
 if TYPE_CHECKING:
     from gs_codec.codecs.inspection import Info
-    from gs_codec.formats.overview import Overview
+    from gs_codec.formats.registry import Overview
 
 
 def command(
@@ -49,7 +49,7 @@ def command(
 
 def _show_other(file: Path, path: Path, max_bytes: int | None, json: bool) -> None:
     """What a scene at `path`, called `file`, holds that is no .egs."""
-    from gs_codec.formats.overview import overview_of
+    from gs_codec.formats.registry import overview_of
 
     found = overview_of(path, max_bytes)
     if json:

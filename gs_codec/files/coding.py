@@ -138,7 +138,7 @@ def _read_source(
                 f"{source}: max-memory: only a binary PLY of floats is read in parts"
             )
         # Bits of a PLY or .egs stay as they are, and the comment that names another system.
-        stays = file.is_egs or file.format == "ply"
+        stays = file.format in ("egs", "ply")
         scene = scene_in(file, extra, None, None if stays else CONVENTION, max_bytes)
         return scene, file.ratio_bytes(scene.float_bytes)
 

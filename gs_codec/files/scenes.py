@@ -8,15 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from gs_codec.codecs import decode_part, encode_scene
+from gs_codec.codecs import decode_part, encode_scene, matching
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
-from gs_codec.codecs.matching import (
-    order_of,
-    order_of_file,
-    put_side_by_side,
-    with_order,
-    without_order,
-)
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
@@ -110,11 +103,11 @@ def scene_in(
     max_bytes: int | None,
 ) -> Scene:
     """The scene of an opened file; see `read_scene`."""
-    if file.is_egs:
+    if file.format == "egs":
         with located(file.path):
             scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
-            order = order_of_file(describe(read))
-            scene = scene if order is None else with_order(scene, order)
+            order = matching.order_of_file(describe(read))
+            scene = scene if order is None else matching.with_order(scene, order)
     else:
         scene = file.scene(extra, max_bytes)
     with located(file.path):
@@ -125,13 +118,13 @@ def turn_scene(scene: Scene, coordinates: str) -> Scene:
     """See `turn_axes`; a comment that states an order by positions is removed with them."""
     if system_of(scene) == coordinates:
         return scene
-    return turn_axes(without_order(scene), coordinates)
+    return turn_axes(matching.without_order(scene), coordinates)
 
 
 def stated_bytes(path: str | Path) -> int:
     """Bytes of floats that the header of a scene's file says it holds."""
     with open_scene(path) as file:
-        if not file.is_egs:
+        if file.format != "egs":
             return file.stated_bytes()
         with located(path):
             info = inspect_bytes(file.data)
@@ -141,7 +134,7 @@ def stated_bytes(path: str | Path) -> int:
 def is_egs(path: str | Path) -> bool:
     """Whether a file is an `.egs` file, sound or not."""
     with open_scene(path) as file:
-        return file.is_egs
+        return file.format == "egs"
 
 
 def inspect_file(path: str | Path) -> Info:
@@ -161,12 +154,13 @@ def compare_files(
     for path in (first, second):
         scenes.append(read_scene(path, "drop", coordinates=None, max_bytes=max_bytes))
         with located(path):
-            orders.append(order_of(scenes[-1]))
+            orders.append(matching.order_of(scenes[-1]))
     systems = system_of(scenes[0]), system_of(scenes[1])
     # An order refers to positions as stored, so its scene is not converted.
     kept = 0 if orders[1] is None else 1
     scenes[1 - kept] = turn_axes(scenes[1 - kept], systems[kept])
-    return replace(compare_scenes(*put_side_by_side(scenes[0], scenes[1])), systems=systems)
+    compared = compare_scenes(*matching.put_side_by_side(*scenes))
+    return replace(compared, systems=systems)
 
 
 def check_target(

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gs_codec.errors import InvalidInput
-from gs_codec.scene import Scene, coordinates_comment, is_coordinates_comment
+from gs_codec.scene import Scene, coordinates_comment, coordinates_of
 
 #: The system of a scene that states none.
 CONVENTION = "RDF"
@@ -79,7 +79,7 @@ def turn_axes(scene: Scene, system: str = CONVENTION) -> Scene:
 def state_system(scene: Scene, system: str) -> Scene:
     """The scene with a comment that names its system, and the same numbers; see `turn_axes`."""
     _ordered(system)
-    kept = tuple(line for line in scene.comments if not is_coordinates_comment(line))
+    kept = tuple(line for line in scene.comments if coordinates_of([line]) is None)
     return replace(scene, comments=(*kept, coordinates_comment(system)))
 
 

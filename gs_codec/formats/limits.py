@@ -36,22 +36,12 @@ def most_bytes(file_bytes: int, max_bytes: int | None) -> int:
 
 
 def check_count(count: int, sh_degree: int, file_bytes: int, max_bytes: int | None = None) -> None:
-    """Refuse more Gaussians than a file of this size may hold, before memory is allocated.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse more Gaussians than a file of this size may hold, before memory is allocated."""
     check_bytes(float_bytes(count, sh_degree), count, file_bytes, max_bytes)
 
 
 def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None) -> None:
-    """Refuse Gaussians whose data is larger than a file of this size may decode to.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse Gaussians whose data is larger than a file of this size may decode to."""
     limit = most_bytes(file_bytes, max_bytes)
     if wanted > limit:
         raise InvalidInput(
@@ -62,12 +52,7 @@ def check_bytes(wanted: int, count: int, file_bytes: int, max_bytes: int | None)
 
 @contextmanager
 def refusing(what: str, *more: type[Exception]) -> Iterator[None]:
-    """Turn the exceptions of libraries that cannot read data, and `more`, into one error.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Turn the exceptions of libraries that cannot read data, and `more`, into one error."""
     failures: tuple[type[Exception], ...] = (*FAILURES, *more)
     try:
         yield

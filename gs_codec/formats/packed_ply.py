@@ -25,10 +25,11 @@ _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 def is_packed(header: PlyHeader) -> bool:
     """Whether a PLY file has packed properties."""
-    return any(e.name == "vertex" and _PACKED[0] in e.types for e in header.elements)
+    vertex = header.elements.get("vertex")
+    return vertex is not None and _PACKED[0] in vertex.types
 
 
-def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
+def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
     """Read the Gaussians of a packed PLY; floats may take `max_bytes`, see `most_bytes`.
 
     Raises
@@ -36,11 +37,10 @@ def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
     InvalidInput
         If elements or properties are missing, or have the wrong type or number.
     """
-    elements = {element.name: element for element in ply.header.elements}
-    vertex, chunk, sh = (elements.get(name) for name in ("vertex", "chunk", "sh"))
-    assert vertex is not None  # has packed properties
-    if chunk is None:
+    elements = ply.header.elements
+    if "chunk" not in elements:
         raise InvalidInput("packed properties without element 'chunk'")
+    vertex, chunk, sh = elements["vertex"], elements["chunk"], elements.get("sh")
     bounds = [f"{end}_{axis}" for axis in "xyz" for end in ("min", "max")]
     bounds += [f"{end}_scale_{axis}" for axis in "xyz" for end in ("min", "max")]
     # Files written before 2024 have no bounds for colours; these are then 0 and 1.
@@ -74,11 +74,10 @@ def read_packed(ply: Ply, max_bytes: int | None = None) -> Scene:
 
 def stated_size(header: PlyHeader) -> tuple[int, int]:
     """Number of Gaussians and SH degree that the header of a packed PLY states."""
-    elements = {element.name: element for element in header.elements}
-    sh = elements.get("sh")
+    sh = header.elements.get("sh")
     coefficients = 0 if sh is None else len(sh.types) // 3
     degree = SH_COEFFICIENTS.index(coefficients) if coefficients in SH_COEFFICIENTS else 3
-    return elements["vertex"].count, degree
+    return header.elements["vertex"].count, degree
 
 
 def _check_types(element: str, types: dict[str, str], names: tuple | list, code: str) -> None:

@@ -45,12 +45,6 @@ def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float
     return np.log(share / (1 - share)).astype(np.float32)[alpha][None]
 
 
-def bytes_of_opacities(logits: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The inverse of `opacities_of`, rounded."""
-    with np.errstate(over="ignore"):
-        return np.rint(255 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.uint8)
-
-
 def sh_of_colours(colours: NDArray) -> NDArray[np.float32]:
     """Degree-0 SH coefficients of colours, 0-1."""
     with np.errstate(over="ignore"):  # the bounds of a chunk may be too large for float32

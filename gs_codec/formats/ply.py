@@ -47,10 +47,6 @@ def read_ply(
     max_bytes : int, optional
         Largest size of floats and kept properties; default: see `most_bytes`.
 
-    Returns
-    -------
-    Scene
-
     Raises
     ------
     InvalidInput
@@ -92,12 +88,12 @@ def scene_of(
 
 def _check_elements(ply: Ply, used: tuple[str, ...], extra: str) -> None:
     """Refuse a file without Gaussians, or with other elements that have rows."""
-    if "vertex" not in ply.header.names:
-        names = ply.header.names
+    if "vertex" not in ply.header.elements:
+        names = list(ply.header.elements)
         found = ", ".join(f"'{name[:60]}'" for name in names[:4]) or "none"
         found += ", ..." if len(names) > 4 else ""
         raise InvalidInput(f"elements {found}, expected 'vertex'")
-    others = [e.name[:60] for e in ply.header.elements if e.name not in used and e.count]
+    others = [e.name[:60] for e in ply.header.elements.values() if e.name not in used and e.count]
     if others and extra == "error":
         raise InvalidInput(f"element '{others[0]}' beside 'vertex'; choose --extra drop")
     if others and extra == "keep":
@@ -166,13 +162,7 @@ def _read_rest(
 
 
 def write_ply(path: str | Path, scene: Scene) -> None:
-    """Write `scene` as little-endian binary PLY in the INRIA trainer's property order.
-
-    Raises
-    ------
-    InvalidInput
-        If the file cannot be written.
-    """
+    """Write `scene` as little-endian binary PLY in the INRIA trainer's property order."""
     with atomic_writer(path) as file:
         write_vertices(file, scene.count, [scene])
 

@@ -6,7 +6,7 @@ import io
 import logging
 import warnings
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -83,13 +83,12 @@ class Ply:
         InvalidInput
             If rows are missing, or have list properties.
         """
-        index = self.header.names.index(name)
-        element = self.header.elements[index]
+        element = self.header.elements[name]
         if element.lists:
             raise InvalidInput(
                 f"property '{next(iter(element.lists))}' is a list, expected a scalar"
             )
-        before = self.header.elements[:index]
+        before = list(takewhile(lambda other: other is not element, self.header.elements.values()))
         if self.header.byte_order:
             return self._binary_rows(element, before)
         return self._text_rows(element, sum(e.count for e in before if e.types or e.lists))
@@ -109,7 +108,7 @@ class Ply:
             raise InvalidInput(
                 f"element '{element.name}': {element.count} rows, but the file ends in row {there}"
             )
-        if element is self.header.elements[-1] and end < len(self.data):
+        if len(before) == len(self.header.elements) - 1 and end < len(self.data):
             surplus = len(self.data) - end
             log.warning("%s: %d bytes after the last %s not read", self.path, surplus, element.name)
         return self.data[start:end].view(dtype) if dtype.itemsize else np.empty(0, dtype)
@@ -149,13 +148,7 @@ def _typed(table: NDArray[np.float64], element: Element) -> NDArray:
 
 
 def ply_of(path: str | Path, data: memoryview) -> Ply:
-    """Read the header of a PLY file from its bytes.
-
-    Raises
-    ------
-    InvalidInput
-        If it is not a PLY file.
-    """
+    """Read the header of a PLY file from its bytes; raises as `read_header` does."""
     array = np.frombuffer(data, np.uint8)
     with located(path):
         header = read_header(array)

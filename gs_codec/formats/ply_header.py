@@ -63,7 +63,8 @@ class PlyHeader:
     ----------
     byte_order : {"<", ">", ""}
         Empty in a text file.
-    elements : list of Element
+    elements : dict of str to Element
+        By name, in the order of the file.
     comments : tuple of str
     obj_info : int
         Number of ``obj_info`` lines.
@@ -72,15 +73,10 @@ class PlyHeader:
     """
 
     byte_order: str
-    elements: list[Element]
+    elements: dict[str, Element]
     comments: tuple[str, ...]
     obj_info: int
     size: int
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the elements."""
-        return [element.name for element in self.elements]
 
 
 def read_header(data: NDArray[np.uint8]) -> PlyHeader:
@@ -93,7 +89,8 @@ def read_header(data: NDArray[np.uint8]) -> PlyHeader:
     """
     lines, size = _split_lines(bytes(data[:_HEADER_BYTES]))
     byte_order: str | None = None
-    elements: list[Element] = []
+    elements: dict[str, Element] = {}
+    element: Element | None = None
     comments: list[str] = []
     obj_info = 0
     for number, line in enumerate(lines, 2):
@@ -107,9 +104,10 @@ def read_header(data: NDArray[np.uint8]) -> PlyHeader:
         elif words[0] == "format" and byte_order is None:
             byte_order = _parse_format(words, number)
         elif words[0] == "element" and byte_order is not None:
-            elements.append(_parse_element(words, number, elements))
-        elif words[0] == "property" and elements:
-            _parse_property(words, number, elements[-1])
+            element = _parse_element(words, number, elements)
+            elements[element.name] = element
+        elif words[0] == "property" and element is not None:
+            _parse_property(words, number, element)
         else:
             raise _error(number, f"{line[:60]!a} is not expected there")
     if byte_order is None:
@@ -142,10 +140,10 @@ def _parse_format(words: list[str], line: int) -> str:
     return _FORMATS[words[1]]
 
 
-def _parse_element(words: list[str], line: int, before: list[Element]) -> Element:
+def _parse_element(words: list[str], line: int, before: dict[str, Element]) -> Element:
     if len(words) != 3 or not _COUNT.fullmatch(words[2]):
         raise _error(line, f"element {' '.join(words[1:])[:60]!a}, expected a name and a count")
-    if words[1] in (element.name for element in before):
+    if words[1] in before:
         raise _error(line, f"two elements of the same name {words[1][:60]!a}")
     if len(before) == _ELEMENTS:
         raise _error(line, f"more than {_ELEMENTS} elements")

@@ -4,45 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
+
+import numpy as np
 
 from gs_codec.egs.file import MAGIC as EGS
+from gs_codec.egs.sections import Box
 from gs_codec.errors import InvalidInput
-from gs_codec.formats import packed_ply, sog, spz
-from gs_codec.formats.packed_ply import is_packed
+from gs_codec.formats import packed_ply, sog, splat, spz
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
-from gs_codec.formats.sog import read_sog, sog_bytes
-from gs_codec.formats.sog_files import ZIP
-from gs_codec.formats.splat import RECORD, read_splat
-from gs_codec.formats.spz import GZIP, MAGIC, read_spz
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import Scene, float_bytes
 
 Format = Literal["egs", "ply", "splat", "spz", "sog"]
 
-_BY_SUFFIX: dict[str, Format] = {
-    ".egs": "egs",
-    ".ply": "ply",
-    ".splat": "splat",
-    ".spz": "spz",
-    ".sog": "sog",
-    ".json": "sog",
-}
+_BY_SUFFIX: dict[str, Format] = {f".{name}": name for name in get_args(Format)} | {".json": "sog"}
 
 _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (EGS, "egs"),
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
-    (MAGIC, "spz"),
-    (ZIP, "sog"),
+    (spz.MAGIC, "spz"),
+    (sog.ZIP, "sog"),
 )
 
 #: Signatures so short that a `.splat`, which begins with a number, may begin with them by chance.
-_BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((GZIP, "spz"), (b"{", "sog"))
+_BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((spz.GZIP, "spz"), (b"{", "sog"))
 
 
 @dataclass(frozen=True)
@@ -80,11 +71,6 @@ class SceneFile:
             )
         return _BY_SUFFIX[suffix]
 
-    @property
-    def is_egs(self) -> bool:
-        """Whether it is an `.egs` file by content or suffix; it may be damaged."""
-        return self.data[: len(EGS)] == EGS or self.path.suffix.lower() == ".egs"
-
     @cached_property
     def ply(self) -> Ply:
         """The file as a PLY, with its header read."""
@@ -93,7 +79,7 @@ class SceneFile:
     @property
     def is_compressed(self) -> bool:
         """Whether the file is in a compressed format, which is any but plain PLY."""
-        return self.is_egs or self.format != "ply" or is_packed(self.ply.header)
+        return self.format != "ply" or packed_ply.is_packed(self.ply.header)
 
     @property
     def is_read_in_parts(self) -> bool:
@@ -103,44 +89,33 @@ class SceneFile:
     @property
     def stored_bytes(self) -> int:
         """Size of the scene, bytes: of this file, or of all files of a SOG scene."""
-        return sog_bytes(self.path) if self.format == "sog" else len(self.data)
+        return sog.sog_bytes(self.path, self.data) if self.format == "sog" else len(self.data)
 
     def ratio_bytes(self, raw_bytes: int) -> int:
         """Bytes that a ratio counts from: of a PLY, or the floats' `raw_bytes` if compressed."""
         return raw_bytes if self.is_compressed else self.stored_bytes
 
     def stated_bytes(self) -> int:
-        """Bytes of floats that the header states (not for `.egs`); reads only the header.
-
-        Raises
-        ------
-        InvalidInput
-            If the header cannot be read.
-        """
+        """Bytes of floats that the header states (not for `.egs`); reads only the header."""
         sizes = {"spz": spz.stated_size, "sog": sog.stated_size}
         if self.format in sizes:
-            return float_bytes(*sizes[self.format](self.path))
+            return float_bytes(*sizes[self.format](self.path, self.data))
         if self.format == "splat":
-            return float_bytes(len(self.data) // RECORD, 0)
+            return float_bytes(len(self.data) // splat.RECORD, 0)
         header = self.ply.header
-        if is_packed(header):
+        if packed_ply.is_packed(header):
             return float_bytes(*packed_ply.stated_size(header))
-        return sum(4 * e.count * len(e.types) for e in header.elements if e.name == "vertex")
+        vertex = header.elements.get("vertex")
+        return 0 if vertex is None else 4 * vertex.count * len(vertex.types)
 
     def scene(
         self, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
     ) -> Scene:
-        """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`.
-
-        Raises
-        ------
-        InvalidInput
-            If it is not a valid file of a supported format.
-        """
+        """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`."""
         if self.format == "ply":
             return scene_of(self.ply, extra, max_bytes)
-        readers = {"splat": read_splat, "spz": read_spz, "sog": read_sog}
-        return readers[self.format](self.path, max_bytes)
+        readers = {"splat": splat.read_splat, "spz": spz.read_spz, "sog": sog.read_sog}
+        return readers[self.format](self.path, self.data, max_bytes)
 
 
 @contextmanager
@@ -154,3 +129,63 @@ def open_scene(path: str | Path) -> Iterator[SceneFile]:
     """
     with opened(path) as data:
         yield SceneFile(Path(path), data)
+
+
+@dataclass(frozen=True)
+class Overview:
+    """Summary of a scene.
+
+    Attributes
+    ----------
+    format : str
+        ``ply``, ``compressed ply``, ``splat``, ``spz`` or ``sog``.
+    count, sh_degree : int
+        Number of Gaussians, and their SH degree.
+    bounds : tuple of two tuples of float, or None
+        Lowest and highest x, y, z of the finite centres; None if there are none.
+    coordinates : str or None
+        Directions of x, y and z as three letters (such as ``RUB``), if the file or its format
+        states them.
+    antialiased : bool
+        Whether it asks for opacity compensation.
+    extra : tuple of str
+        Names of extra properties.
+    file_bytes, raw_bytes : int
+        Bytes of all its files, and of the attributes as float32.
+    """
+
+    format: str
+    count: int
+    sh_degree: int
+    bounds: Box | None
+    coordinates: str | None
+    antialiased: bool
+    extra: tuple[str, ...]
+    file_bytes: int
+    raw_bytes: int
+
+    def as_dict(self) -> dict:
+        """The same as plain types, for JSON."""
+        return asdict(self)
+
+
+def overview_of(path: str | Path, max_bytes: int | None = None) -> Overview:
+    """Read a scene of any format but `.egs`, and summarise it; raises as `SceneFile.scene` does."""
+    with open_scene(path) as file:
+        scene, file_bytes = file.scene("keep", max_bytes), file.stored_bytes
+        name = "compressed ply" if file.format == "ply" and file.is_compressed else file.format
+    finite = scene.positions[:, np.isfinite(scene.positions).all(axis=0)]
+    bounds = None
+    if finite.size:
+        bounds = tuple(finite.min(axis=1).tolist()), tuple(finite.max(axis=1).tolist())
+    return Overview(
+        name,
+        scene.count,
+        scene.sh_degree,
+        bounds,
+        scene.coordinates,
+        scene.antialiased,
+        tuple(scene.extra),
+        file_bytes,
+        scene.float_bytes,
+    )

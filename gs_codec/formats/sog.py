@@ -8,7 +8,8 @@ between two bounds in version 1.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,16 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
-from gs_codec.formats.sog_files import ZIP, Meta, parse_meta, read_pixels, sog_files, stored_bytes
-from gs_codec.runtime.mapped import located, opened
+from gs_codec.formats.sog_files import (
+    ZIP,
+    Files,
+    Meta,
+    parse_meta,
+    read_pixels,
+    sog_files,
+    stored_bytes,
+)
+from gs_codec.runtime.mapped import located
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 log = logging.getLogger(__name__)
@@ -33,8 +42,17 @@ _FIRST_TAG = 252
 _Load = Callable[[str, int], NDArray[np.uint8]]
 
 
-def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
-    """Read a `.sog` file, or the scene of a `meta.json`.
+@contextmanager
+def _opened(path: Path, data: memoryview) -> Iterator[tuple[Files, Meta, int]]:
+    """What reads the files of a scene, its `meta.json`, and the size of all its files."""
+    is_zip = data[: len(ZIP)] == ZIP
+    with located(path), sog_files(path, is_zip) as read:
+        meta = parse_meta(read("meta.json", _META_BYTES))
+        yield read, meta, len(data) if is_zip else stored_bytes(path, meta.files)
+
+
+def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
+    """Read the bytes of a `.sog` file, or the scene of a `meta.json`.
 
     Floats may take `max_bytes`; see `most_bytes`.
 
@@ -43,11 +61,7 @@ def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
     InvalidInput
         If a file cannot be read, or does not match `meta.json`.
     """
-    path = Path(path)
-    with opened(path) as data:
-        is_zip = bytes(data[:4]) == ZIP
-    with located(path), sog_files(path, is_zip) as read:
-        meta = parse_meta(read("meta.json", _META_BYTES))
+    with _opened(path, data) as (read, meta, file_bytes):
         if meta.model == "2dgs":
             raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
         if meta.model not in ("default", "antialiased"):
@@ -57,7 +71,6 @@ def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
             # A pixel is four bytes; no writer makes a file twice as large as its pixels.
             return read_pixels(read(name, 8 * most), name, most)
 
-        file_bytes = path.stat().st_size if is_zip else stored_bytes(path, meta.files)
         check_count(meta.count, meta.bands or 0, file_bytes, max_bytes)
         colours = _values(meta, "sh0", load)
         return Scene(
@@ -71,24 +84,15 @@ def read_sog(path: str | Path, max_bytes: int | None = None) -> Scene:
         )
 
 
-def sog_bytes(path: str | Path) -> int:
+def sog_bytes(path: Path, data: memoryview) -> int:
     """Size of all files of a scene."""
-    path = Path(path)
-    size = path.stat().st_size
-    with opened(path) as data:
-        if bytes(data[:4]) == ZIP:
-            return size
-    with located(path), sog_files(path, False) as read:
-        return stored_bytes(path, parse_meta(read("meta.json", _META_BYTES)).files)
+    with _opened(path, data) as (_, _, size):
+        return size
 
 
-def stated_size(path: str | Path) -> tuple[int, int]:
+def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
     """Number of Gaussians and SH degree that `meta.json` states; degree 3 if it states none."""
-    path = Path(path)
-    with opened(path) as data:
-        is_zip = bytes(data[:4]) == ZIP
-    with located(path), sog_files(path, is_zip) as read:
-        meta = parse_meta(read("meta.json", _META_BYTES))
+    with _opened(path, data) as (_, meta, _):
         return meta.count, 3 if meta.bands is None else meta.bands
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
-from gs_codec.formats.packed_values import bytes_of_opacities, opacities_of, sh_of_colours
-from gs_codec.runtime.mapped import located, opened
+from gs_codec.formats.packed_values import opacities_of, sh_of_colours
+from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_C0, Scene
 
 _ROW = np.dtype(
@@ -27,15 +27,15 @@ RECORD = _ROW.itemsize
 _LARGEST = 88.0
 
 
-def read_splat(path: str | Path, max_bytes: int | None = None) -> Scene:
-    """Read a `.splat` file; floats may take `max_bytes`, see `most_bytes`.
+def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
+    """Read the bytes of a `.splat` file; floats may take `max_bytes`, see `most_bytes`.
 
     Raises
     ------
     InvalidInput
-        If it cannot be opened, or its size is not a multiple of the record size.
+        If its size is not a multiple of the record size.
     """
-    with opened(path) as data, located(path):
+    with located(path):
         if len(data) % RECORD:
             raise InvalidInput(
                 f"{len(data)} bytes, expected a multiple of {RECORD} (.splat records)"
@@ -74,7 +74,9 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
         rows["scale"] = np.exp(scene.log_scale).T
     colour = 255 * (0.5 + SH_C0 * scene.f_dc.astype(np.float64))
     rows["colour"][:, :3] = np.clip(np.rint(colour), 0, 255).T
-    rows["colour"][:, 3] = bytes_of_opacities(scene.opacity[0])
+    with np.errstate(over="ignore"):
+        alpha = 255 / (1 + np.exp(-scene.opacity[0].astype(np.float64)))
+    rows["colour"][:, 3] = np.rint(alpha)
     rot = scene.rot.astype(np.float64)
     unit = rot / np.maximum(np.sqrt((rot * rot).sum(axis=0)), 1e-300)
     rows["rot"] = np.clip(np.rint(128 * unit + 128), 0, 255).T

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
-from gs_codec.runtime.mapped import located, opened
+from gs_codec.runtime.mapped import located
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene, coordinates_comment
 
 log = logging.getLogger(__name__)
@@ -62,17 +62,17 @@ class _Header:
         return position, 1, 3, 3, 3 if self.version < 3 else 4, 3 * coefficients
 
 
-def read_spz(path: str | Path, max_bytes: int | None = None) -> Scene:
-    """Read an `.spz` file in its own coordinate system, which a comment of the scene names.
+def read_spz(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
+    """Read the bytes of an `.spz` file; a comment of the scene names its coordinate system.
 
     Floats may take `max_bytes`; see `most_bytes`.
 
     Raises
     ------
     InvalidInput
-        If it cannot be opened, or is not a valid `.spz` file of version 1 to 4, SH degree 0 to 3.
+        If it is not a valid `.spz` file of version 1 to 4, SH degree 0 to 3.
     """
-    with opened(path) as view, located(path):
+    with located(path):
         data = bytes(view)
         if data.startswith(GZIP):
             header, streams, extensions = _inflate(data, max_bytes)
@@ -100,9 +100,9 @@ def _check_header(
     return header
 
 
-def stated_size(path: str | Path) -> tuple[int, int]:
+def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
     """Number of Gaussians and SH degree that the header states; raises as `read_spz` does."""
-    with opened(path) as view, located(path):
+    with located(path):
         if view[: len(MAGIC)] == MAGIC:
             head = bytes(view[: _HEADER.size])
         else:
@@ -193,7 +193,7 @@ def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
     return unpacked
 
 
-def _read_extensions(path: str | Path, data: bytes) -> str:
+def _read_extensions(path: Path, data: bytes) -> str:
     """The coordinate system from the extensions; unknown extensions give a warning."""
     system, offset = _SYSTEM, 0
     while offset < len(data):
@@ -214,7 +214,7 @@ def _read_extensions(path: str | Path, data: bytes) -> str:
     return system
 
 
-def _scene_of(path: str | Path, header: _Header, streams: list[Bytes], system: str) -> Scene:
+def _scene_of(path: Path, header: _Header, streams: list[Bytes], system: str) -> Scene:
     count = header.count
     positions, alphas, colours, scales, rotations, sh = (
         np.frombuffer(stream, np.uint8).reshape(count, size).T

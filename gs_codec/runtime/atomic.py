@@ -41,24 +41,13 @@ def check_writable(path: str | Path, overwrite: bool = True) -> None:
 
 
 def check_folder(path: str | Path, overwrite: bool = True) -> None:
-    """Check that a folder for results is empty, unless files may be overwritten.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Check that a folder for results is empty, unless files may be overwritten."""
     if not overwrite and os.path.isdir(path) and os.listdir(path):
         raise InvalidInput(f"{path}: not empty, expected another folder or --overwrite")
 
 
 def make_folder(path: str | Path) -> Path:
-    """Make the folder `path` if it is missing.
-
-    Raises
-    ------
-    InvalidInput
-        If it cannot be made.
-    """
+    """Make the folder `path` if it is missing; `InvalidInput` if it cannot be made."""
     try:
         os.makedirs(path, exist_ok=True)
     except OSError as error:

@@ -6,9 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from gs_codec.errors import InvalidInput
+
+#: What to do with properties beyond the INRIA layout.
+Extra = Literal["error", "keep", "drop"]
 
 #: Depth groups in stream order. ``sh-ac`` is accepted as shorthand for the three SH bands.
 DEPTH_GROUPS = ("geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
@@ -110,7 +113,6 @@ PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
         "paper-s": _depths(15, 8, 7, 7, 7, 4, 3, 3),
     }
 )
-
 
 #: Largest depths that G-PCC can code.
 GPCC_DEPTHS: Mapping[str, int] = MappingProxyType({"geometry": 18, "sh-dc": 8})
@@ -333,10 +335,10 @@ class Config:
     nonfinite: Literal["error", "drop"] = option(
         "error", "What to do with Gaussians that hold NaN or infinity.", values=("error", "drop")
     )
-    extra: Literal["error", "keep", "drop"] = option(
+    extra: Extra = option(
         "error",
         "What to do with properties beyond the 3DGS layout.",
-        values=("error", "keep", "drop"),
+        values=get_args(Extra),
     )
     threads: int | None = option(
         None, "Worker threads, 1-256.", kind=int, low=1, high=256, shown="all processors"

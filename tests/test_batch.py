@@ -45,7 +45,9 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_ply(path, random_scene(200, seed, seed=seed))
     monkeypatch.setattr(run, "Pool", OneProcess)
-    monkeypatch.setattr(remote, "_OWN", "")  # the memory of this one process is a store then
+    # The memory of this one process is a store.
+    monkeypatch.setattr(remote, "_OWN", "")
+    monkeypatch.setattr(remote, "_OBJECTS", ("memory",))
     monkeypatch.chdir(tmp_path)
     return Folder(tmp_path, monkeypatch, capsys)
 

@@ -111,7 +111,9 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
     (tmp_path / "in").mkdir()
     write_scene(tmp_path / "in/a.ply", random_scene(40, 0), Config())
     monkeypatch.setattr(run, "Pool", OneProcess)
-    monkeypatch.setattr(remote, "_OWN", "")  # the memory of this one process is a store then
+    # The memory of this one process is a store.
+    monkeypatch.setattr(remote, "_OWN", "")
+    monkeypatch.setattr(remote, "_OBJECTS", ("memory",))
     monkeypatch.chdir(tmp_path)
     return Folder(tmp_path, monkeypatch, capsys)
 

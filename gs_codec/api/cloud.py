@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import state_system, turn_axes
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
@@ -52,10 +53,8 @@ def to_cloud(scene: Scene) -> open3d.t.geometry.PointCloud:
     return cloud
 
 
-def from_cloud(
-    cloud: open3d.t.geometry.PointCloud, extra: Literal["error", "keep", "drop"] = "error"
-) -> Scene:
-    """The scene of a point cloud with the attributes that `to_cloud` lists.
+def from_cloud(cloud: open3d.t.geometry.PointCloud, extra: Extra = "error") -> Scene:
+    """The scene of a point cloud with the attributes that `gs_codec.read` lists.
 
     One of ``log_scale`` and ``scale`` is enough. If both are present, they must agree, so that an
     edit of one is never ignored. `extra` says what to do with other attributes and with normals
@@ -96,22 +95,9 @@ def from_cloud(
 
 
 def turn_cloud(cloud: open3d.t.geometry.PointCloud, system: str) -> open3d.t.geometry.PointCloud:
-    """Convert a cloud from another coordinate system to ``RDF``, the system of all clouds.
+    """A copy of a cloud whose file did not state its `system`, converted to ``RDF``.
 
-    Use this if a file does not state its coordinate system; a scene that states it is converted
-    when it is read. The input is not changed.
-
-    Parameters
-    ----------
-    cloud : open3d.t.geometry.PointCloud
-        With the attributes that `to_cloud` lists, in `system`.
-    system : str
-        As for `gs_codec.formats.coordinates.turn_axes`, for example ``RUB``.
-
-    Raises
-    ------
-    InvalidInput
-        If there is no such system, or an attribute is missing or wrong.
+    Raises as `from_cloud` and `turn_axes` do.
     """
     return to_cloud(state_system(from_cloud(cloud, "keep"), system))
 

@@ -28,7 +28,6 @@ from gs_codec.errors import InvalidInput, MissingTool, one_line
 #: Dask starts no tasks on a worker that uses more than this share of its memory limit.
 _SHARE = 0.7
 
-
 _HOST = "127.0.0.1"
 
 

@@ -67,11 +67,7 @@ class Record:
 class Ledger:
     """An open report, locked so that no other batch writes to it.
 
-    Attributes
-    ----------
-    path : Path
-    records : dict of (str, str) to Record
-        The latest record of each source and output, from the lines found when it was opened.
+    Its `records` are the latest of each source and output, as found when it was opened.
     """
 
     def __init__(self, path: Path, file: BinaryIO, records: dict[tuple[str, str], Record]) -> None:

@@ -20,22 +20,13 @@ _PIXEL = 320
 #: Bytes of raw floats per byte of a compressed file, by suffix.
 _PACKED = {".splat": 2, ".spz": 20, ".sog": 20, ".egs": 30}
 
-
 #: If the header was not read, a file may have this many times the floats that its size suggests,
 #: and always at least this many bytes of floats.
 _MARGIN, _LEAST = 4, 64 << 20
 
 
 def needed_bytes(floats: int, pixels: int = 0) -> int:
-    """Estimated peak memory for encoding a scene, bytes.
-
-    Parameters
-    ----------
-    floats : int
-        Bytes of its raw floats.
-    pixels : int
-        Pixels of all its views that are drawn.
-    """
+    """Estimated peak memory for encoding `floats` bytes of a scene and drawing `pixels` of it."""
     return _FIXED + (_DRAWING if pixels else _ENCODING) * floats + _PIXEL * pixels
 
 

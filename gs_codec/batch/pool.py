@@ -23,7 +23,6 @@ Work = Callable[[Task, Progress], Record]
 
 _SPAWN = multiprocessing.get_context("spawn")
 
-
 #: Least seconds between two progress reports of a stage.
 _EVERY = 0.1
 

@@ -35,7 +35,7 @@ _READ_ONLY = ("http", "https")
 _OWN = "memory"
 
 #: Object stores: a file appears when it is closed; there are no folders and no renaming.
-_OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory")
+_OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss")
 
 #: Check hosts against ~/.ssh/known_hosts, as ssh does (sshfs by itself trusts any host), and give
 #: up on a host that does not answer.

@@ -118,36 +118,25 @@ def versions() -> dict[str, str]:
 
 @contextmanager
 def _named(names: dict[str, str], warnings: list[str]) -> Iterator[None]:
-    """In errors and warnings, replace the paths of temporary copies by the original names."""
+    """Collect warnings of this thread; in them and in errors, replace temporary by shown names."""
 
     def named(text: str) -> str:
         for file, shown in names.items():
             text = text.replace(file, shown)
         return text
 
-    found: list[str] = []
-    try:
-        with _collected(found):
-            yield
-    except GsCodecError as error:
-        raise type(error)(named(str(error))) from error
-    finally:
-        warnings.extend(map(named, found))
-
-
-@contextmanager
-def _collected(warnings: list[str]) -> Iterator[None]:
-    """Collect the warnings that this thread logs within the block in a list."""
     thread = threading.get_ident()
 
     class Collector(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             if record.thread == thread:
-                warnings.append(record.getMessage())
+                warnings.append(named(record.getMessage()))
 
     logger, collector = logging.getLogger("gs_codec"), Collector(logging.WARNING)
     logger.addHandler(collector)
     try:
         yield
+    except GsCodecError as error:
+        raise type(error)(named(str(error))) from error
     finally:
         logger.removeHandler(collector)

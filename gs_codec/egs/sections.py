@@ -20,7 +20,6 @@ _LEVEL = 6
 _COMMENT_BYTES = 1 << 20
 _EXTRA = "section 'extra'"
 
-
 _LAYOUT = "<6f"
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]

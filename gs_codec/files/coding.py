@@ -7,12 +7,12 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from gs_codec.codecs import encode_parts
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
-from gs_codec.config import Config, RateTarget
+from gs_codec.config import Config, Extra, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, scene_in
 from gs_codec.formats.coordinates import CONVENTION
@@ -128,9 +128,7 @@ def encode_file(
     return replace(report, seconds=seconds)
 
 
-def _read_source(
-    source: str | Path, extra: Literal["error", "keep", "drop"], max_bytes: int | None
-) -> tuple[Scene, int]:
+def _read_source(source: str | Path, extra: Extra, max_bytes: int | None) -> tuple[Scene, int]:
     """The scene of a file, and the bytes that a ratio counts from: of a PLY, or of its floats."""
     with open_scene(source) as file:
         if current().limit is not None and not file.is_read_in_parts:

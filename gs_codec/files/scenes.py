@@ -6,12 +6,11 @@ import logging
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from gs_codec.codecs import decode_part, encode_scene, matching
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.config import Config
+from gs_codec.config import Config, Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply import write_ply
@@ -82,7 +81,7 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = _WRITTEN) -> str:
 
 def read_scene(
     path: str | Path,
-    extra: Literal["error", "keep", "drop"] = "error",
+    extra: Extra = "error",
     progress: Progress | None = None,
     coordinates: str | None = CONVENTION,
     max_bytes: int | None = None,
@@ -97,7 +96,7 @@ def read_scene(
 
 def scene_in(
     file: SceneFile,
-    extra: Literal["error", "keep", "drop"],
+    extra: Extra,
     progress: Progress | None,
     coordinates: str | None,
     max_bytes: int | None,

@@ -30,13 +30,7 @@ def is_packed(header: PlyHeader) -> bool:
 
 
 def read_packed(ply: Ply, max_bytes: int | None) -> Scene:
-    """Read the Gaussians of a packed PLY; floats may take `max_bytes`, see `most_bytes`.
-
-    Raises
-    ------
-    InvalidInput
-        If elements or properties are missing, or have the wrong type or number.
-    """
+    """Read the Gaussians of a packed PLY; see `SceneFile.scene`."""
     elements = ply.header.elements
     if "chunk" not in elements:
         raise InvalidInput("packed properties without element 'chunk'")

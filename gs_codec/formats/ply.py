@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import BinaryIO
 
 import numpy as np
 import plyfile
 from numpy.typing import NDArray
 
+from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_bytes
 from gs_codec.formats.packed_ply import PACKED_ELEMENTS, is_packed, read_packed
@@ -29,11 +30,7 @@ _COLOURS = ("red", "green", "blue")
 _ROWS = 1 << 17
 
 
-def read_ply(
-    path: str | Path,
-    extra: Literal["error", "keep", "drop"] = "error",
-    max_bytes: int | None = None,
-) -> Scene:
+def read_ply(path: str | Path, extra: Extra = "error", max_bytes: int | None = None) -> Scene:
     """Read a 3DGS scene from a PLY file (binary of either endianness, or ASCII).
 
     The file has the trainer's layout, with properties in any order, or PlayCanvas' packed one.
@@ -56,9 +53,7 @@ def read_ply(
         return scene_of(ply_of(path, data), extra, max_bytes)
 
 
-def scene_of(
-    ply: Ply, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
-) -> Scene:
+def scene_of(ply: Ply, extra: Extra = "error", max_bytes: int | None = None) -> Scene:
     """The scene of an open PLY; see `read_ply`."""
     path = ply.path
     if ply.header.obj_info:

@@ -19,6 +19,8 @@ from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
 
+log = logging.getLogger(__name__)
+
 #: Rows moved at once: a tile of 62 columns (1 MB) stays in the second-level cache.
 _TILE = 4096
 _CHUNK = 1 << 16
@@ -57,19 +59,9 @@ def _for_tiles(move, count: int) -> None:
     run_all(run, range(0, count, _CHUNK))
 
 
-log = logging.getLogger(__name__)
-
-
 @dataclass(frozen=True)
 class Ply:
-    """A PLY file, mapped.
-
-    Attributes
-    ----------
-    path : Path
-    header : PlyHeader
-    data : ndarray, shape (bytes,), uint8
-    """
+    """A PLY file, mapped: `data` has all its bytes."""
 
     path: Path
     header: PlyHeader

@@ -11,6 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from gs_codec.config import Extra
 from gs_codec.egs.file import MAGIC as EGS
 from gs_codec.egs.sections import Box
 from gs_codec.errors import InvalidInput
@@ -52,13 +53,7 @@ class SceneFile:
 
     @cached_property
     def format(self) -> Format:
-        """The format, recognised by content, then by suffix.
-
-        Raises
-        ------
-        InvalidInput
-            If the format is not supported.
-        """
+        """The format, recognised by content, then by suffix; `InvalidInput` if by neither."""
         head, suffix = bytes(self.data[:16]), self.path.suffix.lower()
         known = _BY_CONTENT if suffix == ".splat" else _BY_CONTENT + _BY_LITTLE
         for begin, name in known:
@@ -108,10 +103,14 @@ class SceneFile:
         vertex = header.elements.get("vertex")
         return 0 if vertex is None else 4 * vertex.count * len(vertex.types)
 
-    def scene(
-        self, extra: Literal["error", "keep", "drop"] = "error", max_bytes: int | None = None
-    ) -> Scene:
-        """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`."""
+    def scene(self, extra: Extra = "error", max_bytes: int | None = None) -> Scene:
+        """Read a scene of any format but `.egs`; `extra` and `max_bytes` are as in `read_ply`.
+
+        Raises
+        ------
+        InvalidInput
+            If it is not a valid file of its format, or is larger than `max_bytes`.
+        """
         if self.format == "ply":
             return scene_of(self.ply, extra, max_bytes)
         readers = {"splat": splat.read_splat, "spz": spz.read_spz, "sog": sog.read_sog}
@@ -120,13 +119,7 @@ class SceneFile:
 
 @contextmanager
 def open_scene(path: str | Path) -> Iterator[SceneFile]:
-    """Open the file of a scene, in any format.
-
-    Raises
-    ------
-    InvalidInput
-        If it is missing, empty, a directory, or not readable.
-    """
+    """Open the file of a scene, in any format; raises as `opened` does."""
     with opened(path) as data:
         yield SceneFile(Path(path), data)
 

@@ -52,15 +52,7 @@ def _opened(path: Path, data: memoryview) -> Iterator[tuple[Files, Meta, int]]:
 
 
 def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
-    """Read the bytes of a `.sog` file, or the scene of a `meta.json`.
-
-    Floats may take `max_bytes`; see `most_bytes`.
-
-    Raises
-    ------
-    InvalidInput
-        If a file cannot be read, or does not match `meta.json`.
-    """
+    """Read the bytes of a `.sog` file, or the scene of a `meta.json`; see `SceneFile.scene`."""
     with _opened(path, data) as (read, meta, file_bytes):
         if meta.model == "2dgs":
             raise InvalidInput("a scene of flat Gaussians (2DGS), expected 3DGS")
@@ -73,11 +65,15 @@ def read_sog(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
 
         check_count(meta.count, meta.bands or 0, file_bytes, max_bytes)
         colours = _values(meta, "sh0", load)
+        if meta.version == 1:
+            opacity = meta.tables["sh0"][colours[3], 3][None]
+        else:
+            opacity = opacities_of(path, colours[3])
         return Scene(
             _centres(meta, load),
             _looked_up(meta.tables["sh0"], colours),
             _read_palette(meta, load, file_bytes, max_bytes),
-            _opacities(path, meta, colours[3]),
+            opacity,
             _looked_up(meta.tables["scales"], _values(meta, "scales", load)),
             _quaternions(path, _values(meta, "quats", load)),
             comments=(ANTIALIASED,) if meta.model == "antialiased" else (),
@@ -110,12 +106,16 @@ def _looked_up(table: NDArray[np.float32], values: NDArray[np.uint8]) -> NDArray
     """Look up the first three bytes of each Gaussian in the columns of a table."""
 
     def look_up(some: slice) -> NDArray[np.float32]:
-        planes = np.stack([table[values[i, some], i] for i in range(3)])
-        if np.isnan(planes).any():
-            raise InvalidInput("a byte beyond its codebook")
-        return planes
+        return _defined(np.stack([table[values[i, some], i] for i in range(3)]))
 
     return planes_of(3, values.shape[1], look_up)
+
+
+def _defined(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The planes; refuses NaN, which tables have beyond the end of their codebook."""
+    if np.isnan(planes).any():
+        raise InvalidInput("a byte beyond its codebook")
+    return planes
 
 
 def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
@@ -129,12 +129,6 @@ def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
 
     with np.errstate(over="ignore"):  # infinite centres, as in a PLY, are reported later
         return planes_of(3, meta.count, unfold)
-
-
-def _opacities(path: Path, meta: Meta, values: NDArray[np.uint8]) -> NDArray[np.float32]:
-    if meta.version == 1:
-        return meta.tables["sh0"][values, 3][None]
-    return opacities_of(path, values)
 
 
 def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -175,10 +169,4 @@ def _read_palette(
     colours = pixels.reshape(height * _PALETTE_COLUMNS, -1, 4)[..., :3]
     palette = table[colours, np.arange(3)].transpose(2, 1, 0).reshape(-1, len(colours))
 
-    def look_up(some: slice) -> NDArray[np.float32]:
-        planes = palette[:, rows[some]]
-        if np.isnan(planes).any():
-            raise InvalidInput("a byte beyond its codebook")
-        return planes
-
-    return planes_of(len(palette), meta.count, look_up)
+    return planes_of(len(palette), meta.count, lambda some: _defined(palette[:, rows[some]]))

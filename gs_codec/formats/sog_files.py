@@ -26,7 +26,6 @@ _FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 _TABLE = 256
 _FLOAT32 = float(np.finfo(np.float32).max)
 
-
 ZIP = b"PK\x03\x04"
 
 #: Reads a file, given its name and the most bytes it may have.

@@ -28,13 +28,7 @@ _LARGEST = 88.0
 
 
 def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
-    """Read the bytes of a `.splat` file; floats may take `max_bytes`, see `most_bytes`.
-
-    Raises
-    ------
-    InvalidInput
-        If its size is not a multiple of the record size.
-    """
+    """Read the bytes of a `.splat` file; see `SceneFile.scene`."""
     with located(path):
         if len(data) % RECORD:
             raise InvalidInput(

@@ -63,14 +63,9 @@ class _Header:
 
 
 def read_spz(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
-    """Read the bytes of an `.spz` file; a comment of the scene names its coordinate system.
+    """Read the bytes of an `.spz` file; see `SceneFile.scene`.
 
-    Floats may take `max_bytes`; see `most_bytes`.
-
-    Raises
-    ------
-    InvalidInput
-        If it is not a valid `.spz` file of version 1 to 4, SH degree 0 to 3.
+    A comment of the scene names its coordinate system.
     """
     with located(path):
         data = bytes(view)

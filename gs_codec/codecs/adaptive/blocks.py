@@ -11,7 +11,7 @@ from gs_codec.codecs.adaptive.arrange import Arranged
 from gs_codec.codecs.adaptive.colour import code_colours
 from gs_codec.codecs.adaptive.contexts import energy_class, sh_channels, shift_context
 from gs_codec.codecs.adaptive.diffusion import round_diffusing
-from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST
+from gs_codec.codecs.adaptive.lattice import LARGEST, to_fixed
 from gs_codec.codecs.adaptive.positions import centres
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.adaptive.tokens import ALPHABET, tokenise
@@ -22,7 +22,6 @@ from gs_codec.coding.nearest import find_all_nearest
 from gs_codec.coding.ycocg import take_colours, to_ycocg
 from gs_codec.config import SH_STREAMS
 from gs_codec.runtime.arrays import current
-from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import sh_bands
 
 
@@ -52,15 +51,8 @@ class PassData:
 
     def histograms(self, contexts: int) -> NDArray[np.int64]:
         """Counts of tokens ``(contexts, ALPHABET)``."""
-        counts = np.zeros((contexts, ALPHABET), np.int64)
-        _count(self.tokens, self.contexts, counts)
-        return counts
-
-
-@kernel
-def _count(tokens, contexts, counts):
-    for i in range(len(tokens)):
-        counts[contexts[i], tokens[i]] += 1
+        pairs = self.contexts * np.int64(ALPHABET) + self.tokens
+        return np.bincount(pairs, minlength=contexts * ALPHABET).reshape(contexts, ALPHABET)
 
 
 @dataclass(frozen=True)
@@ -151,12 +143,9 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
     source, units = arranged.source, arranged.lattice.units
     members = arranged.order[shaped.start : shaped.stop]
     nearest = find_all_nearest(shaped.grid_positions)
-    colours = to_ycocg(source.f_dc[:, members])
-    clamped = shaped.clamped + int(np.count_nonzero(np.abs(colours) > LARGEST))
-    fixed = np.floor(np.clip(colours, -LARGEST, LARGEST) * (1 << FRACTION_BITS) + 0.5).astype(
-        np.int64
-    )
-    levels, contexts, _ = code_colours(nearest, fixed, units["sh-dc"], shaped.shifts)
+    colours, clamped = to_fixed(to_ycocg(source.f_dc[:, members]), LARGEST)
+    clamped += shaped.clamped
+    levels, contexts, _ = code_colours(nearest, colours, units["sh-dc"], shaped.shifts)
     listed = [*shaped.passes, PassData.of(levels.ravel(), contexts.ravel())]
     coefficients = len(source.f_rest) // 3
     if coefficients:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.frequency_table import shannon_bits
-from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import sh_bands
 
 #: Most classes of shape, and of colour.
@@ -26,7 +25,6 @@ COLOUR_SHIFTS, ACTIVITIES = 16, 6
 
 #: Least sum of |level| of SH-AC of each energy class; class 0 has none.
 ENERGIES = np.array([0, 1, 2, 3, 5, 8, 13, 22, 41], np.int64)
-
 
 #: Approximate bits that each symbol in use costs in a sent table.
 _SYMBOL_BITS = 7.0
@@ -74,44 +72,27 @@ def shift_context(shifts: NDArray) -> NDArray:
     return np.minimum(shifts, SHIFT_CONTEXTS - 1)
 
 
-@kernel
-def _classify(levels, class_of, classes):
-    most = len(class_of) - 1
-    sums = np.zeros(len(classes), np.int32)
-    for row in levels:
-        for i in range(len(row)):
-            sums[i] = min(sums[i] + abs(row[i]), most)
-    for i in range(len(sums)):
-        classes[i] = class_of[sums[i]]
-
-
 def energy_class(levels: NDArray[np.int32]) -> NDArray[np.uint8]:
     """Energy class ``(n,)`` of SH-AC levels ``(channels, n)``, below 2**30 in magnitude."""
-    class_of = np.searchsorted(ENERGIES, np.arange(ENERGIES[-1] + 1), side="right") - 1
-    classes = np.empty(levels.shape[1], np.uint8)
-    _classify(levels, class_of.astype(np.uint8), classes)
-    return classes
+    sums = np.abs(levels).sum(axis=0, dtype=np.int64)
+    return (np.searchsorted(ENERGIES, sums, side="right") - 1).astype(np.uint8)
 
 
-@dataclass(frozen=True)
-class ContextTables:
-    """Which table each context uses, and the histogram of each table.
-
-    ``table_of (C,)`` rises by 0 or 1 from context to context; ``histograms (T, A)``.
-    """
-
-    table_of: NDArray[np.int64]
-    histograms: NDArray[np.int64]
-
-
-def share_tables(histograms: NDArray[np.int64]) -> ContextTables:
+def share_tables(histograms: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Merge neighbours of ``histograms (C, A)`` while tables cost more than they save.
 
     Contexts that do not occur share the table of the one before.
+
+    Returns
+    -------
+    table_of : ndarray, shape (C,)
+        Table that each context uses; rises by 0 or 1 from context to context.
+    histograms : ndarray, shape (T, A)
+        Histogram of each table.
     """
     used = [int(c) for c in np.flatnonzero(histograms.any(axis=1))]
     if not used:
-        return ContextTables(np.zeros(len(histograms), np.int64), histograms[:1])
+        return np.zeros(len(histograms), np.int64), histograms[:1]
     tokens = int(np.flatnonzero(histograms.any(axis=0))[-1]) + 1
     groups = [histograms[c, :tokens] for c in used]
     starts = [0, *used[1:]]
@@ -130,7 +111,7 @@ def share_tables(histograms: NDArray[np.int64]) -> ContextTables:
                 merged[i] = _cost(groups[i] + groups[i + 1])
     marks = np.zeros(len(histograms), np.int64)
     marks[starts[1:]] = 1
-    return ContextTables(np.cumsum(marks), np.array(groups))
+    return np.cumsum(marks), np.array(groups)
 
 
 def _cost(histogram: NDArray[np.int64]) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
-from gs_codec.codecs.adaptive.contexts import ContextTables, Pass, passes, share_tables
+from gs_codec.codecs.adaptive.contexts import Pass, passes, share_tables
 from gs_codec.codecs.adaptive.lattice import to_float
 from gs_codec.codecs.adaptive.positions import from_grid
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
@@ -175,7 +175,7 @@ def _code(
 def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[ChannelCost]]:
     """Tables for the passes of all blocks together."""
 
-    def share(p: int) -> ContextTables:
+    def share(p: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         counts = np.zeros((listed[p].contexts, ALPHABET), np.int64)
         for block in blocks:
             counts += block.passes[p].histograms(listed[p].contexts)
@@ -185,27 +185,17 @@ def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[C
     rows: list[NDArray[np.int64]] = []
     weights: list[NDArray[np.int64]] = []
     costs = []
-    for p, (item, found) in enumerate(zip(listed, shared, strict=True)):
-        rows.append(len(weights) + found.table_of)
-        fitted = [_fit_weights(histogram) for histogram in found.histograms]
-        models = PassModels([], fitted).tables()
-        coded = sum(
-            table.code_length(histogram[: len(table.frequencies)])
-            for table, histogram in zip(models, found.histograms, strict=True)
-        )
-        raw = sum(int(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
-        entropy = raw + sum(shannon_bits(histogram) for histogram in found.histograms)
-        costs.append(
-            ChannelCost(item.name, item.stream, "table", raw + coded, raw + coded, entropy)
-        )
-        weights += fitted
+    for p, (item, (table_of, histograms)) in enumerate(zip(listed, shared, strict=True)):
+        rows.append(len(weights) + table_of)
+        bits = sum(float(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
+        entropy = bits + sum(map(shannon_bits, histograms))
+        for histogram in histograms:
+            used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
+            model = SentModel.fit(used, MANTISSA, PRECISION)
+            bits += model.frequencies(used.size).code_length(used)
+            weights.append(model.weights)
+        costs.append(ChannelCost(item.name, item.stream, "table", bits, bits, entropy))
     return PassModels(rows, weights), costs
-
-
-def _fit_weights(histogram: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Weights of the table to send for a histogram."""
-    used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
-    return SentModel.fit(used, MANTISSA, PRECISION).weights
 
 
 def _sections(

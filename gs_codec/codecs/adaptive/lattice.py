@@ -22,7 +22,6 @@ LARGEST = 400.0
 #: No encoder writes values of this magnitude or more.
 TOO_LARGE = 4 * LARGEST
 
-
 #: Fraction bits of a rule's numbers.
 RULE_FRACTION_BITS = 16
 
@@ -30,27 +29,19 @@ RULE_FRACTION_BITS = 16
 MAX_SHIFT = 31
 
 
-@kernel
-def _to_lattice(values, centre, unit, shifts, limit, levels):
-    clamped = 0
-    for i in range(len(values)):
-        value = np.float64(values[i])
-        if abs(value) > limit:
-            value = limit if value > 0.0 else -limit
-            clamped += 1
-        step = unit << shifts[i]
-        offset = np.int64(np.floor(value * (1 << FRACTION_BITS) + 0.5)) - centre
-        levels[i] = (2 * offset + step) // (2 * step)
-    return clamped
+def to_fixed(values: NDArray[np.floating], limit: float) -> tuple[NDArray[np.int64], int]:
+    """Fixed-point values, and how many were clamped to `limit`."""
+    clamped = np.clip(values.astype(np.float64), -limit, limit)
+    fixed = np.floor(clamped * (1 << FRACTION_BITS) + 0.5).astype(np.int64)
+    return fixed, int(np.count_nonzero(np.abs(values) > limit))
 
 
 def to_lattice(
-    values: NDArray, centre: int, unit: int, shifts: NDArray[np.int64], limit: float = LARGEST
-) -> tuple[NDArray[np.int64], int]:
-    """Nearest levels ``(n,)`` of values ``(n,)``, and how many were clamped to `limit`."""
-    levels = np.empty(len(values), np.int64)
-    clamped = _to_lattice(values, centre, unit, shifts, limit, levels)
-    return levels, clamped
+    fixed: NDArray[np.int64], centre: int, unit: int, shifts: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Nearest levels ``(n,)`` of fixed-point values ``(n,)``."""
+    steps = unit << shifts
+    return (2 * (fixed - centre) + steps) // (2 * steps)
 
 
 def from_lattice(

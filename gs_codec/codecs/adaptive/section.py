@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ class PassModels:
     """
 
     rows: list[NDArray[np.int64]]
-    weights: list[NDArray[np.int64]] = field(default_factory=list)
+    weights: list[NDArray[np.int64]]
 
     def tables(self) -> list[FrequencyTable]:
         """Frequency tables of precision `PRECISION`."""

@@ -13,6 +13,7 @@ from gs_codec.codecs.adaptive.lattice import (
     TOO_LARGE,
     Lattice,
     from_lattice,
+    to_fixed,
     to_float,
     to_lattice,
 )
@@ -95,8 +96,9 @@ class ShapeQuantiser:
             scales = self.scales[int(name[-1])]
             self.clamped += int(np.count_nonzero(np.abs(scales) > LARGEST))
             values, limit = self._last - np.clip(scales, -LARGEST, LARGEST), TOO_LARGE
-        levels, clamped = to_lattice(values, centre, unit, shifts, limit)
+        fixed, clamped = to_fixed(values, limit)
         self.clamped += clamped
+        levels = to_lattice(fixed, centre, unit, shifts)
         self.levels[name] = levels
         self.shifts[name] = shifts
         if group == "scaling":

@@ -1,6 +1,6 @@
 """Float columns to bytes and back, bit-exactly. FORMAT.md, "Columns".
 
-FORMAT.md, "Columns". Only pcodec's classic mode is used, without deltas or with consecutive ones:
+Only pcodec's classic mode is used, without deltas or with consecutive ones:
 then no stream can demand more memory than its values take.
 
 Columns are coded one by one; or split into classes by sign and exponent of another column (the
@@ -20,10 +20,8 @@ from pcodec.wrapped import FileCompressor, FileDecompressor
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import encode_morton
 from gs_codec.errors import CorruptStream
-from gs_codec.runtime.kernels import inlined, kernel
 
 _SIGN = np.uint32(1 << 31)
-
 
 _LEVEL = 10
 _FORMAT = 4
@@ -36,8 +34,6 @@ _DELTAS = (DeltaSpec.no_op(), DeltaSpec.try_consecutive(1))
 Bits = NDArray[np.uint32]
 
 _PLAIN, _UNIT = range(2)
-_CLASS_COUNT = 32
-_HALF = np.uint32(1 << 31)
 
 
 def to_ordered(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
@@ -121,39 +117,13 @@ def read_integers(data: memoryview, count: int, where: str) -> NDArray[np.uint32
     return values
 
 
-@inlined
-def _class_of(guide):
-    """Sign, and exponent within the 16 that matter: 2^-11 to 2^4."""
-    return min(max((guide >> 23) & 255, 116), 131) - 116 + 16 * (guide >> 31)
+def _classes(guide: Bits) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of ``guide (n,)`` sorted by class, stably, and the size of each class.
 
-
-@kernel
-def _count(guide, counts):
-    for i in range(guide.size):
-        counts[_class_of(guide[i])] += 1
-
-
-@kernel
-def _split(values, guide, offsets, grouped):
-    for i in range(guide.size):
-        group = _class_of(guide[i])
-        grouped[offsets[group]] = values[i]
-        offsets[group] += 1
-
-
-@kernel
-def _merge(grouped, guide, offsets, values):
-    for i in range(guide.size):
-        group = _class_of(guide[i])
-        values[i] = grouped[offsets[group]]
-        offsets[group] += 1
-
-
-def _class_bounds(guide: Bits) -> NDArray[np.int64]:
-    """Where each class begins among the values sorted by class, and the end of the last."""
-    counts = np.zeros(_CLASS_COUNT, np.int64)
-    _count(guide, counts)
-    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+    A class is a sign, and an exponent within the 16 that matter: 2^-11 to 2^4.
+    """
+    classes = np.clip((guide >> 23) & 255, 116, 131) - 116 + 16 * (guide >> 31)
+    return np.argsort(classes.astype(np.uint8), kind="stable"), np.bincount(classes, minlength=32)
 
 
 def write_mask(mask: Bits) -> bytes:
@@ -181,27 +151,23 @@ def read_stack(reader: ByteReader, shape: tuple[int, int], where: str) -> Bits:
 
 def write_guided(columns: Bits, guide: Bits) -> bytes:
     """Code ``(C, n)`` given ``guide (C, n)``, which the decoder has already."""
-    values, flat = to_ordered(columns).ravel(), np.ascontiguousarray(guide).ravel()
-    bounds = _class_bounds(flat)
-    grouped = np.empty(flat.size, np.uint32)
-    _split(values, flat, bounds[:-1].copy(), grouped)
-    return _pack(_code(np.split(grouped, bounds[1:-1])))
+    order, sizes = _classes(guide.ravel())
+    grouped = to_ordered(columns).ravel()[order]
+    return _pack(_code(np.split(grouped, np.cumsum(sizes)[:-1])))
 
 
 def read_guided(reader: ByteReader, guide: Bits, where: str) -> Bits:
     """The inverse of `write_guided`."""
-    flat = np.ascontiguousarray(guide).ravel()
-    bounds = _class_bounds(flat)
-    parts = _read_parts(reader, [int(size) for size in np.diff(bounds)], where)
-    values = np.empty(flat.size, np.uint32)
-    _merge(np.concatenate(parts), flat, bounds[:-1].copy(), values)
+    order, sizes = _classes(guide.ravel())
+    values = np.empty(guide.size, np.uint32)
+    values[order] = np.concatenate(_read_parts(reader, sizes.tolist(), where))
     return from_ordered(values.reshape(guide.shape))
 
 
 def write_quaternions(columns: Bits) -> bytes:
     """Code the components ``(4, n)`` w, x, y, z."""
     ordered = to_ordered(columns)
-    residual = ordered[0] - to_ordered(_unit_w(columns[1:])) + _HALF
+    residual = ordered[0] - to_ordered(_unit_w(columns[1:])) + _SIGN
     w, of_unit, *rest = _code([ordered[0], residual, *ordered[1:]])
     if len(of_unit) < len(w):
         return bytes([_UNIT]) + _pack([of_unit, *rest])
@@ -215,7 +181,7 @@ def read_quaternions(reader: ByteReader, count: int, where: str) -> Bits:
         raise CorruptStream(f"{where}: quaternions of kind {kind}, expected 0 or 1")
     ordered = _read_columns(reader, (4, count), where)
     if kind == _UNIT:
-        ordered[0] += to_ordered(_unit_w(from_ordered(ordered[1:]))) - _HALF
+        ordered[0] += to_ordered(_unit_w(from_ordered(ordered[1:]))) - _SIGN
     return from_ordered(ordered)
 
 

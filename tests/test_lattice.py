@@ -30,7 +30,7 @@ from gs_codec.codecs.adaptive.positions import centres, from_grid, to_grid
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, features, fit_step_sizes, make_rule
 from gs_codec.codecs.adaptive.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
 from gs_codec.coding.axes import quaternions, sort_axes
-from gs_codec.coding.context_rans import PRECISION, PassReader, PassTables, PassWriter
+from gs_codec.coding.context_rans import PRECISION, PassReader, PassTables, encode_passes
 from gs_codec.coding.count_tree import decode_tree, encode_tree
 from gs_codec.coding.fields import BitReader, BitWriter
 from gs_codec.coding.frequency_table import normalise, shannon_bits
@@ -59,10 +59,10 @@ EVEN = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)])
 def coded(values: np.ndarray) -> tuple[PassReader, bytes]:
     """A pass under one table, its section opened, and its raw bits."""
     tokens, *raw = tokenise(values)
-    bits, writer = BitWriter(), PassWriter(EVEN)
+    bits = BitWriter()
     bits.add(*raw)
-    writer.add("s", tokens, np.zeros(len(values), np.uint16), np.zeros(1, np.int64))
-    states, words = writer.finish()
+    made = [("s", tokens, np.zeros(len(values), np.uint16), np.zeros(1, np.int64))]
+    states, words = encode_passes(made, EVEN)
     reader = PassReader(memoryview(states), EVEN, "test")
     reader.open(memoryview(words["s"]))
     return reader, bits.finish()
@@ -165,13 +165,6 @@ def random_passes(seed: int, sizes: list[int]) -> tuple[PassTables, list[tuple]]
     return tables, made
 
 
-def encode_passes(tables: PassTables, made: list[tuple]) -> tuple[bytes, dict[str, bytes]]:
-    writer = PassWriter(tables)
-    for item in made:
-        writer.add(*item)
-    return writer.finish()
-
-
 def decode_passes(
     tables: PassTables, made: list[tuple], states: bytes, words: dict[str, bytes]
 ) -> list[np.ndarray]:
@@ -195,7 +188,7 @@ def decode_passes(
 )
 def test_passes_round_trip_seed5(sizes):
     tables, made = random_passes(5, sizes)
-    states, words = encode_passes(tables, made)
+    states, words = encode_passes(made, tables)
     assert len(states) == 4 * LANES
     assert set(words) == {section for section, *_ in made}
     for (_, symbols, *_), decoded in zip(
@@ -210,14 +203,14 @@ def test_passes_cost_about_their_entropy_seed6():
     _, symbols, rows, _ = made[0]
     frequencies = (tables.spans[rows, symbols] & 0xFFFF).astype(float)
     bits = np.sum(PRECISION - np.log2(frequencies))
-    states, words = encode_passes(tables, made)
+    states, words = encode_passes(made, tables)
     assert 8 * (len(words["s0"]) + len(states)) < 1.001 * bits + 32 * LANES
 
 
 @pytest.mark.parametrize("damage", ["word", "cut", "more", "odd", "state", "low state", "states"])
 def test_corrupted_passes_are_refused(damage):
     tables, made = random_passes(7, [500, 300, 200])
-    states, words = encode_passes(tables, made)
+    states, words = encode_passes(made, tables)
     assert len(words["s0"]) > 100
     if damage == "word":
         words["s0"] = words["s0"][:50] + bytes([words["s0"][50] ^ 4]) + words["s0"][51:]
@@ -452,11 +445,9 @@ def test_colours_round_trip_seed11(count):
     tables = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)] * 2)
     tokens, *raw_bits = tokenise(levels.ravel())
     rows = np.arange(288) % 2
-    writer = PassWriter(tables)
-    writer.add("sh-dc", tokens, contexts.ravel(), rows)
     bits = BitWriter()
     bits.add(*raw_bits)
-    states, words = writer.finish()
+    states, words = encode_passes([("sh-dc", tokens, contexts.ravel(), rows)], tables)
     reader = PassReader(memoryview(states), tables, "test")
     reader.open(memoryview(words["sh-dc"]))
     raw = BitReader(memoryview(bits.finish()), "test")

@@ -10,7 +10,6 @@ from gs_codec.coding.quantise import (
     CentredQuantiser,
     ConstantQuantiser,
     RangeQuantiser,
-    count_nonfinite,
     dequantise,
     fit_centred,
     fit_range,
@@ -128,8 +127,3 @@ def test_order_is_applied():
     values = np.array([0, 10, 20, 30], np.float32)
     symbols, _, _ = quantise(values, fit_range(values, 2), np.array([2, 0, 3, 1]))
     assert symbols.tolist() == [2, 0, 3, 1]
-
-
-def test_nonfinite_values_are_counted():
-    values = np.array([1, np.nan, np.inf, -np.inf, BIGGEST], np.float32)
-    assert count_nonfinite(values) == 3

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from gs_codec.coding.quantise import count_nonfinite
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import empty
@@ -38,10 +37,10 @@ def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
         If there are any and ``config.nonfinite`` is ``error``.
     """
     planes = [(group, row) for group in GROUPS for row in getattr(scene, group)]
-    counts = run_all(lambda item: count_nonfinite(item[1]), planes)
+    finite = run_all(lambda item: np.count_nonzero(np.isfinite(item[1])), planes)
     bad: Counter[str] = Counter()
-    for (group, _), count in zip(planes, counts, strict=True):
-        bad[group] += count
+    for (group, row), count in zip(planes, finite, strict=True):
+        bad[group] += row.size - count
     if not bad.total():
         return scene, 0
     if config.nonfinite == "error":

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.binary import code_bit, decode_binary, encode_binary, new_contexts
-from gs_codec.coding.fields import BitReader, BitWriter
-from gs_codec.errors import TruncatedStream
+from gs_codec.coding.fields import BitReader, BitWriter, ByteReader
 from gs_codec.runtime.kernels import inlined, kernel
 
 _CLASSES = 24
@@ -183,13 +182,10 @@ def decode_geometry(data: memoryview, count: int, total_bits: int, where: str) -
     TruncatedStream, CorruptStream
         If the section is not exactly what `count` codes need.
     """
-    if len(data) < 4:
-        raise TruncatedStream(f"{where}: {len(data)} bytes, expected at least 4")
-    size = struct.unpack_from("<I", data)[0]
-    if size > len(data) - 4:
-        raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
-    codes, lefts = decode_tree(data[4 : 4 + size], count, total_bits, where)
-    bits = BitReader(data[4 + size :], where)
+    reader = ByteReader(data, where)
+    tree = reader.take(reader.unpack("I")[0])
+    codes, lefts = decode_tree(tree, count, total_bits, where)
+    bits = BitReader(reader.rest(), where)
     codes |= bits.fields(lefts)
     bits.close()
     return codes

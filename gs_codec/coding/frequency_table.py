@@ -22,8 +22,18 @@ class FrequencyTable:
 
     @property
     def starts(self) -> NDArray[np.uint32]:
-        """Cumulative frequency before each symbol, shape (A,)."""
+        """Cumulative frequency before each symbol, ``(A,)``."""
         return (np.cumsum(self.frequencies) - self.frequencies).astype(np.uint32)
+
+    @property
+    def spans(self) -> NDArray[np.uint32]:
+        """Start << 16 | frequency of each symbol, ``(A,)``."""
+        return (self.starts << np.uint32(16)) | self.frequencies
+
+    @property
+    def slots(self) -> NDArray[np.uint16]:
+        """Symbol of each slot, ``(2**precision,)``."""
+        return np.repeat(np.arange(self.frequencies.size, dtype=np.uint16), self.frequencies)
 
     def code_length(self, histogram: NDArray[np.int64]) -> float:
         """Bits that symbols with this histogram take; infinite where one has frequency 0."""

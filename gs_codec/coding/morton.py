@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TypeVar
 
 import numpy as np
@@ -23,17 +24,21 @@ def bit_layout(depths: tuple[int, int, int]) -> NDArray[np.int64]:
     return np.array(axes, np.int64)
 
 
+def _bits(depths: tuple[int, int, int]) -> Iterator[tuple[int, int, int]]:
+    """Axis, bit of that axis, and bit of the code, of each code bit."""
+    left = list(depths)
+    total = sum(depths)
+    for position, axis in enumerate(bit_layout(depths), 1):
+        left[axis] -= 1
+        yield axis, left[axis], total - position
+
+
 def _byte_tables(depths: tuple[int, int, int]) -> NDArray[np.int64]:
     """Code contribution of each value of each byte of each axis, shape (3, 3, 256)."""
-    layout = bit_layout(depths)
     tables = np.zeros((3, 3, 256), np.int64)
-    values = np.arange(256)
-    left = list(depths)
-    for position, axis in enumerate(layout):
-        left[axis] -= 1
-        byte, bit = divmod(left[axis], 8)
-        shift = len(layout) - 1 - position
-        tables[axis, byte] |= ((values >> bit) & 1).astype(np.int64) << shift
+    for axis, of_axis, of_code in _bits(depths):
+        byte, bit = divmod(of_axis, 8)
+        tables[axis, byte] |= ((np.arange(256) >> bit) & 1) << of_code
     return tables
 
 
@@ -51,14 +56,10 @@ def _encode(cells, tables, codes):
 
 def _axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
     """Bits that each value of each byte of a code sets on each axis, shape (8, 256, 3)."""
-    layout = bit_layout(depths)
     tables = np.zeros((8, 256, 3), np.uint32)
-    values = np.arange(256)
-    left = list(depths)
-    for position, axis in enumerate(layout):
-        left[axis] -= 1
-        byte, bit = divmod(len(layout) - 1 - position, 8)
-        tables[byte, :, axis] |= (((values >> bit) & 1) << left[axis]).astype(np.uint32)
+    for axis, of_axis, of_code in _bits(depths):
+        byte, bit = divmod(of_code, 8)
+        tables[byte, :, axis] |= (((np.arange(256) >> bit) & 1) << of_axis).astype(np.uint32)
     return tables
 
 
@@ -99,14 +100,19 @@ def canonical_order(codes: NDArray[np.int64], *keys: NDArray) -> NDArray[np.int6
         Sort the Gaussians of a cell, by the first key, then the next.
     """
     order = np.argsort(codes)
-    ordered = codes[order]
-    same = ordered[1:] == ordered[:-1]
-    tied = np.zeros(codes.size, bool)
-    tied[1:] |= same
-    tied[:-1] |= same
+    tied = find_ties(codes[order])
     ties = order[tied]
     order[tied] = ties[np.lexsort((ties, *(key[ties] for key in keys[::-1]), codes[ties]))]
     return order
+
+
+def find_ties(*ordered: NDArray) -> NDArray[np.bool_]:
+    """Which items ``(N,)`` agree with a neighbour in all of their keys, each ``(N,)``."""
+    same = np.all([keys[1:] == keys[:-1] for keys in ordered], axis=0)
+    tied = np.zeros(ordered[0].size, bool)
+    tied[1:] |= same
+    tied[:-1] |= same
+    return tied
 
 
 Index = TypeVar("Index", bound=np.integer)

@@ -82,16 +82,14 @@ Quantiser = ConstantQuantiser | RangeQuantiser | CentredQuantiser
 
 @kernel
 def _range_of(values):
-    """Minimum, maximum (float64), and count of values that are not finite."""
-    low = np.float32(np.inf)
-    high = np.float32(-np.inf)
-    bad = 0
+    """Minimum and maximum, float64; 0 if there are no values."""
+    if values.size == 0:
+        return 0.0, 0.0
+    low = high = values[0]
     for value in values:
-        if not np.isfinite(value):
-            bad += 1
         low = min(low, value)
         high = max(high, value)
-    return np.float64(low), np.float64(high), bad
+    return np.float64(low), np.float64(high)
 
 
 @kernel
@@ -109,14 +107,9 @@ def _quantise(values, order, origin, step, symbols, histogram):
     return clamped
 
 
-def count_nonfinite(values: NDArray[np.float32]) -> int:
-    """Number of NaN and infinite values of a channel ``(N,)``."""
-    return _range_of(values)[2]
-
-
 def fit_range(values: NDArray[np.float32], depth: int) -> ConstantQuantiser | RangeQuantiser:
     """Min-max quantiser of a finite channel ``(N,)``; constant if it has one value, or none."""
-    low, high, _ = _range_of(values) if values.size else (0.0, 0.0, 0)
+    low, high = _range_of(values)
     return ConstantQuantiser(low) if low == high else RangeQuantiser(depth, low, high)
 
 
@@ -137,7 +130,7 @@ def fit_centred(
         Mean absolute deviation of all values from the median, in steps: the Laplace
         distribution's parameter (paper, Section 4.3).
     """
-    low, high, _ = _range_of(values) if values.size else (0.0, 0.0, 0)
+    low, high = _range_of(values)
     if low == high:
         return ConstantQuantiser(low), 0.0
     middle = (values.size - 1) // 2

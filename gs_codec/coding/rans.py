@@ -19,6 +19,33 @@ from gs_codec.runtime.kernels import inlined, kernel
 LANES = 32
 LOWEST = 1 << 16
 
+#: Follows the words when they are decoded, so that one check for each row of lanes is enough.
+PADDING = np.zeros(LANES, np.uint16)
+
+
+def read_states(data: memoryview, lanes: int, where: str) -> NDArray[np.int64]:
+    """Initial states ``(LANES,)``, the first `lanes` in use; refuses damaged ones."""
+    if len(data) != 4 * lanes:
+        raise CorruptStream(f"{where}: {len(data)} bytes of states, expected {4 * lanes}")
+    states = np.full(LANES, LOWEST, np.int64)
+    states[:lanes] = np.frombuffer(data, "<u4")
+    if np.any(states < LOWEST):
+        raise CorruptStream(f"{where}: a rANS state below {LOWEST}")
+    return states
+
+
+def read_words(data: memoryview, where: str) -> NDArray[np.uint16]:
+    """The 16-bit words of a section; refuses an odd number of bytes."""
+    if len(data) % 2:
+        raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
+    return np.frombuffer(data, "<u2")
+
+
+def check_final(states: NDArray[np.int64], where: str) -> None:
+    """Refuse states, after the last symbol, that are not those the encoder began with."""
+    if np.any(states != LOWEST):
+        raise CorruptStream(f"{where}: the rANS states do not end where they must")
+
 
 @dataclass(frozen=True)
 class TableSet:
@@ -35,14 +62,11 @@ class TableSet:
         precisions = np.array([t.precision for t in tables], np.int64)
         alphabet = max((t.frequencies.size for t in tables), default=0)
         spans = np.zeros((len(tables), alphabet), np.uint32)
-        slots = []
         for row, table in zip(spans, tables, strict=True):
-            size = table.frequencies.size
-            row[:size] = (table.starts << np.uint32(16)) | table.frequencies
-            slots.append(np.repeat(np.arange(size, dtype=np.uint16), table.frequencies))
-        offsets = np.cumsum([0] + [s.size for s in slots])[:-1].astype(np.int64)
-        packed = np.concatenate(slots) if slots else np.zeros(0, np.uint16)
-        return cls(precisions, spans, packed, offsets)
+            row[: table.frequencies.size] = table.spans
+        slots = np.concatenate([np.zeros(0, np.uint16), *(table.slots for table in tables)])
+        sizes = 1 << precisions
+        return cls(precisions, spans, slots, np.cumsum(sizes) - sizes)
 
 
 @inlined
@@ -89,10 +113,7 @@ def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
 
 @kernel
 def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, symbols):
-    """Fill `symbols` (C, n); returns the first channel that does not end at its bound, or C.
-
-    `words` is padded by a row of zeros, so that one check per row is enough.
-    """
+    """Fill `symbols` (C, n); returns the first channel that does not end at its bound, or C."""
     position = 0
     count = symbols.shape[1]
     for channel in range(symbols.shape[0]):
@@ -166,27 +187,18 @@ def decode_symbols(
         If a group's words are not exactly what its symbols need, or the states do not end
         as the encoder began.
     """
-    lanes = min(LANES, count)
-    if len(states) != 4 * lanes:
-        raise CorruptStream(f"{where}: {len(states)} bytes of states, expected {4 * lanes}")
-    if any(len(data) % 2 for _, data in groups):
-        raise CorruptStream(f"{where}: an odd number of bytes, expected 16-bit words")
-    lane_states = np.full(LANES, LOWEST, np.int64)
-    lane_states[:lanes] = np.frombuffer(states, "<u4")
-    if np.any(lane_states < LOWEST):
-        raise CorruptStream(f"{where}: a rANS state below {LOWEST}")
-    sizes = [len(data) // 2 for _, data in groups]
-    words = np.zeros(sum(sizes) + LANES, np.uint16)
-    words[: sum(sizes)] = np.frombuffer(b"".join(data for _, data in groups), "<u2")
+    lanes = read_states(states, min(LANES, count), where)
+    words = [read_words(data, where) for _, data in groups]
     members = [channels for channels, _ in groups]
-    bounds = np.repeat(np.cumsum(sizes), members)
+    bounds = np.repeat(np.cumsum([len(part) for part in words]), members)
     closed = np.zeros(bounds.size, np.bool_)
     closed[np.cumsum(members) - 1] = True
     symbols = np.empty((bounds.size, count), np.uint16)
     packed = (tables.precisions, tables.spans, tables.slots, tables.offsets)
-    decoded = _decode(words, bounds, closed, lane_states, *packed, symbols)
+    padded = np.concatenate([*words, PADDING])
+    decoded = _decode(padded, bounds, closed, lanes, *packed, symbols)
     if decoded < bounds.size:
         raise CorruptStream(f"{where}: channel {decoded} does not end where its words do")
-    if whole and np.any(lane_states != LOWEST):
-        raise CorruptStream(f"{where}: the rANS states do not end where they must")
+    if whole:
+        check_final(lanes, where)
     return symbols

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,10 +18,10 @@ from gs_codec.codecs.adaptive.tokens import read_pass
 from gs_codec.coding.axes import quaternions
 from gs_codec.coding.context_rans import PassReader, PassTables
 from gs_codec.coding.count_tree import decode_tree
-from gs_codec.coding.fields import BitReader
+from gs_codec.coding.fields import BitReader, ByteReader
 from gs_codec.coding.ycocg import fill_colours, from_ycocg
 from gs_codec.egs.file import EgsFile, SectionId
-from gs_codec.errors import CorruptStream, TruncatedStream
+from gs_codec.errors import CorruptStream
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_COEFFICIENTS, group_rows
@@ -184,15 +183,11 @@ class _Streams:
         if stream == self.stream:
             return
         self._close()
-        data = self.decoder.file.section(SectionId.of_stream(stream), self.block)
         where = f"section '{stream}' of {self.where}"
-        if len(data) < 4:
-            raise TruncatedStream(f"{where}: {len(data)} bytes, expected at least 4")
-        size = struct.unpack_from("<I", data)[0]
-        if size > len(data) - 4:
-            raise TruncatedStream(f"{where}: {len(data) - 4} bytes, expected at least {size}")
-        self.reader.open(data[4 : 4 + size])
-        self.bits = BitReader(data[4 + size :], where)
+        data = self.decoder.file.section(SectionId.of_stream(stream), self.block)
+        section = ByteReader(data, where)
+        self.reader.open(section.take(section.unpack("I")[0]))
+        self.bits = BitReader(section.rest(), where)
         self.stream = stream
 
     def _close(self) -> None:

@@ -17,7 +17,7 @@ from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds,
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.axes import quaternions
-from gs_codec.coding.context_rans import PRECISION, PassTables, PassWriter
+from gs_codec.coding.context_rans import PRECISION, PassTables, encode_passes
 from gs_codec.coding.fields import BitWriter
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.sent_tables import SentModel
@@ -202,12 +202,12 @@ def _sections(
     number: int, block: Block, listed: list[Pass], models: PassModels, tables: PassTables
 ) -> list[Section]:
     """Sections of a block."""
-    writer = PassWriter(tables)
+    coded = []
     bits: dict[str, BitWriter] = {}
     for item, data, rows in zip(listed, block.passes, models.rows, strict=True):
-        writer.add(item.stream, data.tokens, data.contexts, rows)
+        coded.append((item.stream, data.tokens, data.contexts, rows))
         bits.setdefault(item.stream, BitWriter()).add(data.raw_levels, data.raw_widths)
-    states, words = writer.finish()
+    states, words = encode_passes(coded, tables)
     sections = [
         Section(SectionId.GEOMETRY, number, block.tree),
         Section(SectionId.STATES, number, states),

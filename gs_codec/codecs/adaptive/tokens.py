@@ -82,8 +82,7 @@ def _read_values(
 ):  # fmt: skip
     """Decode a pass into `values[indices]`; returns the positions reached in words and bits.
 
-    The position in words is -1 if they end too early. They are padded by a row of zeros, so that
-    one check per row is enough.
+    The position in words is -1 if they end too early.
     """
     tokens = np.empty(LANES, np.uint8)
     for first in range(0, len(contexts), LANES):

@@ -18,7 +18,7 @@ from pcodec import ChunkConfig, DeltaSpec, ModeSpec, PagingSpec
 from pcodec.wrapped import FileCompressor, FileDecompressor
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.coding.morton import encode_morton
+from gs_codec.coding.morton import encode_morton, find_ties
 from gs_codec.errors import CorruptStream
 
 _SIGN = np.uint32(1 << 31)
@@ -63,11 +63,7 @@ def float_order(
     high = encode_morton(ordered >> np.uint32(11), (21, 21, 21))
     low = encode_morton(ordered & np.uint32(0x7FF), (11, 11, 11))
     order = np.lexsort((low, high))
-    before, after = order[:-1], order[1:]
-    same = (high[before] == high[after]) & (low[before] == low[after])
-    tied = np.zeros(order.size, bool)
-    tied[1:] |= same
-    tied[:-1] |= same
+    tied = find_ties(high[order], low[order])
     ties = np.sort(order[tied])
     rows = [row for plane in others for row in plane[:, ties].view(np.uint32)]
     order[tied] = ties[np.lexsort((*rows, low[ties], high[ties]))]

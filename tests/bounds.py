@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.lattice import LARGEST, to_float
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
-from gs_codec.codecs.entropygs.order import order_like
+from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import sort_axes

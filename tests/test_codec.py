@@ -9,7 +9,7 @@ import pytest
 from scenes import REAL_SCENES, edge_scenes, random_scene, shared_scene_path
 
 from gs_codec.codecs import decode_scene, encode_scene
-from gs_codec.codecs.entropygs.order import order_like
+from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import PROFILES, Config
 from gs_codec.errors import CorruptStream, InvalidInput

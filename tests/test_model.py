@@ -144,7 +144,7 @@ def test_few_symbols_are_coded_by_parameters_and_many_by_a_table():
 
     def kind(count):
         histogram = histogram_of(values[:count], 256)
-        return choose_model(histogram, None, lambda model: 150).model.kind
+        return choose_model(histogram, None).model.kind
 
     assert kind(500) == "mixture"
     assert kind(1_000_000) == "table"
@@ -153,7 +153,7 @@ def test_few_symbols_are_coded_by_parameters_and_many_by_a_table():
 def test_choice_is_the_cheapest_and_its_bits_are_real():
     rng = np.random.default_rng(33)
     histogram = histogram_of(rng.laplace(8, 1.2, 10_000), 16)
-    choice = choose_model(histogram, 1.2, lambda model: 1000)
+    choice = choose_model(histogram, 1.2)
     assert choice.model.kind == "laplace"
     frequencies = choice.table.frequencies / choice.table.frequencies.sum()
     occurring = histogram > 0

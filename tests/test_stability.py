@@ -14,7 +14,6 @@ from stress import stress_scenes
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs.models import MAX_COMPONENTS, LaplaceModel, choose_model, fit_mixture
-from gs_codec.codecs.entropygs.symbols import sent_table_bytes
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.frequency_table import MAX_PRECISION
 from gs_codec.coding.sent_tables import SentModel
@@ -154,4 +153,4 @@ def test_tables_code_what_occurs(name):
             assert np.all(table.frequencies[histogram > 0] > 0)
             assert math.isfinite(table.code_length(histogram))
     for scale in (None, 0.0, 2.0):
-        assert math.isfinite(choose_model(histogram, scale, sent_table_bytes).bits)
+        assert math.isfinite(choose_model(histogram, scale).bits)

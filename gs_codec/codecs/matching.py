@@ -13,7 +13,7 @@ import numpy as np
 
 from gs_codec.codecs.adaptive.lattice import PositionGrid
 from gs_codec.codecs.adaptive.positions import to_grid
-from gs_codec.codecs.entropygs.order import order_like
+from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import Info
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import quaternions, sort_axes

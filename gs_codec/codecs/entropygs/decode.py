@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.entropygs.gpcc import decode_gpcc, is_gpcc
-from gs_codec.codecs.entropygs.order import triple_depths
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
+from gs_codec.codecs.entropygs.symbols import triple_depths
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.coding.colour import decode_colour
 from gs_codec.coding.count_tree import decode_geometry

@@ -5,9 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from gs_codec.codecs.entropygs.gpcc import encode_gpcc, tool_of, tool_section
-from gs_codec.codecs.entropygs.order import Ordered, order_scene
-from gs_codec.codecs.entropygs.section import RANS_STREAMS, channel_order, write_channels
-from gs_codec.codecs.entropygs.symbols import Coded, quantise_and_model
+from gs_codec.codecs.entropygs.section import RANS_STREAMS, write_channels
+from gs_codec.codecs.entropygs.symbols import Coded, Ordered, order_scene, quantise_and_model
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.coding.colour import encode_colour
 from gs_codec.coding.count_tree import encode_geometry
@@ -24,16 +23,17 @@ def encode_channels(
     scene: Scene, config: Config, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a clean scene by a paper profile; see `encode_parts`."""
-    depths, tool = config.resolved_depths(), tool_of(config)
+    tool = tool_of(config)
     with times.stage("order"):
-        ordered = order_scene(scene, depths["geometry"], depths["sh-dc"])
+        ordered = order_scene(scene, config.resolved_depths())
     with times.stage("quantise and model"):
         coded = quantise_and_model(scene, ordered.order, config, progress)
     with times.stage("code"):
         header = _header(scene, config)
         block_sections = _encode_blocks(header, ordered, coded, config, tool, progress)
     with times.stage("container"):
-        sections = [_channels_section(scene, ordered, coded), *tool_section(tool, ordered)]
+        channels = write_channels([*ordered.channels, *coded.channels])
+        sections = [Section(SectionId.CHANNELS, 0, channels), *tool_section(tool, ordered)]
         sections += block_sections
         sections += carried_sections(scene, ordered.order)
         parts = file_parts(header, sections)
@@ -50,14 +50,6 @@ def encode_channels(
 def _header(scene: Scene, config: Config) -> Header:
     size = even_block_size(scene.count, config.block_size)
     return Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
-
-
-def _channels_section(scene: Scene, ordered: Ordered, coded: Coded) -> Section:
-    channels = (*ordered.channels, *coded.constants, *coded.channels)
-    by_key = {(channel.group, channel.index): channel for channel in channels}
-    keys = channel_order(len(scene.f_rest) // 3)
-    data = write_channels(by_key[group, index] for group, index, _ in keys)
-    return Section(SectionId.CHANNELS, 0, data)
 
 
 def _encode_blocks(
@@ -103,12 +95,12 @@ def _encode_colour(ordered: Ordered, block: int, start: int, stop: int) -> list[
 def _encode_symbols(
     coded: Coded, tables: TableSet, block: int, start: int, stop: int
 ) -> list[Section]:
-    if not coded.channels:
+    if not coded.tables:
         return []
     states, words = encode_symbols(coded.symbols, start, stop, tables)
     sections = [Section(SectionId.STATES, block, states)]
     for stream in RANS_STREAMS:
-        pairs = zip(words, coded.channels, strict=True)
+        pairs = zip(words, coded.varying, strict=True)
         members = [data for data, channel in pairs if channel.stream == stream]
         if members:
             sections.append(Section.kept(SectionId.of_stream(stream), block, b"".join(members)))

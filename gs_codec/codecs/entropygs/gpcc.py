@@ -14,8 +14,8 @@ import numpy as np
 from crc32c import crc32c
 from numpy.typing import NDArray
 
-from gs_codec.codecs.entropygs.order import Ordered, triple_depths
 from gs_codec.codecs.entropygs.section import Channel
+from gs_codec.codecs.entropygs.symbols import Ordered, triple_depths
 from gs_codec.codecs.entropygs.tmc3 import VARIABLE, Tmc3
 from gs_codec.coding.morton import canonical_order, encode_morton
 from gs_codec.config import GPCC_DEPTHS, Config

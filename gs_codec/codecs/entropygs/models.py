@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import struct
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import ClassVar
@@ -11,9 +11,17 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.frequency_table import MAX_PRECISION, FrequencyTable, normalise, shannon_bits
+from gs_codec.coding.fields import ByteReader
+from gs_codec.coding.frequency_table import (
+    MAX_PRECISION,
+    MIN_PRECISION,
+    FrequencyTable,
+    normalise,
+    shannon_bits,
+)
 from gs_codec.coding.linear import dot
-from gs_codec.coding.sent_tables import SentModel
+from gs_codec.coding.sent_tables import MAX_MANTISSA, SentModel, encode_tables
+from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import kernel
 
 MAX_COMPONENTS = 4
@@ -30,10 +38,6 @@ _PRECISIONS = (12, 14, 15)
 _WORTHWHILE = 2e-4
 
 _MANTISSAS = (2, 3, 4, 6)
-
-# Bytes of a model's parameters in the stream, beside its kind and precision.
-_LAPLACE_BYTES = 2
-_COMPONENT_BYTES = 10
 
 
 @dataclass(frozen=True)
@@ -145,9 +149,7 @@ def _expectation_maximisation(histogram, weights, means, sigmas, spread):
     total = histogram.sum()
     before = -np.inf
     for _ in range(_ITERATIONS):
-        mass[:] = 0.0
-        first[:] = 0.0
-        second[:] = 0.0
+        mass[:] = first[:] = second[:] = 0.0
         likelihood = 0.0
         for symbol in range(histogram.size):
             if histogram[symbol] == 0:
@@ -201,13 +203,58 @@ def fit_mixture(histogram: NDArray[np.int64], count: int, precision: int) -> Mix
 
 Model = LaplaceModel | MixtureModel | SentModel
 
+#: By their numbers in a file.
+_MODELS = (LaplaceModel, MixtureModel, SentModel)
+_HEAD = "BB"  # kind, precision
+
+
+def pack_model(model: Model) -> bytes:
+    """Serialise a model; the weights of a `SentModel` are apart."""
+    head = struct.pack(_HEAD, _MODELS.index(type(model)), model.precision)
+    if isinstance(model, LaplaceModel):
+        return head + struct.pack("<H", model.decay)
+    if isinstance(model, MixtureModel):
+        packed = [struct.pack("<HII", c.weight, c.mean, c.sigma) for c in model.components]
+        return head + struct.pack("<B", len(packed)) + b"".join(packed)
+    return head + struct.pack("<B", model.mantissa)
+
+
+def unpack_model(reader: ByteReader, depth: int, where: str) -> Model:
+    """The inverse of `pack_model` for symbols of `depth` bits; a `SentModel` has no weights."""
+    kind, precision = reader.unpack(_HEAD)
+    if kind >= len(_MODELS) or not max(MIN_PRECISION, depth) <= precision <= MAX_PRECISION:
+        raise CorruptStream(f"{where}: model {kind} of precision {precision}")
+    if kind == 0:
+        decay = reader.unpack("H")[0]
+        if decay == 0:
+            raise CorruptStream(f"{where}: Laplace decay 0")
+        return LaplaceModel(decay, precision)
+    number = reader.unpack("B")[0]
+    if kind == 1:
+        if not 1 <= number <= MAX_COMPONENTS:
+            raise CorruptStream(f"{where}: {number} components")
+        components = tuple(Component(*reader.unpack("HII")) for _ in range(number))
+        if any(c.weight == 0 or c.sigma == 0 for c in components):
+            raise CorruptStream(f"{where}: a component of weight or sigma 0")
+        return MixtureModel(components, precision)
+    if number > MAX_MANTISSA:
+        raise CorruptStream(f"{where}: mantissa of {number} bits")
+    return SentModel(np.zeros(0, np.int64), number, precision)
+
+
+def model_bytes(model: Model) -> int:
+    """Bytes of a model's parameters in a file; of a sent table, if it is the only one."""
+    size = len(pack_model(model)) - struct.calcsize(_HEAD)
+    if isinstance(model, SentModel):
+        size += len(encode_tables([model.weights], [model.mantissa]))
+    return size
+
 
 @dataclass(frozen=True)
 class Choice:
     """A channel's model and table, with the code lengths that it was chosen by.
 
-    ``bits`` and ``parametric_bits`` are code lengths without parameters, ``shannon_bits``
-    the entropy, each for all symbols of the channel.
+    The code lengths are of all symbols of the channel, without parameters.
     """
 
     model: Model
@@ -217,11 +264,7 @@ class Choice:
     shannon_bits: float
 
 
-def choose_model(
-    histogram: NDArray[np.int64],
-    laplace_scale: float | None,
-    sent_bytes: Callable[[SentModel], int],
-) -> Choice:
+def choose_model(histogram: NDArray[np.int64], laplace_scale: float | None) -> Choice:
     """Cheapest of the parametric models and the sent tables, parameters included.
 
     Parameters
@@ -230,40 +273,28 @@ def choose_model(
         Count of each symbol, not all 0.
     laplace_scale : float or None
         Mean absolute deviation in symbols for SH-AC; None tries mixtures instead.
-    sent_bytes : callable
-        Size of a sent table in the stream.
     """
+    parametric: list[Model] = _parametric_models(histogram, laplace_scale)
+    sent = [SentModel.fit(histogram, mantissa, MAX_PRECISION) for mantissa in _MANTISSAS]
     precisions = [p for p in _PRECISIONS if 1 << p >= 2 * histogram.size]
-    parametric = _parametric_models(histogram, laplace_scale, precisions)
-    candidates: list[tuple[Model, int]] = [(model, _parameter_bytes(model)) for model in parametric]
-    for mantissa in _MANTISSAS:
-        fitted = SentModel.fit(histogram, mantissa, MAX_PRECISION)
-        size = sent_bytes(fitted)  # the same for every precision
-        candidates += [(replace(fitted, precision=p), size) for p in precisions]
     priced = []
-    for model, size in candidates:
-        table = model.frequencies(histogram.size)
-        bits = table.code_length(histogram)
-        priced.append((bits + 8 * size, bits, model, table))
+    for fitted in [*parametric, *sent]:
+        size = model_bytes(fitted)
+        for precision in precisions:
+            model = replace(fitted, precision=precision)
+            table = model.frequencies(histogram.size)
+            bits = table.code_length(histogram)
+            priced.append((bits + 8 * size, bits, model, table))
     enough = min(cost for cost, *_ in priced) * (1 + _WORTHWHILE)
     _, bits, model, table = min(
         (item for item in priced if item[0] <= enough),
         key=lambda item: (item[2].precision, item[0]),
     )
-    parametric_bits = min(bits for _, bits, model, _ in priced[: len(parametric)])
+    parametric_bits = min(b for _, b, model, _ in priced if not isinstance(model, SentModel))
     return Choice(model, table, bits, parametric_bits, shannon_bits(histogram))
 
 
-def _parametric_models(
-    histogram: NDArray[np.int64], laplace_scale: float | None, precisions: list[int]
-) -> list[LaplaceModel | MixtureModel]:
+def _parametric_models(histogram: NDArray[np.int64], laplace_scale: float | None) -> list[Model]:
     if laplace_scale is not None:
-        return [LaplaceModel.fit(laplace_scale, p) for p in precisions]
-    fitted = [fit_mixture(histogram, k + 1, MAX_PRECISION) for k in range(MAX_COMPONENTS)]
-    return [MixtureModel(m.components, p) for m in fitted for p in precisions]
-
-
-def _parameter_bytes(model: LaplaceModel | MixtureModel) -> int:
-    if isinstance(model, LaplaceModel):
-        return _LAPLACE_BYTES
-    return 1 + _COMPONENT_BYTES * len(model.components)
+        return [LaplaceModel.fit(laplace_scale, MAX_PRECISION)]
+    return [fit_mixture(histogram, k + 1, MAX_PRECISION) for k in range(MAX_COMPONENTS)]

@@ -5,28 +5,20 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from gs_codec.codecs.entropygs.models import (
-    MAX_COMPONENTS,
-    Component,
-    LaplaceModel,
-    MixtureModel,
-    Model,
-)
+from gs_codec.codecs.entropygs.models import Model, pack_model, unpack_model
 from gs_codec.coding.fields import ByteReader
-from gs_codec.coding.frequency_table import MAX_PRECISION, MIN_PRECISION
 from gs_codec.coding.quantise import CentredQuantiser, ConstantQuantiser, Quantiser, RangeQuantiser
-from gs_codec.coding.sent_tables import MAX_MANTISSA, SentModel, decode_tables, encode_tables
+from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.config import DEPTH_GROUPS, MAX_DEPTH, SH_STREAMS
 from gs_codec.egs.file import EgsFile, SectionId
 from gs_codec.errors import CorruptStream
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, group_rows, property_names, sh_bands
 
 _QUANTISERS = (ConstantQuantiser, RangeQuantiser, CentredQuantiser)
-_MODELS = (LaplaceModel, MixtureModel, SentModel)
 _WHERE = "section 'channels'"
 
 #: Streams whose channels are coded by rANS, in the order they share its states.
@@ -94,8 +86,7 @@ def write_channels(channels: Iterable[Channel]) -> bytes:
         out += _pack_quantiser(channel.quantiser)
         if channel.model is None:
             continue
-        out += struct.pack("<BB", _MODELS.index(type(channel.model)), channel.model.precision)
-        out += _pack_parameters(channel.model)
+        out += pack_model(channel.model)
         if isinstance(channel.model, SentModel):
             sent.append(channel.model)
     return bytes(out) + encode_tables([m.weights for m in sent], [m.mantissa for m in sent])
@@ -119,7 +110,9 @@ def read_channels(data: memoryview, coefficients: int) -> list[Channel]:
     for group, index, stream in channel_order(coefficients):
         channel = Channel(group, index, stream, _unpack_quantiser(reader, stream))
         if stream in RANS_STREAMS and channel.quantiser.depth:
-            channel = replace(channel, model=_unpack_model(reader, channel))
+            where = f"{_WHERE}: '{channel.name}'"
+            model = unpack_model(reader, channel.quantiser.depth, where)
+            channel = replace(channel, model=model)
         channels.append(channel)
     return _fill_tables(channels, reader.rest())
 
@@ -141,11 +134,8 @@ def _fill_tables(channels: list[Channel], data: memoryview) -> list[Channel]:
 
 def _pack_quantiser(quantiser: Quantiser) -> bytes:
     kind = _QUANTISERS.index(type(quantiser))
-    if isinstance(quantiser, ConstantQuantiser):
-        return struct.pack("<Bf", kind, quantiser.value)
-    if isinstance(quantiser, RangeQuantiser):
-        return struct.pack("<BBff", kind, quantiser.depth, quantiser.low, quantiser.high)
-    return struct.pack("<BBff", kind, quantiser.depth, quantiser.centre, quantiser.half_range)
+    layout = "<BBff" if quantiser.depth else "<Bf"
+    return struct.pack(layout, kind, *astuple(quantiser))
 
 
 def _unpack_quantiser(reader: ByteReader, stream: str) -> Quantiser:
@@ -169,35 +159,3 @@ def _unpack_quantiser(reader: ByteReader, stream: str) -> Quantiser:
         if kind == 1
         else CentredQuantiser(depth, first, second)
     )
-
-
-def _pack_parameters(model: Model) -> bytes:
-    if isinstance(model, LaplaceModel):
-        return struct.pack("<H", model.decay)
-    if isinstance(model, MixtureModel):
-        packed = [struct.pack("<HII", c.weight, c.mean, c.sigma) for c in model.components]
-        return struct.pack("<B", len(packed)) + b"".join(packed)
-    return struct.pack("<B", model.mantissa)
-
-
-def _unpack_model(reader: ByteReader, channel: Channel) -> Model:
-    kind, precision = reader.unpack("BB")
-    lowest = max(MIN_PRECISION, channel.quantiser.depth)
-    if kind >= len(_MODELS) or not lowest <= precision <= MAX_PRECISION:
-        raise CorruptStream(f"{_WHERE}: model {kind} of precision {precision} in '{channel.name}'")
-    if kind == 0:
-        decay = reader.unpack("H")[0]
-        if decay == 0:
-            raise CorruptStream(f"{_WHERE}: Laplace decay 0 in '{channel.name}'")
-        return LaplaceModel(decay, precision)
-    number = reader.unpack("B")[0]
-    if kind == 1:
-        if not 1 <= number <= MAX_COMPONENTS:
-            raise CorruptStream(f"{_WHERE}: {number} components in '{channel.name}'")
-        components = tuple(Component(*reader.unpack("HII")) for _ in range(number))
-        if any(c.weight == 0 or c.sigma == 0 for c in components):
-            raise CorruptStream(f"{_WHERE}: a component of weight or sigma 0 in '{channel.name}'")
-        return MixtureModel(components, precision)
-    if number > MAX_MANTISSA:
-        raise CorruptStream(f"{_WHERE}: mantissa of {number} bits in '{channel.name}'")
-    return SentModel(np.zeros(0, np.int64), number, precision)

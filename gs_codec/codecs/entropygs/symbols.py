@@ -1,7 +1,8 @@
-"""Symbols and models of the channels that rANS codes."""
+"""Symbols of a scene in the order of the stream, and the models of those that rANS codes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,40 +11,113 @@ from numpy.typing import NDArray
 from gs_codec.codecs.entropygs.models import Choice, choose_model
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channel_order
 from gs_codec.coding.frequency_table import FrequencyTable
-from gs_codec.coding.quantise import Quantiser, fit_centred, fit_range, quantise
-from gs_codec.coding.sent_tables import SentModel, encode_tables
+from gs_codec.coding.morton import canonical_order, encode_morton
+from gs_codec.coding.quantise import (
+    Quantiser,
+    fit_centred,
+    fit_range,
+    quantise,
+    quantise_positions,
+)
 from gs_codec.config import Config
 from gs_codec.report import ChannelCost, Progress, step_counter
-from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.arrays import current, empty
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
 
 @dataclass(frozen=True)
+class Ordered:
+    """Geometry and SH-DC of a scene in canonical order, and the order itself.
+
+    Attributes
+    ----------
+    order : ndarray, shape (N,), int64
+        Index in the scene of each Gaussian of the stream.
+    codes : ndarray, shape (N,), int64
+        Morton codes, ascending.
+    cells : ndarray, shape (3, N), uint32
+        Quantised positions.
+    colours : ndarray, shape (3, N), uint16
+        Quantised SH-DC.
+    channels : list of Channel
+        x, y, z, and f_dc of R, G, B.
+    """
+
+    order: NDArray[np.int64]
+    codes: NDArray[np.int64]
+    cells: NDArray[np.uint32]
+    colours: NDArray[np.uint16]
+    channels: list[Channel]
+
+    @property
+    def depths(self) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+        """Bits of x, y, z and of R, G, B; 0 where constant."""
+        quantisers = [channel.quantiser for channel in self.channels]
+        return triple_depths(quantisers[:3]), triple_depths(quantisers[3:])
+
+
+def order_scene(scene: Scene, depths: Mapping[str, int]) -> Ordered:
+    """Quantise geometry and SH-DC and sort by them; `depths` are those of a paper profile."""
+    channels = [
+        Channel(group, index, stream, fit_range(getattr(scene, group)[index], depths[stream]))
+        for group, index, stream in channel_order(0)[:6]
+    ]
+    order, codes, cells, colours = _sort(scene, [channel.quantiser for channel in channels])
+    keep = current().keep
+    codes, cells, colours = keep(codes[order]), keep(cells[:, order]), keep(colours[:, order])
+    return Ordered(keep(order), codes, cells, colours, channels)
+
+
+def order_like(scene: Scene, quantisers: Sequence[Quantiser]) -> NDArray[np.int64]:
+    """The order in which `scene` is coded under the quantisers of x, y, z and f_dc."""
+    return _sort(scene, quantisers)[0]
+
+
+def triple_depths(quantisers: Sequence[Quantiser]) -> tuple[int, int, int]:
+    """Depths of three channels."""
+    first, second, third = (quantiser.depth for quantiser in quantisers)
+    return first, second, third
+
+
+def _sort(
+    scene: Scene, quantisers: Sequence[Quantiser]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint32], NDArray[np.uint16]]:
+    """Canonical order; and codes, cells and colours in the scene's own order."""
+    cells = quantise_positions(scene.positions, quantisers[:3])
+    as_given = np.arange(scene.count)
+    pairs = zip(scene.f_dc, quantisers[3:], strict=True)
+    colours = np.stack([quantise(row, quantiser, as_given)[0] for row, quantiser in pairs])
+    codes = encode_morton(cells, triple_depths(quantisers[:3]))
+    return canonical_order(codes, *colours), codes, cells, colours
+
+
+@dataclass(frozen=True)
 class Coded:
-    """The rANS-coded channels of a scene, in canonical order.
+    """The channels in the streams of rANS, with their symbols in canonical order.
 
     Attributes
     ----------
     channels : list of Channel
-        Those that are not constant, in stream order.
+        All of them, in stream order; those without a model are constant.
     symbols : ndarray, shape (C, N), uint16
-    histograms : list of ndarray, shape (2**depth,), int64
+        Of the channels that are not constant, as are `tables` and `costs`.
     tables : list of FrequencyTable
     costs : list of ChannelCost
-    constants : list of Channel
-        Those that are constant.
     rectified : int
         SH-AC values moved to the edge of their Laplace range.
     """
 
     channels: list[Channel]
     symbols: NDArray[np.uint16]
-    histograms: list[NDArray[np.int64]]
     tables: list[FrequencyTable]
     costs: list[ChannelCost]
-    constants: list[Channel]
     rectified: int
+
+    @property
+    def varying(self) -> list[Channel]:
+        """The channels that are not constant."""
+        return [channel for channel in self.channels if channel.model is not None]
 
 
 def quantise_and_model(
@@ -51,22 +125,32 @@ def quantise_and_model(
 ) -> Coded:
     """Quantise all channels but geometry and SH-DC, in `order`, and choose their models."""
     depths = config.resolved_depths()
-    keys = [p for p in channel_order(len(scene.f_rest) // 3) if p[2] in RANS_STREAMS]
-    symbols = empty((len(keys), scene.count), np.uint16)
 
-    def work(row: int) -> tuple[Channel, NDArray[np.int64], Choice | None, int]:
-        group, index, stream = keys[row]
+    def fit(key: tuple[str, int, str]) -> tuple[Channel, float | None]:
+        group, index, stream = key
         quantiser, scale = fit_channel(getattr(scene, group)[index], group, depths[stream])
-        symbols[row], histogram, clamped = quantise(getattr(scene, group)[index], quantiser, order)
-        channel = Channel(group, index, stream, quantiser)
-        if not quantiser.depth:
-            return channel, histogram, None, clamped
-        choice = choose_model(histogram, scale, sent_table_bytes)
-        return replace(channel, model=choice.model), histogram, choice, clamped
+        return Channel(group, index, stream, quantiser), scale
 
-    advance = step_counter(progress, "quantise", len(keys))
-    results = run_all(work, range(len(keys)), advance=advance)
-    return _collect(results, symbols)
+    keys = [key for key in channel_order(len(scene.f_rest) // 3) if key[2] in RANS_STREAMS]
+    fitted = run_all(fit, keys)
+    varying = [row for row, (channel, _) in enumerate(fitted) if channel.quantiser.depth]
+    symbols = empty((len(varying), scene.count), np.uint16)
+
+    def work(row: int) -> tuple[Choice, int]:
+        channel, scale = fitted[varying[row]]
+        values = getattr(scene, channel.group)[channel.index]
+        symbols[row], histogram, clamped = quantise(values, channel.quantiser, order)
+        return choose_model(histogram, scale), clamped
+
+    advance = step_counter(progress, "quantise", len(varying))
+    results = run_all(work, range(len(varying)), advance=advance)
+    channels = [channel for channel, _ in fitted]
+    costs = []
+    for row, (choice, _) in zip(varying, results, strict=True):
+        channels[row] = replace(channels[row], model=choice.model)
+        costs.append(_cost(channels[row], choice))
+    tables = [choice.table for choice, _ in results]
+    return Coded(channels, symbols, tables, costs, sum(clamped for _, clamped in results))
 
 
 def fit_channel(
@@ -78,33 +162,6 @@ def fit_channel(
     return fit_range(values, depth), None
 
 
-def _collect(
-    results: list[tuple[Channel, NDArray[np.int64], Choice | None, int]],
-    symbols: NDArray[np.uint16],
-) -> Coded:
-    rows, channels, histograms, choices = [], [], [], []
-    for row, (channel, histogram, choice, _) in enumerate(results):
-        if choice is not None:
-            rows.append(row)
-            channels.append(channel)
-            histograms.append(histogram)
-            choices.append(choice)
-    if len(rows) < len(results):
-        varying = empty((len(rows), symbols.shape[1]), symbols.dtype)
-        for kept, row in zip(varying, rows, strict=True):
-            kept[:] = symbols[row]
-        symbols = varying
-    return Coded(
-        channels=channels,
-        symbols=symbols,
-        histograms=histograms,
-        tables=[choice.table for choice in choices],
-        costs=[_cost(*pair) for pair in zip(channels, choices, strict=True)],
-        constants=[channel for channel, _, choice, _ in results if choice is None],
-        rectified=sum(clamped for *_, clamped in results),
-    )
-
-
 def _cost(channel: Channel, choice: Choice) -> ChannelCost:
     return ChannelCost(
         channel.name,
@@ -114,8 +171,3 @@ def _cost(channel: Channel, choice: Choice) -> ChannelCost:
         choice.parametric_bits,
         choice.shannon_bits,
     )
-
-
-def sent_table_bytes(model: SentModel) -> int:
-    """Bytes of one sent table, coded on its own."""
-    return 1 + len(encode_tables([model.weights], [model.mantissa]))

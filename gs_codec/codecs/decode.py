@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.decode import block_boxes, decode_lattice, lattice_sections
+from gs_codec.codecs.adaptive.decode import adaptive_sections, block_boxes, decode_adaptive
 from gs_codec.codecs.entropygs.decode import (
     channel_positions,
     channel_sections,
@@ -19,7 +19,7 @@ from gs_codec.codecs.entropygs.decode import (
 )
 from gs_codec.codecs.entropygs.gpcc import tool_for
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
-from gs_codec.codecs.lossless.lossless import block_sections, decode_lossless, lossless_positions
+from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_positions, lossless_sections
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, check_threads
 from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, Header, SectionId, read_file
@@ -196,7 +196,7 @@ def _part_of(progress: Progress | None, first: int, count: int, total: int) -> P
 def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray[np.float32]]]:
     if profile == LOSSLESS:
         return decode_lossless
-    return decode_lattice if profile in ADAPTIVE_PROFILES else partial(decode_channels, tool=tool)
+    return decode_adaptive if profile in ADAPTIVE_PROFILES else partial(decode_channels, tool=tool)
 
 
 def _choose_blocks(file: EgsFile, part: Part, tool: Tmc3 | None) -> tuple[EgsFile, Sequence[int]]:
@@ -237,10 +237,10 @@ def _check_sections(file: EgsFile) -> set[SectionId]:
     """Check that a file has exactly its profile's sections; returns those of its blocks."""
     header = file.header
     if header.profile == LOSSLESS:
-        own, expected = {SectionId.BOX}, set(block_sections(header.sh_degree))
+        own, expected = {SectionId.BOX}, set(lossless_sections(header.sh_degree))
     elif header.profile in ADAPTIVE_PROFILES:
         own = {SectionId.LATTICE, SectionId.BOUNDS} if header.count else {SectionId.LATTICE}
-        expected = lattice_sections(header.sh_degree)
+        expected = adaptive_sections(header.sh_degree)
     else:
         own, expected = {SectionId.CHANNELS}, channel_sections(file)
         if SectionId.GPCC in expected:

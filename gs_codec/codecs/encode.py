@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gs_codec.codecs.adaptive.encode import encode_lattice
+from gs_codec.codecs.adaptive.encode import encode_adaptive
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.entropygs.encode import encode_channels
 from gs_codec.codecs.lossless.lossless import encode_lossless
@@ -58,21 +58,15 @@ def encode_parts(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to the consecutive pieces of a file; see `encode_scene`."""
     config = config or Config()
-    with using_threads(config.threads):
-        return _encode_parts(scene, config, progress, steps)
-
-
-def _encode_parts(
-    scene: Scene, config: Config, progress: Progress | None, steps: StepSizes | None
-) -> tuple[list[bytes | memoryview], EncodeReport]:
-    check_encoding(scene.count, config)
-    if config.profile == LOSSLESS:
-        return encode_lossless(scene, config, progress)
     times = StageTimes()
-    with times.stage("check"):
-        scene, changed = clean_scene(scene, config)
-    if config.profile in ADAPTIVE_PROFILES:
-        parts, report = encode_lattice(scene, config, steps, times, progress)
-    else:
-        parts, report = encode_channels(scene, config, times, progress)
+    with using_threads(config.threads):
+        check_encoding(scene.count, config)
+        with times.stage("check"):
+            scene, changed = clean_scene(scene, config)
+        if config.profile in ADAPTIVE_PROFILES:
+            parts, report = encode_adaptive(scene, config, steps, times, progress)
+        elif config.profile == LOSSLESS:
+            parts, report = encode_lossless(scene, config, times, progress)
+        else:
+            parts, report = encode_channels(scene, config, times, progress)
     return parts, replace(report, **changed)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gs_codec.config import Config
+from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.threads import run_all
@@ -18,12 +18,19 @@ from gs_codec.scene import GROUPS, Scene
 def clean_scene(scene: Scene, config: Config) -> tuple[Scene, dict[str, Any]]:
     """Clean a scene; returns it and the fields of `EncodeReport` that count the changes.
 
+    Profile ``lossless`` keeps every float, unless it is to drop those that are not finite.
+
     Raises
     ------
     InvalidInput
-        If values are not finite and ``config.nonfinite`` is ``error``.
+        If values are not finite and ``config.nonfinite`` is ``error``, except with ``lossless``.
     """
+    exact = config.profile == LOSSLESS
+    if exact and config.nonfinite == "error":
+        return scene, {}
     scene, dropped = drop_nonfinite(scene, config)
+    if exact:
+        return scene, {"dropped": dropped}
     scene, zero_quaternions = identity_for_zero(scene)
     return scene, {"dropped": dropped, "zero_quaternions": zero_quaternions}
 

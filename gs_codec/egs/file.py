@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, TypeVar
 from crc32c import crc32c
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.config import LOSSLESS
+from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.arrays import current
-from gs_codec.scene import SH_COEFFICIENTS, float_bytes
+from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
 
 Parsed = TypeVar("Parsed")
 
@@ -91,6 +91,14 @@ class Header:
     block_size: int
     has_normals: bool = False
     keeps_order: bool = False
+
+    @classmethod
+    def of(cls, scene: Scene, config: Config) -> Header:
+        """The header of a scene in the fewest blocks that `config` allows, filled evenly."""
+        blocks = max(-(-scene.count // config.block_size), 1)
+        size = max(-(-scene.count // blocks), 1)
+        normals, keeps_order = scene.has_normals, config.keep_order
+        return cls(scene.count, scene.sh_degree, config.profile, size, normals, keeps_order)
 
     @property
     def block_count(self) -> int:
@@ -185,12 +193,6 @@ class EgsFile:
 
 #: Profile numbers in the header.
 PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
-
-
-def even_block_size(count: int, limit: int) -> int:
-    """Block size that splits a scene evenly into the fewest blocks of at most `limit`."""
-    blocks = max(-(-count // limit), 1)
-    return max(-(-count // blocks), 1)
 
 
 def section_sizes(sections: Sequence[Section]) -> dict[str, int]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.egs.file import Section, SectionId
+from gs_codec.egs.file import Header, Section, SectionId, file_parts, section_sizes
 from gs_codec.errors import CorruptStream, InvalidInput
+from gs_codec.report import ChannelCost, EncodeReport, StageTimes
 from gs_codec.runtime.arrays import empty
 from gs_codec.scene import Scene, gather, is_extra_name
 
@@ -26,6 +27,29 @@ Box = tuple[tuple[float, ...], tuple[float, ...]]
 
 #: Most characters of a version line.
 MAX_LENGTH = 200
+
+
+def pack_scene(
+    scene: Scene,
+    header: Header,
+    sections: list[Section],
+    order: NDArray[np.integer],
+    times: StageTimes,
+    costs: Sequence[ChannelCost] = (),
+    rectified: int = 0,
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """The pieces of a file of coded sections, with what a scene carries beside; the report."""
+    with times.stage("container"):
+        sections = sections + carried_sections(scene, order)
+        parts = file_parts(header, sections)
+    return parts, EncodeReport(
+        count=scene.count,
+        raw_bytes=scene.float_bytes,
+        section_bytes=section_sizes(sections),
+        costs=list(costs),
+        rectified=rectified,
+        seconds=times.seconds,
+    )
 
 
 def carried_sections(scene: Scene, order: NDArray[np.integer]) -> list[Section]:

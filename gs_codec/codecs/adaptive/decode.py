@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import decode_colours
-from gs_codec.codecs.adaptive.contexts import ENERGIES, Pass, passes, sh_channels, shift_context
-from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE, Lattice, to_float
+from gs_codec.codecs.adaptive.contexts import ENERGIES, passes, sh_channels, shift_context
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE, to_float
 from gs_codec.codecs.adaptive.positions import centres, from_grid
-from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
+from gs_codec.codecs.adaptive.section import bounds_of, lattice_of
 from gs_codec.codecs.adaptive.shape import Shape, walk_shape
 from gs_codec.codecs.adaptive.tokens import read_pass
 from gs_codec.coding.axes import quaternions
@@ -27,14 +27,14 @@ from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_COEFFICIENTS, group_rows
 
 
-def lattice_sections(sh_degree: int) -> set[SectionId]:
+def adaptive_sections(sh_degree: int) -> set[SectionId]:
     """Sections that each block has for SH up to a degree."""
     streams = {item.stream for item in passes(SH_COEFFICIENTS[sh_degree])}
     listed = {SectionId.of_stream(stream) for stream in streams}
     return {*listed, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
 
 
-def decode_lattice(
+def decode_adaptive(
     file: EgsFile,
     spans: dict[int, slice],
     degree: int,
@@ -45,70 +45,60 @@ def decode_lattice(
     `spans` gives each block's range in the result; SH is decoded up to `degree`.
     """
     count = max((span.stop for span in spans.values()), default=0)
-    decoder = LatticeDecoder.of(file, degree, count)
-    jobs = [partial(decoder.decode, block, span.start, span.stop) for block, span in spans.items()]
+    decoder = _Blocks(file, degree, count)
+    jobs = [partial(decoder.decode, block, span) for block, span in spans.items()]
     run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
     return decoder.groups
 
 
 def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest x, y, z of the centres of each block, each ``(blocks, 3)``."""
-    lattice, _ = lattice_of(file)
+    grid = lattice_of(file)[0].grid
     boxes = bounds_of(file)
     # Rounded to float32, as decoded positions are.
-    corners = [
-        from_grid(part.T, np.array(lattice.grid.origin), lattice.grid.step).T.astype(np.float64)
-        for part in (boxes[:, :3], boxes[:, 3:])
-    ]
-    return corners[0], corners[1]
+    low, high = (
+        from_grid(corners.T, np.array(grid.origin), grid.step).T.astype(np.float64)
+        for corners in (boxes[:, :3], boxes[:, 3:])
+    )
+    return low, high
 
 
-@dataclass(frozen=True)
-class LatticeDecoder:
-    """Decodes single blocks into the attribute groups of a scene.
+class _Blocks:
+    """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree."""
 
-    ``coefficients`` is the number of coded SH-AC coefficients of a colour, of which ``kept`` are
-    decoded; ``boxes`` are the blocks' bounds, in half steps of the grid.
-    """
+    def __init__(self, file: EgsFile, degree: int, count: int) -> None:
+        self.file = file
+        self.lattice, self.models = lattice_of(file)
+        self.tables = PassTables.pack(self.models.tables())
+        self.boxes = bounds_of(file)
+        self.coded = SH_COEFFICIENTS[file.header.sh_degree]
+        self.kept = SH_COEFFICIENTS[degree]
+        rows = group_rows(self.kept)
+        self.groups = {group: np.zeros((n, count), np.float32) for group, n in rows.items()}
 
-    file: EgsFile
-    lattice: Lattice
-    models: PassModels
-    tables: PassTables
-    coefficients: int
-    kept: int
-    boxes: NDArray[np.int64]
-    groups: dict[str, NDArray[np.float32]]
-
-    @classmethod
-    def of(cls, file: EgsFile, sh_degree: int, count: int) -> LatticeDecoder:
-        """Read lattices and tables, and allocate `count` Gaussians of an SH degree."""
-        coefficients = SH_COEFFICIENTS[file.header.sh_degree]
-        lattice, models = lattice_of(file)
-        kept = SH_COEFFICIENTS[sh_degree]
-        groups = {g: np.zeros((n, count), np.float32) for g, n in group_rows(kept).items()}
-        tables = PassTables.pack(models.tables())
-        return cls(file, lattice, models, tables, coefficients, kept, bounds_of(file), groups)
-
-    def decode(self, block: int, start: int, stop: int) -> None:
+    def decode(self, block: int, span: slice) -> None:
         """Fill the groups of a block."""
         where = f"block {block}"
         grid = self.lattice.grid
         tree = self.file.section(SectionId.GEOMETRY, block)
-        codes, lefts = decode_tree(tree, stop - start, grid.total_bits, f"geometry of {where}")
+        count = span.stop - span.start
+        codes, lefts = decode_tree(tree, count, grid.total_bits, f"geometry of {where}")
         streams = _Streams(self, block)
-        streams.open("classes")
-        shape_class = self._classes(streams.read(np.zeros_like(codes)), 0, where)
-        colour_class = self._classes(streams.read(shape_class), 1, where)
-        shape = walk_shape(self.lattice, shape_class, streams.read_attribute)
-        _check_range([shape.opacity, *shape.scales, *shape.vectors], where)
+        most_shapes, most_colours = self.lattice.classes
+        shape_class = streams.read(np.zeros_like(codes))
+        _check_range([shape_class], 0, most_shapes, f"{where}: a class")
+        colour_class = streams.read(shape_class)
+        _check_range([colour_class], 0, most_colours, f"{where}: a class")
+        shape = walk_shape(
+            self.lattice, shape_class, lambda _, shifts: streams.read(shift_context(shifts))
+        )
+        _check_values([shape.opacity, *shape.scales, *shape.vectors], where)
         grid_positions = self._grid_positions(block, codes, lefts, shape_class, shape)
-        rule = self.lattice.rules["colour"]
+        rule, unit = self.lattice.rules["colour"], self.lattice.units["sh-dc"]
         shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
-        streams.open("sh-dc")
-        colours = streams.read_colours(grid_positions, shifts)
-        _check_range(colours, where)
-        span = slice(start, stop)
+        tables = streams.next_tables()
+        colours = decode_colours(grid_positions, unit, shifts, tables, streams.reader, streams.bits)
+        _check_values(colours, where)
         origin = np.array(grid.origin)
         self.groups["positions"][:, span] = from_grid(grid_positions, origin, grid.step)
         self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
@@ -117,12 +107,7 @@ class LatticeDecoder:
         self.groups["rot"][:, span] = quaternions(to_float(shape.vectors))
         if self.kept:
             self._decode_ac(streams, shifts, span, where)
-        streams.finish(whole=self.kept == self.coefficients)
-
-    def _classes(self, levels: NDArray[np.int64], kind: int, where: str) -> NDArray[np.int64]:
-        if levels.size and not 0 <= levels.min() <= levels.max() < self.lattice.classes[kind]:
-            raise CorruptStream(f"{where}: a class out of range")
-        return levels
+        streams.finish(whole=self.kept == self.coded)
 
     def _grid_positions(
         self,
@@ -147,16 +132,13 @@ class LatticeDecoder:
     def _decode_ac(
         self, streams: _Streams, shifts: NDArray[np.int64], span: slice, where: str
     ) -> None:
-        streams.open("sh1")
         energy = streams.read(shift_context(shifts))
-        if energy.size and not 0 <= energy.min() <= energy.max() < len(ENERGIES):
-            raise CorruptStream(f"{where}: an SH energy out of range")
+        _check_range([energy], 0, len(ENERGIES), f"{where}: an SH energy")
         some = np.flatnonzero(energy)
         context = energy[some].astype(np.uint8)
         levels = np.zeros((3, self.kept, len(energy)), np.int32)
         units = np.empty(self.kept, np.int64)
         for band, colour, k in sh_channels(self.kept):
-            streams.open(f"sh{band}")
             units[k] = self.lattice.units[f"sh{band}"]
             streams.read_into(context, some, levels[colour, k])
         rows = self.groups["f_rest"].reshape(3, self.kept, -1)[:, :, span]
@@ -165,41 +147,24 @@ class LatticeDecoder:
 
 
 class _Streams:
-    """Reads the streams of a block, pass after pass."""
+    """Reads the passes of a block one after another, and opens the streams that they are in."""
 
-    def __init__(self, decoder: LatticeDecoder, block: int) -> None:
-        self.decoder = decoder
+    def __init__(self, blocks: _Blocks, block: int) -> None:
+        self.file = blocks.file
         self.block = block
-        self.where = f"block {block}"
-        states = decoder.file.section(SectionId.STATES, block)
-        self.reader = PassReader(states, decoder.tables, self.where)
-        self.bits = BitReader(memoryview(b""), self.where)
+        self.passes = zip(passes(blocks.coded), blocks.models.rows, strict=True)
         self.stream = ""
-        self.passes: list[Pass] = passes(decoder.coefficients)
-        self.next = 0
+        where = f"block {block}"
+        self.reader = PassReader(self.file.section(SectionId.STATES, block), blocks.tables, where)
+        self.bits = BitReader(memoryview(b""), where)
 
-    def open(self, stream: str) -> None:
-        """Open a stream, after a check that the one before was read to its end."""
-        if stream == self.stream:
-            return
-        self._close()
-        where = f"section '{stream}' of {self.where}"
-        data = self.decoder.file.section(SectionId.of_stream(stream), self.block)
-        section = ByteReader(data, where)
-        self.reader.open(section.take(section.unpack("I")[0]))
-        self.bits = BitReader(section.rest(), where)
-        self.stream = stream
-
-    def _close(self) -> None:
-        if self.stream:
-            self.reader.close()
-            self.bits.close()
-
-    def _rows(self) -> NDArray[np.int64]:
+    def next_tables(self) -> NDArray[np.int64]:
         """Number of the table of each context of the next pass."""
-        self.open(self.passes[self.next].stream)
-        self.next += 1
-        return self.decoder.models.rows[self.next - 1]
+        item, tables = next(self.passes)
+        if item.stream != self.stream:
+            self._close()
+            self._open(item.stream)
+        return tables
 
     def read(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels ``(n,)`` of the next pass, under contexts ``(n,)``."""
@@ -214,20 +179,8 @@ class _Streams:
         values: NDArray[np.integer],
     ) -> None:
         """Read the levels of the next pass into ``values[indices]``."""
-        rows = self._rows()
-        read_pass(self.reader, self.bits, rows, contexts, indices, values)
-
-    def read_attribute(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Levels of an attribute of the shape."""
-        return self.read(shift_context(shifts))
-
-    def read_colours(
-        self, grid_positions: NDArray[np.int64], shifts: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """Fixed-point SH-DC ``(3, n)``."""
-        rows = self._rows()
-        unit = self.decoder.lattice.units["sh-dc"]
-        return decode_colours(grid_positions, unit, shifts, rows, self.reader, self.bits)
+        tables = self.next_tables()
+        read_pass(self.reader, self.bits, tables, contexts, indices, values)
 
     def finish(self, whole: bool) -> None:
         """Check that the stream was read to its end; if `whole`, check the final states too."""
@@ -235,9 +188,27 @@ class _Streams:
         if whole:
             self.reader.finish()
 
+    def _open(self, stream: str) -> None:
+        data = self.file.section(SectionId.of_stream(stream), self.block)
+        where = f"section '{stream}' of block {self.block}"
+        section = ByteReader(data, where)
+        self.reader.open(section.take(section.unpack("I")[0]))
+        self.bits = BitReader(section.rest(), where)
+        self.stream = stream
 
-def _check_range(values, where: str) -> None:
+    def _close(self) -> None:
+        """Check that the stream was read to its end."""
+        self.reader.close()
+        self.bits.close()
+
+
+def _check_values(fixed: Iterable[NDArray[np.int64]], where: str) -> None:
     limit = int(TOO_LARGE) << FRACTION_BITS
-    for row in values:
-        if row.size and not -limit < row.min() <= row.max() < limit:
-            raise CorruptStream(f"{where}: a value out of range")
+    _check_range(fixed, 1 - limit, limit, f"{where}: a value")
+
+
+def _check_range(rows: Iterable[NDArray[np.int64]], low: int, end: int, what: str) -> None:
+    """Refuse integers below `low`, or not below `end`."""
+    for row in rows:
+        if row.size and not low <= row.min() <= row.max() < end:
+            raise CorruptStream(f"{what} out of range")

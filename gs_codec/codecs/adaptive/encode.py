@@ -22,8 +22,8 @@ from gs_codec.coding.fields import BitWriter
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import Config
-from gs_codec.egs.file import Header, Section, SectionId, even_block_size, file_parts, section_sizes
-from gs_codec.egs.sections import carried_sections
+from gs_codec.egs.file import Header, Section, SectionId
+from gs_codec.egs.sections import pack_scene
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, gather
@@ -31,14 +31,7 @@ from gs_codec.scene import Scene, gather
 
 @dataclass(frozen=True)
 class ShapedScene:
-    """A scene of which everything but the colours is rounded.
-
-    Attributes
-    ----------
-    header : Header
-    arranged : Arranged
-    blocks : list of ShapedBlock
-    """
+    """A scene of which everything but the colours is rounded."""
 
     header: Header
     arranged: Arranged
@@ -77,24 +70,22 @@ class ShapedScene:
         return replace(self, arranged=replace(self.arranged, source=source))
 
 
-def encode_lattice(
+def encode_adaptive(
     scene: Scene,
     config: Config,
     steps: StepSizes | None,
     times: StageTimes,
     progress: Progress | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene cleaned by `clean_scene`; see `encode_parts`."""
-    if steps is not None:
-        return encode_shaped(shape_scene(scene, config, steps, times), times, progress)
-    header, arranged = _arrange(scene, config, None, times)
+    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None."""
+    header, arranged = _arrange(scene, config, steps, times)
     advance = step_counter(progress, "quantise", header.block_count)
 
-    def both(span: tuple[int, int]) -> Block:
-        return colour_block(arranged, shape_block(arranged, *span), diffusing=True).kept()
+    def code(span: tuple[int, int]) -> Block:
+        return colour_block(arranged, shape_block(arranged, *span), steps is None).kept()
 
     with times.stage("quantise"):
-        blocks = run_all(both, _spans(header), advance=advance)
+        blocks = run_all(code, _spans(header), advance=advance)
     return _code(header, arranged, blocks, times, progress)
 
 
@@ -124,10 +115,8 @@ def encode_shaped(
 def _arrange(
     scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
 ) -> tuple[Header, Arranged]:
-    size = even_block_size(scene.count, config.block_size)
-    header = Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
     with times.stage("order"):
-        return header, arrange_scene(scene, config, steps)
+        return Header.of(scene, config), arrange_scene(scene, config, steps)
 
 
 def _spans(header: Header) -> list[tuple[int, int]]:
@@ -153,23 +142,13 @@ def _code(
             enumerate(blocks),
             advance=advance,
         )
-    with times.stage("container"):
-        lattice = write_lattice(arranged.lattice, models)
-        sections = [Section(SectionId.LATTICE, 0, lattice)]
-        if blocks:
-            bounds = write_bounds([block.box for block in blocks])
-            sections.append(Section(SectionId.BOUNDS, 0, bounds))
-        sections += [section for block in coded for section in block]
-        sections += carried_sections(arranged.source, arranged.order)
-        parts = file_parts(header, sections)
-    return parts, EncodeReport(
-        count=arranged.source.count,
-        raw_bytes=arranged.source.float_bytes,
-        section_bytes=section_sizes(sections),
-        costs=costs,
-        rectified=sum(block.clamped for block in blocks),
-        seconds=times.seconds,
-    )
+    sections = [Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models))]
+    if blocks:
+        bounds = write_bounds([block.box for block in blocks])
+        sections.append(Section(SectionId.BOUNDS, 0, bounds))
+    sections += [section for block in coded for section in block]
+    rectified = sum(block.clamped for block in blocks)
+    return pack_scene(arranged.source, header, sections, arranged.order, times, costs, rectified)
 
 
 def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[ChannelCost]]:

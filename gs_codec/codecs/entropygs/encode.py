@@ -12,8 +12,8 @@ from gs_codec.coding.colour import encode_colour
 from gs_codec.coding.count_tree import encode_geometry
 from gs_codec.coding.rans import TableSet, encode_symbols
 from gs_codec.config import Config
-from gs_codec.egs.file import Header, Section, SectionId, even_block_size, file_parts, section_sizes
-from gs_codec.egs.sections import carried_sections
+from gs_codec.egs.file import Header, Section, SectionId
+from gs_codec.egs.sections import pack_scene
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
@@ -22,34 +22,18 @@ from gs_codec.scene import Scene
 def encode_channels(
     scene: Scene, config: Config, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a clean scene by a paper profile; see `encode_parts`."""
+    """Encode a scene cleaned by `clean_scene`."""
     tool = tool_of(config)
     with times.stage("order"):
         ordered = order_scene(scene, config.resolved_depths())
     with times.stage("quantise and model"):
         coded = quantise_and_model(scene, ordered.order, config, progress)
     with times.stage("code"):
-        header = _header(scene, config)
-        block_sections = _encode_blocks(header, ordered, coded, config, tool, progress)
-    with times.stage("container"):
+        header = Header.of(scene, config)
         channels = write_channels([*ordered.channels, *coded.channels])
         sections = [Section(SectionId.CHANNELS, 0, channels), *tool_section(tool, ordered)]
-        sections += block_sections
-        sections += carried_sections(scene, ordered.order)
-        parts = file_parts(header, sections)
-    return parts, EncodeReport(
-        count=scene.count,
-        raw_bytes=scene.float_bytes,
-        section_bytes=section_sizes(sections),
-        costs=coded.costs,
-        rectified=coded.rectified,
-        seconds=times.seconds,
-    )
-
-
-def _header(scene: Scene, config: Config) -> Header:
-    size = even_block_size(scene.count, config.block_size)
-    return Header(scene.count, scene.sh_degree, config.profile, size, scene.has_normals)
+        sections += _encode_blocks(header, ordered, coded, config, tool, progress)
+    return pack_scene(scene, header, sections, ordered.order, times, coded.costs, coded.rectified)
 
 
 def _encode_blocks(

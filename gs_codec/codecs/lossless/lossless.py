@@ -19,20 +19,11 @@ from gs_codec.codecs.lossless.columns import (
     write_quaternions,
     write_stack,
 )
-from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import in_stream_order
 from gs_codec.config import SH_STREAMS, Config
-from gs_codec.egs.file import (
-    EgsFile,
-    Header,
-    Section,
-    SectionId,
-    even_block_size,
-    file_parts,
-    section_sizes,
-)
-from gs_codec.egs.sections import carried_sections, read_box, write_box
+from gs_codec.egs.file import EgsFile, Header, Section, SectionId
+from gs_codec.egs.sections import pack_scene, read_box, write_box
 from gs_codec.errors import CorruptStream
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
@@ -57,44 +48,25 @@ _BANDS = {
 _RED, _GREEN, _BLUE = range(3)
 
 
-def block_sections(sh_degree: int) -> list[SectionId]:
+def lossless_sections(sh_degree: int) -> list[SectionId]:
     """The sections that each block has."""
     return [*_GROUP_OF, *list(_BANDS)[:sh_degree]]
 
 
 def encode_lossless(
-    scene: Scene, config: Config, progress: Progress | None = None
+    scene: Scene, config: Config, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene as `.egs`, bit-exactly; see `encode_parts`."""
-    times = StageTimes()
-    dropped = 0
-    if config.nonfinite == "drop":
-        with times.stage("check"):
-            scene, dropped = drop_nonfinite(scene, config)
+    """Encode a scene cleaned by `clean_scene`, bit-exactly."""
     with times.stage("order"):
         if config.keep_order:
             order = np.arange(scene.count)
         else:
             scene, order = in_stream_order(scene, lossless_order(scene))
-    size = even_block_size(scene.count, config.block_size)
-    header = Header(
-        scene.count, scene.sh_degree, config.profile, size, scene.has_normals, config.keep_order
-    )
+    header = Header.of(scene, config)
     with times.stage("code"):
-        sections = _encode_blocks(scene, header, order, progress)
-    with times.stage("container"):
         box = Section(SectionId.BOX, 0, write_box(scene.positions))
-        sections = [box, *sections, *carried_sections(scene, order)]
-        parts = file_parts(header, sections)
-    return parts, EncodeReport(
-        count=scene.count,
-        raw_bytes=scene.float_bytes,
-        section_bytes=section_sizes(sections),
-        costs=[],
-        rectified=0,
-        dropped=dropped,
-        seconds=times.seconds,
-    )
+        sections = [box, *_encode_blocks(scene, header, order, progress)]
+    return pack_scene(scene, header, sections, order, times)
 
 
 def decode_lossless(
@@ -118,7 +90,7 @@ def decode_lossless(
     jobs = [
         partial(_decode_section, file, planes, section_id, block, span)
         for block, span in spans.items()
-        for section_id in block_sections(degree)
+        for section_id in lossless_sections(degree)
     ]
     run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
     return {group: plane.view(np.float32) for group, plane in planes.items()}
@@ -155,7 +127,7 @@ def _encode_blocks(
     jobs = [
         partial(encode, section_id, block)
         for block in range(header.block_count)
-        for section_id in block_sections(header.sh_degree)
+        for section_id in lossless_sections(header.sh_degree)
     ]
     return run_all(lambda job: job(), jobs, advance=step_counter(progress, "code", len(jobs)))
 

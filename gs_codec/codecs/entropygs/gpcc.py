@@ -1,7 +1,6 @@
 """Geometry and SH-DC coded by G-PCC (`tmc3`). FORMAT.md, section "G-PCC".
 
 `tmc3` reads and writes PLY files; the files that it writes are not trusted.
-FORMAT.md, section "G-PCC".
 """
 
 from __future__ import annotations
@@ -17,11 +16,13 @@ from numpy.typing import NDArray
 from gs_codec.codecs.entropygs.section import Channel
 from gs_codec.codecs.entropygs.symbols import Ordered, triple_depths
 from gs_codec.codecs.entropygs.tmc3 import VARIABLE, Tmc3
+from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import canonical_order, encode_morton
 from gs_codec.config import GPCC_DEPTHS, Config
 from gs_codec.egs.file import EgsFile, Section, SectionId
 from gs_codec.egs.sections import read_tool, write_tool
-from gs_codec.errors import CorruptStream, MissingTool, ToolFailed, TruncatedStream
+from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed
+from gs_codec.formats.ply_header import read_header
 
 Depths = tuple[int, int, int]
 
@@ -47,20 +48,6 @@ _DECODE = (
 )  # fmt: skip
 
 _HEADER_BYTES = 1 << 13
-_PLY_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "<i2"),
-    **dict.fromkeys(("ushort", "uint16"), "<u2"),
-    **dict.fromkeys(("int", "int32"), "<i4"),
-    **dict.fromkeys(("uint", "uint32"), "<u4"),
-    **dict.fromkeys(("float", "float32"), "<f4"),
-    **dict.fromkeys(("double", "float64"), "<f8"),
-}
-
-
-_CHECKSUM = "<I"
-
 #: Fewest Gaussians in a block if there are several: the program runs once for each.
 _LEAST_BLOCK = 512
 
@@ -111,42 +98,24 @@ def decode_points(
 
 def _read_rows(ply: bytes, count: int) -> NDArray:
     """The rows of a binary PLY that has `count` vertices, and nothing else."""
-    end = ply.find(b"end_header\n", 0, _HEADER_BYTES)
-    if not ply.startswith(b"ply\n") or end < 0:
-        raise ToolFailed("wrote a file that is not a PLY")
-    dtype = _row_type(ply[:end].decode("ascii", "replace").splitlines()[1:], count)
-    start = end + len(b"end_header\n")
-    if len(ply) - start != count * dtype.itemsize:
-        expected = count * dtype.itemsize
-        raise ToolFailed(f"wrote a PLY with {len(ply) - start} bytes of data, expected {expected}")
-    return np.frombuffer(ply, dtype, count, start)
-
-
-def _row_type(lines: list[str], count: int) -> np.dtype:
-    """The dtype of a vertex, from the lines of a header."""
-    fields: dict[str, str] = {}
-    element = ""
-    for line in lines:
-        match line.split():
-            case ["comment" | "obj_info", *_] | ["format", "binary_little_endian", "1.0"]:
-                pass
-            case ["element", "vertex", number] if not element:
-                element = "vertex"
-                if number != str(count):
-                    raise ToolFailed(f"gave {number[:20]!a} points, expected {count}")
-            case ["element", name, "0"] if element and name != "vertex":
-                element = name
-            case ["property", kind, name] if element == "vertex" and kind in _PLY_TYPES:
-                if name in fields:
-                    raise ToolFailed(f"wrote a PLY with two properties {name[:20]!a}")
-                fields[name] = _PLY_TYPES[kind]
-            case ["property", *_] if element not in ("", "vertex"):
-                pass
-            case _:
-                raise ToolFailed(f"wrote a PLY header with the line {line[:60]!a}")
-    if missing := [name for name in (*_AXES, *_COLOURS) if name not in fields]:
+    try:
+        header = read_header(np.frombuffer(ply, np.uint8))
+    except InvalidInput as error:
+        raise ToolFailed(f"wrote a file that is {error}") from None
+    others = any(element.count for element in header.elements[1:])
+    if header.byte_order != "<" or header.names[:1] != ["vertex"] or others:
+        raise ToolFailed("wrote a PLY that is not binary, or of other elements than 'vertex'")
+    vertex = header.elements[0]
+    if missing := [name for name in (*_AXES, *_COLOURS) if name not in vertex.types]:
         raise ToolFailed(f"wrote a PLY without property '{missing[0]}'")
-    return np.dtype(list(fields.items()))
+    if vertex.count != count or vertex.lists:
+        raise ToolFailed(f"gave {vertex.count} points, expected {count} without lists")
+    dtype = vertex.dtype("<")
+    expected = count * dtype.itemsize
+    if len(ply) - header.size != expected:
+        found = len(ply) - header.size
+        raise ToolFailed(f"wrote a PLY with {found} bytes of data, expected {expected}")
+    return np.frombuffer(ply, dtype, count, header.size)
 
 
 def _symbols(rows: NDArray, name: str, depth: int) -> NDArray[np.uint32]:
@@ -198,12 +167,12 @@ def encode_gpcc(
     where = f"gpcc of block {block}: tmc3 ({tool.version})"
     try:
         coded = encode_points(tool, cells, colours)
-        data = struct.pack(_CHECKSUM, _checksum(cells, colours)) + coded
+        checksum = _checksum(cells, colours)
         if verify:
-            _decode(tool, memoryview(data), stop - start, *ordered.depths)
+            _decode(tool, coded, checksum, stop - start, *ordered.depths)
     except ToolFailed as error:
         raise ToolFailed(f"{where} {error}") from error
-    return [Section.kept(SectionId.GPCC, block, data)]
+    return [Section.kept(SectionId.GPCC, block, struct.pack("<I", checksum) + coded)]
 
 
 def is_gpcc(file: EgsFile) -> bool:
@@ -249,10 +218,10 @@ def decode_gpcc(
     start, stop = file.header.block_range(block)
     data = file.section(SectionId.GPCC, block)
     where = f"gpcc of block {block}"
-    if len(data) < struct.calcsize(_CHECKSUM):
-        raise TruncatedStream(f"{where}: {len(data)} bytes, expected at least 4")
+    reader = ByteReader(data, where)
+    checksum = reader.unpack("I")[0]
     try:
-        return _decode(tool, data, stop - start, axes, colours)
+        return _decode(tool, reader.rest(), checksum, stop - start, axes, colours)
     except ToolFailed as error:
         written = read_tool(file.section(SectionId.TOOL))
         by = "" if written == tool.version else f"; written by {written}"
@@ -260,13 +229,18 @@ def decode_gpcc(
 
 
 def _decode(
-    tool: Tmc3, data: memoryview, count: int, axes: Depths, colours: Depths
+    tool: Tmc3,
+    coded: bytes | memoryview,
+    checksum: int,
+    count: int,
+    axes: Depths,
+    colours: Depths,
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
-    size = struct.calcsize(_CHECKSUM)
-    cells, symbols = decode_points(tool, data[size:], count, axes, colours)
+    """Symbols of points in canonical order, checked by their checksum."""
+    cells, symbols = decode_points(tool, coded, count, axes, colours)
     order = canonical_order(encode_morton(cells, axes), *symbols)
     cells, symbols = cells[:, order], symbols[:, order]
-    if _checksum(cells, symbols) != struct.unpack(_CHECKSUM, data[:size])[0]:
+    if _checksum(cells, symbols) != checksum:
         raise ToolFailed("gave other points than were coded: their checksum does not match")
     return cells, symbols
 

@@ -14,7 +14,7 @@ import pytest
 from scenes import random_scene
 from typer.testing import CliRunner
 
-from gs_codec.bench import runs
+from gs_codec.bench import measure
 from gs_codec.bench.peers import AbsentPeer, find_peers, splat_transform
 from gs_codec.bench.peers.exact import columns_peer, zstd_peer
 from gs_codec.bench.peers.splat_transform import VARIABLE, splat_transform_peers
@@ -212,7 +212,7 @@ def beside_lines(tmp_path_factory) -> tuple[list[dict], str]:
     options = ["-p", "m", "-p", "paper-m", "--repeats", "2"]
     options += ["--cameras", "auto", "--width", "36"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runs, "find_peers", peers)
+        patch.setattr(measure, "find_peers", peers)
         patch.setenv(VARIABLE, stand_in(path.parent))
         patch.setenv("SPLAT_STAND_IN", "fail:.sog")
         result = CliRunner().invoke(app, ["bench", "peers", str(path), *options])

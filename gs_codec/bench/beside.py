@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -12,17 +13,16 @@ from typing import Any
 import numpy as np
 
 from gs_codec import __version__
-from gs_codec.bench.measure import sizes, spread
 from gs_codec.bench.peers import AbsentPeer, Peer
-from gs_codec.bench.rendered import rendered_quality
+from gs_codec.bench.sources import MeasuredScene
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
 from gs_codec.errors import ToolFailed
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.guidance.planned import encode_planned
+from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 
 #: Follows the profile's name if it is camera-guided.
@@ -39,13 +39,12 @@ def our_codecs(
 
     `pruned` are percentages of Gaussians removed by leave-one-out error.
     """
-    codecs = [_camera_free(config) for config in configs]
+    codecs = [camera_free(config) for config in configs]
     if plan is not None:
-        guided = [config for config in configs if config.profile in ADAPTIVE_PROFILES]
-        codecs += [_guided(config, plan, 0.0) for config in guided]
-        codecs += [
-            _guided(c, plan, percent) for c in guided if c.profile == "m" for percent in pruned
-        ]
+        adaptive = [config for config in configs if config.profile in ADAPTIVE_PROFILES]
+        codecs += [guided(config, plan) for config in adaptive]
+        of_m = [config for config in adaptive if config.profile == "m"]
+        codecs += [guided(config, plan, percent) for config in of_m for percent in pruned]
     return codecs
 
 
@@ -54,13 +53,37 @@ def is_ours(codec: str) -> bool:
     return codec.partition(",")[0] in PROFILE_CHOICES
 
 
+def camera_free(config: Config) -> Peer:
+    """A profile without cameras."""
+
+    def encode(ply: Path) -> bytes:
+        return encode_scene(read_ply(ply, config.extra), config)[0]
+
+    def decode(data: bytes) -> Scene:
+        scene = decode_scene(data, config.threads)
+        vertex_rows(scene)
+        return scene
+
+    return Peer(config.profile, __version__, encode, decode, lambda scene: scene)
+
+
+def guided(config: Config, plan: Plan, percent: float = 0.0) -> Peer:
+    """A profile that uses the views of a plan, after so many percent were pruned."""
+
+    def encode(ply: Path) -> bytes:
+        scene, chosen, references = read_ply(ply, config.extra), plan, None
+        if percent:
+            chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
+            scene, report = prepare_scene(scene, chosen)
+            references = report.views.renders
+        return encode_planned(scene, config, chosen, references=references)[0]
+
+    how = f", {percent:g} % pruned" if percent else GUIDED
+    return replace(camera_free(config), name=config.profile + how, encode=encode, once=True)
+
+
 def measure_beside(
-    scene: Scene,
-    name: str,
-    codecs: Sequence[Peer | AbsentPeer],
-    repeats: int,
-    cameras: Sequence[Camera] = (),
-    truth: Path | None = None,
+    measured: MeasuredScene, codecs: Sequence[Peer | AbsentPeer], repeats: int
 ) -> Iterator[dict[str, Any]]:
     """A result line for each codec.
 
@@ -68,6 +91,7 @@ def measure_beside(
     memory. In each of the `repeats` after the first, which compiles, every codec has its turn; slow
     ones have one. A codec that is absent, fails or exceeds its time has a line with the reason.
     """
+    name, scene = measured.name, measured.scene
     present = [codec for codec in codecs if isinstance(codec, Peer)]
     with tempfile.TemporaryDirectory() as folder:
         ply = Path(folder) / "scene.ply"
@@ -76,9 +100,7 @@ def measure_beside(
         ply_bytes = ply.stat().st_size
         for codec, turns in zip(present, _take_turns(ply, present, repeats), strict=True):
             try:
-                yield _line(scene, name, codec, turns, ply_bytes) | (
-                    _quality(scene, codec, turns.data, cameras, truth) if cameras else {}
-                )
+                yield _line(measured, codec, turns, ply_bytes)
             except ToolFailed as error:
                 yield _absent(name, codec.name, f"{codec.name} of {name}: {error}")
     for other in codecs:
@@ -94,33 +116,6 @@ class _Turns:
     encode: list[float] = field(default_factory=list)
     decode: list[float] = field(default_factory=list)
     failed: ToolFailed | None = None
-
-
-def _camera_free(config: Config) -> Peer:
-    def encode(ply: Path) -> bytes:
-        return encode_scene(read_ply(ply, config.extra), config)[0]
-
-    def decode(data: bytes) -> Scene:
-        scene = decode_scene(data, config.threads)
-        vertex_rows(scene)
-        return scene
-
-    return Peer(config.profile, __version__, encode, decode, lambda scene: scene)
-
-
-def _guided(config: Config, plan: Plan, percent: float) -> Peer:
-    """A profile that uses the views of a plan, after so many percent were pruned."""
-
-    def encode(ply: Path) -> bytes:
-        scene, chosen, targets = read_ply(ply, config.extra), plan, None
-        if percent:
-            chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
-            scene, report = prepare_scene(scene, chosen)
-            targets = report.views.renders
-        return encode_planned(scene, config, chosen, references=targets)[0]
-
-    how = f", {percent:g} % pruned" if percent else GUIDED
-    return replace(_camera_free(config), name=config.profile + how, encode=encode, once=True)
 
 
 def _compile(scene: Scene, ply: Path, codecs: Sequence[Peer]) -> None:
@@ -153,25 +148,47 @@ def _take_turns(ply: Path, codecs: Sequence[Peer], repeats: int) -> list[_Turns]
     return all_turns
 
 
-def _line(scene: Scene, name: str, codec: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
+def _line(measured: MeasuredScene, codec: Peer, turns: _Turns, ply_bytes: int) -> dict[str, Any]:
+    """Sizes and times; bits for each Gaussian of the input; with cameras the quality of views."""
     if turns.failed:
         raise turns.failed
-    return {
+    count, size = measured.scene.count, len(turns.data)
+    line = {
         "kind": "beside",
-        "scene": name,
+        "scene": measured.name,
         "codec": codec.name,
         "version": codec.version,
         "own_process": codec.own_process,
-        **sizes(scene, turns.data, ply_bytes),
-        "encode_seconds": spread(turns.encode),
-        "decode_seconds": spread(turns.decode),
+        "gaussians": count,
+        "ply_bytes": ply_bytes,
+        "file_bytes": size,
+        "ratio": ply_bytes / size,
+        "bits_per_gaussian": 8 * size / max(count, 1),
+        "encode_seconds": _spread(turns.encode),
+        "decode_seconds": _spread(turns.decode),
     }
+    if measured.cameras:
+        line |= _quality(measured, codec.scene(codec.decode(turns.data)))
+    return line
 
 
-def _quality(
-    scene: Scene, codec: Peer, data: bytes, cameras: Sequence[Camera], truth: Path | None
-) -> dict[str, Any]:
-    return rendered_quality(scene, codec.scene(codec.decode(data)), cameras, truth)
+def _quality(measured: MeasuredScene, decoded: Scene) -> dict[str, Any]:
+    """Fields on the decoded scene's views; PSNR of equal ones is None."""
+    views = (measured.cameras, measured.truth)
+    comparison = compare_views(measured.scene, decoded, *views, device="cpu")
+    mean = comparison.mean
+    result: dict[str, Any] = {
+        "views": len(comparison.views),
+        "mean": mean.between.as_dict(),
+        "worst_psnr": comparison.worst.between.as_dict()["psnr"],
+    }
+    if mean.first and mean.delta:
+        result |= {"truth": mean.first.as_dict(), "delta": mean.delta.as_dict()}
+    return result
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    return {"median": statistics.median(values), "min": min(values), "max": max(values)}
 
 
 def _absent(scene: str, codec: str, why: str) -> dict[str, Any]:

@@ -1,87 +1,74 @@
-"""Time, entropy, error and memory of encoding and decoding one scene."""
+"""``bench run`` and ``bench peers``: result lines of scenes, profile by profile."""
 
 from __future__ import annotations
 
-import statistics
 import tempfile
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.apart import run_apart
-from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.bench.beside import measure_beside, our_codecs
+from gs_codec.bench.host import machine
+from gs_codec.bench.peers import find_peers
+from gs_codec.bench.sources import MeasuredScene, open_scene
+from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.files.scenes import compare_files
-from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
-from gs_codec.scene import Scene
+from gs_codec.formats.ply import write_ply
 
 
-def measure_scene(
-    scene: Scene, name: str, config: Config, repeats: int
+def measure_scenes(
+    paths: Sequence[Path],
+    configs: Sequence[Config],
+    tile: int | None,
+    repeats: int,
+    cameras: str | None,
+    truth: Path | None,
+    width: int | None,
+    peers: bool,
 ) -> Iterator[dict[str, Any]]:
-    """Result lines of one scene under one configuration: codec, error, memory.
+    """Lines of profiles beside each other, and beside other codecs or with details of each.
 
-    The scene is written as PLY to a temporary folder first; encoding is timed from that
-    (cached) file to the stream in memory, decoding from the stream to the rows of a PLY.
+    Views are those of `open_scene`; with cameras, `l`, `m`, `s` are measured camera-guided too.
     """
+    yield machine()
+    extra, threads = configs[0].extra, configs[0].threads
+    for path in paths:
+        measured = open_scene(path, cameras, truth, width, extra, tile)
+        ours = our_codecs(configs, measured.plan if cameras else None)
+        others = find_peers(extra, threads) if peers else []
+        yield from measure_beside(measured, [*ours, *others], repeats)
+        if not peers:
+            for config in configs:
+                yield from _details(measured, config)
+
+
+def _details(measured: MeasuredScene, config: Config) -> Iterator[dict[str, Any]]:
+    """What a profile's bytes are spent on, its errors, and its memory."""
+    scene = measured.scene
     with tempfile.TemporaryDirectory() as folder:
         ply, back = Path(folder) / "scene.ply", Path(folder) / "back.ply"
         write_ply(ply, scene)
-        identity = {"scene": name, "profile": config.profile, "gaussians": scene.count}
-        yield {"kind": "codec", **identity, **_codec(ply, config, repeats)}
-        memory = measure_memory(scene, name, config, ply, back)
+        report = encode_scene(scene, config)[1]
+        identity = {"scene": measured.name, "profile": config.profile, "gaussians": scene.count}
+        yield {
+            "kind": "codec",
+            **identity,
+            "stages": report.seconds,
+            "section_bytes": report.section_bytes,
+            "rectified": report.rectified,
+            "entropy": entropy_by_group(report),
+        }
+        memory = measure_memory(measured, config, ply, back)
         yield {"kind": "error", **identity, **asdict(compare_files(ply, back))}
         yield memory
 
 
-def _codec(ply: Path, config: Config, repeats: int) -> dict[str, Any]:
-    encode_seconds, decode_seconds, stages = [], [], []
-    for _ in range(repeats + 1):  # the first run compiles and fills caches
-        start = time.perf_counter()
-        scene = read_ply(ply, config.extra)
-        read = time.perf_counter()
-        data, report = encode_scene(scene, config)
-        encoded = time.perf_counter()
-        decoded = decode_scene(data, config.threads)
-        arranged = time.perf_counter()
-        vertex_rows(decoded)
-        end = time.perf_counter()
-        encode_seconds.append(encoded - start)
-        decode_seconds.append(end - encoded)
-        decoding = {"decode": arranged - encoded, "rows": end - arranged}
-        stages.append({"read": read - start, **report.seconds, **decoding})
-    return {
-        **sizes(scene, data, ply.stat().st_size),
-        "encode_seconds": spread(encode_seconds[1:]),
-        "decode_seconds": spread(decode_seconds[1:]),
-        "stages": {name: spread([s[name] for s in stages[1:]])["median"] for name in stages[0]},
-        "section_bytes": report.section_bytes,
-        "rectified": report.rectified,
-        "entropy": entropy_by_group(report),
-    }
-
-
-def sizes(scene: Scene, data: bytes, ply_bytes: int) -> dict[str, Any]:
-    """Sizes of a scene and of its encoding; bits for each Gaussian of the input."""
-    return {
-        "gaussians": scene.count,
-        "ply_bytes": ply_bytes,
-        "file_bytes": len(data),
-        "ratio": ply_bytes / len(data),
-        "bits_per_gaussian": 8 * len(data) / max(scene.count, 1),
-    }
-
-
-def spread(values: list[float]) -> dict[str, float]:
-    """Median, least and largest value."""
-    return {"median": statistics.median(values), "min": min(values), "max": max(values)}
-
-
 def measure_memory(
-    scene: Scene, name: str, config: Config, ply: Path, back: Path
+    measured: MeasuredScene, config: Config, ply: Path, back: Path
 ) -> dict[str, Any]:
     """The result line of the largest resident memory of whole processes, from `ply` to `back`."""
     depths = [arg for g, bits in config.depths.items() for arg in ("--set", f"depth.{g}={bits}")]
@@ -92,12 +79,10 @@ def measure_memory(
     decode = run_apart(["decode", stream, str(back), *threads, "--overwrite"]).peak_bytes
     return {
         "kind": "memory",
-        "scene": name,
+        "scene": measured.name,
         "profile": config.profile,
-        "gaussians": scene.count,
+        "gaussians": measured.scene.count,
         "encode_peak_bytes": encode,
         "decode_peak_bytes": decode,
-        "float_bytes": scene.float_bytes,
-        "encode_ratio": encode / max(scene.float_bytes, 1),
-        "decode_ratio": decode / max(scene.float_bytes, 1),
+        "float_bytes": measured.scene.float_bytes,
     }

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from gs_codec.formats.ply import read_ply
+from gs_codec.metrics.views import fitted
+from gs_codec.preparation.reference_views import photographed
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.images import read_image
+from gs_codec.runtime.mapped import located
 from gs_codec.scene import GROUPS, Scene
 
 _JITTER = 1e-3
@@ -20,21 +23,97 @@ _JITTER = 1e-3
 #: How many `auto` views are measured in, and how many others the encoder sees.
 _MEASURED, _ENCODED_BY = 24, 64
 
+#: If a file does not mark held-out cameras, every third is held out.
+_HELD_OUT = 3
+
+
+@dataclass(frozen=True)
+class MeasuredScene:
+    """A scene and its views.
+
+    Attributes
+    ----------
+    path : Path
+        The file that it was read from.
+    name : str
+    scene : Scene
+    cameras : list of Camera
+        To measure in; empty if rendered quality is not measured.
+    guides : list of Camera
+        Of other views, to encode by.
+    truth : Path or None
+        Folder of the cameras' photographs.
+    """
+
+    path: Path
+    name: str
+    scene: Scene
+    cameras: list[Camera]
+    guides: list[Camera]
+    truth: Path | None
+
+    @property
+    def plan(self) -> Plan:
+        """A plan without steps, of the views to encode by."""
+        return Plan(Steps(), self.guides, views=_ENCODED_BY)
+
 
 def scene_name(path: Path) -> str:
     """Name of a scene: its file's, or its folder's if the file is a trainer's point_cloud.ply."""
     return path.stem if path.stem != "point_cloud" else path.absolute().parent.name
 
 
-def load_scene(
-    path: Path, extra: Literal["error", "keep", "drop"], tile: int | None = None
-) -> tuple[str, Scene]:
-    """Name and scene of a PLY file, tiled to `tile` Gaussians if given."""
+def open_scene(
+    path: Path,
+    cameras: str | None,
+    truth: Path | None,
+    width: int | None,
+    extra: Literal["error", "keep", "drop"] = "error",
+    tile: int | None = None,
+) -> MeasuredScene:
+    """Read a PLY, tiled to `tile` Gaussians if given, and split the views of `cameras`.
+
+    With a folder `truth`, cameras are measured in whose photograph is there, resized to it.
+
+    Raises
+    ------
+    InvalidInput
+        If a file cannot be used, or none of the views to measure in has a photograph.
+    """
     scene = read_ply(path, extra)
-    return scene_name(path), tile_scene(scene, tile) if tile else scene
+    scene = tile_scene(scene, tile) if tile else scene
+    if cameras is None:
+        return MeasuredScene(path, scene_name(path), scene, [], [], None)
+    with located(path):
+        measured, guides = held_out_views(cameras, scene, width)
+    if truth is not None:
+        pairs = photographed(measured, truth)
+        measured = [fitted(camera, read_image(image), image) for camera, image in pairs]
+    return MeasuredScene(path, scene_name(path), scene, measured, guides, truth)
 
 
-def tile_scene(scene: Scene, count: int, seed: int = 0) -> Scene:
+def held_out_views(
+    source: str, scene: Scene, width: int | None
+) -> tuple[list[Camera], list[Camera]]:
+    """Cameras to measure in, and the others, to encode by; the same if one list would be empty.
+
+    Of a file's cameras those marked ``test`` are measured in, or every third if none is; of
+    ``auto`` views, 24 of 88.
+    """
+    both = _MEASURED + _ENCODED_BY
+    cameras = find_cameras(source, scene, "all", width, both)
+    if source == "auto":
+        held_out = [i * _MEASURED % both >= _ENCODED_BY for i in range(len(cameras))]
+    elif any(camera.split == "test" for camera in cameras):
+        held_out = [camera.split == "test" for camera in cameras]
+    else:
+        held_out = [i % _HELD_OUT == 0 for i in range(len(cameras))]
+    measured = [camera for camera, held in zip(cameras, held_out, strict=True) if held]
+    others = [camera for camera, held in zip(cameras, held_out, strict=True) if not held]
+    return measured or others, others or measured
+
+
+def tile_scene(scene: Scene, count: int) -> Scene:
     """`count` Gaussians: copies of `scene` on a square grid.
 
     Each float moves by a normal deviate of 1/1000 of its channel's standard deviation, so that
@@ -43,7 +122,7 @@ def tile_scene(scene: Scene, count: int, seed: int = 0) -> Scene:
     copies = -(-count // scene.count)
     side = int(np.ceil(np.sqrt(copies)))
     extent = np.ptp(scene.positions, axis=1)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     planes: dict[str, Any] = {}
     for group in GROUPS:
         source = getattr(scene, group)
@@ -57,22 +136,3 @@ def tile_scene(scene: Scene, count: int, seed: int = 0) -> Scene:
     planes["positions"][0] += extent[0] * (copy % side)
     planes["positions"][1] += extent[1] * (copy // side)
     return replace(scene, extra={}, **planes)
-
-
-def held_out_views(
-    source: str | Sequence[Camera], scene: Scene, width: int | None
-) -> tuple[list[Camera], Plan]:
-    """Cameras to measure in, and a plan without steps whose views are the others.
-
-    Of a file's cameras, or given ones, those marked ``test`` are measured in; of ``auto`` views,
-    24 of 88.
-    """
-    both = _MEASURED + _ENCODED_BY
-    cameras = find_cameras(source, scene, "all", width, both)
-    if source == "auto":
-        marked = [i * _MEASURED // both for i in range(len(cameras) + 1)]
-        cameras = [
-            replace(camera, split="test" if marked[i] < marked[i + 1] else "train")
-            for i, camera in enumerate(cameras)
-        ]
-    return find_cameras(cameras, scene, "held-out"), Plan(Steps(), cameras, views=_ENCODED_BY)

@@ -32,35 +32,23 @@ _UNUSED = set(OPTIONS) - {"depth"}
 
 def add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
     """Put a result line into the rows, which are by name."""
-    kind, name = line["kind"], f"{line.get('scene')}, {line.get('profile')}"
-    if kind == "codec":
+    name = f"{line.get('scene')}, {line.get('codec', line.get('profile'))}"
+    if line["kind"] == "beside" and "absent" not in line:
+        label = name + " *" * line["own_process"]
+        size = [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}"]
+        times = [f"{line[f'{way}_seconds']['median']:.3f}" for way in ("encode", "decode")]
+        rows[name] = [label, *size, "", *times, "", *_quality(line)]
+    elif line["kind"] == "codec":
         over = line["entropy"].get("total", {}).get("coded_overhead_percent", 0.0)
-        rows[name] = [name, *_size(line), f"{over:.3f} %", *_times(line), "", "", ""]
-    elif kind == "memory":
+        rows[name][3] = f"{over:.3f} %"
+    elif line["kind"] == "memory":
         rows[name][6] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
-    elif kind == "rendered" and line["camera_guided"]:
-        label = f"{name}, camera-guided"
-        times = ["", f"{line['encode_seconds']:.1f}", "", ""]
-        rows[label] = [label, *_size(line), *times, *_quality(line)]
-    elif kind == "rendered":
-        rows[name][7:] = _quality(line)
-    elif kind == "beside" and "absent" not in line:
-        label = f"{line['scene']}, {line['codec']}" + " *" * line["own_process"]
-        rows[label] = [label, *_size(line), "", *_times(line), "", *_quality(line)]
 
 
 def print_absent(lines: list[dict[str, Any]]) -> None:
     """Say which codecs could not be measured, and why; each reason once."""
     for reason in sorted({line["absent"] for line in lines if "absent" in line}):
         print_status(reason)
-
-
-def _size(line: dict[str, Any]) -> list[str]:
-    return [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}"]
-
-
-def _times(line: dict[str, Any]) -> list[str]:
-    return [f"{line[f'{way}_seconds']['median']:.3f}" for way in ("encode", "decode")]
 
 
 def _quality(line: dict[str, Any]) -> list[str]:
@@ -170,13 +158,12 @@ def measure(
     if cameras is None:
         asked.refuse(("gt_images", "width"), "needs --cameras")
     configs = [asked.build(Config, profile=name) for name in profile or PROFILE_CHOICES]
-    from gs_codec.bench.runs import run_peers, run_profiles
+    from gs_codec.bench.measure import measure_scenes
 
-    run = run_peers if asked.command == "peers" else run_profiles
-    views = (cameras, asked["gt_images"], asked["width"])
+    views, peers = (cameras, asked["gt_images"], asked["width"]), asked.command == "peers"
     rows: dict[str, list[str]] = {}
     lines = []
-    for line in run(scenes, configs, tile, repeats, *views):
+    for line in measure_scenes(scenes, configs, tile, repeats, *views, peers):
         print_text(json.dumps(line))
         add_to_rows(rows, line)
         lines.append(line)

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from gs_codec.bench.beside import GUIDED, is_ours
+from gs_codec.bench.beside import GUIDED, camera_free, guided, is_ours, measure_beside
 from gs_codec.bench.curves import Curve
-from gs_codec.bench.rendered import measure_quality
-from gs_codec.bench.suite.scenes import MeasuredScene
+from gs_codec.bench.sources import MeasuredScene
 from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config
 
 #: Names of curves: the paper's profiles, and ours without cameras and with.
@@ -18,7 +17,7 @@ PAPER, FREE, CAMERA_GUIDED = "paper", "camera-free", "camera-guided"
 
 
 def measure_points(
-    measured: MeasuredScene, config: Config, guided: bool, beside: Sequence[dict[str, Any]]
+    measured: MeasuredScene, config: Config, with_cameras: bool, beside: Sequence[dict[str, Any]]
 ) -> Iterator[dict[str, Any]]:
     """Result lines of the points of each curve.
 
@@ -31,22 +30,22 @@ def measure_points(
     measured : MeasuredScene
     config : Config
         What profiles have in common.
-    guided : bool
+    with_cameras : bool
         Whether there is a camera-guided curve.
     beside : sequence of dict
         Lines of `measure_beside`; profiles among them are not measured again.
     """
-    ours = [FREE, CAMERA_GUIDED] if guided else [FREE]
+    ours = [FREE, CAMERA_GUIDED] if with_cameras else [FREE]
     known = {line["codec"]: line for line in beside if "mean" in line}
     others = [line["mean"]["psnr"] for codec, line in known.items() if not is_ours(codec)]
     found: dict[str, dict[str, dict[str, Any]]] = {curve: {} for curve in (PAPER, *ours)}
 
     def measure(curve: str, point: str, chosen: Config) -> dict[str, Any]:
-        plan = measured.plan if curve == CAMERA_GUIDED else None
-        line = known.get(point if plan is None else f"{point}{GUIDED}")
+        by_cameras = curve == CAMERA_GUIDED
+        line = known.get(f"{point}{GUIDED}" if by_cameras else point)
         if line is None:
-            views = (measured.cameras, measured.truth)
-            line = measure_quality(measured.scene, measured.name, *views, chosen, plan)
+            codec = guided(chosen, measured.plan) if by_cameras else camera_free(chosen)
+            [line] = measure_beside(measured, [replace(codec, name=point, once=True)], 1)
         found[curve][point] = line | {"kind": "point", "curve": curve, "point": point}
         return found[curve][point]
 

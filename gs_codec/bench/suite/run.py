@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,8 +14,8 @@ from gs_codec.bench.beside import measure_beside, our_codecs
 from gs_codec.bench.host import machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
+from gs_codec.bench.sources import MeasuredScene, open_scene, scene_name
 from gs_codec.bench.suite.points import measure_points
-from gs_codec.bench.suite.scenes import MeasuredScene, open_scenes
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
 
@@ -50,7 +49,7 @@ class Options:
     Raises
     ------
     InvalidInput
-        If there are no scenes, a group is unknown, or a number is out of range.
+        If there are no scenes, two have one name, a group is unknown, or a number is out of range.
     """
 
     scenes: tuple[Path, ...]
@@ -65,6 +64,11 @@ class Options:
                 "no scenes given, expected .ply files, each beside its cameras.json; "
                 "`make suite` makes two and measures them"
             )
+        names: dict[str, Path] = {}
+        for path in self.scenes:
+            other = names.setdefault(scene_name(path), path)
+            if other is not path:
+                raise InvalidInput(f"{path}: named '{scene_name(path)}', as {other} is")
         check_threads(self.threads)
         for group in sorted(self.skip - set(GROUPS)):
             raise InvalidInput(f"--skip {group}: expected one of {', '.join(GROUPS)}")
@@ -75,7 +79,7 @@ class Options:
 
 
 def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Lines:
-    """Result lines as they are measured; NaN and infinity are None.
+    """Result lines as they are measured.
 
     Parameters
     ----------
@@ -90,8 +94,38 @@ def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Li
     InvalidInput
         If a scene, cameras or photographs cannot be used; before anything is measured.
     """
-    scenes = open_scenes(options.scenes, options.width)
-    return (_finite(line) for line in _measure(options, command, tell, scenes))
+    scenes = [open_suite_scene(path, options.width) for path in options.scenes]
+    return _measure(options, command, tell, scenes)
+
+
+def open_suite_scene(path: Path, width: int | None) -> MeasuredScene:
+    """A scene with the cameras and photographs beside it; `open_scene` says what is refused."""
+    cameras, images = _cameras_beside(path), path.with_name("images")
+    truth = images if cameras != "auto" and images.is_dir() else None
+    return open_scene(path, cameras, truth, width)
+
+
+def scene_line(measured: MeasuredScene) -> dict[str, Any]:
+    """The result line of a scene itself."""
+    scene, first = measured.scene, measured.cameras[0]
+    return {
+        "kind": "scene",
+        "scene": measured.name,
+        "gaussians": scene.count,
+        "sh_degree": scene.sh_degree,
+        "ply_bytes": measured.path.stat().st_size,
+        "cameras": Path(_cameras_beside(measured.path)).name,
+        "measured_views": len(measured.cameras),
+        "encoded_by_views": min(len(measured.guides), measured.plan.views),
+        "width": first.width,
+        "height": first.height,
+        "photographs": measured.truth is not None,
+    }
+
+
+def _cameras_beside(path: Path) -> str:
+    beside = path.with_name("cameras.json")
+    return str(beside) if beside.is_file() else "auto"
 
 
 def _measure(
@@ -102,7 +136,7 @@ def _measure(
     yield machine() | {
         "repeats": options.repeats, "skipped": skipped, "date": date, "command": command,
     }  # fmt: skip
-    yield from (measured.line for measured in scenes)
+    yield from map(scene_line, scenes)
     largest = max(scenes, key=lambda measured: measured.scene.count)
     found: list[dict[str, Any]] = []
     for measured in scenes:
@@ -119,7 +153,7 @@ def _memory(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
     with tempfile.TemporaryDirectory() as folder:
         back = Path(folder) / "back.ply"
         for config in map(options.config, PROFILE_CHOICES):
-            yield measure_memory(measured.scene, measured.name, config, measured.path, back)
+            yield measure_memory(measured, config, measured.path, back)
 
 
 def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
@@ -130,9 +164,8 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
     )
     others = find_peers("error", options.threads) if "peers" not in options.skip else []
     # Those that take minutes are for `bench peers`.
-    codecs = [*ours, *(x for x in others if isinstance(x, AbsentPeer) or not x.once)]
-    views = (measured.cameras, measured.truth)
-    return measure_beside(measured.scene, measured.name, codecs, options.repeats, *views)
+    quick = [x for x in others if isinstance(x, AbsentPeer) or not x.once]
+    return measure_beside(measured, [*ours, *quick], options.repeats)
 
 
 def _curves(measured: MeasuredScene, options: Options, found: Sequence[dict[str, Any]]) -> Lines:
@@ -156,12 +189,3 @@ STAGES = {
 
 #: What can be left out: stages; and of codecs, others', camera-guided ones, pruned scenes.
 GROUPS = (*STAGES, "peers", "guided", "pruned")
-
-
-def _finite(value: Any) -> Any:
-    """A result as JSON can hold it, which has neither infinity nor NaN."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -150,15 +150,14 @@ class EncodeReport:
         return bits / entropy - 1 if entropy else 0.0
 
 
-def step_counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None] | None:
-    """A callback that counts the steps of a stage for `progress`."""
-    if progress is None:
-        return None
+def step_counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None]:
+    """A callback that counts the steps of a stage for `progress`, if there is one."""
     done = 0
 
     def advance() -> None:
         nonlocal done
         done += 1
-        progress(stage, done, total)
+        if progress is not None:
+            progress(stage, done, total)
 
     return advance

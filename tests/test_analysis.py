@@ -16,7 +16,7 @@ from gs_codec.analysis.analyse import Options, analyse_scene
 from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.analysis.fits import fits_of
 from gs_codec.analysis.information import bin_count, into_bins, mutual_information
-from gs_codec.analysis.maps import map_count, maps_of, mean_by_attribute, mean_by_relation
+from gs_codec.analysis.maps import maps_of, mean_by_attribute, mean_by_relation
 from gs_codec.analysis.page import page, picture, table
 from gs_codec.analysis.plots import new_figure
 from gs_codec.analysis.save import draw_pictures
@@ -155,8 +155,8 @@ def test_maps_show_what_was_put_into_a_scene():
     rest[3:6] = rest[:3] * 2  # green follows red, coefficient by coefficient
     scene = replace(scene, f_rest=rest, opacity=rest[7:8] + np.float32(1))
     counted = []
-    maps = maps_of(scene, bin_count(5000), 0, lambda: counted.append(1))
-    assert len(counted) == map_count(1)
+    maps = maps_of(scene, bin_count(5000), 0, lambda *step: counted.append(step))
+    assert counted == [("mutual information", number, 8) for number in range(1, 9)]
     means = mean_by_relation(maps["sh-ac"])
     assert means["R and G, same coefficient"] == pytest.approx(1)
     assert means["R and B, same coefficient"] == pytest.approx(0, abs=0.01)
@@ -315,7 +315,7 @@ def test_more_error_is_worse_to_look_at(measured):
         if curve.tolerance is not None:
             low = max(i for i, q in enumerate(curve.psnr) if q >= THRESHOLD)
             assert LEVELS[0] <= curve.tolerance <= LEVELS[min(low + 1, len(LEVELS) - 1)]
-            assert 0 < curve.range_tolerance < curve.tolerance
+            assert 0 < curve.tolerance_of_range < curve.tolerance
     assert steps[-1] == ("sensitivity", 6 * len(LEVELS), 6 * len(LEVELS))
 
 

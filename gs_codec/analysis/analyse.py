@@ -13,7 +13,7 @@ from gs_codec import __version__
 from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.analysis.fits import Fit, fits_of
 from gs_codec.analysis.information import bin_count
-from gs_codec.analysis.maps import Map, map_count, maps_of, mean_by_attribute, mean_by_relation
+from gs_codec.analysis.maps import Map, maps_of, mean_by_attribute, mean_by_relation
 from gs_codec.analysis.sensitivity import SensitivityCurves, measure_sensitivity
 from gs_codec.codecs import encode_scene
 from gs_codec.coding.clean import drop_nonfinite
@@ -23,7 +23,7 @@ from gs_codec.preparation.reference_views import evenly
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
-from gs_codec.scene import Scene, channel_count
+from gs_codec.scene import Scene
 
 #: The profile whose depths are used for histograms, models and the marks on curves.
 REFERENCE = "paper-m"
@@ -158,29 +158,26 @@ def analyse_scene(
     cameras = _cameras(scene, options)
     sample = _sample(scene, options)
     bins = bin_count(sample.count)
-    counter = step_counter(progress, "mutual information", map_count(scene.sh_degree))
-    maps = maps_of(sample, bins, options.seed, counter)
-    channels = channel_count(len(scene.f_rest) // 3)
-    fits = fits_of(sample, Config(REFERENCE), step_counter(progress, "histograms", channels))
+    maps = maps_of(sample, bins, options.seed, progress)
+    config = Config(REFERENCE)
+    fits = fits_of(sample, config, progress)
     entropy, bits = _encode(scene, progress)
     sensitivity = None
     if cameras:
-        config = Config(REFERENCE)
         sensitivity = measure_sensitivity(scene, cameras, config, options.seed, progress)
-    notes = _notes(scene, dropped, sample, fits, options)
     return Analysis(
-        name,
-        scene.count,
-        scene.sh_degree,
-        sample.count,
-        options.seed,
-        bins,
-        maps,
-        fits,
-        entropy,
-        bits,
-        sensitivity,
-        notes,
+        name=name,
+        count=scene.count,
+        sh_degree=scene.sh_degree,
+        sampled=sample.count,
+        seed=options.seed,
+        bins=bins,
+        maps=maps,
+        fits=fits,
+        entropy=entropy,
+        bits=bits,
+        sensitivity=sensitivity,
+        notes=_notes(scene, dropped, sample, fits, options),
     )
 
 
@@ -213,8 +210,7 @@ def _encode(
         if profile in PROFILES:
             depths = depths_by_group(config, scene.sh_degree)
             entropy[profile] = {"depths": depths, "groups": entropy_by_group(report)}
-        if advance is not None:
-            advance()
+        advance()
     return entropy, bits
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from gs_codec.codecs.entropygs.symbols import fit_channel
 from gs_codec.coding.frequency_table import MAX_PRECISION, shannon_bits
 from gs_codec.coding.quantise import ConstantQuantiser, Quantiser, quantise, quantise_positions
 from gs_codec.config import Config
+from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
@@ -44,14 +45,14 @@ class Fit:
         The histogram, ``(B + 1,)`` and ``(B,)``; empty for a constant channel.
     entropy_bits : float
         Shannon entropy per symbol.
+    zeros : float
+        Share of the values that are zero or nearly zero; see `is_zero`.
     ks : float or None
         Kolmogorov-Smirnov distance of the values from the model: the largest difference of
         their cumulative distributions.
     kl_bits : float or None
         Kullback-Leibler divergence of the model from the histogram of the symbols: cost of coding
         with the model beyond the entropy, bits per symbol.
-    zeros : float
-        Share of the values that are zero or nearly zero; see `is_zero`.
     ks_nonzero : float or None
         As `ks`, for the other values only, with a Laplace distribution fitted to them.
     """
@@ -62,20 +63,18 @@ class Fit:
     edges: NDArray[np.float64]
     density: NDArray[np.float64]
     entropy_bits: float
-    ks: float | None
-    kl_bits: float | None
     zeros: float
+    ks: float | None = None
+    kl_bits: float | None = None
     ks_nonzero: float | None = None
 
     def pdf(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Density of the model at `values`."""
         from scipy.stats import laplace, norm
 
-        known = self.parameters
         if self.model == "laplace":
-            return laplace.pdf(values, known["median"], known["scale"])
-        parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
-        return sum((w * norm.pdf(values, m, s) for w, m, s in parts), np.zeros(len(values)))
+            return laplace.pdf(values, self.parameters["median"], self.parameters["scale"])
+        return _weighted(norm.pdf, values, self.parameters)
 
     def as_dict(self) -> dict:
         """For JSON."""
@@ -93,7 +92,7 @@ class Fit:
         }
 
 
-def fits_of(scene: Scene, config: Config, advance: Callable[[], None] | None = None) -> list[Fit]:
+def fits_of(scene: Scene, config: Config, progress: Progress | None = None) -> list[Fit]:
     """One fit per channel, at the bit depths of a paper profile, in stream order."""
     depths = config.resolved_depths()
     keys = channel_order(len(scene.f_rest) // 3)
@@ -104,7 +103,7 @@ def fits_of(scene: Scene, config: Config, advance: Callable[[], None] | None = N
         quantiser, scale = fit_channel(values, group, depths[stream])
         return _fit(values, Channel(group, index, stream, quantiser), scale)
 
-    return run_all(work, keys, advance=advance)
+    return run_all(work, keys, advance=step_counter(progress, "histograms", len(keys)))
 
 
 def _fit(values: NDArray[np.float32], channel: Channel, scale: float | None) -> Fit:
@@ -112,28 +111,24 @@ def _fit(values: NDArray[np.float32], channel: Channel, scale: float | None) -> 
     zeros = float(np.mean(zero))
     quantiser = channel.quantiser
     if isinstance(quantiser, ConstantQuantiser):
-        parameters = {"value": quantiser.value}
-        return Fit(channel, "none", parameters, np.zeros(0), np.zeros(0), 0.0, None, None, zeros)
+        nothing = np.zeros(0)
+        return Fit(channel, "none", {"value": quantiser.value}, nothing, nothing, 0.0, zeros)
     shape = _histogram(values)
     if channel.stream == "geometry":
         counts = np.bincount(quantise_positions(values[None], [quantiser])[0])
-        return Fit(
-            channel, "none", {}, *shape, shannon_bits(counts) / len(values), None, None, zeros
-        )
+        return Fit(channel, "none", {}, *shape, shannon_bits(counts) / len(values), zeros)
     counts = quantise(values, quantiser, np.arange(len(values)))[1]
     if scale is None:
         mixture = _mixture(counts)
         in_units = _in_units(mixture, quantiser)
-        costs = _costs(mixture, counts)
-        return Fit(
-            channel, mixture.kind, in_units, *shape, costs[0], _ks_mixture(values, in_units),
-            costs[1], zeros,
-        )  # fmt: skip
+        entropy, beyond = _costs(mixture, counts)
+        ks = _ks_mixture(values, in_units)
+        return Fit(channel, mixture.kind, in_units, *shape, entropy, zeros, ks, beyond)
     model = LaplaceModel.fit(scale, MAX_PRECISION)
     known, distance = _laplace(values)
     nonzero = _laplace(values[~zero])[1] if zeros else distance
-    costs = _costs(model, counts)
-    return Fit(channel, model.kind, known, *shape, costs[0], distance, costs[1], zeros, nonzero)
+    entropy, beyond = _costs(model, counts)
+    return Fit(channel, model.kind, known, *shape, entropy, zeros, distance, beyond, nonzero)
 
 
 def _costs(model: LaplaceModel | MixtureModel, counts: NDArray[np.int64]) -> tuple[float, float]:
@@ -172,14 +167,19 @@ def _in_units(model: MixtureModel, quantiser: Quantiser) -> dict[str, list[float
     }
 
 
-def _ks_mixture(values: NDArray[np.float32], known: dict[str, list[float]]) -> float:
+def _weighted(
+    function: Callable, values: NDArray[np.float64], known: Mapping[str, list[float]]
+) -> NDArray[np.float64]:
+    """The pdf or cdf of a mixture, from that of a normal distribution."""
+    parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
+    return sum((w * function(values, m, s) for w, m, s in parts), np.zeros(len(values)))
+
+
+def _ks_mixture(values: NDArray[np.float32], known: Mapping[str, list[float]]) -> float:
     from scipy.stats import ks_1samp, norm
 
-    def cdf(x: NDArray) -> NDArray:
-        parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
-        return sum((w * norm.cdf(x, m, s) for w, m, s in parts), np.zeros(len(x)))
-
-    return float(ks_1samp(values.astype(np.float64), cdf, method="asymp").statistic)
+    wide = values.astype(np.float64)
+    return float(ks_1samp(wide, lambda x: _weighted(norm.cdf, x, known), method="asymp").statistic)
 
 
 def _laplace(values: NDArray[np.float32]) -> tuple[dict[str, float], float | None]:

@@ -17,14 +17,14 @@ th { border-bottom: 1px solid #555; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; }
 caption { caption-side: top; text-align: left; font-weight: 600; padding: .2rem 0;
           white-space: nowrap; }
-.wide { overflow-x: auto; } nav a { margin-right: 1.1rem; }
+.wide { overflow-x: auto; }
 tbody tr:nth-child(even) { background: #f7f8f9; }
 figure { margin: 1rem 0; } img { max-width: 100%; height: auto; }
 figcaption { font-size: .87rem; color: #333; }
 @media print { body { font-size: 10pt; margin: 0; max-width: none; padding: 0; }
   h2 { break-after: avoid; }
   figure, table, tr { break-inside: avoid; } table { font-size: 8.5pt; }
-  nav { display: none; } .wide { overflow: visible; } }
+  .wide { overflow: visible; } }
 @page { margin: 14mm; }
 """
 
@@ -40,18 +40,8 @@ def page(title: str, parts: Sequence[str]) -> str:
 
 
 def heading(text: str) -> str:
-    """The title of a section, with an anchor that `contents` links to."""
-    return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
-
-
-def contents(headings: Sequence[str]) -> str:
-    """Links to the sections with these titles."""
-    links = (f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
-    return "<nav>" + "\n".join(links) + "</nav>"
-
-
-def _anchor(text: str) -> str:
-    return "".join(letter if letter.isalnum() else "-" for letter in text.lower())
+    """The title of a section."""
+    return f"<h2>{escape(text)}</h2>"
 
 
 def paragraph(text: str) -> str:
@@ -76,13 +66,12 @@ def table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -
     )
 
 
-def picture(png: bytes, caption: str, instead: str = "") -> str:
-    """An embedded PNG; `instead` is its alternative text, by default the caption."""
-    data = base64.b64encode(png).decode("ascii")
-    text = escape(instead or caption, quote=True)
+def picture(png: bytes, caption: str) -> str:
+    """An embedded PNG; the caption is its alternative text too."""
+    data, text = base64.b64encode(png).decode("ascii"), escape(caption)
     return (
         f'<figure><img alt="{text}" src="data:image/png;base64,{data}">\n'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
+        f"<figcaption>{text}</figcaption></figure>"
     )
 
 

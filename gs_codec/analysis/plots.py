@@ -1,13 +1,16 @@
-"""Plots of distributions and of sensitivity curves."""
+"""Plots of an analysis: maps, distributions, sensitivity curves, bits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gs_codec.analysis.fits import Fit
+from gs_codec.analysis.maps import Map
 from gs_codec.analysis.sensitivity import LEVELS, SensitivityCurves
 from gs_codec.errors import MissingTool
 from gs_codec.scene import sh_bands
@@ -20,6 +23,12 @@ if TYPE_CHECKING:
 _MARKERS = "osD^vX"
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 _HATCHES = ("", "//", "", "\\\\", "", "xx", "", "..", "")
+
+#: Maps of all Gaussians and of coloured ones, and what plots call them.
+_WHICH = {"sh-ac": "all Gaussians", "sh-ac-coloured": "coloured Gaussians"}
+
+#: Colours as they are stored, and after the transform.
+_COLOURS = ("R, G, B", "Y, Co, Cg")
 
 _BARS, _CURVE = "0.72", "#00204c"  # light grey; the dark end of cividis
 
@@ -45,6 +54,102 @@ def new_figure(width: float, height: float) -> Figure:
     except ImportError:
         raise MissingTool("plots: need matplotlib (pip install matplotlib)") from None
     return Figure(figsize=(width, height), dpi=110)
+
+
+def png_of(figure: Figure) -> bytes:
+    """The figure as PNG data."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def plot_within_colours(maps: Mapping[str, Map]) -> Figure:
+    """SH-AC x SH-AC of each colour, for all Gaussians and for the coloured ones."""
+    figure = new_figure(10.5, 7.4)
+    axes = figure.subplots(2, 3)
+    size = len(maps["sh-ac"].rows) // 3
+    panels = []
+    for row, (name, which) in zip(axes, _WHICH.items(), strict=True):
+        for i, axis in enumerate(row):
+            block = slice(size * i, size * (i + 1))
+            values = _without_self(maps[name])[block, block]
+            title = f"{'RGB'[i]}, {which}: mean {np.nanmean(values):.3f}"
+            panels.append((axis, title, values))
+    _draw_maps(figure, panels)
+    for axis in axes.flat:
+        _mark_bands(axis, size)
+    return figure
+
+
+def plot_across_colours(maps: Mapping[str, Map]) -> Figure:
+    """SH-AC x SH-AC of all colours, before and after YCoCg."""
+    figure = new_figure(10.5, 9.6)
+    axes = figure.subplots(2, 2)
+    names = [f"{name}{suffix}" for name in _WHICH for suffix in ("", "-ycocg")]
+    titles = [f"{colours}, {which}" for which in _WHICH.values() for colours in _COLOURS]
+    values = [_without_self(maps[name]) for name in names]
+    _draw_maps(figure, list(zip(axes.flat, titles, values, strict=True)))
+    for axis, name in zip(axes.flat, names, strict=True):
+        _mark_colours(axis.set_xticks, axis.axvline, maps[name])
+        _mark_colours(axis.set_yticks, axis.axhline, maps[name])
+    return figure
+
+
+def plot_others(maps: Mapping[str, Map]) -> Figure:
+    """SH-AC channels against the other attributes."""
+    figure = new_figure(10.5, 5.6)
+    axes = figure.subplots(2, 1)
+    found = [maps[f"{name}-others"] for name in _WHICH]
+    values = [each.information.corrected for each in found]
+    _draw_maps(figure, list(zip(axes, _WHICH.values(), values, strict=True)))
+    for axis, each in zip(axes, found, strict=True):
+        axis.set_aspect("auto")
+        axis.set_yticks(range(len(each.rows)), each.rows, fontsize=7)
+        _mark_colours(axis.set_xticks, axis.axvline, each)
+    return figure
+
+
+def _without_self(found: Map) -> NDArray[np.float64]:
+    """The values of a map; NaN for a channel with itself."""
+    values = found.information.corrected
+    return np.where(np.eye(len(values), dtype=bool), np.nan, values)
+
+
+def _draw_maps(figure: Figure, panels: Sequence[tuple[Axes, str, NDArray[np.float64]]]) -> None:
+    """Titles and values of panels on one scale, which has a bar; NaN is grey."""
+    top = max(0.01, *(float(np.nanmax(values)) for _, _, values in panels))
+    for axis, title, values in panels:
+        axis.set_facecolor("0.75")
+        # This colour map reads well in greyscale and with colour blindness too.
+        image = axis.imshow(values, cmap="cividis", vmin=0.0, vmax=top, interpolation="nearest")
+        axis.set_title(title, fontsize=10)
+        axis.tick_params(length=0)
+    figure.set_layout_engine("constrained")
+    label = "normalised mutual information"
+    axes = [axis for axis, _, _ in panels]
+    figure.colorbar(image, ax=axes, shrink=0.75, aspect=40, pad=0.02, label=label)
+
+
+def _mark_bands(axis: Axes, size: int) -> None:
+    """Put ticks in the middle of SH bands, and lines between them."""
+    bands = sh_bands(size)
+    middles = [(band[0] + band[-1]) / 2 for band in bands]
+    names = [f"degree {band}" for band in range(1, 1 + len(bands))]
+    axis.set_xticks(middles, names, fontsize=8)
+    axis.set_yticks(middles, names, fontsize=8, rotation=90, va="center")
+    for band in bands[1:]:
+        axis.axhline(band[0] - 0.5, color="white", lw=0.8)
+        axis.axvline(band[0] - 0.5, color="white", lw=0.8)
+
+
+def _mark_colours(set_ticks: Callable, draw_line: Callable, found: Map) -> None:
+    """Put ticks in the middle of the columns of each colour, and lines between them."""
+    size = len(found.columns) // 3
+    starts = [0, size, 2 * size]
+    letters = [found.columns[start].split()[0] for start in starts]
+    set_ticks([start + (size - 1) / 2 for start in starts], letters)
+    for start in starts[1:]:
+        draw_line(start - 0.5, color="white", lw=1.2)
 
 
 def plot_sensitivity(sensitivity: SensitivityCurves) -> Figure:
@@ -91,21 +196,19 @@ def _stack(axis: Axes, bits: dict[str, dict[str, float]]) -> None:
     names = list(bits)
     parts = list(bits[names[0]])
     shades = colormaps["cividis"](np.linspace(0.05, 1.0, len(parts)))
+    totals = np.array([sum(bits[name].values()) for name in names])
     left = np.zeros(len(names))
+    box = {"fc": "white", "ec": "none", "pad": 1.0, "alpha": 0.85}
     for i, part in enumerate(parts):
         width = np.array([bits[name][part] for name in names])
-        drawn = axis.barh(
+        bars = axis.barh(
             names, width, 0.7, left, color=shades[i], hatch=_HATCHES[i],
             edgecolor="white" if i < 5 else "0.35", lw=0.6, label=part,
         )  # fmt: skip
-        for bar, value in zip(drawn, width, strict=True):
-            if value > 0.05 * max(sum(row.values()) for row in bits.values()):
-                x, y = bar.get_x() + value / 2, bar.get_y() + bar.get_height() / 2
-                box = {"fc": "white", "ec": "none", "pad": 1.0, "alpha": 0.85}
-                axis.text(x, y, f"{value:.0f}", ha="center", va="center", fontsize=8, bbox=box)
+        labels = [f"{value:.0f}" if value > 0.05 * totals.max() else "" for value in width]
+        axis.bar_label(bars, labels, label_type="center", fontsize=8, bbox=box)
         left += width
-    for row, total in enumerate(left):
-        axis.text(total, row, f" {total:.1f}", va="center", fontsize=9, weight="bold")
+    axis.bar_label(bars, [f" {total:.1f}" for total in totals], fontsize=9, weight="bold")
     axis.invert_yaxis()
     axis.margins(x=0.08)
     axis.set_xlim(left=0)
@@ -114,15 +217,9 @@ def _stack(axis: Axes, bits: dict[str, dict[str, float]]) -> None:
 
 def plot_attributes(fits: Sequence[Fit]) -> Figure:
     """Histograms of all channels except SH-AC, one row per attribute."""
-    groups = list(_TITLES)
     figure = new_figure(10.5, 10.5)
-    axes = figure.subplots(len(groups), 4)
-    for row, group in zip(axes, groups, strict=True):
-        members = [fit for fit in fits if fit.channel.stream == group]
-        for axis, fit in zip(row, members, strict=False):
-            _draw(axis, fit, f"{_TITLES[group]}: {fit.channel.name}", False)
-        for axis in row[len(members) :]:
-            axis.set_visible(False)
+    axes = figure.subplots(len(_TITLES), 4)
+    _draw_rows(axes, [[fit for fit in fits if fit.channel.stream == group] for group in _TITLES])
     figure.tight_layout()
     return figure
 
@@ -131,19 +228,13 @@ def plot_sh(fits: Sequence[Fit], colour: int) -> Figure:
     """Histograms of SH-AC of one colour, one row per band, with logarithmic densities."""
     members = [fit for fit in fits if fit.channel.group == "f_rest"]
     size = len(members) // 3
-    mine = [fit for fit in members if fit.channel.index // size == colour]
+    mine = {fit.channel.index: fit for fit in members if fit.channel.index // size == colour}
     bands = sh_bands(size)
     height = 1.8 * len(bands) + 0.3
     figure = new_figure(10.5, height)
-    widest = max(map(len, bands))
-    axes = figure.subplots(len(bands), widest, squeeze=False, sharey=True)
-    for row, band in zip(axes, bands, strict=True):
-        shown = [fit for fit in mine if fit.channel.index % size in band]
-        for axis, fit in zip(row, shown, strict=False):
-            _draw(axis, fit, fit.channel.name, True)
-        for axis in row[len(band) :]:
-            axis.set_visible(False)
-    seen = np.concatenate([fit.density[fit.density > 0] for fit in mine])
+    axes = figure.subplots(len(bands), max(map(len, bands)), squeeze=False, sharey=True)
+    _draw_rows(axes, [[mine[size * colour + k] for k in band] for band in bands])
+    seen = np.concatenate([fit.density[fit.density > 0] for fit in mine.values()])
     if seen.size:
         axes[0, 0].set_yscale("log")
         axes[0, 0].set_ylim(seen.min() / 2, seen.max() * 30)
@@ -151,8 +242,19 @@ def plot_sh(fits: Sequence[Fit], colour: int) -> Figure:
     return figure
 
 
-def _draw(axis: Axes, fit: Fit, title: str, logarithmic: bool) -> None:
-    axis.set_title(title, fontsize=8)
+def _draw_rows(axes: NDArray, rows: Sequence[Sequence[Fit]]) -> None:
+    """A histogram on each axis; those that a row has too many are hidden."""
+    for row, fits in zip(axes, rows, strict=True):
+        for axis, fit in zip(row, fits, strict=False):
+            _draw_histogram(axis, fit)
+        for axis in row[len(fits) :]:
+            axis.set_visible(False)
+
+
+def _draw_histogram(axis: Axes, fit: Fit) -> None:
+    """Bars, the model's curve, and how far the model is off."""
+    title = _TITLES.get(fit.channel.stream)
+    axis.set_title(f"{title}: {fit.channel.name}" if title else fit.channel.name, fontsize=8)
     axis.tick_params(labelsize=6)
     axis.locator_params(axis="x", nbins=4)
     if not len(fit.density):
@@ -160,12 +262,12 @@ def _draw(axis: Axes, fit: Fit, title: str, logarithmic: bool) -> None:
         axis.tick_params(bottom=False, labelbottom=False, left=False, labelleft=False)
         return
     axis.stairs(fit.density, fit.edges, fill=True, color=_BARS)
-    if fit.model != "none" and fit.ks is not None:
+    if fit.ks is not None:
         x = np.linspace(fit.edges[0], fit.edges[-1], 400)
         axis.plot(x, fit.pdf(x), color=_CURVE, lw=1.1)
         label = f"KS {fit.ks:.3f}\nKL {fit.kl_bits:.3f} bit"
         axis.text(0.97, 0.95, label, ha="right", va="top", fontsize=6, transform=axis.transAxes)
     axis.set_xlim(fit.edges[0], fit.edges[-1])
-    if not logarithmic:
+    if title:
         axis.set_yticks([])
         axis.set_ylim(0, 1.4 * axis.get_ylim()[1])  # room for the numbers

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from gs_codec.analysis.analyse import REFERENCE, Analysis
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.page import heading, listing, number, page, paragraph, picture, table
-from gs_codec.analysis.sensitivity import THRESHOLD, SensitivityCurves
+from gs_codec.analysis.sensitivity import THRESHOLD
 
 _GROUPS = ("rotation", "scaling", "opacity", "sh-ac", "total")
+
+#: Columns of the tables of entropies: title, key in `entropy_by_group`, and digits.
+_ENTROPY = (
+    ("entropy", "bits_per_symbol", 3),
+    ("coded", "coded_bits_per_symbol", 3),
+    ("over %", "coded_overhead_percent", 2),
+    ("parametric %", "parametric_overhead_percent", 2),
+    ("paper: entropy", "paper_bits_per_symbol", 3),
+    ("over %", "paper_overhead_percent", 2),
+)
 
 
 def write_page(analysis: Analysis, pictures: Mapping[str, bytes]) -> str:
@@ -49,8 +59,8 @@ def _information(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
         "magnitude). Training leaves the SH-AC of a colour at zero if it is stuck at black; this "
         "makes otherwise independent channels look dependent."
     )
-    yield _relation_table(analysis)
-    yield _attribute_table(analysis)
+    yield _means_table(analysis, "SH-AC with SH-AC", "pairs", ("", "-ycocg"), 3)
+    yield _means_table(analysis, "SH-AC with other attributes", "SH-AC with", ("-others",), 4)
     yield picture(
         pictures["sh_ac_within_colours.png"],
         "SH-AC with SH-AC of the same colour. Grey: a channel with itself.",
@@ -73,22 +83,16 @@ def _colour_table(analysis: Analysis) -> str:
     return table("SH-DC across colours", ["pair", "NMI"], rows)
 
 
-def _relation_table(analysis: Analysis) -> str:
-    means = analysis.means()
-    rows = []
-    for suffix in ("", "-ycocg"):
-        every, coloured = means[f"sh-ac{suffix}"], means[f"sh-ac-coloured{suffix}"]
-        rows += [[name, number(every[name]), number(coloured[name])] for name in every]
-    columns = ["pairs", "all Gaussians", "coloured"]
-    return table("SH-AC with SH-AC: mean over the pairs", columns, rows)
-
-
-def _attribute_table(analysis: Analysis) -> str:
-    means = analysis.means()
-    every, coloured = means["sh-ac-others"], means["sh-ac-coloured-others"]
-    rows = [[name, number(every[name], 4), number(coloured[name], 4)] for name in every]
-    columns = ["SH-AC with", "all Gaussians", "coloured"]
-    return table("SH-AC with other attributes: mean over the pairs", columns, rows)
+def _means_table(
+    analysis: Analysis, caption: str, column: str, kinds: Sequence[str], digits: int
+) -> str:
+    """Means over pairs of channels, of all Gaussians and of the coloured ones."""
+    means, rows = analysis.means(), []
+    for kind in kinds:
+        every, coloured = means[f"sh-ac{kind}"], means[f"sh-ac-coloured{kind}"]
+        for name in every:
+            rows.append([name, number(every[name], digits), number(coloured[name], digits)])
+    return table(f"{caption}: mean over the pairs", [column, "all Gaussians", "coloured"], rows)
 
 
 def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -129,29 +133,22 @@ def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[s
 
 
 def _mixture_row(fit: Fit) -> list[str]:
-    depth = str(fit.channel.quantiser.depth)
-    row = [fit.channel.name, depth, number(fit.entropy_bits), number(fit.ks), number(fit.kl_bits)]
-    if fit.model != "mixture":
-        return [*row, "constant" if depth == "0" else "none"]
-    known = fit.parameters
-    parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
-    return [*row, ",  ".join(f"{w:.2f} x {m:.3g} ± {s:.2g}" for w, m, s in parts)]
+    depth, known = fit.channel.quantiser.depth, fit.parameters
+    shape = "none" if depth else "constant"
+    if fit.model == "mixture":
+        parts = zip(known["weights"], known["means"], known["sigmas"], strict=True)
+        shape = ",  ".join(f"{w:.2f} x {m:.3g} ± {s:.2g}" for w, m, s in parts)
+    numbers = [number(value) for value in (fit.entropy_bits, fit.ks, fit.kl_bits)]
+    return [fit.channel.name, str(depth), *numbers, shape]
 
 
 def _laplace_row(fit: Fit) -> list[str]:
-    if fit.model != "laplace":
-        return [fit.channel.name, f"{fit.parameters['value']:.4g}", "constant", *[""] * 5]
     known = fit.parameters
-    return [
-        fit.channel.name,
-        f"{known['median']:.4g}",
-        f"{known['scale']:.4g}",
-        f"{fit.zeros:.1%}",
-        number(fit.entropy_bits),
-        number(fit.ks),
-        number(fit.ks_nonzero),
-        number(fit.kl_bits),
-    ]
+    if fit.model != "laplace":
+        return [fit.channel.name, f"{known['value']:.4g}", "constant", *[""] * 5]
+    shape = [f"{known['median']:.4g}", f"{known['scale']:.4g}", f"{fit.zeros:.1%}"]
+    measured = (fit.entropy_bits, fit.ks, fit.ks_nonzero, fit.kl_bits)
+    return [fit.channel.name, *shape, *(number(value) for value in measured)]
 
 
 def _entropy(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -162,36 +159,14 @@ def _entropy(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]
         "alone, and the paper's (means over Mip-NeRF 360, SH-AC at 4 bits). The last row also "
         "counts what a decoder needs: models, quantisers, coder states."
     )
-    columns = [
-        "group",
-        "Q",
-        "entropy",
-        "coded",
-        "over %",
-        "parametric %",
-        "paper: entropy",
-        "over %",
-    ]
+    columns = ["group", "Q", *(title for title, _, _ in _ENTROPY)]
     for profile, known in analysis.entropy.items():
-        rows = [
-            _entropy_row(group, known["depths"].get(group, ""), known["groups"][group])
-            for group in _GROUPS
-            if group in known["groups"]
-        ]
+        rows = []
+        for group in _GROUPS:
+            if measured := known["groups"].get(group):
+                cells = [number(measured.get(key), digits) for _, key, digits in _ENTROPY]
+                rows.append([group, known["depths"].get(group, ""), *cells])
         yield table(profile, columns, rows)
-
-
-def _entropy_row(group: str, depth: str, known: Mapping[str, float | None]) -> list[str]:
-    return [
-        group,
-        depth,
-        number(known.get("bits_per_symbol")),
-        number(known.get("coded_bits_per_symbol")),
-        number(known["coded_overhead_percent"], 2),
-        number(known.get("parametric_overhead_percent"), 2),
-        number(known.get("paper_bits_per_symbol")),
-        number(known.get("paper_overhead_percent"), 2),
-    ]
 
 
 def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -211,19 +186,12 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
         f"Quality against normalised error; 120 dB stands for 120 dB or more, and for equal views. "
         f"Large hollow marks: the error of {found.profile}.",
     )
-    yield _tolerance_table(found)
-
-
-def _tolerance_table(found: SensitivityCurves) -> str:
-    def cell(value: float | None) -> str:
-        return "-" if value is None else f"{value:.2e}"
-
-    rows = [
-        [c.attribute, cell(c.tolerance), cell(c.range_tolerance), cell(c.profile_level)]
-        for c in found.ranked()
-    ]
     columns = ["attribute", "standard deviations", "of the range", f"{found.profile}: std."]
-    return table(f"Error at which views fall to {THRESHOLD:.0f} dB", columns, rows)
+    rows = []
+    for curve in found.ranked():
+        errors = (curve.tolerance, curve.tolerance_of_range, curve.profile_level)
+        rows.append([curve.attribute, *("-" if x is None else f"{x:.2e}" for x in errors)])
+    yield table(f"Error at which views fall to {THRESHOLD:.0f} dB", columns, rows)
 
 
 def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -233,10 +201,6 @@ def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
         "checksums, tables, coder states, bounds, normals."
     )
     yield picture(pictures["bits.png"], "Bits per Gaussian by attribute.")
-    profiles = list(analysis.bits)
-    rows = [
-        [part, *(number(analysis.bits[profile][part], 2) for profile in profiles)]
-        for part in analysis.bits[profiles[0]]
-    ]
-    totals = [number(sum(analysis.bits[profile].values()), 2) for profile in profiles]
-    yield table("Bits per Gaussian", ["attribute", *profiles], [*rows, ["total", *totals]])
+    bits = analysis.as_dict()["bits_per_gaussian"]
+    rows = [[part, *(number(of[part], 2) for of in bits.values())] for part in bits[REFERENCE]]
+    yield table("Bits per Gaussian", ["attribute", *bits], rows)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
-from io import BytesIO
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.analysis.analyse import Analysis, Options, analyse_scene
-from gs_codec.analysis.maps import plot_across_colours, plot_others, plot_within_colours
 from gs_codec.analysis.plots import (
     new_figure,
+    plot_across_colours,
     plot_attributes,
     plot_bits,
+    plot_others,
     plot_sensitivity,
     plot_sh,
+    plot_within_colours,
+    png_of,
 )
 from gs_codec.analysis.report import write_page
 from gs_codec.files.scenes import read_scene
@@ -22,8 +25,6 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import check_writable, write_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from matplotlib.figure import Figure
 
 
@@ -67,42 +68,24 @@ def analyse_file(
 
 def draw_pictures(analysis: Analysis, progress: Progress | None = None) -> dict[str, bytes]:
     """Draw the plots of an analysis: PNG data by file name."""
-    plots = _plots(analysis)
-    advance = step_counter(progress, "pictures", len(plots))
+    figures = list(_figures(analysis))
+    advance = step_counter(progress, "pictures", len(figures))
     pictures = {}
-    for name, plot in plots.items():
-        buffer = BytesIO()
-        plot().savefig(buffer, format="png")
-        pictures[name] = buffer.getvalue()
-        if advance is not None:
-            advance()
+    for name, figure in figures:
+        pictures[f"{name}.png"] = png_of(figure)
+        advance()
     return pictures
 
 
-def _plots(analysis: Analysis) -> dict[str, Callable[[], Figure]]:
-    maps, fits = analysis.maps, analysis.fits
-    plots: dict[str, Callable[[], Figure]] = {}
-    if "sh-ac" in maps:
-        panels = [
-            (f"{'Y, Co, Cg' if suffix else 'R, G, B'}, {which}", maps[f"{name}{suffix}"])
-            for name, which in (("sh-ac", "all Gaussians"), ("sh-ac-coloured", "coloured ones"))
-            for suffix in ("", "-ycocg")
-        ]
-        others = [
-            ("all Gaussians", maps["sh-ac-others"]),
-            ("coloured ones", maps["sh-ac-coloured-others"]),
-        ]
-        plots["sh_ac_within_colours.png"] = lambda: plot_within_colours(
-            maps["sh-ac"], maps["sh-ac-coloured"]
-        )
-        plots["sh_ac_across_colours.png"] = lambda: plot_across_colours(panels)
-        plots["sh_ac_others.png"] = lambda: plot_others(others)
-    plots["histograms.png"] = lambda: plot_attributes(fits)
-    if "sh-ac" in maps:
+def _figures(analysis: Analysis) -> Iterator[tuple[str, Figure]]:
+    if analysis.sh_degree:
+        yield "sh_ac_within_colours", plot_within_colours(analysis.maps)
+        yield "sh_ac_across_colours", plot_across_colours(analysis.maps)
+        yield "sh_ac_others", plot_others(analysis.maps)
+    yield "histograms", plot_attributes(analysis.fits)
+    if analysis.sh_degree:
         for colour, letter in enumerate("rgb"):
-            name = f"histograms_sh_ac_{letter}.png"
-            plots[name] = lambda colour=colour: plot_sh(fits, colour)  # type: ignore[misc]
-    if (measured := analysis.sensitivity) is not None:
-        plots["sensitivity.png"] = lambda: plot_sensitivity(measured)
-    plots["bits.png"] = lambda: plot_bits(analysis.bits)
-    return plots
+            yield f"histograms_sh_ac_{letter}", plot_sh(analysis.fits, colour)
+    if analysis.sensitivity is not None:
+        yield "sensitivity", plot_sensitivity(analysis.sensitivity)
+    yield "bits", plot_bits(analysis.bits)

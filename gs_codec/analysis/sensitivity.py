@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ class Curve:
     tolerance : float or None
         The error level at which PSNR falls to `THRESHOLD`; the lowest of `LEVELS` if PSNR is below
         `THRESHOLD` even there; None if it never falls so far.
-    range_tolerance : float or None
+    tolerance_of_range : float or None
         The same error as a share of the channel's range, from lowest to highest value.
     profile_level : float
         The level of the quantisation error of the paper's profile.
@@ -61,7 +61,7 @@ class Curve:
     attribute: str
     psnr: tuple[float, ...]
     tolerance: float | None
-    range_tolerance: float | None
+    tolerance_of_range: float | None
     profile_level: float
 
 
@@ -91,7 +91,7 @@ class SensitivityCurves:
             "threshold_psnr": THRESHOLD,
             "profile": self.profile,
             "seed": self.seed,
-            "curves": {c.attribute: _curve_dict(c) for c in self.curves},
+            "curves": {curve.attribute: asdict(curve) for curve in self.curves},
             "most_sensitive_first": [c.attribute for c in self.ranked()],
         }
 
@@ -132,8 +132,7 @@ def measure_sensitivity(
             with np.errstate(over="ignore"):
                 noisy = replace(scene, **{group: planes + np.float32(level) * noise})
             qualities.append(_quality(_views(noisy, cameras), original))
-            if advance is not None:
-                advance()
+            advance()
         curves.append(_curve(scene, group, tuple(qualities), deviations, config))
     return SensitivityCurves(tuple(cameras), config.profile, seed, tuple(curves))
 
@@ -195,12 +194,3 @@ def level_at(quality: float, qualities: tuple[float, ...]) -> float | None:
             part = (above - quality) / (above - below)
             return float(LEVELS[i] ** (1 - part) * LEVELS[i + 1] ** part)
     return None
-
-
-def _curve_dict(curve: Curve) -> dict:
-    return {
-        "psnr": curve.psnr,
-        "tolerance": curve.tolerance,
-        "tolerance_of_range": curve.range_tolerance,
-        "profile_level": curve.profile_level,
-    }

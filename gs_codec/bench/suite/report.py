@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gs_codec.analysis.plots import new_figure
+from gs_codec.analysis.plots import new_figure, png_of
 from gs_codec.bench.beside import is_ours
 from gs_codec.bench.suite import plots, tables
 from gs_codec.bench.suite.results import Results
@@ -47,11 +46,9 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     results, pictures = Results(lines), dict[str, bytes]()
 
     def draw(name: str, figure: Figure, shown: str) -> str:
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png")
         plain = re.sub(r"[^A-Za-z0-9]+", "-", name)[:60].strip("-")
         file = f"{plain}.png" if f"{plain}.png" not in pictures else f"{plain}-{len(pictures)}.png"
-        pictures[file] = buffer.getvalue()
+        pictures[file] = png_of(figure)
         return f"![{shown}]({file})"
 
     with rc_context(plots.STYLE):

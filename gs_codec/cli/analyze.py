@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.options import Json, MaxBytes, Overwrite, Width
+from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import (
     SCENES,
     print_json,
@@ -16,40 +16,37 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 
 
+@takes("width", "max_bytes", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for report.html, report.json, pictures.")
     ],
+    asked: Asked,
     cameras: Annotated[
         str | None,
         typer.Option(metavar="C", help=f"Measure what views lose by errors too: {CAMERAS}"),
     ] = None,
-    width: Width = None,
     sample: Annotated[int, typer.Option(help="Most Gaussians that statistics go by.")] = 200_000,
     seed: Annotated[int, typer.Option(help="Of the sample, of shuffling, and of noise.")] = 0,
-    max_bytes: MaxBytes = None,
-    overwrite: Overwrite = False,
-    json: Json = False,
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
-    if width and cameras is None:
-        raise InvalidInput("--width needs --cameras")
-    check_folder(out, overwrite)
+    if cameras is None:
+        asked.refuse(["width"], "needs --cameras")
+    check_folder(out, asked["overwrite"])
     from gs_codec.analysis.analyse import Options
     from gs_codec.analysis.save import analyse_file
 
-    options = Options(cameras, width, sample, seed)
+    options = Options(cameras, asked["width"], sample, seed)
     with progress_bar() as progress:
-        content = analyse_file(source, out, options, progress, max_bytes)
+        content = analyse_file(source, out, options, progress, asked["max_bytes"])
     for note in content["notes"]:
         print_status(note)
-    if json:
+    if asked["json"]:
         print_json(content)
         return
     print_text(f"{source}: {content['gaussians']:,} Gaussians, SH degree {content['sh_degree']}")

@@ -33,14 +33,14 @@ class Asked:
     ctx : typer.Context
     values : dict
         The command's parameters by name, ``set`` among them as it was typed.
-    settable : sequence of str
+    settable : list of str
         Names that ``--set`` takes.
     """
 
     def __init__(self, ctx: typer.Context, values: dict[str, Any], settable: list[str]) -> None:
         self.command = ctx.info_name
         self._values = {name: value for name, value in values.items() if value is not None}
-        self._typed = {name: f"--{dashed(name)}" for name in values if is_given(ctx, name)}
+        self._typed = {name: f"--{dashed(name)}" for name in values if _is_given(ctx, name)}
         for text in self._values.pop("set", ()):
             self._set(text, settable)
 
@@ -60,11 +60,10 @@ class Asked:
                 raise InvalidInput(f"{self._typed[name]} {why}")
 
     def build(self, settings: type[Settings], **others: Any) -> Settings:
-        """A dataclass of the library, with what was asked for."""
-        for field, described in options_of(settings).items():
-            if (name := described.name or field) in self._values:
-                others[field] = self._values[name]
-        return settings(**others)
+        """A dataclass of the library, with what was asked for and `others`."""
+        names = {field: each.name or field for field, each in options_of(settings).items()}
+        asked = {field: self._values[name] for field, name in names.items() if name in self._values}
+        return settings(**asked | others)
 
     def _set(self, text: str, settable: list[str]) -> None:
         typed, equals, value = text.partition("=")
@@ -104,7 +103,7 @@ def takes(
             shared.append(_parameter("set", {}))
 
         def called(ctx: typer.Context, **values: Any) -> None:
-            arguments = {p.name: values.pop(p.name) for p in kept}
+            arguments = {p.name: values[p.name] for p in kept}
             command(**arguments, asked=Asked(ctx, values, settable))
 
         called.__doc__ = command.__doc__
@@ -133,6 +132,12 @@ def _parameter(name: str, defaults: dict[str, Any]) -> inspect.Parameter:
     )
 
 
+def _is_given(ctx: typer.Context, name: str) -> bool:
+    """Whether an option was typed, be it with its default."""
+    source = ctx.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
 def _listed(settable: list[str], defaults: dict[str, Any]) -> str:
     """What ``--set`` takes, for the end of the help."""
     lines = ["--set takes these, and depth.sh-ac=3 is an example:"] * bool(settable)
@@ -145,17 +150,6 @@ def _listed(settable: list[str], defaults: dict[str, Any]) -> str:
         head, (first, *rest) = f"{set_name(name)}={value_of(described)}", textwrap.wrap(told, 49)
         lines += [f"{head:<28} {first}", *(29 * " " + line for line in rest)]
     return "\n".join(lines)
-
-
-def is_given(ctx: typer.Context, name: str) -> bool:
-    """Whether an option was typed, be it with its default."""
-    source = ctx.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"
-
-
-def refuse_given(ctx: typer.Context, names: Iterable[str], why: str) -> None:
-    """See `Asked.refuse`; for commands that list their options themselves."""
-    Asked(ctx, dict.fromkeys(names), []).refuse(names, why)
 
 
 def config_of(asked: Asked) -> Config:

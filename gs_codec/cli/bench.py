@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.options import OPTIONS, Overwrite, Threads
+from gs_codec.cli.options import OPTIONS
 from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
@@ -59,10 +59,12 @@ def _quality(line: dict[str, Any]) -> list[str]:
     return ["equal" if psnr is None else f"{psnr:.2f}", f"{delta['psnr']:+.3f}" if delta else ""]
 
 
+@takes("threads", "width", "overwrite")
 def measure_suite(
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for suite.jsonl, report.md, pictures.")
     ],
+    asked: Asked,
     scenes: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -72,13 +74,6 @@ def measure_suite(
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help="Timed runs; medians are reported.", min=1)] = 3,
-    threads: Threads = None,
-    width: Annotated[
-        int | None,
-        typer.Option(
-            help="Width of the views, pixels.", show_default="the cameras', or the photographs'"
-        ),
-    ] = None,
     skip: Annotated[
         list[str] | None,
         typer.Option(
@@ -86,7 +81,6 @@ def measure_suite(
             help="Leave out, repeatedly: codecs, curves, memory, scaling, peers, guided, pruned.",
         ),
     ] = None,
-    overwrite: Overwrite = False,
 ) -> None:
     """Measure scenes in full, other codecs too, and write a report.
 
@@ -96,8 +90,9 @@ def measure_suite(
     from gs_codec.bench.suite.report import write_report
     from gs_codec.bench.suite.run import Options, run_suite
 
-    options = Options(tuple(scenes or ()), repeats, threads, width, frozenset(skip or ()))
-    check_folder(out, overwrite)
+    of_views = (asked["threads"], asked["width"])
+    options = Options(tuple(scenes or ()), repeats, *of_views, frozenset(skip or ()))
+    check_folder(out, asked["overwrite"])
     new_figure(1, 1)  # without matplotlib there is no report: refused before the work
     start = time.monotonic()
 

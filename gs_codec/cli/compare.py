@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.asked import refuse_given
-from gs_codec.cli.options import (
-    SPLIT,
-    Background,
-    Device,
-    Json,
-    MaxBytes,
-    Overwrite,
-    Width,
-    typer_option,
-)
+from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import (
     SCENES,
     print_json,
@@ -27,25 +17,28 @@ from gs_codec.cli.output import (
     print_text,
     progress_bar,
 )
-from gs_codec.preparation.steps import BACKGROUNDS, CAMERAS
+from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 
 #: Options of what is drawn.
-_OF_VIEWS = (
-    "images", "gt_images", "width", "split", "background", "device", "overwrite",
-)  # fmt: skip
+_OF_VIEWS = ("width", "split", "background", "device")
 
 if TYPE_CHECKING:
     from gs_codec.metrics.attributes import Comparison
     from gs_codec.metrics.images import Quality, View
 
 
+@takes(*_OF_VIEWS, "max_bytes", "overwrite", "json", split="held-out")
 def command(
-    ctx: typer.Context,
     first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another version of it.")],
+    asked: Asked,
     cameras: Annotated[
         str | None, typer.Option(metavar="C", help=f"Compare what these see: {CAMERAS}")
+    ] = None,
+    gt_images: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Measure both scenes against these images."),
     ] = None,
     images: Annotated[
         Path | None,
@@ -53,39 +46,29 @@ def command(
             metavar="DIR", help="Write each view's two images, and 10 x their difference."
         ),
     ] = None,
-    gt_images: Annotated[
-        Path | None, typer_option("gt_images", "Measure both scenes against these images.")
-    ] = None,
-    width: Width = None,
-    split: Annotated[str, typer.Option(help=SPLIT)] = "held-out",
-    background: Background = BACKGROUNDS["black"],
-    device: Device = "auto",
-    max_bytes: MaxBytes = None,
-    overwrite: Overwrite = False,
-    json: Json = False,
 ) -> None:
     """Show how far two versions of a scene are apart: by attribute, or in rendered views."""
     if cameras is None:
-        refuse_given(ctx, _OF_VIEWS, "needs --cameras")
+        asked.refuse((*_OF_VIEWS, "gt_images", "images", "overwrite"), "needs --cameras")
     elif images is None:
-        refuse_given(ctx, ["overwrite"], "needs --images")
+        asked.refuse(["overwrite"], "needs --images")
     else:
-        check_folder(images, overwrite)
+        check_folder(images, asked["overwrite"])
     if cameras is None:
         from gs_codec.files.scenes import compare_files
 
-        comparison = compare_files(first, second, max_bytes=max_bytes)
+        comparison = compare_files(first, second, max_bytes=asked["max_bytes"])
     else:
         from gs_codec.api.viewing import compare
 
         with progress_bar() as progress:
+            drawn = {name: asked[name] for name in _OF_VIEWS}
             comparison = compare(
-                first, second, cameras, split=split, width=width, gt_images=gt_images,
-                images=images, background=background, device=device, progress=progress,
-                max_bytes=max_bytes,
+                first, second, cameras, gt_images=gt_images, images=images, progress=progress,
+                max_bytes=asked["max_bytes"], **drawn,
             )  # fmt: skip
     _say_systems(comparison.systems)
-    if json:
+    if asked["json"]:
         print_json({"a": str(first), "b": str(second), **_plain(comparison)})
     elif comparison.views:
         _print_views(comparison)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gs_codec.cli.options import Json, MaxBytes, MaxMemory, Overwrite, Threads, Tool
+from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
 from gs_codec.cli.streams import piped
 from gs_codec.errors import InvalidInput
@@ -17,14 +17,13 @@ if TYPE_CHECKING:
     from gs_codec.files.coding import DecodeReport
 
 
+@takes("threads", "max_memory", "max_bytes", "tmc3", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file; - is stdin.")],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help="Scene to write, a .ply; - is stdout.")
     ],
-    threads: Threads = None,
-    max_memory: MaxMemory = None,
-    max_bytes: MaxBytes = None,
+    asked: Asked,
     bbox: Annotated[
         str | None,
         typer.Option(
@@ -35,9 +34,6 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
-    tmc3: Tool = None,
-    overwrite: Overwrite = False,
-    json: Json = False,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
     box = None if bbox is None else _parse_box(bbox)
@@ -48,11 +44,12 @@ def command(
     with piped(source, target, ".ply") as (file, out):
         with progress_bar() as progress:
             report = decode_file(
-                file, out, part, threads=threads, tmc3=tmc3, progress=progress,
-                max_memory=max_memory, max_bytes=max_bytes, overwrite=overwrite,
+                file, out, part, threads=asked["threads"], tmc3=asked["tmc3"], progress=progress,
+                max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
+                overwrite=asked["overwrite"],
             )  # fmt: skip
         named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
-        if json:
+        if asked["json"]:
             print_json(named | asdict(report))
         else:
             _print_report(named, report)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.asked import refuse_given
-from gs_codec.cli.options import Json, MaxBytes
+from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import SCENES_PIPED, print_json, print_table, print_text, size_text
 from gs_codec.cli.streams import piped_source
 
@@ -18,28 +17,27 @@ if TYPE_CHECKING:
     from gs_codec.formats.registry import Overview
 
 
+@takes("max_bytes", "json")
 def command(
-    ctx: typer.Context,
     file: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
+    asked: Asked,
     channels: Annotated[
         bool, typer.Option("--channels", help="List every channel's quantiser and model.")
     ] = False,
-    max_bytes: MaxBytes = None,
-    json: Json = False,
 ) -> None:
     """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
-    if json:
-        refuse_given(ctx, ["channels"], "has no effect: --json has them anyway")
+    if asked["json"]:
+        asked.refuse(["channels"], "has no effect: --json has them anyway")
     from gs_codec.files.scenes import inspect_file, is_egs
 
     with piped_source(file) as path:
         if not is_egs(path):
-            refuse_given(ctx, ["channels"], f"has no effect on {file}, expected an .egs")
-            _show_other(file, path, max_bytes, json)
+            asked.refuse(["channels"], f"has no effect on {file}, expected an .egs")
+            _show_other(file, path, asked["max_bytes"], asked["json"])
             return
-        refuse_given(ctx, ["max_bytes"], "has no effect on an .egs, of which the header is read")
+        asked.refuse(["max_bytes"], "has no effect on an .egs, of which the header is read")
         info = inspect_file(path)
-    if json:
+    if asked["json"]:
         print_json({"file": str(file), **info.as_dict()})
         return
     _print_info(file, info)

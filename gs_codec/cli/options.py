@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -23,8 +23,6 @@ _NUMBERS: Mapping[type, str] = {
     float: r"-?[0-9]{1,12}(\.[0-9]{1,20})?(e-?[0-9]{1,2})?",
 }
 
-SPLIT = "Cameras to use: all, test, train, or held-out (test where they are marked, else all)."
-
 #: Options by their names in Python, and their defaults; first those that are no field.
 OPTIONS = {
     "max_memory": Option(
@@ -38,12 +36,15 @@ OPTIONS = {
     "json": Option("Print the report as JSON.", bool),
     "report": Option("Write report.json, ablation.md, labels.npy there.", Path, metavar="DIR"),
     "set": Option("Set an expert option, see below; may be repeated.", metavar="NAME=VALUE"),
+    "split": Option(
+        "Cameras to use: all, test, train, or held-out (test where they are marked, else all)."
+    ),
     "device": Option(
         "Draw on cpu, on cuda with gsplat, or auto: cuda where possible.",
         values={name: name for name in ("auto", "cpu", "cuda")},
     ),
 }  # fmt: skip
-DEFAULTS: dict[str, Any] = {"overwrite": False, "json": False}
+DEFAULTS: dict[str, Any] = {"overwrite": False, "json": False, "device": "auto"}
 
 for _settings in (Config, RateTarget, Plan, Steps):
     for _field in fields(_settings):
@@ -53,8 +54,8 @@ for _settings in (Config, RateTarget, Plan, Steps):
                 DEFAULTS[_described.name or _field.name] = _field.default
 
 
-def typer_option(name: str, help: str | None = None) -> Any:  # noqa: A002
-    """The option `name` for a parameter of a command, which may say it in its own words."""
+def typer_option(name: str) -> Any:
+    """The option `name` for a parameter of a command."""
     described = OPTIONS[name]
 
     def parse(text: Any) -> Any:
@@ -63,7 +64,7 @@ def typer_option(name: str, help: str | None = None) -> Any:  # noqa: A002
     return typer.Option(
         f"--{dashed(name)}",
         *(["-p"] if name == "profile" else []),
-        help=help or described.help,
+        help=described.help,
         metavar=described.metavar or "|".join(described.values) or None,
         show_default=described.shown or True,
         parser=parse if described.unit or isinstance(described.values, Mapping) else None,
@@ -117,14 +118,3 @@ def set_name(name: str) -> str:
 def dashed(name: str) -> str:
     """The name of an option as it is typed."""
     return name.replace("_", "-")
-
-
-Threads = Annotated[int | None, typer_option("threads")]
-Overwrite = Annotated[bool, typer_option("overwrite")]
-Json = Annotated[bool, typer_option("json")]
-MaxMemory = Annotated[int | None, typer_option("max_memory")]
-MaxBytes = Annotated[int | None, typer_option("max_bytes")]
-Tool = Annotated[str | None, typer_option("tmc3", "G-PCC program, for files coded with it.")]
-Width = Annotated[int | None, typer_option("width")]
-Background = Annotated[Any, typer_option("background")]
-Device = Annotated[Any, typer_option("device")]

@@ -8,19 +8,18 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.options import SPLIT, Background, Device, MaxBytes, Overwrite, Width
+from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import SCENES, print_text, progress_bar
-from gs_codec.preparation.steps import BACKGROUNDS, CAMERAS
+from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 
 
+@takes("width", "split", "background", "device", "max_bytes", "overwrite", split="all")
 def command(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     cameras: Annotated[str, typer.Option(metavar="C", help=CAMERAS)],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the images, PNG.")],
-    width: Width = None,
-    split: Annotated[str, typer.Option(help=SPLIT)] = "all",
-    background: Background = BACKGROUNDS["black"],
+    asked: Asked,
     antialiased: Annotated[
         bool | None,
         typer.Option(
@@ -29,19 +28,16 @@ def command(
             show_default="as the file says",
         ),
     ] = None,
-    device: Device = "auto",
-    max_bytes: MaxBytes = None,
-    overwrite: Overwrite = False,
 ) -> None:
     """Draw a scene from each camera, as the 3DGS rasteriser does."""
-    check_folder(out, overwrite)
+    check_folder(out, asked["overwrite"])
     from gs_codec.files.scenes import read_scene
     from gs_codec.rendering.cameras import find_cameras
     from gs_codec.rendering.images import write_views
 
-    loaded = read_scene(scene, "drop", max_bytes=max_bytes)
-    views = find_cameras(cameras, loaded, split, width)
+    loaded = read_scene(scene, "drop", max_bytes=asked["max_bytes"])
+    views = find_cameras(cameras, loaded, asked["split"], asked["width"])
     start = time.perf_counter()
     with progress_bar() as progress:
-        write_views(loaded, views, out, background, antialiased, device, progress)
+        write_views(loaded, views, out, asked["background"], antialiased, asked["device"], progress)
     print_text(f"{out}: {len(views)} images, {time.perf_counter() - start:.2f} s")

@@ -8,25 +8,24 @@ from typing import Annotated
 
 import typer
 
-from gs_codec.cli.options import Json, MaxBytes, MaxMemory, Threads, Tool
+from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
 from gs_codec.cli.streams import piped_source
 
 
+@takes("threads", "max_memory", "max_bytes", "tmc3", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file; - is stdin.")],
-    threads: Threads = None,
-    max_memory: MaxMemory = None,
-    max_bytes: MaxBytes = None,
-    tmc3: Tool = None,
-    json: Json = False,
+    asked: Asked,
 ) -> None:
     """Check every checksum of an .egs file and decode all of it, writing nothing."""
     from gs_codec.codecs.slabs import verify_file
 
     with piped_source(source) as file, progress_bar() as progress:
-        report = verify_file(file, threads, max_bytes, progress, tmc3, max_memory)
-    if json:
+        report = verify_file(
+            file, asked["threads"], asked["max_bytes"], progress, asked["tmc3"], asked["max_memory"]
+        )
+    if asked["json"]:
         print_json({"input": str(source), **asdict(report)})
     else:
         print_text(

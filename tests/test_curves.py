@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from gs_codec.bench.curves import Curve, Rate, bd_rate
+from gs_codec.bench.suite.results import curve_of
 
 
 def _line(psnrs, factor=1.0) -> Curve:
     """One bit for each 6 dB, times a factor."""
-    return Curve.through((psnr, factor * 2 ** (psnr / 6)) for psnr in psnrs)
+    return Curve((psnr, factor * 2 ** (psnr / 6)) for psnr in psnrs)
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.7])
@@ -30,7 +31,7 @@ def test_curves_a_factor_apart_are_so_at_every_quality(psnrs, factor):
 
 def test_a_curve_goes_through_its_points_and_not_beyond():
     points = [(40.0, 60.0), (44.0, 75.0), (45.0, 160.0), (52.0, 170.0)]
-    curve = Curve.through(points)
+    curve = Curve(points)
     for psnr, bits in points:
         assert curve.bits_at(psnr) == pytest.approx(bits)
     between = [curve.bits_at(psnr) for psnr in np.linspace(40, 52, 50)]
@@ -45,11 +46,11 @@ def test_curves_that_do_not_overlap_have_no_rate(psnrs):
 
 
 def test_of_points_of_one_quality_the_smallest_counts():
-    curve = Curve.through([(40, 90), (40, 80), (50, 100)])
+    curve = Curve([(40, 90), (40, 80), (50, 100)])
     assert curve.bits_at(40) == pytest.approx(80)
-    assert Curve.through([(40, 80)]).bits_at(40) == pytest.approx(80)
+    assert Curve([(40, 80)]).bits_at(40) == pytest.approx(80)
 
 
 def test_equal_views_are_no_points():
     lines = [{"bits_per_gaussian": 90.0, "mean": {"psnr": psnr}} for psnr in (None, 40.0)]
-    assert Curve.through_lines(lines).range == (40.0, 40.0)
+    assert curve_of(lines).range == (40.0, 40.0)

@@ -194,9 +194,8 @@ def test_two_scenes_of_one_file_name_keep_their_pictures(tmp_path: Path) -> None
     assert sorted(shown) == sorted(pictures)
 
 
-@pytest.mark.parametrize("psnr", [None, float("nan"), float("inf")])
-def test_equal_views_have_no_psnr(psnr: float | None, tmp_path: Path) -> None:
-    codecs = [*CODECS[:2], ("exact", 1300.0, psnr, psnr, 0.2, 0.1)]
+def test_equal_views_have_no_psnr(tmp_path: Path) -> None:
+    codecs = [*CODECS[:2], ("exact", 1300.0, None, 0.0, 0.2, 0.1)]
     write_report([beside("bonsai", True, codec) for codec in codecs], tmp_path)
     page = (tmp_path / "report.md").read_text()
     assert "| exact | 1.53x | 1300.0 | equal |" in page

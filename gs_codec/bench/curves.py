@@ -4,46 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
 class Curve:
     """Log2 of bits over PSNR between measured points, by pchip as in Bjontegaard's measure.
 
-    Attributes
+    Parameters
     ----------
-    psnr : ndarray, shape (P,)
-        dB, ascending.
-    log_bits : ndarray, shape (P,)
-        Log2 of bits a Gaussian.
+    points : iterable of tuple of two float
+        PSNR in dB, and bits for each Gaussian; of points of one PSNR the smallest counts.
     """
 
-    psnr: NDArray[np.float64]
-    log_bits: NDArray[np.float64]
-
-    @classmethod
-    def through(cls, points: Iterable[tuple[float, float]]) -> Curve:
-        """Through points of (PSNR, bits); of those of one PSNR, that of the fewest bits."""
+    def __init__(self, points: Iterable[tuple[float, float]]) -> None:
         best: dict[float, float] = {}
         for psnr, bits in points:
             best[psnr] = min(bits, best.get(psnr, np.inf))
-        psnrs = np.array(sorted(best), np.float64)
-        return cls(psnrs, np.log2(np.array([best[psnr] for psnr in psnrs], np.float64)))
-
-    @classmethod
-    def through_lines(cls, lines: Iterable[dict[str, Any]]) -> Curve:
-        """Through result lines; those of equal views, which have no PSNR, are left out."""
-        points = [(line["mean"]["psnr"], line["bits_per_gaussian"]) for line in lines]
-        return cls.through((psnr, bits) for psnr, bits in points if psnr is not None)
+        self._psnr = np.array(sorted(best), np.float64)
+        self._log_bits = np.log2([best[psnr] for psnr in sorted(best)])
 
     @property
     def range(self) -> tuple[float, float]:
         """Lowest and highest PSNR; (inf, -inf) without points."""
-        return float(self.psnr.min(initial=np.inf)), float(self.psnr.max(initial=-np.inf))
+        return self._psnr.min(initial=np.inf), self._psnr.max(initial=-np.inf)
 
     def bits_at(self, psnr: float) -> float | None:
         """Bits at a PSNR, or None outside the range."""
@@ -51,7 +35,7 @@ class Curve:
         if not low <= psnr <= high:
             return None
         if low == high:
-            return float(2 ** self.log_bits[0])
+            return float(2 ** self._log_bits[0])
         return float(2 ** self._interpolator()(psnr))
 
     def mean_log_bits(self, low: float, high: float) -> float:
@@ -61,7 +45,7 @@ class Curve:
     def _interpolator(self):
         from scipy.interpolate import PchipInterpolator
 
-        return PchipInterpolator(self.psnr, self.log_bits)
+        return PchipInterpolator(self._psnr, self._log_bits)
 
 
 @dataclass(frozen=True)

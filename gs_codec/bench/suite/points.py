@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 from gs_codec.bench.beside import GUIDED, camera_free, guided, is_ours, measure_beside
-from gs_codec.bench.curves import Curve
 from gs_codec.bench.sources import MeasuredScene
+from gs_codec.bench.suite.results import curve_of
 from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, MAX_DEPTH, PROFILES, Config
 
 #: Names of curves: the paper's profiles, and ours without cameras and with.
@@ -52,7 +52,7 @@ def measure_points(
     def extend(curve: str, wanted: Sequence[float | None]) -> Iterator[dict[str, Any]]:
         psnrs = [psnr for psnr in wanted if psnr is not None]
         for step in (1, 2, -1, -2):
-            low, high = Curve.through_lines(found[curve].values()).range
+            low, high = curve_of(found[curve].values()).range
             finer, coarser = max(psnrs, default=-math.inf) > high, min(psnrs, default=low) < low
             if finer if step > 0 else coarser:
                 yield measure(curve, *_beyond(curve, config, step))

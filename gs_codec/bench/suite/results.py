@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +57,7 @@ class Results:
 
     def curve(self, scene: str, name: str) -> Curve:
         """The curve through such points."""
-        return Curve.through_lines(self.points(scene, name))
+        return curve_of(self.points(scene, name))
 
     def bits_at_quality(self, line: Line, curve: str) -> str:
         """Bits of a curve at a codec's PSNR; at most so many if even its coarsest point is better.
@@ -82,14 +82,15 @@ class Results:
         return f"{ours[0]['bits_per_gaussian']:.1f} (`{LOSSLESS}`)"
 
 
-def finite(value: Any) -> float | None:
-    """A finite number, else None."""
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+def curve_of(lines: Iterable[Line]) -> Curve:
+    """The curve through result lines; those of equal views, which have no PSNR, are left out."""
+    seen = [line for line in lines if psnr_of(line) is not None]
+    return Curve((line["mean"]["psnr"], line["bits_per_gaussian"]) for line in seen)
 
 
 def psnr_of(line: Line) -> float | None:
     """PSNR against the scene's own views; None if there is none or views are equal."""
-    return finite(line.get("mean", {}).get("psnr"))
+    return line.get("mean", {}).get("psnr")
 
 
 def is_exact(line: Line) -> bool:
@@ -99,4 +100,4 @@ def is_exact(line: Line) -> bool:
 
 def delta_of(line: Line) -> float | None:
     """Delta-PSNR against photographs, if there are any."""
-    return finite(line.get("delta", {}).get("psnr"))
+    return line.get("delta", {}).get("psnr")

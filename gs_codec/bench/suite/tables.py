@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from gs_codec.bench.beside import GUIDED, is_ours
 from gs_codec.bench.curves import bd_rate
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
-from gs_codec.bench.suite.results import Line, Results, delta_of, finite, is_exact, psnr_of
+from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import LOSSLESS
 
@@ -163,5 +162,5 @@ def _seconds(value: float) -> str:
     return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
 
 
-def _number(value: Any, how: str) -> str:
-    return "" if finite(value) is None else format(value, how)
+def _number(value: float | None, how: str) -> str:
+    return "" if value is None else format(value, how)

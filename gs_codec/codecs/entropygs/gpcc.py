@@ -102,10 +102,10 @@ def _read_rows(ply: bytes, count: int) -> NDArray:
         header = read_header(np.frombuffer(ply, np.uint8))
     except InvalidInput as error:
         raise ToolFailed(f"wrote a file that is {error}") from None
-    others = any(element.count for element in header.elements[1:])
-    if header.byte_order != "<" or header.names[:1] != ["vertex"] or others:
+    others = any(element.count for name, element in header.elements.items() if name != "vertex")
+    if header.byte_order != "<" or "vertex" not in header.elements or others:
         raise ToolFailed("wrote a PLY that is not binary, or of other elements than 'vertex'")
-    vertex = header.elements[0]
+    vertex = header.elements["vertex"]
     if missing := [name for name in (*_AXES, *_COLOURS) if name not in vertex.types]:
         raise ToolFailed(f"wrote a PLY without property '{missing[0]}'")
     if vertex.count != count or vertex.lists:

@@ -10,6 +10,7 @@ import importlib.util
 import os
 import sys
 import sysconfig
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -39,7 +40,8 @@ def _load():
     import torch
 
     try:
-        with _output_on_stderr(), _own_programs_first():
+        with _output_on_stderr(), _own_programs_first(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a docstring, where it was not compiled before
             import torchac
     except (RuntimeError, OSError) as error:
         reason = one_line(error)[:200]

@@ -103,7 +103,7 @@ def _read_rows(ply: bytes, count: int) -> NDArray:
     except InvalidInput as error:
         raise ToolFailed(f"wrote a file that is {error}") from None
     others = any(element.count for name, element in header.elements.items() if name != "vertex")
-    if header.byte_order != "<" or "vertex" not in header.elements or others:
+    if header.byte_order != "<" or [*header.elements][:1] != ["vertex"] or others:
         raise ToolFailed("wrote a PLY that is not binary, or of other elements than 'vertex'")
     vertex = header.elements["vertex"]
     if missing := [name for name in (*_AXES, *_COLOURS) if name not in vertex.types]:

@@ -71,7 +71,7 @@ class Driver:
             now = grab(self.viewer.window)
             # A frame may be on its way: a software driver takes its time on a busy machine.
             equal = equal + 1 if before is not None and np.array_equal(now, before) else 0
-            if equal == 2:
+            if equal == 3:
                 return now
             before = now
         raise SystemExit("the window never rests")

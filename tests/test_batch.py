@@ -513,6 +513,7 @@ GARBAGE = [
     b'{"source": "s", "output": "o", "input_bytes": 1e400}',
     b'{"source": "s", "output": "o", "ratio": NaN}',
     b'{"source": "s", "output": "o", "ratio": Infinity}',
+    b'{"source": "s", "output": "o", "ratio": ' + b"9" * 400 + b"}",
     b'{"source": "s", "output": "o", "input_bytes": ' + b"9" * 10_000 + b"}",
     b'{"source": "s", "output": "o", "versions": {"gs_codec": 1}}',
     b'{"source": "s", "output": "o", "error": ["kind"]}',

@@ -178,7 +178,7 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
     assert (summary.done, summary.failed) == (3, 1)
     records = [json.loads(line) for line in Path(summary.report).read_text().splitlines()]
     assert [record["error"]["kind"] for record in records if record["error"]] == ["WorkerLost"]
-    assert "was ended by SIGKILL, twice" in records[-1]["error"]["text"]
+    assert "was stopped by SIGKILL, twice" in records[-1]["error"]["text"]
     assert sorted(p.name for p in (tmp_path / "out").glob("*.egs")) == [
         "a.egs",
         "once.egs",

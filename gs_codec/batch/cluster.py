@@ -74,7 +74,7 @@ class Cluster:
             If there is no scheduler at the address, or a worker has another version.
         """
         with ExitStack() as stack:
-            self._client = stack.enter_context(self._connected())
+            self._client = self._connect(stack)
             hosts = self._hosts()
             names = {task.name: task for task in tasks}
             self._client.subscribe_topic(self._topic, lambda event: self._hear(names, event[1]))
@@ -103,22 +103,19 @@ class Cluster:
         task = names[said["name"]]
         self._watcher.stage(task, said["stage"], said["done"], said["total"])
 
-    @contextmanager
-    def _connected(self) -> Iterator[Any]:
-        with ExitStack() as stack:
-            try:
-                scheduler: Any = self._address
-                if scheduler == "local":
-                    scheduler = stack.enter_context(start_cluster(self._jobs, self._folder))
-                client = stack.enter_context(distributed.Client(scheduler, set_as_default=False))
-            except ImportError as error:
-                text = f"{self._name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
-                raise MissingTool(text) from error
-            except (OSError, ValueError, TimeoutError) as error:
-                cause = redacted(one_line(error), self._address)
-                text = f"{self._name}: no scheduler there ({cause})"
-                raise InvalidInput(text) from error
-            yield client
+    def _connect(self, stack: ExitStack) -> Any:
+        """A client of the scheduler; the stack closes it, and a cluster that is started here."""
+        try:
+            scheduler: Any = self._address
+            if scheduler == "local":
+                scheduler = stack.enter_context(start_cluster(self._jobs, self._folder))
+            return stack.enter_context(distributed.Client(scheduler, set_as_default=False))
+        except ImportError as error:
+            text = f"{self._name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
+            raise MissingTool(text) from error
+        except (OSError, ValueError, TimeoutError) as error:
+            cause = redacted(one_line(error), self._address)
+            raise InvalidInput(f"{self._name}: no scheduler there ({cause})") from error
 
     def _hosts(self) -> Counter[str]:
         """Number of scenes that each host encodes at once, by host name; checks versions."""

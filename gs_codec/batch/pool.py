@@ -17,6 +17,7 @@ from gs_codec.batch.ledger import Record
 from gs_codec.batch.redaction import redact_process
 from gs_codec.batch.scenes import Task
 from gs_codec.report import Progress
+from gs_codec.runtime.programs import how_ended
 
 #: What a worker does with a task: a function that can be pickled, or a partial of one.
 Work = Callable[[Task, Progress], Record]
@@ -54,11 +55,13 @@ class Pool:
         """Yield each task and its record when it is done; end all processes at the end."""
         self._waiting.extend(tasks)
         try:
-            while self._start() or self._busy:
+            self._start()
+            while self._busy:
                 for connection in wait([worker.connection for worker in self._busy]):
                     worker = next(w for w in self._busy if w.connection is connection)
                     if (record := self._hear(worker)) is not None:
                         yield worker.task, record
+                self._start()
         finally:
             for worker in [*self._busy, *self._idle]:
                 worker.end()
@@ -68,16 +71,13 @@ class Pool:
         self._waiting.clear()
         self._again.clear()
 
-    def _start(self) -> bool:
-        """Start tasks while they fit; tell whether any was started."""
-        started = False
+    def _start(self) -> None:
+        """Start tasks while they fit."""
         while len(self._busy) < self._jobs and (task := self._next()) is not None:
             worker = self._idle.pop() if self._idle else _Worker(self._work)
             self._busy.append(worker)
             self._watcher.started(task)
             worker.give(task)
-            started = True
-        return started
 
     def _next(self) -> Task | None:
         """The first waiting task that fits into memory beside the running ones."""
@@ -137,11 +137,7 @@ class _Worker:
         self.process.kill()
         self.process.join()
         self.connection.close()
-        status = self.process.exitcode or 0
-        if status >= 0:
-            return f"ended with status {status}"
-        names = {each.value: each.name for each in signal.Signals}
-        return f"was ended by {names.get(-status, f'signal {-status}')}"
+        return how_ended(self.process.exitcode or 0)
 
 
 @contextmanager

@@ -7,7 +7,6 @@ import logging
 import os
 import tempfile
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,7 +20,7 @@ from gs_codec.batch.memory import most_floats
 from gs_codec.batch.remote import RemoteStorage, storage_of
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
-from gs_codec.report import Progress
+from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.atomic import make_folder
 
 #: Packages whose versions may change the output bytes.
@@ -63,11 +62,11 @@ def _encode(
     if task.name.lower().endswith(".json"):
         # The other files of the scene would not be copied, nor checked for changes.
         raise InvalidInput(f"{task.shown[0]}: SOG of several files, expected a bundle (.sog)")
-    start = time.perf_counter()
-    before = sources.stamp(task.source)
-    file = sources.fetch(task.source, folder)
-    digest, size = file_sha256(file), os.path.getsize(file)
-    seconds = {"fetch": time.perf_counter() - start}
+    times = StageTimes()
+    with times.stage("fetch"):
+        before = sources.stamp(task.source)
+        file = sources.fetch(task.source, folder)
+        digest, size = file_sha256(file), os.path.getsize(file)
     output = folder / "scene.egs"
     if isinstance(targets, LocalStorage):
         output = Path(task.target.path)
@@ -87,11 +86,11 @@ def _encode(
         # The bytes that were read may be a mix of the old and the new scene.
         output.unlink()
         raise InvalidInput(f"{task.shown[0]}: changed while it was read")
-    start = time.perf_counter()
-    written = file_sha256(output), os.path.getsize(output)
-    if isinstance(targets, RemoteStorage):
-        targets.store(output, task.target, task.mark)
-    seconds |= report.seconds | {"store": time.perf_counter() - start}
+    times.seconds |= report.seconds
+    with times.stage("store"):
+        written = file_sha256(output), os.path.getsize(output)
+        if isinstance(targets, RemoteStorage):
+            targets.store(output, task.target, task.mark)
     names = ("dropped", "rectified", "zero_quaternions")
     return replace(
         blank,
@@ -103,7 +102,7 @@ def _encode(
         gaussians=report.count,
         ratio=counted / written[1],
         bits_per_gaussian=8 * written[1] / max(report.count, 1),
-        seconds=seconds,
+        seconds=times.seconds,
         changed={name: getattr(report, name) for name in names if getattr(report, name)},
     )
 

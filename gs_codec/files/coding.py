@@ -19,7 +19,7 @@ from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
 from gs_codec.guidance.planned import encode_by_plan
-from gs_codec.report import EncodeReport, Progress
+from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arrays import bounded, current
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
@@ -111,21 +111,20 @@ def encode_file(
     check_target(source, target, (".egs",), overwrite)
     if max_memory is not None and (plan is not None or rate is not None):
         raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+    times = StageTimes()
     with using_threads(config.threads), bounded(max_memory):
-        start = time.perf_counter()
-        scene, size = _read_source(source, config.extra, max_bytes)
-        read = time.perf_counter() - start
+        with times.stage("read"):
+            scene, size = _read_source(source, config.extra, max_bytes)
         with located(source):
             if plan is None and rate is None:
                 parts, report = encode_parts(scene, config, progress)
             else:
                 data, report = encode_by_plan(scene, size, config, plan, rate, progress)
                 parts = [data]
-        start = time.perf_counter()
-        with atomic_writer(target) as file:
+        times.seconds |= report.seconds
+        with times.stage("write"), atomic_writer(target) as file:
             file.writelines(parts)
-    seconds = {"read": read, **report.seconds, "write": time.perf_counter() - start}
-    return replace(report, seconds=seconds)
+    return replace(report, seconds=times.seconds)
 
 
 def _read_source(source: str | Path, extra: Extra, max_bytes: int | None) -> tuple[Scene, int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
 from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
 from gs_codec.formats.coordinates import CONVENTION, state_system, system_of
-from gs_codec.report import Progress
+from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 
@@ -97,11 +96,10 @@ def convert_file(
     config = config or Config(extra="keep")
     suffix = check_target(source, target, overwrite=overwrite)
     stated, _, wanted = coordinates.rpartition(":")
-    dropped = 0
+    dropped, times = 0, StageTimes()
     with using_threads(config.threads):
-        start = time.perf_counter()
-        scene = read_scene(source, config.extra, progress, coordinates=None, max_bytes=max_bytes)
-        read = time.perf_counter() - start
+        with times.stage("read"):
+            scene = read_scene(source, config.extra, progress, None, max_bytes)
         with located(source):
             if stated:
                 scene = state_system(scene, stated.upper())
@@ -110,9 +108,8 @@ def convert_file(
                 scene, dropped = drop_nonfinite(scene, config)
             if wanted != "keep":
                 scene = turn_scene(scene, wanted.upper())
-        start = time.perf_counter()
-        lost = write_scene(target, scene, config)
-        seconds = {"read": read, "write": time.perf_counter() - start}
+        with times.stage("write"):
+            lost = write_scene(target, scene, config)
     after = system_of(scene)
     return ConvertReport(
         scene.count,
@@ -123,5 +120,5 @@ def convert_file(
         dropped,
         lost,
         os.path.getsize(target),
-        seconds,
+        times.seconds,
     )

@@ -41,9 +41,8 @@ def read_pixels(
     from PIL import Image, UnidentifiedImageError
 
     try:
-        if "WEBP" in formats:
-            # Pillow's WebP reader allocates all pixels when it opens a file.
-            _check_webp(source, check_size)
+        # Pillow's WebP reader allocates all pixels when it opens a file.
+        _check_webp(source, check_size)
         with _warnings_ignored(), Image.open(source, formats=tuple(formats)) as image:
             check_size(*image.size)
             return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))

@@ -106,7 +106,7 @@ def parse_meta(data: bytes) -> Meta:
             for name in ("scales", "sh0", "shN")
             if name in files
         }
-    if not bands and bands is not None:
+    if bands == 0:
         files.pop("shN", None)
     model = meta.get("model", "default")
     if not isinstance(model, str):

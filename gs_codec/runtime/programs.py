@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gs_codec.errors import ToolFailed
+from gs_codec.errors import ToolFailed, one_line
 
 # A shell sets the limits: setting them between fork and exec is unsafe with threads.
 _LIMITED = 'ulimit -c 0; ulimit -S -t "$1"; ulimit -v "$2"; ulimit -f "$3"; shift 3; exec "$@"'
@@ -81,7 +81,7 @@ def run_on_files(
             return _read(Path(folder, output), most)
     except OSError as error:
         where = error.filename or "its files"
-        raise ToolFailed(f"{where}: {error.strerror or error}") from error
+        raise ToolFailed(f"{where}: {one_line(error)}") from error
 
 
 def plain_text(data: bytes | memoryview) -> str:
@@ -131,12 +131,17 @@ def _least(limit: int | None, own: int, unit: int) -> str:
     return str(min(limits) // unit) if limits else "unlimited"
 
 
+def how_ended(status: int) -> str:
+    """How a process ended, by its exit status; -N is signal N."""
+    if status >= 0:
+        return f"ended with status {status}"
+    names = {number.value: number.name for number in signal.Signals}
+    return f"was stopped by {names.get(-status, f'signal {-status}')}"
+
+
 def _describe(status: int, log: bytes) -> str:
     """How a run ended, and the last line it printed."""
-    how = f"ended with status {status}"
-    if status < 0:
-        names = {number.value: number.name for number in signal.Signals}
-        how = f"was stopped by {names.get(-status, f'signal {-status}')}"
+    how = how_ended(status)
     lines = [line for line in map(plain_text, log.splitlines()) if line]
     return f"{how}: {lines[-1][-200:]}" if lines else how
 

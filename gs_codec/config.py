@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 from gs_codec.errors import InvalidInput
@@ -101,21 +100,19 @@ def check_options(settings: Any) -> None:
 
 
 def _depths(*bits: int) -> Mapping[str, int]:
-    return MappingProxyType(dict(zip(DEPTH_GROUPS, bits, strict=True)))
+    return dict(zip(DEPTH_GROUPS, bits, strict=True))
 
 
 #: Bits per group. The paper's Table 1 gives a range for SH-AC (4-5 / 3-4 / 2-4) and for the
 #: geometry of S (15-16); these values were chosen by rendered views (bench/RESULTS.md).
-PROFILES: Mapping[str, Mapping[str, int]] = MappingProxyType(
-    {
-        "paper-l": _depths(17, 8, 8, 8, 8, 5, 5, 5),
-        "paper-m": _depths(16, 8, 8, 8, 8, 4, 4, 4),
-        "paper-s": _depths(15, 8, 7, 7, 7, 4, 3, 3),
-    }
-)
+PROFILES: Mapping[str, Mapping[str, int]] = {
+    "paper-l": _depths(17, 8, 8, 8, 8, 5, 5, 5),
+    "paper-m": _depths(16, 8, 8, 8, 8, 4, 4, 4),
+    "paper-s": _depths(15, 8, 7, 7, 7, 4, 3, 3),
+}
 
 #: Largest depths that G-PCC can code.
-GPCC_DEPTHS: Mapping[str, int] = MappingProxyType({"geometry": 18, "sh-dc": 8})
+GPCC_DEPTHS: Mapping[str, int] = {"geometry": 18, "sh-dc": 8}
 
 #: The profile that keeps every bit, and so has no depths.
 LOSSLESS = "lossless"
@@ -158,14 +155,16 @@ class AdaptiveProfile:
 _M = AdaptiveProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063, of_loss=0.3)
 
 #: Half, once and 2.25 times the step sizes of `m`.
-ADAPTIVE_PROFILES: Mapping[str, AdaptiveProfile] = MappingProxyType(
-    {"l": _M.scaled(0.5), "m": _M, "s": _M.scaled(2.25)}
-)
+ADAPTIVE_PROFILES: Mapping[str, AdaptiveProfile] = {
+    "l": _M.scaled(0.5),
+    "m": _M,
+    "s": _M.scaled(2.25),
+}
 
 PROFILE_CHOICES = (*ADAPTIVE_PROFILES, *PROFILES, LOSSLESS)
 
 #: Long names that are accepted for the short ones.
-PROFILE_WORDS: Mapping[str, str] = MappingProxyType({"high": "l", "medium": "m", "low": "s"})
+PROFILE_WORDS: Mapping[str, str] = {"high": "l", "medium": "m", "low": "s"}
 
 #: The profiles as help lists them.
 PROFILES_SHOWN = ", ".join(

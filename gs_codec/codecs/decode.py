@@ -22,7 +22,7 @@ from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_positions, lossless_sections
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, check_threads
-from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, Header, SectionId, read_file
+from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, SectionId, read_file
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
 from gs_codec.errors import CorruptStream
 from gs_codec.formats.limits import most_bytes
@@ -99,7 +99,10 @@ def choose_part(
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
     limit = most_bytes(len(data), max_bytes)
-    _check_size(header, limit)
+    if header.float_bytes > limit:
+        raise CorruptStream(
+            f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
+        )
     coded = _check_sections(file)
     tool = tool_for(file, tmc3)
     degree = part.degree_of(header.sh_degree)
@@ -137,13 +140,14 @@ class ChosenPart:
         A larger block is a scene of its own. If there are no blocks, one empty scene is given.
         """
         header = self.file.header
-        decode, extra = _decoder(header.profile, self.tool), _read_extra(self.file)
+        decode, (comments, extra) = _decoder(header.profile, self.tool), _carried(self.file)
         runs = list(self._runs(size))
         total, done = sum(run.count for run in runs), 0
         for run in runs:
             advance = progress if len(runs) == 1 else _part_of(progress, done, run.count, total)
             groups = decode(self.file, run.spans, self.degree, advance)
-            scene = _assemble(self.file, groups, run.of(extra))
+            normals, own = header.has_normals, run.of(extra)
+            scene = Scene(**groups, has_normals=normals, comments=comments, extra=own)
             if self.part.box is not None:
                 scene = scene.take(self.part.contains(scene.positions))
             yield scene
@@ -216,13 +220,6 @@ def _choose_blocks(file: EgsFile, part: Part, tool: Tmc3 | None) -> tuple[EgsFil
     return file, np.flatnonzero(found).tolist()
 
 
-def _check_size(header: Header, limit: int) -> None:
-    if header.float_bytes > limit:
-        raise CorruptStream(
-            f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
-        )
-
-
 def _check_extra(file: EgsFile, limit: int) -> None:
     """Refuse extra properties that, with the floats, would exceed the limit."""
     extra = file.sections.get((SectionId.EXTRA, 0))
@@ -257,20 +254,11 @@ def _check_sections(file: EgsFile) -> set[SectionId]:
     return expected
 
 
-def _read_extra(file: EgsFile) -> dict[str, NDArray]:
-    """Extra properties of all Gaussians of the stream."""
-    extra = file.sections.get((SectionId.EXTRA, 0))
-    return {} if extra is None else read_extra(extra, file.header.count)
-
-
-def _assemble(
-    file: EgsFile, groups: dict[str, NDArray[np.float32]], extra: dict[str, NDArray]
-) -> Scene:
-    """The scene of the decoded groups, with the file's comments and extra properties."""
+def _carried(file: EgsFile) -> tuple[tuple[str, ...], dict[str, NDArray]]:
+    """Comments, and extra properties of all Gaussians of the stream."""
     comments = file.sections.get((SectionId.COMMENTS, 0))
-    return Scene(
-        **groups,
-        has_normals=file.header.has_normals,
-        comments=() if comments is None else read_comments(comments),
-        extra=extra,
+    extra = file.sections.get((SectionId.EXTRA, 0))
+    return (
+        () if comments is None else read_comments(comments),
+        {} if extra is None else read_extra(extra, file.header.count),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
+from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.egs.file import Header
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import current
@@ -12,17 +12,13 @@ from gs_codec.scene import float_bytes
 #: Bytes of Python, packages and compiled kernels; bytes of each thread. Measured, rounded up.
 _FIXED, _THREAD = 280_000_000, 45_000_000
 
-#: Bytes for each Gaussian to sort a scene: profiles `l`, `m`, `s`; `paper-*`; `lossless`.
-_LATTICES, _CHANNELS, _EXACT = 40, 55, 55
+#: Bytes for each Gaussian to sort a scene: profiles `l`, `m` and `s`; the others.
+_ADAPTIVE, _OTHERS = 40, 55
 
 
 def least_memory(count: int, config: Config) -> int:
     """Lowest memory limit, in bytes, that a scene of `count` Gaussians can be encoded in."""
-    each = _CHANNELS
-    if config.profile in ADAPTIVE_PROFILES:
-        each = _LATTICES
-    elif config.profile == LOSSLESS:
-        each = _EXACT
+    each = _ADAPTIVE if config.profile in ADAPTIVE_PROFILES else _OTHERS
     return _working() + count * each
 
 

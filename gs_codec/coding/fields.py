@@ -17,7 +17,7 @@ class ByteReader:
 
     def __init__(self, data: memoryview, where: str) -> None:
         self._data = data
-        self._where = where
+        self.where = where
         self.position = 0
 
     def unpack(self, layout: str) -> tuple:
@@ -29,7 +29,7 @@ class ByteReader:
         left = len(self._data) - self.position
         if size > left:
             raise TruncatedStream(
-                f"{self._where}: {left} bytes left at {self.position}, expected {size}"
+                f"{self.where}: {left} bytes left at {self.position}, expected {size}"
             )
         self.position += size
         return self._data[self.position - size : self.position]

@@ -18,7 +18,6 @@ from pcodec import ChunkConfig, DeltaSpec, ModeSpec, PagingSpec
 from pcodec.wrapped import FileCompressor, FileDecompressor
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.coding.morton import encode_morton, find_ties
 from gs_codec.errors import CorruptStream
 
 _SIGN = np.uint32(1 << 31)
@@ -44,30 +43,6 @@ def to_ordered(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
 def from_ordered(ordered: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """The inverse of `to_ordered`."""
     return np.where(ordered & _SIGN, ordered ^ _SIGN, ~ordered)
-
-
-def float_order(
-    positions: NDArray[np.float32], others: list[NDArray[np.float32]]
-) -> NDArray[np.int64]:
-    """Permutation that sorts by the Morton code of all 32 bits of each coordinate.
-
-    Any float can be sorted, NaN too. Gaussians at the same position are sorted by their other
-    attributes; only Gaussians that agree in every bit keep the order of the input.
-
-    Parameters
-    ----------
-    positions : ndarray, shape (3, N), float32
-    others : list of ndarray, each of shape (C, N), float32
-    """
-    ordered = to_ordered(positions.view(np.uint32))
-    high = encode_morton(ordered >> np.uint32(11), (21, 21, 21))
-    low = encode_morton(ordered & np.uint32(0x7FF), (11, 11, 11))
-    order = np.lexsort((low, high))
-    tied = find_ties(high[order], low[order])
-    ties = np.sort(order[tied])
-    rows = [row for plane in others for row in plane[:, ties].view(np.uint32)]
-    order[tied] = ties[np.lexsort((*rows, low[ties], high[ties]))]
-    return order
 
 
 def write_integers(values: NDArray[np.uint32]) -> bytes:
@@ -127,11 +102,11 @@ def write_mask(mask: Bits) -> bytes:
     return _pack(_code([mask]))
 
 
-def read_mask(reader: ByteReader, count: int, top: int, where: str) -> Bits:
+def read_mask(reader: ByteReader, count: int, top: int) -> Bits:
     """The inverse of `write_mask`, for integers of 0 to `top`."""
-    mask = _read_parts(reader, [count], where)[0]
+    mask = _read_parts(reader, [count])[0]
     if mask.max(initial=0) > top:
-        raise CorruptStream(f"{where}: mask {mask.max()}, expected at most {top}")
+        raise CorruptStream(f"{reader.where}: mask {mask.max()}, expected at most {top}")
     return mask
 
 
@@ -140,9 +115,9 @@ def write_stack(columns: Bits) -> bytes:
     return _pack(_code(to_ordered(columns)))
 
 
-def read_stack(reader: ByteReader, shape: tuple[int, int], where: str) -> Bits:
+def read_stack(reader: ByteReader, shape: tuple[int, ...]) -> Bits:
     """The inverse of `write_stack`."""
-    return from_ordered(_read_columns(reader, shape, where))
+    return from_ordered(_read_columns(reader, shape))
 
 
 def write_guided(columns: Bits, guide: Bits) -> bytes:
@@ -152,11 +127,11 @@ def write_guided(columns: Bits, guide: Bits) -> bytes:
     return _pack(_code(np.split(grouped, np.cumsum(sizes)[:-1])))
 
 
-def read_guided(reader: ByteReader, guide: Bits, where: str) -> Bits:
+def read_guided(reader: ByteReader, guide: Bits) -> Bits:
     """The inverse of `write_guided`."""
     order, sizes = _classes(guide.ravel())
     values = np.empty(guide.size, np.uint32)
-    values[order] = np.concatenate(_read_parts(reader, sizes.tolist(), where))
+    values[order] = np.concatenate(_read_parts(reader, sizes.tolist()))
     return from_ordered(values.reshape(guide.shape))
 
 
@@ -170,12 +145,12 @@ def write_quaternions(columns: Bits) -> bytes:
     return bytes([_PLAIN]) + _pack([w, *rest])
 
 
-def read_quaternions(reader: ByteReader, count: int, where: str) -> Bits:
+def read_quaternions(reader: ByteReader, count: int) -> Bits:
     """The inverse of `write_quaternions`."""
     kind = reader.unpack("B")[0]
     if kind not in (_PLAIN, _UNIT):
-        raise CorruptStream(f"{where}: quaternions of kind {kind}, expected 0 or 1")
-    ordered = _read_columns(reader, (4, count), where)
+        raise CorruptStream(f"{reader.where}: quaternions of kind {kind}, expected 0 or 1")
+    ordered = _read_columns(reader, (4, count))
     if kind == _UNIT:
         ordered[0] += to_ordered(_unit_w(from_ordered(ordered[1:]))) - _SIGN
     return from_ordered(ordered)
@@ -199,16 +174,16 @@ def _pack(coded: list[bytes]) -> bytes:
     return b"".join([sizes, *coded])
 
 
-def _read_columns(reader: ByteReader, shape: tuple[int, ...], where: str) -> Bits:
-    return np.stack(_read_parts(reader, [shape[1]] * shape[0], where))
+def _read_columns(reader: ByteReader, shape: tuple[int, ...]) -> Bits:
+    return np.stack(_read_parts(reader, [shape[1]] * shape[0]))
 
 
-def _read_parts(reader: ByteReader, counts: list[int], where: str) -> list[Bits]:
+def _read_parts(reader: ByteReader, counts: list[int]) -> list[Bits]:
     sizes = reader.unpack(f"{len(counts)}I")
     parts = []
     for size, count in zip(sizes, counts, strict=True):
         data = reader.take(size)
         if not count and size:
-            raise CorruptStream(f"{where}: {size} bytes for no values")
-        parts.append(read_integers(data, count, where) if count else np.empty(0, np.uint32))
+            raise CorruptStream(f"{reader.where}: {size} bytes for no values")
+        parts.append(read_integers(data, count, reader.where) if count else np.empty(0, np.uint32))
     return parts

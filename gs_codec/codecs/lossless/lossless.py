@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.lossless.columns import (
     Bits,
-    float_order,
     read_guided,
     read_mask,
     read_quaternions,
     read_stack,
+    to_ordered,
     write_guided,
     write_mask,
     write_quaternions,
     write_stack,
 )
 from gs_codec.coding.fields import ByteReader
-from gs_codec.coding.morton import in_stream_order
+from gs_codec.coding.morton import encode_morton, find_ties, in_stream_order
 from gs_codec.config import SH_STREAMS, Config
 from gs_codec.egs.file import EgsFile, Header, Section, SectionId
 from gs_codec.egs.sections import pack_scene, read_box, write_box
@@ -99,15 +99,26 @@ def decode_lossless(
 def lossless_positions(file: EgsFile, block: int) -> NDArray[np.float32]:
     """Positions ``(3, n)`` of a block, from its section `geometry` alone."""
     start, stop = file.header.block_range(block)
-    where = f"section 'geometry' of block {block}"
-    reader = ByteReader(file.section(SectionId.GEOMETRY, block), where)
-    return read_stack(reader, (3, stop - start), where).view(np.float32)
+    reader = _reader(file, SectionId.GEOMETRY, block)
+    return read_stack(reader, (3, stop - start)).view(np.float32)
 
 
 def lossless_order(scene: Scene) -> NDArray[np.int64]:
-    """Stream order of a scene, unless its own order is kept."""
+    """Stream order of a scene: by the Morton code of all 32 bits of each coordinate.
+
+    Any float can be sorted, NaN too. Gaussians at the same position are sorted by their other
+    attributes; only Gaussians that agree in every bit keep the order of the input.
+    """
+    ordered = to_ordered(scene.positions.view(np.uint32))
+    high = encode_morton(ordered >> np.uint32(11), (21, 21, 21))
+    low = encode_morton(ordered & np.uint32(0x7FF), (11, 11, 11))
+    order = np.lexsort((low, high))
+    tied = find_ties(high[order], low[order])
+    ties = np.sort(order[tied])
     others = [getattr(scene, group) for group in GROUPS if group != "positions"]
-    return float_order(scene.positions, others)
+    rows = [row for plane in others for row in plane[:, ties].view(np.uint32)]
+    order[tied] = ties[np.lexsort((*rows, low[ties], high[ties]))]
+    return order
 
 
 def _encode_blocks(
@@ -163,44 +174,34 @@ def _decode_section(
     file: EgsFile, planes: dict[str, Bits], section_id: SectionId, block: int, span: slice
 ) -> None:
     """Decode a section into its planes."""
-    where = f"section '{section_id.label}' of block {block}"
-    reader = ByteReader(file.section(section_id, block), where)
+    reader = _reader(file, section_id, block)
+    target = planes[_GROUP_OF.get(section_id, "f_rest")][:, span]
+    count = target.shape[1]
     if section_id in _BANDS:
-        _decode_band(reader, file, planes["f_rest"][:, span], section_id, block)
+        first = section_id == SectionId.SH1
+        mask = read_mask(reader if first else _reader(file, SectionId.SH1, block), count, 7)
+        there = (mask >> np.arange(3, dtype=np.uint32)[:, None] & 1).astype(bool)
+        _decode_colours(reader, there, target.reshape(3, -1, count)[:, _BANDS[section_id]])
+    elif section_id == SectionId.SH_DC:
+        _decode_colours(reader, np.ones(target.shape, bool), target[:, None])
+    elif section_id == SectionId.ROTATION:
+        target[:] = read_quaternions(reader, count)
     else:
-        target = planes[_GROUP_OF[section_id]][:, span]
-        if section_id == SectionId.SH_DC:
-            _decode_colours(reader, np.ones(target.shape, bool), target[:, None], where)
-        elif section_id == SectionId.ROTATION:
-            target[:] = read_quaternions(reader, target.shape[1], where)
-        else:
-            target[:] = read_stack(reader, target.shape, where)
+        target[:] = read_stack(reader, target.shape)
     if len(reader.rest()):
-        raise CorruptStream(f"{where}: bytes after the last value")
+        raise CorruptStream(f"{reader.where}: bytes after the last value")
 
 
-def _decode_band(
-    reader: ByteReader, file: EgsFile, f_rest: Bits, section_id: SectionId, block: int
-) -> None:
-    """Fill a band of SH-AC of a block, ``f_rest (3 * K, n)``."""
-    count = f_rest.shape[1]
-    where = f"section '{SectionId.SH1.label}' of block {block}"
-    first = reader
-    if section_id != SectionId.SH1:
-        first = ByteReader(file.section(SectionId.SH1, block), where)
-    mask = read_mask(first, count, 7, where)
-    there = (mask >> np.arange(3, dtype=np.uint32)[:, None] & 1).astype(bool)
-    colours = f_rest.reshape(3, -1, count)[:, _BANDS[section_id]]
-    _decode_colours(reader, there, colours, f"section '{section_id.label}' of block {block}")
+def _reader(file: EgsFile, section_id: SectionId, block: int) -> ByteReader:
+    where = f"section '{section_id.label}' of block {block}"
+    return ByteReader(file.section(section_id, block), where)
 
 
-def _decode_colours(
-    reader: ByteReader, there: NDArray[np.bool_], colours: Bits, where: str
-) -> None:
+def _decode_colours(reader: ByteReader, there: NDArray[np.bool_], colours: Bits) -> None:
     """Decode coefficients ``(3, C, n)``; those of absent colours are 0."""
     colours[:] = 0
     green = colours[_GREEN]
     shape = green.shape[0], int(np.count_nonzero(there[_GREEN]))
-    green[:, there[_GREEN]] = read_stack(reader, shape, where)
+    green[:, there[_GREEN]] = read_stack(reader, shape)
     for c in (_RED, _BLUE):
-        colours[c][:, there[c]] = read_guided(reader, green[:, there[c]], where)
+        colours[c][:, there[c]] = read_guided(reader, green[:, there[c]])

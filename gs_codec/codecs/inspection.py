@@ -63,7 +63,7 @@ class PassInfo:
     coarsest_step: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Info:
     """Everything that `inspect` reports, from a file's header, tables and comments alone.
 
@@ -124,9 +124,9 @@ class Info:
     file_bytes: int
     raw_bytes: int
     streams: tuple[StreamInfo, ...]
-    channels: tuple[Channel, ...]
-    passes: tuple[PassInfo, ...]
-    grid: PositionGrid | None
+    channels: tuple[Channel, ...] = ()
+    passes: tuple[PassInfo, ...] = ()
+    grid: PositionGrid | None = None
     coordinates: str | None
     antialiased: bool
     skipped: tuple[str, ...]
@@ -160,11 +160,14 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
 def describe(file: EgsFile) -> Info:
     """Describe a file by its header and the sections that describe its blocks."""
     header = file.header
-    details = _lattice_details if header.profile in ADAPTIVE_PROFILES else _channel_details
+    details, coder = _channel_details, "octree"
+    if header.profile in ADAPTIVE_PROFILES:
+        details = _adaptive_details
+    elif header.profile == LOSSLESS:
+        details, coder = _lossless_details, "columns"
     stored = file.sections.get((SectionId.COMMENTS, 0))
     comments = () if stored is None else read_comments(stored)
     tool = file.sections.get((SectionId.TOOL, 0))
-    coder = "columns" if header.profile == LOSSLESS else "octree"
     return Info(
         version=file.version,
         count=header.count,
@@ -195,7 +198,7 @@ def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
     return tuple(StreamInfo(name, size, 8 * size / count) for name, size in sizes.items())
 
 
-def _lattice_details(file: EgsFile) -> dict[str, Any]:
+def _adaptive_details(file: EgsFile) -> dict[str, Any]:
     """Fields of `Info` for profiles `l`, `m` and `s`."""
     coefficients = SH_COEFFICIENTS[file.header.sh_degree]
     lattice, models = lattice_of(file)
@@ -203,8 +206,7 @@ def _lattice_details(file: EgsFile) -> dict[str, Any]:
     if file.header.count:
         skipped += skipped_by_lattice(lattice, models, coefficients)
     return {
-        "bounds": _bounds_of(file, lattice),
-        "channels": (),
+        "bounds": _bounds_of(file, lattice.grid),
         "passes": tuple(_inspect_passes(lattice, models, coefficients)),
         "grid": lattice.grid,
         "skipped": tuple(skipped),
@@ -212,23 +214,28 @@ def _lattice_details(file: EgsFile) -> dict[str, Any]:
 
 
 def _channel_details(file: EgsFile) -> dict[str, Any]:
-    """Fields of `Info` for the other profiles."""
-    channels, bounds = _channels_and_bounds(file)
+    """Fields of `Info` for `paper` profiles."""
+    channels = channels_of(file)
     skipped = skipped_by_header(file.header)
     if file.header.count:
         skipped += skipped_by_channels(channels)
+    axes = [channel.quantiser for channel in channels[:3]]
+    top = tuple(axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes)
     return {
-        "bounds": bounds,
+        "bounds": (tuple(axis.origin for axis in axes), top),
         "channels": tuple(channels),
-        "passes": (),
-        "grid": None,
         "skipped": tuple(skipped),
     }
 
 
-def _bounds_of(file: EgsFile, lattice: Lattice) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _lossless_details(file: EgsFile) -> dict[str, Any]:
+    """Fields of `Info` for profile `lossless`."""
+    box = read_box(file.section(SectionId.BOX))
+    return {"bounds": box, "skipped": tuple(skipped_by_header(file.header))}
+
+
+def _bounds_of(file: EgsFile, grid: PositionGrid) -> Box:
     """Lowest and highest corner of the centres."""
-    grid = lattice.grid
     low = high = np.array(grid.origin)
     if file.header.count:
         boxes = bounds_of(file)
@@ -253,16 +260,6 @@ def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
         return 1.0, 0
     limit = lattice.rules[rules.get(item.stream, "colour")].limit
     return lattice.units[item.stream] / (1 << FRACTION_BITS), limit
-
-
-def _channels_and_bounds(file: EgsFile) -> tuple[list[Channel], Box]:
-    """The channels, if there are quantisers, and the box of the centres."""
-    if file.header.profile == LOSSLESS:
-        return [], read_box(file.section(SectionId.BOX))
-    channels = channels_of(file)
-    axes = [channel.quantiser for channel in channels[:3]]
-    top = [axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes]
-    return channels, (tuple(axis.origin for axis in axes), tuple(top))
 
 
 def _channel_dict(channel: Channel) -> dict:

@@ -17,6 +17,7 @@ from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import Info
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import quaternions, sort_axes
+from gs_codec.coding.clean import identity_for_zero
 from gs_codec.coding.morton import encode_morton
 from gs_codec.coding.quantise import fit_range
 from gs_codec.errors import InvalidInput
@@ -24,8 +25,7 @@ from gs_codec.scene import Scene
 
 #: Start of the comment line.
 _MARK = "gs_codec order "
-_GRID = "grid"
-_FLOATS = "floats"
+_GRID, _FLOATS = "grid", "floats"
 
 _INSTEAD = "compare with the original, or what cameras see (--cameras auto)"
 _UNRELATED = f"neither scene was decoded from the other: {_INSTEAD}"
@@ -51,9 +51,9 @@ class DepthOrder:
         rows = (*decoded.positions, *decoded.f_dc)
         quantisers = [fit_range(r, max(d, 1)) for r, d in zip(rows, self.depths, strict=True)]
         ordered = original.take(order_like(original, quantisers))
-        pairs = zip(ordered.positions, decoded.positions, quantisers[:3], strict=True)
-        for a, b, quantiser in pairs:
-            bound = 0.51 * quantiser.step + np.spacing(np.abs(b).max(initial=0.0))
+        steps = [quantiser.step for quantiser in quantisers[:3]]
+        for a, b, step in zip(ordered.positions, decoded.positions, steps, strict=True):
+            bound = 0.51 * step + np.spacing(np.abs(b).max(initial=0.0))
             if (np.abs(a.astype(np.float64) - b) > bound).any():
                 raise InvalidInput(_UNRELATED)
         return ordered
@@ -75,16 +75,11 @@ class GridOrder:
         order = np.argsort(codes, kind="stable")
         codes, coded = codes[order], self._codes(decoded)
         # Codes are sorted: a Gaussian lies between the decoded ones before and after it.
-        outside = np.count_nonzero(coded[:-1] > codes[1:]) + np.count_nonzero(
-            coded[1:] < codes[:-1]
-        )
+        outside = (coded[:-1] > codes[1:]).sum() + (coded[1:] < codes[:-1]).sum()
         if outside > _MOVED * original.count:
             raise InvalidInput(_UNRELATED)
-        ordered = original.take(order)
-        usable = ordered.rot.any(axis=0)
-        identity = np.array([[1], [0], [0], [0]], np.float32)
-        rot = np.where(usable, ordered.rot, identity)
-        _, scales, vectors = sort_axes(ordered.log_scale, rot)
+        ordered, _ = identity_for_zero(original.take(order))
+        _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
         return replace(ordered, log_scale=scales.astype(np.float32), rot=quaternions(vectors))
 
     def _codes(self, scene: Scene) -> np.ndarray:
@@ -160,9 +155,9 @@ def _grid_of(mark: str, fields: list[str]) -> PositionGrid:
     return PositionGrid((x, y, z), step, (a, b, c))
 
 
-def with_order(scene: Scene, order: Order) -> Scene:
-    """The scene with a further comment that states its order."""
-    return replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
+def with_order(scene: Scene, order: Order | None) -> Scene:
+    """The scene with a further comment that states its order, if there is one."""
+    return scene if order is None else replace(scene, comments=(*scene.comments, f"{_MARK}{order}"))
 
 
 def without_order(scene: Scene) -> Scene:

@@ -6,17 +6,17 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from gs_codec.codecs.decode import ChosenPart, choose_part
 from gs_codec.codecs.inspection import describe
-from gs_codec.codecs.matching import Order, order_of_file, with_order
+from gs_codec.codecs.matching import order_of_file, with_order
 from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.config import check_threads
 from gs_codec.errors import CorruptStream, InvalidInput
-from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
@@ -31,19 +31,13 @@ _SLAB = 1 << 19
 class Slabs:
     """An open file that is decoded slab by slab, in the order of its stream.
 
-    Attributes
-    ----------
-    path : Path
-    chosen : ChosenPart
-    progress : callable or None
-    seconds : float
-        Time spent on decoding so far.
+    ``seconds`` is the time spent on decoding so far.
     """
 
     path: Path
     chosen: ChosenPart
     progress: Progress | None
-    seconds: float = field(default=0.0)
+    seconds: float
 
     @property
     def sh_degree(self) -> int:
@@ -83,20 +77,14 @@ class Slabs:
         with located(self.path):
             if self.chosen.part.box is None:
                 order = order_of_file(describe(self.chosen.file))
-            for scene in self.chosen.slabs(self._size(), self.progress):
+            header = self.chosen.file.header
+            wanted = max(_SLAB, 2 * available_threads() * header.block_size)
+            size = slab_within(header, self.sh_degree, wanted)
+            for scene in self.chosen.slabs(size, self.progress):
                 self.seconds += time.perf_counter() - start
-                yield _marked(scene, order)
+                yield with_order(scene, order)
                 start = time.perf_counter()
         self.seconds += time.perf_counter() - start
-
-    def _size(self) -> int:
-        header = self.chosen.file.header
-        wanted = max(_SLAB, 2 * available_threads() * header.block_size)
-        return slab_within(header, self.sh_degree, wanted)
-
-
-def _marked(scene: Scene, order: Order | None) -> Scene:
-    return scene if order is None else with_order(scene, order)
 
 
 @contextmanager
@@ -122,35 +110,20 @@ def opened_slabs(
     """
     with using_threads(threads), bounded(max_memory), open_scene(path) as file:
         start = time.perf_counter()
-        _check_format(file)
+        with suppress(InvalidInput):
+            if file.format != "egs":
+                raise CorruptStream(
+                    f"{path}: {file.format}, not an .egs file; `convert` reads other formats"
+                )
         with located(path):
             check_threads(threads)
             chosen = choose_part(file.data, part, max_bytes, tmc3)
         yield Slabs(Path(path), chosen, progress, time.perf_counter() - start)
 
 
-def _check_format(file: SceneFile) -> None:
-    """Refuse scenes of other formats, and name the command that reads them."""
-    with suppress(InvalidInput):
-        if file.format != "egs":
-            raise CorruptStream(
-                f"{file.path}: {file.format}, not an .egs file; `convert` reads other formats"
-            )
-
-
 @dataclass(frozen=True)
 class VerifyReport:
-    """Result of checking a file without errors.
-
-    Attributes
-    ----------
-    count, sh_degree, profile
-        As in the header.
-    blocks, sections : int
-        Blocks that were decoded, and sections whose checksums were checked.
-    file_bytes : int
-    seconds : float
-    """
+    """What was checked: blocks were decoded, and sections agree with their checksums."""
 
     count: int
     sh_degree: int

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
-from gs_codec.codecs.adaptive.colour import code_colours, decode_colours
+from gs_codec.codecs.adaptive.colour import code_colours, decode_colours, round_diffusing
 from gs_codec.codecs.adaptive.contexts import (
     ENERGIES,
     energy_class,
@@ -16,17 +16,19 @@ from gs_codec.codecs.adaptive.contexts import (
     sh_channels,
     share_tables,
 )
-from gs_codec.codecs.adaptive.diffusion import round_diffusing
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
+    PositionGrid,
     StepRule,
+    centres,
+    from_grid,
     from_lattice,
+    grid_codes,
     to_fixed,
     to_float,
     to_lattice,
 )
-from gs_codec.codecs.adaptive.positions import centres, from_grid, to_grid
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, features, fit_step_sizes, make_rule
 from gs_codec.codecs.adaptive.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
 from gs_codec.coding.axes import quaternions, sort_axes
@@ -34,7 +36,7 @@ from gs_codec.coding.context_rans import PRECISION, PassReader, PassTables, enco
 from gs_codec.coding.count_tree import decode_tree, encode_tree
 from gs_codec.coding.fields import BitReader, BitWriter
 from gs_codec.coding.frequency_table import normalise, shannon_bits
-from gs_codec.coding.morton import encode_morton
+from gs_codec.coding.morton import decode_morton
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_all_nearest
 from gs_codec.coding.rans import LANES
 from gs_codec.coding.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg
@@ -530,10 +532,11 @@ def test_cell_contains_the_original_whatever_is_dropped_seed13(bits):
     origin, step = np.array([-3.0, 1.0, 0.5]), 2.0**-10
     size = step * (2.0 ** np.array(bits))[:, None]
     positions = (origin[:, None] + rng.uniform(0, 1, (3, 500)) * size * 0.999).astype(np.float32)
-    cells = to_grid(positions, origin, step, bits)
-    codes = encode_morton(cells, bits)
+    grid = PositionGrid(tuple(origin), step, bits)
+    codes = grid_codes(positions, grid)
+    cells = decode_morton(codes, bits)
     dropped = rng.integers(0, sum(bits) + 1, 500)
-    found = centres(codes >> dropped << dropped, dropped, bits)
+    found = centres(codes >> dropped << dropped, dropped, grid)
     axes = [axis for level in range(20, -1, -1) for axis in range(3) if bits[axis] > level][::-1]
     for i in range(500):
         widths = [axes[: dropped[i]].count(axis) for axis in range(3)]
@@ -545,7 +548,8 @@ def test_cell_contains_the_original_whatever_is_dropped_seed13(bits):
 
 
 def test_places_beyond_float32_are_clamped():
-    far = from_grid(np.array([[2**22], [1], [0]]), np.array([1e38, 0, -1e38]), 2.0**120)
+    grid = PositionGrid((1e38, 0.0, -1e38), 2.0**120, (21, 1, 1))
+    far = from_grid(np.array([[2**22], [1], [0]]), grid)
     assert far[0, 0] == np.finfo(np.float32).max
     assert np.isfinite(far).all()
 

@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gs_codec.codecs.adaptive.lattice import PositionGrid
-from gs_codec.codecs.adaptive.positions import to_grid
+from gs_codec.codecs.adaptive.lattice import PositionGrid, grid_codes
 from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import Info
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import quaternions, sort_axes
 from gs_codec.coding.clean import identity_for_zero
-from gs_codec.coding.morton import encode_morton
 from gs_codec.coding.quantise import fit_range
 from gs_codec.errors import InvalidInput
 from gs_codec.scene import Scene
@@ -71,9 +69,9 @@ class GridOrder:
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
         """The original in the decoded scene's order, its axes sorted as they were coded."""
-        codes = self._codes(original)
+        codes = grid_codes(original.positions, self.grid)
         order = np.argsort(codes, kind="stable")
-        codes, coded = codes[order], self._codes(decoded)
+        codes, coded = codes[order], grid_codes(decoded.positions, self.grid)
         # Codes are sorted: a Gaussian lies between the decoded ones before and after it.
         outside = (coded[:-1] > codes[1:]).sum() + (coded[1:] < codes[:-1]).sum()
         if outside > _MOVED * original.count:
@@ -81,11 +79,6 @@ class GridOrder:
         ordered, _ = identity_for_zero(original.take(order))
         _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
         return replace(ordered, log_scale=scales.astype(np.float32), rot=quaternions(vectors))
-
-    def _codes(self, scene: Scene) -> np.ndarray:
-        grid = self.grid
-        cells = to_grid(scene.positions, np.array(grid.origin), grid.step, grid.bits)
-        return encode_morton(cells, grid.bits)
 
 
 @dataclass(frozen=True)

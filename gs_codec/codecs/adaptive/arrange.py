@@ -9,8 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.depths import as_deep, mean_octaves
-from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST, Lattice, PositionGrid, StepRule
-from gs_codec.codecs.adaptive.positions import to_grid
+from gs_codec.codecs.adaptive.lattice import (
+    FRACTION_BITS,
+    LARGEST,
+    Lattice,
+    PositionGrid,
+    StepRule,
+    grid_codes,
+)
 from gs_codec.codecs.adaptive.step_sizes import (
     SH_RATIO,
     StepSizes,
@@ -21,7 +27,7 @@ from gs_codec.codecs.adaptive.step_sizes import (
 )
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.linear import combine
-from gs_codec.coding.morton import canonical_order, encode_morton, in_stream_order
+from gs_codec.coding.morton import canonical_order, in_stream_order
 from gs_codec.config import Config
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all
@@ -49,19 +55,10 @@ _CHUNK = 1 << 16
 
 @dataclass(frozen=True)
 class Arranged:
-    """A scene, its stream order, and its lattices.
+    """A scene to code, its lattices, and arrays in stream order.
 
-    Attributes
-    ----------
-    source : Scene
-        The scene to code.
-    order : ndarray, shape (N,), uint32
-        Index in it of each Gaussian of the stream.
-    lattice : Lattice
-    codes : ndarray, shape (N,), int64
-        Morton codes, ascending.
-    classes : ndarray, shape (2, N), uint8
-        Shape class and colour class, in stream order.
+    ``order (N,)`` is the index in the scene, ``codes (N,)`` are Morton codes, ascending, and
+    ``classes (2, N)`` are shape classes and colour classes.
     """
 
     source: Scene
@@ -107,8 +104,7 @@ def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:
 
     def work(start: int) -> None:
         span = slice(start, start + _CHUNK)
-        cells = to_grid(scene.positions[:, span], np.array(grid.origin), grid.step, grid.bits)
-        codes[span] = encode_morton(cells, grid.bits)
+        codes[span] = grid_codes(scene.positions[:, span], grid)
 
     run_all(work, range(0, scene.count, _CHUNK))
     return codes

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged
-from gs_codec.codecs.adaptive.colour import code_colours
+from gs_codec.codecs.adaptive.colour import code_colours, round_diffusing
 from gs_codec.codecs.adaptive.contexts import energy_class, sh_channels, shift_context
-from gs_codec.codecs.adaptive.diffusion import round_diffusing
-from gs_codec.codecs.adaptive.lattice import LARGEST, to_fixed
-from gs_codec.codecs.adaptive.positions import centres
+from gs_codec.codecs.adaptive.lattice import LARGEST, centres, to_fixed
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.adaptive.tokens import ALPHABET, tokenise
 from gs_codec.coding.axes import sort_axes
@@ -44,11 +42,6 @@ class PassData:
         # Passes of SH-AC share one array: it is not copied if it has this type already.
         return cls(tokens, contexts.astype(np.uint16, copy=False), raw_levels, raw_widths)
 
-    @property
-    def arrays(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """All arrays of the pass."""
-        return self.tokens, self.contexts, self.raw_levels, self.raw_widths
-
     def histograms(self, contexts: int) -> NDArray[np.int64]:
         """Counts of tokens ``(contexts, ALPHABET)``."""
         pairs = self.contexts * np.int64(ALPHABET) + self.tokens
@@ -57,24 +50,10 @@ class PassData:
 
 @dataclass(frozen=True)
 class ShapedBlock:
-    """A block without its colours.
+    """A block without its colours: a range of the stream, and what is coded and decoded so far.
 
-    Attributes
-    ----------
-    start, stop : int
-        Range of its Gaussians, in stream order.
-    tree, low_bits : bytes
-        Coded positions.
-    grid_positions : ndarray, shape (3, n), int64
-        Decoded positions, in half steps of the grid.
-    shape : Shape
-        Decoded opacity, scales and rotation.
-    shifts : ndarray, shape (n,), int64
-        Of the step sizes of its colours.
-    passes : list of PassData
-        Of classes, opacity, scales and rotation.
-    clamped : int
-        Number of values clamped to the largest.
+    ``grid_positions (3, n)`` are decoded, in half steps of the grid; ``shifts (n,)`` are those of
+    the step sizes of its colours; ``clamped`` is the number of values clamped to the largest.
     """
 
     start: int
@@ -108,7 +87,9 @@ class Block:
                 done[id(array)] = storage.keep(array)
             return done[id(array)]
 
-        return replace(self, passes=[PassData(*map(keep, data.arrays)) for data in self.passes])
+        return replace(
+            self, passes=[PassData(*map(keep, vars(data).values())) for data in self.passes]
+        )
 
 
 def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
@@ -131,7 +112,7 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
     kept = codes >> dropped
     bits = BitWriter()
     bits.add(kept, (lefts - dropped).astype(np.uint8))
-    grid_positions = centres(kept << dropped, dropped, lattice.grid.bits)
+    grid_positions = centres(kept << dropped, dropped, lattice.grid)
     shifts = lattice.rules["colour"].shifts(classes[1], 1, *known)
     return ShapedBlock(
         start, stop, tree, bits.finish(), grid_positions, shape, shifts, listed, quantiser.clamped
@@ -156,10 +137,8 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
         clamped += beyond
         levels = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
         listed += _ac_passes(levels.reshape(3, coefficients, -1), shaped.shifts)
-    box = (
-        *map(int, shaped.grid_positions.min(axis=1)),
-        *map(int, shaped.grid_positions.max(axis=1)),
-    )
+    grid = shaped.grid_positions
+    box = (*grid.min(axis=1).tolist(), *grid.max(axis=1).tolist())
     return Block(shaped.tree, shaped.low_bits, box, listed, clamped)
 
 

@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import decode_colours
 from gs_codec.codecs.adaptive.contexts import ENERGIES, passes, sh_channels, shift_context
-from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE, to_float
-from gs_codec.codecs.adaptive.positions import centres, from_grid
+from gs_codec.codecs.adaptive.lattice import (
+    FRACTION_BITS,
+    TOO_LARGE,
+    centres,
+    from_grid,
+    to_float,
+)
 from gs_codec.codecs.adaptive.section import bounds_of, lattice_of
 from gs_codec.codecs.adaptive.shape import Shape, walk_shape
 from gs_codec.codecs.adaptive.tokens import read_pass
@@ -57,8 +62,7 @@ def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]
     boxes = bounds_of(file)
     # Rounded to float32, as decoded positions are.
     low, high = (
-        from_grid(corners.T, np.array(grid.origin), grid.step).T.astype(np.float64)
-        for corners in (boxes[:, :3], boxes[:, 3:])
+        from_grid(corners.T, grid).T.astype(np.float64) for corners in (boxes[:, :3], boxes[:, 3:])
     )
     return low, high
 
@@ -99,8 +103,7 @@ class _Blocks:
         tables = streams.next_tables()
         colours = decode_colours(grid_positions, unit, shifts, tables, streams.reader, streams.bits)
         _check_values(colours, where)
-        origin = np.array(grid.origin)
-        self.groups["positions"][:, span] = from_grid(grid_positions, origin, grid.step)
+        self.groups["positions"][:, span] = from_grid(grid_positions, grid)
         self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
         self.groups["opacity"][0, span] = to_float(shape.opacity)
         self.groups["log_scale"][:, span] = to_float(shape.scales)
@@ -124,7 +127,7 @@ class _Blocks:
         bits = BitReader(self.file.section(SectionId.LOW_BITS, block), where)
         codes |= bits.fields(lefts - dropped) << dropped
         bits.close()
-        grid_positions = centres(codes, dropped, self.lattice.grid.bits)
+        grid_positions = centres(codes, dropped, self.lattice.grid)
         if np.any(self.boxes[block] != [*grid_positions.min(axis=1), *grid_positions.max(axis=1)]):
             raise CorruptStream(f"section 'bounds': does not match block {block}")
         return grid_positions

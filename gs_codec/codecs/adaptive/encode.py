@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
 from gs_codec.codecs.adaptive.contexts import Pass, passes, share_tables
-from gs_codec.codecs.adaptive.lattice import to_float
-from gs_codec.codecs.adaptive.positions import from_grid
+from gs_codec.codecs.adaptive.lattice import from_grid, to_float
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET
@@ -44,12 +43,11 @@ class ShapedScene:
 
     def decoded(self) -> Scene:
         """The decoded scene in stream order, except for its SH, which are the source's."""
-        grid = self.arranged.lattice.grid
         shapes = [block.shape for block in self.blocks]
         grid_positions = np.concatenate([block.grid_positions for block in self.blocks], axis=1)
         return replace(
             self.arranged.source.take(self.order),
-            positions=from_grid(grid_positions, np.array(grid.origin), grid.step),
+            positions=from_grid(grid_positions, self.arranged.lattice.grid),
             opacity=np.float32(to_float(np.concatenate([s.opacity for s in shapes])))[None],
             log_scale=np.float32(to_float(np.concatenate([s.scales for s in shapes], axis=1))),
             rot=quaternions(to_float(np.concatenate([s.vectors for s in shapes], axis=1))),

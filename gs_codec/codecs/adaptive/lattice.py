@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.morton import bit_layout, decode_morton, encode_morton
 from gs_codec.runtime.kernels import kernel
 
 #: Fraction bits of a fixed-point value.
@@ -125,6 +126,37 @@ class PositionGrid:
     def total_bits(self) -> int:
         """Bits of a Morton code."""
         return sum(self.bits)
+
+
+def grid_codes(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np.int64]:
+    """Morton codes ``(N,)`` of the cells of positions ``(3, N)``."""
+    cells = np.empty(positions.shape, np.uint32)
+    for axis, row in enumerate(positions):
+        levels = np.floor((row.astype(np.float64) - grid.origin[axis]) / grid.step)
+        cells[axis] = np.clip(levels, 0, (1 << grid.bits[axis]) - 1)
+    return encode_morton(cells, grid.bits)
+
+
+def centres(
+    codes: NDArray[np.int64], dropped: NDArray[np.int64], grid: PositionGrid
+) -> NDArray[np.int64]:
+    """Centres ``(3, n)``, in half steps, of the cells of codes without their low bits.
+
+    The ``dropped (n,)`` low bits of ``codes (n,)`` are 0.
+    """
+    widths = np.zeros((3, grid.total_bits + 1), np.int64)
+    for bit, axis in enumerate(bit_layout(grid.bits)[::-1]):
+        widths[:, bit + 1] = widths[:, bit]
+        widths[axis, bit + 1] += 1
+    cells = 2 * decode_morton(codes, grid.bits).astype(np.int64)
+    return cells + (np.int64(1) << widths[:, dropped])
+
+
+def from_grid(half_steps: NDArray[np.int64], grid: PositionGrid) -> NDArray[np.float32]:
+    """Positions ``(3, N)`` of grid positions in half steps, clamped to what float32 holds."""
+    positions = np.array(grid.origin)[:, None] + half_steps * (0.5 * grid.step)
+    largest = float(np.finfo(np.float32).max)
+    return np.clip(positions, -largest, largest, out=positions).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,8 @@ def _turns() -> NDArray[np.float64]:
     """
     turns = np.zeros((27, 4, 4))
     filled = np.zeros(27, int)
-    half, root = 0.5, math.sqrt(0.5)
     units = [u for u in itertools.product((0.0, 1.0, -1.0), repeat=4) if any(u)]
-    scale = {1: 1.0, 2: root, 4: half}
+    scale = {1: 1.0, 2: math.sqrt(0.5), 4: 0.5}
     for unit in units:
         number = sum(value != 0 for value in unit)
         first = next(value for value in unit if value)
@@ -57,12 +56,8 @@ def _sort_axes(log_scale, rot, turns, order, scales, vectors):
         order[0, i], order[1, i], order[2, i] = a, b, c
         for k in range(3):
             scales[k, i] = log_scale[order[k, i], i]
-        w, x, y, z = (
-            np.float64(rot[0, i]),
-            np.float64(rot[1, i]),
-            np.float64(rot[2, i]),
-            np.float64(rot[3, i]),
-        )
+        w, x = np.float64(rot[0, i]), np.float64(rot[1, i])
+        y, z = np.float64(rot[2, i]), np.float64(rot[3, i])
         largest = -1.0
         for k in range(4):
             p, q, r, s = turns[9 * a + 3 * b + c, k]

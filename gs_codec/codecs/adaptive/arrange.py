@@ -19,6 +19,7 @@ from gs_codec.codecs.adaptive.lattice import (
 )
 from gs_codec.codecs.adaptive.step_sizes import (
     SH_RATIO,
+    SHAPE_RULES,
     StepSizes,
     blind_coefficients,
     features,
@@ -117,14 +118,8 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: StepS
         octaves = steps.colour_class if name == "colour" else steps.shape_class
         return octaves[some] + combine(steps.coefficients[name], known)
 
-    names = {
-        "opacity": ["opacity"],
-        "scaling": ["scale_0", "scale_1", "scale_2"],
-        "rotation": ["rotation"],
-        "colour": ["colour"],
-    }
     rules, units = {}, {}
-    for group, members in names.items():
+    for group, members in {**SHAPE_RULES, "colour": ("colour",)}.items():
         coarsest = _COARSEST[group]
         finest = min(finest_step(wanted(name), _FINEST, coarsest) for name in members)
         units[group] = round(2.0 ** (finest + FRACTION_BITS))

@@ -87,9 +87,8 @@ class Block:
                 done[id(array)] = storage.keep(array)
             return done[id(array)]
 
-        return replace(
-            self, passes=[PassData(*map(keep, vars(data).values())) for data in self.passes]
-        )
+        kept = [PassData(*map(keep, vars(data).values())) for data in self.passes]
+        return replace(self, passes=kept)
 
 
 def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.step_sizes import StepSizes
+from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES, StepSizes
 from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.codecs.entropygs.symbols import fit_channel
 from gs_codec.coding.linear import combine
@@ -42,17 +42,9 @@ def mean_octaves(scene: Scene, depths: Mapping[str, int]) -> dict[str, float]:
 def as_deep(
     steps: StepSizes, some: slice, known: NDArray[np.float64], octaves: Mapping[str, float]
 ) -> StepSizes:
-    """Scale the step sizes of some groups so that their mean (log2) is the one given.
+    """Scale the step sizes of some groups so that their mean (log2) is the one in `octaves`.
 
-    Parameters
-    ----------
-    steps : StepSizes
-    some : slice
-        The Gaussians that the mean is taken over.
-    known : ndarray, shape (5, n)
-        Features of these.
-    octaves : mapping of str to float
-        Log2 of the mean step size, by group.
+    The mean is taken over `some` of the Gaussians, with features ``known (5, n)``.
     """
     coefficients = {name: row.copy() for name, row in steps.coefficients.items()}
 
@@ -61,13 +53,7 @@ def as_deep(
         by_rule = [combine(coefficients[rule], known) for rule in rules]
         return float(np.mean(classes[some], dtype=np.float64) + np.mean(by_rule))
 
-    rules = {
-        "geometry": ("position",),
-        "opacity": ("opacity",),
-        "scaling": ("scale_0", "scale_1", "scale_2"),
-        "rotation": ("rotation",),
-    }
-    for group, members in rules.items():
+    for group, members in {**SHAPE_RULES, "geometry": ("position",)}.items():
         if group in octaves:
             more = octaves[group] - mean(*members)
             for rule in members:

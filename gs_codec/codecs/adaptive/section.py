@@ -18,6 +18,7 @@ from gs_codec.codecs.adaptive.lattice import (
     PositionGrid,
     StepRule,
 )
+from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.context_rans import PRECISION
 from gs_codec.coding.fields import ByteReader
@@ -42,6 +43,9 @@ _RULE = "5iB"
 #: The rules of a scene, in the order of the section.
 RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
 
+#: The units of a scene, in the order of the section.
+UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
+
 
 @dataclass(frozen=True)
 class PassModels:
@@ -57,9 +61,6 @@ class PassModels:
     def tables(self) -> list[FrequencyTable]:
         """Frequency tables of precision `PRECISION`."""
         return [SentModel(w, MANTISSA, PRECISION).frequencies(len(w)) for w in self.weights]
-
-
-UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
 
 
 def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
@@ -127,13 +128,8 @@ def _read_rule(reader: ByteReader) -> StepRule:
 def _check_steps(lattice: Lattice) -> None:
     """Refuse units and limits with which step sizes could overflow."""
     limits = {name: rule.limit for name, rule in lattice.rules.items()}
-    of_unit = {
-        "opacity": limits["opacity"],
-        "scaling": max(limits[f"scale_{k}"] for k in range(3)),
-        "rotation": limits["rotation"],
-    }
     for name, unit in lattice.units.items():
-        limit = of_unit.get(name, limits["colour"])
+        limit = max(limits[rule] for rule in SHAPE_RULES.get(name, ("colour",)))
         if unit == 0 or unit.bit_length() + limit > _STEP_BITS:
             raise CorruptStream(f"{_WHERE}: unit {unit} of '{name}' with shifts to {limit}")
     if limits["position"] > 3 * MAX_SHIFT:

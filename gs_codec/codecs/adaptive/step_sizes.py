@@ -48,6 +48,13 @@ _FEATURES = {
     "colour": [0, 1, 2, 3, 4],
 }
 
+#: The rules of each group of the shape.
+SHAPE_RULES = {
+    "opacity": ("opacity",),
+    "scaling": ("scale_0", "scale_1", "scale_2"),
+    "rotation": ("rotation",),
+}
+
 #: SH-DC for a unit of colour.
 _BY_COLOUR = math.log2(1 / SH_C0)
 
@@ -146,18 +153,22 @@ def fit_step_sizes(
     some = slice(None, None, max(1, len(opacity) // _SAMPLE))
     offsets = _fit_offsets({name: s[some] for name, s in shape.items()}, known[:, some])
     level = _level(shape, offsets, known)
-    finest = float(np.quantile(level, 1 - _FINEST))
-    shape_class = np.clip(np.round(finest - level), 0, _CLASSES - 1).astype(np.uint8)
+    shape_class, finest = _classify(level)
     wanted = 0.5 * math.log2(12 * error)
     first = np.eye(5)[0]
     coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
     # SH_C0 is the change of colour for a unit of SH-DC; for one of SH-AC, its RMS.
     by_sh = SH_C0**2 * sensitivity.colour
     colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
-    finest = float(np.quantile(colour, 1 - _FINEST))
-    colour_class = np.clip(np.round(finest - colour), 0, _CLASSES - 1).astype(np.uint8)
+    colour_class, finest = _classify(colour)
     coefficients["colour"] = (wanted - finest) * first
     return StepSizes(shape_class, colour_class, coefficients)
+
+
+def _classify(level: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float]:
+    """Class of each Gaussian, and the level of the finest class."""
+    finest = float(np.quantile(level, 1 - _FINEST))
+    return np.clip(np.round(finest - level), 0, _CLASSES - 1).astype(np.uint8), finest
 
 
 def _least(sensitivity: NDArray[np.float64]) -> float:
@@ -230,14 +241,9 @@ def _fixed(number: float) -> int:
 def blind_coefficients(
     scales: NDArray[np.float64], fineness: float
 ) -> dict[str, NDArray[np.float64]]:
-    """``log2(step) = coefficients @ features`` for each rule; see `fit.features`.
+    """``log2(step) = coefficients @ features`` for each rule, without cameras.
 
-    Parameters
-    ----------
-    scales : ndarray, shape (3, N)
-        Log-scales, descending.
-    fineness : float
-        Factor on all step sizes.
+    ``scales (3, N)`` are log-scales, descending; `fineness` is a factor on all step sizes.
     """
     octave = math.log(2)
     middle = float(np.median(scales.mean(axis=0))) / octave if scales.size else 0.0

@@ -57,23 +57,11 @@ def value_of(token, rest):
 
 
 @kernel
-def _tokenise(values, tokens):
-    raw = 0
+def _tokenise(values, tokens, widths):
     for i in range(len(values)):
         token = token_of(np.int64(values[i]))
         tokens[i] = token
-        raw += 1 if token >= 2 * _DIRECT else 0
-    return raw
-
-
-@kernel
-def _find_raw(values, tokens, raw_values, widths):
-    found = 0
-    for i in range(len(values)):
-        if tokens[i] >= 2 * _DIRECT:
-            raw_values[found] = values[i]
-            widths[found] = raw_width(tokens[i])
-            found += 1
+        widths[i] = raw_width(token)
 
 
 @kernel
@@ -112,12 +100,10 @@ def tokenise(
 
     The latter are the integers whose tokens need raw bits, in order, and the number of these bits.
     """
-    tokens = np.empty(len(values), np.uint8)
-    raw = _tokenise(values, tokens)
-    raw_values, widths = np.empty(raw, np.int64), np.empty(raw, np.uint8)
-    if raw:
-        _find_raw(values, tokens, raw_values, widths)
-    return tokens, raw_values, widths
+    tokens, widths = np.empty((2, len(values)), np.uint8)
+    _tokenise(values, tokens, widths)
+    raw = np.flatnonzero(widths)
+    return tokens, values[raw].astype(np.int64), widths[raw]
 
 
 def read_pass(

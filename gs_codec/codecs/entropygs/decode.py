@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,7 +20,7 @@ from gs_codec.coding.rans import TableSet, decode_symbols
 from gs_codec.egs.file import EgsFile, SectionId
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import GROUPS, SH_COEFFICIENTS
+from gs_codec.scene import SH_COEFFICIENTS, group_rows
 
 _POINTS = {SectionId.GEOMETRY, SectionId.SH_DC}
 
@@ -75,7 +73,7 @@ def decode_channels(
     points that are coded by G-PCC.
     """
     count = max((span.stop for span in spans.values()), default=0)
-    decoder = _Blocks.of(file, channels_of(file), degree, count, tool)
+    decoder = _Blocks(file, degree, count, tool)
     stages = decoder.stages()
     jobs = [
         partial(stage, block, span.start, span.stop)
@@ -86,57 +84,42 @@ def decode_channels(
     return decoder.groups
 
 
-@dataclass(frozen=True)
 class _Blocks:
-    """Decodes single blocks into the planes of a scene.
+    """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree.
 
     ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``.
     ``varying`` lists the channels that rANS codes; ``tables`` and ``levels`` hold their frequency
-    tables and the values of their symbols. ``whole`` tells whether all coded SH is decoded.
+    tables and the values of their symbols.
     """
 
-    file: EgsFile
-    channels: list[Channel]
-    groups: dict[str, NDArray[np.float32]]
-    planes: list[NDArray[np.float32]]
-    varying: list[int]
-    tables: TableSet
-    levels: list[NDArray[np.float32]]
-    whole: bool
-    tool: Tmc3 | None
-
-    @classmethod
-    def of(
-        cls,
-        file: EgsFile,
-        channels: list[Channel],
-        degree: int,
-        count: int,
-        tool: Tmc3 | None,
-    ) -> _Blocks:
-        """Set up tables, and fill constant planes of `count` Gaussians, for SH up to a degree."""
+    def __init__(self, file: EgsFile, degree: int, count: int, tool: Tmc3 | None) -> None:
         kept, coded = SH_COEFFICIENTS[degree], SH_COEFFICIENTS[file.header.sh_degree]
-        channels = [
-            replace(c, index=c.index // coded * kept + c.index % coded)
-            if c.group == "f_rest"
-            else c
-            for c in channels
-            if c.group != "f_rest" or c.index % coded < kept
-        ]
-        members = Counter(channel.group for channel in channels)
-        groups = {g: np.empty((members[g], count), np.float32) for g in GROUPS}
-        planes = [groups[channel.group][channel.index] for channel in channels]
-        varying, tables, levels = [], [], []
-        for row, channel in enumerate(channels):
+        self.file = file
+        self.tool = tool
+        self.whole = kept == coded
+        self.groups = {g: np.empty((n, count), np.float32) for g, n in group_rows(kept).items()}
+        self.channels: list[Channel] = []
+        self.planes: list[NDArray[np.float32]] = []
+        self.varying: list[int] = []
+        self.levels: list[NDArray[np.float32]] = []
+        tables = []
+        for channel in channels_of(file):
+            row = channel.index
+            if channel.group == "f_rest":
+                colour, coefficient = divmod(row, coded)
+                if coefficient >= kept:
+                    continue
+                row = colour * kept + coefficient
+            plane = self.groups[channel.group][row]
             if not channel.quantiser.depth:
-                planes[row][:] = channel.quantiser.origin
+                plane[:] = channel.quantiser.origin
             elif channel.model is not None:
-                varying.append(row)
+                self.varying.append(len(self.channels))
                 tables.append(channel.model.frequencies(channel.alphabet))
-                levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
-        packed = TableSet.pack(tables)
-        whole = kept == coded
-        return cls(file, channels, groups, planes, varying, packed, levels, whole, tool)
+                self.levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
+            self.channels.append(channel)
+            self.planes.append(plane)
+        self.tables = TableSet.pack(tables)
 
     def stages(self) -> list[Callable[[int, int, int], None]]:
         """The functions that decode a block."""

@@ -53,15 +53,7 @@ _LEAST_BLOCK = 512
 
 
 def encode_points(tool: Tmc3, cells: NDArray[np.uint32], colours: NDArray[np.uint16]) -> bytes:
-    """Code points of at most 18 bits an axis and 8 a colour.
-
-    Parameters
-    ----------
-    tool : Tmc3
-    cells : ndarray, shape (3, N), uint32
-        Quantised positions; duplicates allowed.
-    colours : ndarray, shape (3, N), uint16
-        Quantised SH-DC of R, G, B.
+    """Code ``cells (3, N)`` of at most 18 bits an axis, ``colours (3, N)`` of at most 8 bits.
 
     Raises
     ------

@@ -25,22 +25,14 @@ _MISSING = (
 
 @dataclass(frozen=True)
 class Tmc3:
-    """A program that was found, and its version line.
-
-    Parameters
-    ----------
-    path : str
-    version : str
-        First line of its help: 1-200 printable ASCII characters.
-    limits : Limits
-    """
+    """A program that was found; ``version`` is 1-200 printable ASCII characters of its help."""
 
     path: str
     version: str
     limits: Limits = field(default_factory=Limits)
 
     @classmethod
-    def find(cls, path: str | Path | None = None, limits: Limits | None = None) -> Tmc3:
+    def find(cls, path: str | Path | None = None) -> Tmc3:
         """Find the program at `path`, or by the environment variable or PATH.
 
         Raises
@@ -48,7 +40,6 @@ class Tmc3:
         MissingTool
             If there is none, or it is another program.
         """
-        limits = limits or Limits()
         given = str(path) if path is not None else os.environ.get(VARIABLE)
         found = shutil.which(given or "tmc3")
         if found is None:
@@ -56,12 +47,12 @@ class Tmc3:
             raise MissingTool(f"{which}; {_MISSING}")
         found = os.path.abspath(found)
         try:
-            line = first_line([found, "--help"], limits)
+            line = first_line([found, "--help"], Limits())
         except (OSError, ToolFailed) as error:
             raise MissingTool(f"{found}: cannot be run ({error}); {_MISSING}") from error
         if "tmc3" not in line.lower():
             raise MissingTool(f"{found}: not tmc3, its help begins '{line[:80]}'; {_MISSING}")
-        return cls(found, line[:200], limits)
+        return cls(found, line[:200])
 
     def run(
         self,

@@ -105,8 +105,7 @@ def scene_in(
     if file.format == "egs":
         with located(file.path):
             scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
-            order = matching.order_of_file(describe(read))
-            scene = scene if order is None else matching.with_order(scene, order)
+            scene = matching.with_order(scene, matching.order_of_file(describe(read)))
     else:
         scene = file.scene(extra, max_bytes)
     with located(file.path):

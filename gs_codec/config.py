@@ -420,7 +420,7 @@ class Config:
             raise InvalidInput(f"profile '{self.profile}': has no depths, expected a paper profile")
         return {**PROFILES[self.profile], **self.asked_depths()}
 
-    def resolved_lattice(self) -> AdaptiveProfile:
+    def adaptive_profile(self) -> AdaptiveProfile:
         """The parameters of profile ``l``, ``m`` or ``s``, with the coarseness applied."""
         if self.profile not in ADAPTIVE_PROFILES:
             raise InvalidInput(f"profile '{self.profile}': expected l, m or s")

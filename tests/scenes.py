@@ -114,7 +114,7 @@ def steps_for(
     scene: Scene, config: Config, sensitivity: Sensitivity, loss: float = 0.0
 ) -> StepSizes:
     """Step sizes that follow from a sensitivity, to views of a thousand pixels a Gaussian."""
-    return told(scene, sensitivity, loss).steps(scene, config.resolved_lattice())
+    return told(scene, sensitivity, loss).steps(scene, config.adaptive_profile())
 
 
 def told(scene: Scene, sensitivity: Sensitivity, loss: float = 0.0) -> Guidance:

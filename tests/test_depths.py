@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import encode_by, made_up_guide, random_scene
-from test_lattice_codec import Shaped, assert_on_lattices
+from test_adaptive_codec import Shaped, assert_on_lattices
 
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.adaptive.arrange import arrange_scene
@@ -139,7 +139,7 @@ def test_an_empty_scene_may_have_depths():
 
 
 def test_coarseness_scales_everything_that_steps_come_from():
-    plain, twice = Config("m").resolved_lattice(), Config("m", coarseness=2).resolved_lattice()
+    plain, twice = Config("m").adaptive_profile(), Config("m", coarseness=2).adaptive_profile()
     assert twice.fineness == pytest.approx(2 * plain.fineness)
     assert twice.error == pytest.approx(4 * plain.error)
     assert twice.compaction == pytest.approx(4 * plain.compaction)
@@ -156,4 +156,4 @@ def test_coarseness_is_for_profiles_of_steps(profile):
     with pytest.raises(InvalidInput, match="has none, l, m, s do"):
         Config(profile, coarseness=2.0)
     with pytest.raises(InvalidInput, match="expected l, m or s"):
-        Config(profile).resolved_lattice()
+        Config(profile).adaptive_profile()

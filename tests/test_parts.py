@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from damage import HEADER, with_checksums
 from scenes import random_scene
-from test_lattice_codec import BLOCK, assert_same
+from test_adaptive_codec import BLOCK, assert_same
 from test_lossless import any_bits
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene

@@ -14,7 +14,7 @@ from gs_codec.codecs.adaptive.contexts import Pass, passes
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, Lattice, PositionGrid
 from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
-from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_lattice
+from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file
 from gs_codec.egs.sections import Box, read_box, read_comments, read_tool
@@ -204,7 +204,7 @@ def _adaptive_details(file: EgsFile) -> dict[str, Any]:
     lattice, models = lattice_of(file)
     skipped = skipped_by_header(file.header)
     if file.header.count:
-        skipped += skipped_by_lattice(lattice, models, coefficients)
+        skipped += skipped_by_passes(lattice, models, coefficients)
     return {
         "bounds": _bounds_of(file, lattice.grid),
         "passes": tuple(_inspect_passes(lattice, models, coefficients)),

@@ -62,7 +62,7 @@ def skipped_by_channels(channels: list[Channel]) -> list[str]:
     return lines
 
 
-def skipped_by_lattice(lattice: Lattice, models: PassModels, coefficients: int) -> list[str]:
+def skipped_by_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[str]:
     """Passes of profiles `l`, `m` and `s` that take no bits, and contexts with a single table."""
     listed = passes(coefficients)
     zeros = set()

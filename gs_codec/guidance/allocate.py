@@ -199,7 +199,7 @@ class _Trials:
         with self.asked.times.stage("search"):
             steps = None
             if self.guidance is not None:
-                steps = self.guidance.steps(self.coloured, config.resolved_lattice())
+                steps = self.guidance.steps(self.coloured, config.adaptive_profile())
             self.last = encode_scene(self.coloured, config, steps=steps)
         self.octaves = octaves
         self.asked.encodings += 1
@@ -222,7 +222,7 @@ class _Trials:
     ) -> None:
         assert self.guidance is not None
         config = self.config_at(octaves)
-        profile = config.resolved_lattice()
+        profile = config.adaptive_profile()
         with self.asked.times.stage("recolour"):
             steps = self.guidance.steps(self.scene, profile)
             shaped = shape_scene(self.scene, config, steps, StageTimes())
@@ -321,7 +321,7 @@ def _meet_drop(trials: _Trials, wanted: float, seen: _Seen) -> None:
         return trials.loss
 
     allowed = measured.error_for(wanted, before) - before
-    at_once = trials.config_at(0.0).resolved_lattice().error
+    at_once = trials.config_at(0.0).adaptive_profile().error
     start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
     interval = (wanted - _DROP_TOLERANCE, wanted)
     found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)

@@ -74,7 +74,7 @@ def encode_planned(
             return encode_scene(scene, config, progress)
         with times.stage("views"):
             guidance = guide(clean, references, progress)
-        profile = config.resolved_lattice()
+        profile = config.adaptive_profile()
         shaped = shape_scene(clean, config, guidance.steps(clean, profile), times)
         with times.stage("recolour"):
             shaped = shaped.with_colours(guidance.recolour(shaped, profile))

@@ -81,7 +81,7 @@ def arrange_scene(scene: Scene, config: Config, asked: StepSizes | None) -> Arra
     _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
     steps = asked
     if steps is None:
-        none, fineness = np.zeros(scene.count, np.uint8), config.resolved_lattice().fineness
+        none, fineness = np.zeros(scene.count, np.uint8), config.adaptive_profile().fineness
         steps = StepSizes(none, none, blind_coefficients(sampled, fineness), (SH_RATIO,) * 3)
     elif len(steps.shape_class) != scene.count:
         raise ValueError(f"steps of {len(steps.shape_class)} Gaussians, expected {scene.count}")

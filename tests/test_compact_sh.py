@@ -114,7 +114,7 @@ def test_each_colour_is_solved_as_by_brute_force(degree):
     strength, smallest = 1e-5, 0.02
     compacted, _ = compact_sh(scene, cameras, strength, smallest=smallest)
     weights = squared_weights(scene, cameras).astype(np.float64)
-    before, after = (coefficients_of(x, np.float64) for x in (scene, compacted))
+    before, after = (coefficients_of(x).astype(np.float64) for x in (scene, compacted))
     ac = before.shape[1] - 1
     penalty = strength * sum(c.width * c.height for c in cameras) / (ac * scene.count)
     for i in range(scene.count):

@@ -59,7 +59,7 @@ def test_residual_is_the_references(seed):
     operator = ImageOperator(scene, references(cameras, targets, TEAL))
     drawn = [render_reference(scene, camera, TEAL) for camera in cameras]
     expected = sum(np.sum((t - d.colour) ** 2) for t, d in zip(targets, drawn, strict=True))
-    coefficients = coefficients_of(scene, np.float64)
+    coefficients = coefficients_of(scene).astype(np.float64)
     assert operator.linearise(coefficients).error == pytest.approx(expected, rel=1e-7)
     assert errors(operator, coefficients) == pytest.approx(expected, rel=1e-7)
 
@@ -70,7 +70,7 @@ def test_gradient_is_the_difference_of_the_objective(degree):
     rng = np.random.default_rng(degree)
     targets = [rng.uniform(size=(40, 40, 3)) for _ in cameras]
     operator = ImageOperator(scene, references(cameras, targets, TEAL))
-    at = coefficients_of(scene, np.float64)
+    at = coefficients_of(scene).astype(np.float64)
     gradient = -2 * operator.linearise(at).gradient
     for _ in range(5):
         direction = rng.normal(size=at.shape)
@@ -82,7 +82,7 @@ def test_gradient_is_the_difference_of_the_objective(degree):
 def test_normal_equations_are_symmetric_and_those_of_the_images(seed):
     scene, cameras = visible_scene(50, seed), orbit(4, seed)
     operator = ImageOperator(scene, references(cameras, black(cameras)))
-    at = coefficients_of(scene, np.float64)
+    at = coefficients_of(scene).astype(np.float64)
     near = operator.linearise(at)
     rng = np.random.default_rng(seed)
     x, y = rng.normal(size=(2, *at.shape))
@@ -95,7 +95,7 @@ def test_normal_equations_are_symmetric_and_those_of_the_images(seed):
 def test_transpose_is_the_adjoint(seed):
     """<A x, t> = <x, A^T t>: for colours above black the image is A (0.5 + Y x)."""
     scene, cameras = visible_scene(50, seed, bright=4.0), orbit(4, seed)
-    at = coefficients_of(scene, np.float64)
+    at = coefficients_of(scene).astype(np.float64)
     rng = np.random.default_rng(seed)
     targets = [rng.normal(size=(40, 40, 3)) for _ in cameras]
     to_black = ImageOperator(scene, references(cameras, black(cameras)))
@@ -115,7 +115,7 @@ def test_transpose_is_the_adjoint(seed):
 def test_curvature_is_the_diagonal_of_the_normal_equations():
     scene, cameras = visible_scene(12, 5), orbit(3)
     operator = ImageOperator(scene, references(cameras, black(cameras)))
-    at = coefficients_of(scene, np.float64)
+    at = coefficients_of(scene).astype(np.float64)
     near = operator.linearise(at)
     rng = np.random.default_rng(5)
     for place in rng.integers(0, at.shape, (20, 3)):
@@ -137,7 +137,7 @@ def test_colours_at_black_have_no_gradient():
 
 def test_views_that_are_not_kept_are_traced_anew(monkeypatch):
     scene, cameras = visible_scene(40, 8), orbit(4)
-    at = coefficients_of(scene, np.float64)
+    at = coefficients_of(scene).astype(np.float64)
     results = []
     for limit, number in ((1 << 31, 4), (40_000, 2), (0, 0)):
         monkeypatch.setattr(module, "_KEPT_BYTES", limit)
@@ -163,7 +163,7 @@ def test_more_fragments_than_first_room_for():
     )
     cameras = orbit(1)
     operator = ImageOperator(scene, references(cameras, images(scene, cameras)))
-    assert errors(operator, coefficients_of(scene, np.float64)) < 1e-8
+    assert errors(operator, coefficients_of(scene).astype(np.float64)) < 1e-8
 
 
 # Refitting
@@ -205,8 +205,10 @@ def test_the_objective_has_the_squared_change_of_sh():
     scene, cameras = visible_scene(60, 13, bright=4.0), orbit(6)
     views = references(cameras, images(perturbed(scene, 13), cameras))
     refitted, report = refit_colour(scene, views, 10)
-    change = coefficients_of(refitted, np.float64) - coefficients_of(scene, np.float64)
-    error = errors(ImageOperator(scene, views), coefficients_of(refitted, np.float64))
+    change = coefficients_of(refitted).astype(np.float64) - coefficients_of(scene).astype(
+        np.float64
+    )
+    error = errors(ImageOperator(scene, views), coefficients_of(refitted).astype(np.float64))
     expected = error + 0.03 * np.sum(change**2)
     assert report.objective[-1] == pytest.approx(expected, rel=1e-3)
     assert error < 0.9 * report.objective[-1]

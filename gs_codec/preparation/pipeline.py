@@ -53,23 +53,18 @@ class _Context(NamedTuple):
 
 
 def prepare_scene(
-    scene: Scene,
-    plan: Plan,
-    progress: Progress | None = None,
-    views: ViewSplit | None = None,
-    config: Config | None = None,
+    scene: Scene, plan: Plan, progress: Progress | None = None, config: Config | None = None
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
 
-    `views` come from `choose_views`, for this scene or for one that it was made from. `config`
-    says how the scene will be coded; `rectify` uses its depths.
+    `config` says how the scene will be coded; `rectify` uses its depths.
 
     Raises
     ------
     InvalidInput
         If there are no cameras, no Gaussian would be left, or an image is broken.
     """
-    views = views or choose_views(scene, plan, progress)
+    views = choose_views(scene, plan, progress)
     context = _Context(plan, views, progress, config or Config())
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)

@@ -44,12 +44,7 @@ class ReferenceViews:
 
     def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
         """Quality of a scene's images against these, mean over the views."""
-
-        def compare(i: int) -> Quality:
-            drawn = render(scene, self.cameras[i], self.background, device="cpu")
-            return compare_images(drawn.colour, self.images[i])
-
-        return mean_quality(self._of_each(compare, progress))
+        return mean_quality(self._of_each(scene, compare_images, progress))
 
     def error(self, scene: Scene, progress: Progress | None = None) -> float:
         """Mean squared error of a scene's images, mean over the views."""
@@ -60,15 +55,25 @@ class ReferenceViews:
         if scene is self.source:
             return np.zeros(len(self.cameras))
 
-        def measure(i: int) -> float:
+        def error(colour: NDArray[np.float32], image: NDArray[np.float32]) -> float:
+            return float(np.mean((colour - image) ** 2, dtype=np.float64))
+
+        return np.array(self._of_each(scene, error, progress))
+
+    def _of_each(
+        self,
+        scene: Scene,
+        measure: Callable[[NDArray, NDArray], Result],
+        progress: Progress | None,
+    ) -> list[Result]:
+        """Measure the image that each camera sees of a scene against its own."""
+
+        def run(i: int) -> Result:
             drawn = render(scene, self.cameras[i], self.background, device="cpu")
-            return float(np.mean((drawn.colour - self.images[i]) ** 2, dtype=np.float64))
+            return measure(drawn.colour, self.images[i])
 
-        return np.array(self._of_each(measure, progress))
-
-    def _of_each(self, measure: Callable[[int], Result], progress: Progress | None) -> list[Result]:
         number = len(self.cameras)
-        return run_all(measure, range(number), advance=step_counter(progress, "measure", number))
+        return run_all(run, range(number), advance=step_counter(progress, "measure", number))
 
     def drop(
         self, errors: float | NDArray[np.float64], before: float | NDArray[np.float64]

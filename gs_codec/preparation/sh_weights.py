@@ -63,10 +63,10 @@ def solve(matrix, right):
     return finite
 
 
-def coefficients_of(scene: Scene, dtype: type = np.float32) -> NDArray:
+def coefficients_of(scene: Scene) -> NDArray[np.float32]:
     """SH of all bands ``(3, 1 + K, N)``, DC first; a copy."""
     ac = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
-    return np.concatenate([scene.f_dc[:, None], ac], axis=1, dtype=dtype)
+    return np.concatenate([scene.f_dc[:, None], ac], axis=1)
 
 
 def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:

@@ -157,7 +157,7 @@ def _pose(image: _Image) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     largest = np.abs(quaternion).max()
     if not (np.isfinite(largest) and largest > 0 and np.isfinite(translation).all()):
         raise InvalidInput(
-            f"{image.where}: pose {image.pose}, expected a finite rotation and place"
+            f"{image.where}: pose {image.pose}, expected a finite rotation and position"
         )
     # Divided twice: squares of the largest or smallest floats would overflow or vanish.
     quaternion = quaternion / largest

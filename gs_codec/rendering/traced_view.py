@@ -80,11 +80,8 @@ class TracedView(NamedTuple):
         return sums, _residual(*self[2:], columns, colours, target, background, sums)
 
 
-class TraceBuffers(NamedTuple):
-    """Buffers for entries, reused because new memory takes longer than tracing."""
-
-    pixels: NDArray[np.uint8]
-    weights: NDArray[np.float32]
+#: Pixels and weights of entries, reused because new memory takes longer than tracing.
+TraceBuffers = tuple[NDArray[np.uint8], NDArray[np.float32]]
 
 
 def trace_view(
@@ -98,10 +95,10 @@ def trace_view(
     ends = np.zeros(frame.pairs, np.int64)
     left = np.zeros((frame.columns * frame.rows, TILE * TILE), np.float32)
     size = (frame.columns, camera.width, camera.height)
-    buffers = buffers or TraceBuffers(
-        np.empty(_FIRST_ENTRIES, np.uint8), np.empty(_FIRST_ENTRIES, np.float32)
-    )
-    buffers = TraceBuffers(*_trace(frame.splats.fields, *frame.lists, *size, left, ends, *buffers))
+    if buffers is None:
+        buffers = np.empty(_FIRST_ENTRIES, np.uint8), np.empty(_FIRST_ENTRIES, np.float32)
+    buffers = _trace(frame.splats.fields, *frame.lists, *size, left, ends, *buffers)
+    pixels, weights = buffers
     used = ends.max(initial=0)
     traced = TracedView(
         camera,
@@ -109,8 +106,8 @@ def trace_view(
         rank[frame.lists.splats],
         frame.lists.starts,
         ends,
-        buffers.pixels[:used].copy(),
-        buffers.weights[:used].copy(),
+        pixels[:used].copy(),
+        weights[:used].copy(),
         left,
     )
     return traced, buffers

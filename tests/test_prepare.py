@@ -132,8 +132,8 @@ def test_photographs_are_the_targets_of_cameras_that_have_one(scene, tmp_path):
     chosen = Plan(Steps(prune=10), CAMERAS, gt_images=tmp_path)
     _, report = prepare_scene(scene, chosen)
     assert [c.name for c in report.views.renders.cameras] == ["a", "c", "d"]
-    assert [c.name for c in report.views.wanted.cameras] == ["c"]
-    assert report.views.wanted.cameras[0].width == 24
+    assert [c.name for c in report.views.references.cameras] == ["c"]
+    assert report.views.references.cameras[0].width == 24
     assert report.views.held_out.photographs
     image = render(scene, CAMERAS[1].resized(24, 16)).colour
     expected = compare_images(image, read_image(tmp_path / "b.png"))

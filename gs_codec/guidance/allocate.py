@@ -21,7 +21,7 @@ from gs_codec.coding.clean import clean_scene
 from gs_codec.config import ADAPTIVE_PROFILES, AdaptiveProfile, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.guide import Guidance, guide
-from gs_codec.guidance.search import COARSEST, FINEST, expected, search
+from gs_codec.guidance.search import COARSEST, FINEST, search, search_recoloured
 from gs_codec.preparation.pipeline import choose_views, guiding_views
 from gs_codec.preparation.prune import keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
@@ -41,10 +41,6 @@ _SIZE_SLOPE, _DROP_SLOPE = -0.45, 1.7
 #: For the first guess: about how many times smaller SH compaction makes a file, and then how many
 #: times larger the refit of colours makes it.
 _COMPACTION_SAVES, _REFIT_ADDS = 1.08, 1.01
-
-#: Colours are refitted again if the coarseness changes by more than this, log2.
-_RECOLOUR_AGAIN = 0.05
-_MOST_RECOLOURINGS = 5
 
 #: Share of the Gaussians that a round of pruning removes, and the largest number of rounds.
 _PART, _MOST_PARTS = 0.2, 10
@@ -107,20 +103,24 @@ def encode_to_target(
         trials = _begin(clean, asked)
         _meet(trials, 0.0)
     data, report = trials.last
-    steps = {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes}
-    rate = RateReport(
-        target,
+    rate = _rate_report(trials, clean.count - trials.scene.count)
+    return data, replace(report, **changed, seconds=asked.times.seconds, rate=rate)
+
+
+def _rate_report(trials: _Trials, pruned: int) -> RateReport:
+    data = trials.last[0]
+    return RateReport(
+        trials.asked.target,
         2.0**trials.octaves,
-        steps,
+        {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes},
         len(data),
         trials.predicted_bytes,
         trials.loss,
         trials.predicted_drop,
-        asked.encodings,
-        clean.count - trials.scene.count,
+        trials.asked.encodings,
+        pruned,
         trials.at_end,
     )
-    return data, replace(report, **changed, seconds=asked.times.seconds, rate=rate)
 
 
 class _OutOfReach(InvalidInput):
@@ -289,20 +289,21 @@ def _meet(trials: _Trials, start: float) -> None:
 def _meet_size(trials: _Trials, limit: int, start: float) -> None:
     """Search for steps at which the file is just within the limit."""
     interval = ((1 - _SIZE_TOLERANCE) * limit, float(limit))
-    if trials.guidance is not None:
+    if trials.guidance is None:
+        found = search(trials.size, *interval, start, _SIZE_SLOPE)
+    else:
         # Current colours, then compacted ones, are quick and give most of the final size.
         before = interval[0] / _REFIT_ADDS, interval[1] / _REFIT_ADDS
         plain = before[0] * _COMPACTION_SAVES, before[1] * _COMPACTION_SAVES
         search(trials.size, *plain, start, _SIZE_SLOPE)
-        _search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
+        search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
         trials.settle(trials.octaves)
         if not before[0] <= trials.size(trials.octaves) <= before[1]:
             # Compaction does not pay at these steps, so it is left out.
-            _search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
+            search_recoloured(trials.compact, trials.size, before, trials.octaves, _SIZE_SLOPE)
         trials.predicted_bytes = round(len(trials.last[0]) * _REFIT_ADDS)
         start = trials.octaves
-    recolour = None if trials.guidance is None else trials.refit
-    found = _search_recoloured(recolour, trials.size, interval, start, _SIZE_SLOPE)
+        found = search_recoloured(trials.refit, trials.size, interval, start, _SIZE_SLOPE)
     if found is None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         if most > limit:
@@ -311,7 +312,7 @@ def _meet_size(trials: _Trials, limit: int, start: float) -> None:
     trials.at_end = found is None
 
 
-def _meet_drop(trials: _Trials, wanted: float, seen: _Seen) -> None:
+def _meet_drop(trials: _Trials, limit: float, seen: _Seen) -> None:
     """Search for steps at which the loss of views is just within the limit."""
     measured, before = seen.views.held_out, float(np.mean(seen.before))
 
@@ -320,43 +321,18 @@ def _meet_drop(trials: _Trials, wanted: float, seen: _Seen) -> None:
         trials.loss = seen.loss(trials.last[0])
         return trials.loss
 
-    allowed = measured.error_for(wanted, before) - before
+    allowed = measured.error_for(limit, before) - before
     at_once = trials.config_at(0.0).adaptive_profile().error
     start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
-    interval = (wanted - _DROP_TOLERANCE, wanted)
-    found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+    interval = (limit - _DROP_TOLERANCE, limit)
+    found = search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
         # Compaction may cost held-out views more than the limit, even at its weakest.
         trials.compacting = False
-        found = _search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+        found = search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
     if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
-        if most > wanted:
-            raise _OutOfReach(f"target {wanted:g} dB: {least:.4f} to {most:.4f} dB are in reach")
+        if most > limit:
+            raise _OutOfReach(f"target {limit:g} dB: {least:.4f} to {most:.4f} dB are in reach")
     trials.predicted_drop = measured.drop(before + at_once * 4.0**trials.octaves, before)
     trials.at_end = found is None
-
-
-def _search_recoloured(
-    recolour: Callable[[float], None] | None,
-    measure: Callable[[float], float],
-    interval: tuple[float, float],
-    start: float,
-    slope: float,
-) -> float | None:
-    """`search`, with colours refitted for about the steps that are found."""
-    octaves = start
-    for _ in range(_MOST_RECOLOURINGS):
-        if recolour is None:
-            break
-        recolour(octaves)
-        value = measure(octaves)
-        if interval[0] <= value <= interval[1]:
-            return octaves
-        following = expected(value, *interval, octaves, slope)
-        if following == octaves:
-            return None
-        moved, octaves = abs(following - octaves), following
-        if moved <= _RECOLOUR_AGAIN:
-            break
-    return search(measure, *interval, octaves, slope)

@@ -14,7 +14,7 @@ FINEST, COARSEST = -6.0, 6.0
 #: Point of the interval that the search aims at, 0 to 1.
 _AIM = 0.7
 
-#: Largest change of log2 of the coarseness that `expected` gives.
+#: Largest change of log2 of the coarseness that `_expected` gives.
 _FARTHEST = 2.0
 
 #: Factor on the distance to where the secant is 0, to overshoot it; and the smallest distance.
@@ -28,12 +28,9 @@ _BESIDE = (3, -3, 6, -6, 9, -9, 12, -12)
 #: Smaller measures count as this.
 _LEAST = 1e-6
 
-
-def expected(value: float, low: float, high: float, octaves: float, slope: float) -> float:
-    """Log2 of a coarseness that should take a measure from `value` to within its interval."""
-    aim = (1 - _AIM) * low + _AIM * high
-    reach = math.log2(max(aim, _LEAST) / max(value, _LEAST)) / slope
-    return min(max(octaves + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)
+#: Colours are refitted again if the coarseness changes by more than this, log2.
+_RECOLOUR_AGAIN = 0.05
+_MOST_RECOLOURINGS = 5
 
 
 class _Met(Exception):
@@ -105,3 +102,33 @@ def _bracket(
         further = abs(_BEYOND * value / line) if line * slope > 0 else math.inf
         further = min(max(further, _LEAST_STEP), abs(reach))
         before, reach = octaves, reach + math.copysign(further, reach)
+
+
+def search_recoloured(
+    recolour: Callable[[float], None],
+    measure: Callable[[float], float],
+    interval: tuple[float, float],
+    start: float,
+    slope: float,
+) -> float | None:
+    """`search`, with colours refitted for about the steps that are found."""
+    octaves = start
+    for _ in range(_MOST_RECOLOURINGS):
+        recolour(octaves)
+        value = measure(octaves)
+        if interval[0] <= value <= interval[1]:
+            return octaves
+        following = _expected(value, *interval, octaves, slope)
+        if following == octaves:
+            return None
+        moved, octaves = abs(following - octaves), following
+        if moved <= _RECOLOUR_AGAIN:
+            break
+    return search(measure, *interval, octaves, slope)
+
+
+def _expected(value: float, low: float, high: float, octaves: float, slope: float) -> float:
+    """Log2 of a coarseness that should take a measure from `value` to within its interval."""
+    aim = (1 - _AIM) * low + _AIM * high
+    reach = math.log2(max(aim, _LEAST) / max(value, _LEAST)) / slope
+    return min(max(octaves + min(max(reach, -_FARTHEST), _FARTHEST), FINEST), COARSEST)

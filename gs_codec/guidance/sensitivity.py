@@ -29,11 +29,11 @@ from gs_codec.rendering.project import (
     FACTOR_XY,
     FACTOR_YY,
     LOW_PASS,
-    before_camera,
     camera_arguments,
     clamped_slopes,
     covariance,
     quaternion_turn,
+    rotated,
 )
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
@@ -129,7 +129,7 @@ def _to_attributes(
     for splat in range(len(gaussians)):
         i = gaussians[splat]
         field, total, row = fields[splat], sums[splat], found[splat]
-        x, y, z = before_camera(
+        x, y, z = rotated(
             rotation,
             positions[0, i] - position[0],
             positions[1, i] - position[1],
@@ -142,7 +142,7 @@ def _to_attributes(
         _, turn = quaternion_turn(rot, i)
         for k in range(3):
             scale = math.exp(np.float64(log_scale[k, i]))
-            qx, qy, qz = before_camera(rotation, turn[0][k], turn[1][k], turn[2][k])
+            qx, qy, qz = rotated(rotation, turn[0][k], turn[1][k], turn[2][k])
             units[k, 0] = fx / z * (qx - x * qz)
             units[k, 1] = fy / z * (qy - y * qz)
             axes[k, 0], axes[k, 1] = scale * units[k, 0], scale * units[k, 1]

@@ -159,7 +159,7 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _optimise(scene: Scene, context: _Context) -> _Outcome:
-    plan, references = context.plan, context.views.wanted
+    plan, references = context.plan, context.views.references
     fitted, details = optimise(
         scene, references, plan.steps.refine, plan.checkpoint, context.progress
     )

@@ -167,7 +167,7 @@ def prune_leave_one_out(
     least = scene.count - wanted if wanted or max_drop is None else 1
     kept = np.arange(scene.count)
     rounds: list[dict[str, Any]] = []
-    references = views.wanted
+    references = views.references
     before = references.errors(scene, progress) if max_drop is not None else np.zeros(1)
     while len(kept) > least:
         current = scene.take(kept)

@@ -110,7 +110,7 @@ class ViewSplit(NamedTuple):
     held_out: ReferenceViews
 
     @property
-    def wanted(self) -> ReferenceViews:
+    def references(self) -> ReferenceViews:
         """The images to match: photographs if there are any, else renders."""
         return self.photographs or self.renders
 

@@ -20,10 +20,10 @@ from gs_codec.rendering.project import (
     LOW_PASS,
     RED,
     TILE,
-    before_camera,
     clamped_slopes,
     covariance,
     quaternion_turn,
+    rotated,
 )
 from gs_codec.rendering.trace import MAX_ALPHA, tile_bounds, tile_buffers, trace_splat
 from gs_codec.runtime.kernels import inlined, kernel
@@ -110,6 +110,7 @@ def differentiate_gaussians(
     `differentiate_tiles`.
     """
     fx, fy, cx, cy = intrinsics
+    to_world = rotation.T
     basis, weights = np.zeros(15), np.zeros(15)
     turned, axes, by_axes = np.empty((3, 3)), np.empty((3, 2)), np.empty((3, 2))
     by_turn = np.empty((3, 3))
@@ -121,14 +122,14 @@ def differentiate_gaussians(
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
         _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j)
-        x, y, z = before_camera(rotation, dx, dy, dz)
+        x, y, z = rotated(rotation, dx, dy, dz)
         x /= z
         y /= z
         near_x, near_y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
         quaternion, turn = quaternion_turn(rot, i)
         for k in range(3):
             scale = math.exp(np.float64(log_scale[k, i])) / z
-            qx, qy, qz = before_camera(rotation, turn[0][k], turn[1][k], turn[2][k])
+            qx, qy, qz = rotated(rotation, turn[0][k], turn[1][k], turn[2][k])
             turned[k, 0], turned[k, 1], turned[k, 2] = fx * scale, fy * scale, qz
             axes[k, 0] = fx * scale * (qx - near_x * qz)
             axes[k, 1] = fy * scale * (qy - near_y * qz)
@@ -145,9 +146,9 @@ def differentiate_gaussians(
             if near_y == y:
                 by_y -= turned[k, 2] * by_qy
             by_qz = -near_x * by_qx - near_y * by_qy
-            by_turn[k, 0], by_turn[k, 1], by_turn[k, 2] = _to_world(rotation, by_qx, by_qy, by_qz)
+            by_turn[k, 0], by_turn[k, 1], by_turn[k, 2] = rotated(to_world, by_qx, by_qy, by_qz)
         by_z -= (x * by_x + y * by_y) / z
-        world_x, world_y, world_z = _to_world(rotation, by_x / z, by_y / z, by_z)
+        world_x, world_y, world_z = rotated(to_world, by_x / z, by_y / z, by_z)
         slopes[0, j] += world_x
         slopes[1, j] += world_y
         slopes[2, j] += world_z
@@ -204,16 +205,6 @@ def _differentiate_conic(axes, total, antialiased, by_axes):
         by_axes[k, 1] = 2.0 * axes[k, 1] * by_yy + axes[k, 0] * by_xy
     x, y = total[MOMENT_X], total[MOMENT_Y]
     return a * x + b * y, b * x + c * y
-
-
-@inlined
-def _to_world(rotation, x, y, z):
-    """Transform a covector from the camera's axes to the world's."""
-    return (
-        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
-        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
-        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
-    )
 
 
 @inlined

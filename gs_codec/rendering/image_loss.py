@@ -32,18 +32,18 @@ def differentiate_loss(
     3DGS trainer what lies outside an image is 0.
     """
     height, width, _ = colour.shape
-    image, goal = colour.reshape(height, -1), target.reshape(height, -1)
+    image, target = colour.reshape(height, -1), target.reshape(height, -1)
     by_image = np.empty_like(image)
     errors = np.empty(height)
     # Rows outside the image stay 0.
     means = np.zeros((5, height + 2 * _HALF, 3 * width))
     slopes = np.zeros((3, height + 2 * _HALF, 3 * width))
     bands = [(y, min(y + _BAND, height)) for y in range(0, height, _BAND)]
-    run_all(lambda band: _blur_across(image, goal, *band, means), bands)
+    run_all(lambda band: _blur_across(image, target, *band, means), bands)
     run_all(lambda band: _compare_windows(means, -_SSIM / image.size, *band, slopes), bands)
     factor = _ABSOLUTE / image.size
     run_all(
-        lambda band: _differentiate(image, goal, slopes, factor, *band, by_image, errors), bands
+        lambda band: _differentiate(image, target, slopes, factor, *band, by_image, errors), bands
     )
     return by_image.reshape(colour.shape), float(errors.sum() / image.size)
 
@@ -83,13 +83,13 @@ def _blur_column(plane, y, out):
 
 
 @kernel
-def _blur_across(image, goal, first, end, means):
+def _blur_across(image, target, first, end, means):
     """Windowed row sums of x, t, x^2, t^2 and x t, for rows `first` to `end`."""
     size = image.shape[1]
     padded = np.zeros((5, size + 30))
     for y in range(first, end):
         for j in range(size):
-            x, t = image[y, j], np.float64(goal[y, j])
+            x, t = image[y, j], np.float64(target[y, j])
             padded[0, 15 + j] = x
             padded[1, 15 + j] = t
             padded[2, 15 + j] = x * x
@@ -129,7 +129,7 @@ def _compare_windows(means, factor, first, end, slopes):
 
 
 @kernel
-def _differentiate(image, goal, slopes, factor, first, end, by_image, errors):
+def _differentiate(image, target, slopes, factor, first, end, by_image, errors):
     size = image.shape[1]
     window = np.empty((3, size))
     for y in range(first, end):
@@ -137,7 +137,7 @@ def _differentiate(image, goal, slopes, factor, first, end, by_image, errors):
             _blur_column(slopes[k], y, window[k])
         squared = 0.0
         for j in range(size):
-            x, t = image[y, j], np.float64(goal[y, j])
+            x, t = image[y, j], np.float64(target[y, j])
             error = x - t
             squared += error * error
             by_image[y, j] = (

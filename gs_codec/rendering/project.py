@@ -90,7 +90,7 @@ def _project(
         dx = positions[0, i] - position[0]
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
-        x, y, z = before_camera(rotation, dx, dy, dz)
+        x, y, z = rotated(rotation, dx, dy, dz)
         if not NEAR < z < np.inf or not _are_finite(opacity, log_scale, i):
             continue
         alpha = 1.0 / (1.0 + math.exp(-np.float64(opacity[0, i])))
@@ -160,7 +160,7 @@ def _screen_axes(
     _, turn = quaternion_turn(rot, i)
     for axis in range(3):
         scale = math.exp(np.float64(log_scale[axis, i])) / z
-        qx, qy, qz = before_camera(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
+        qx, qy, qz = rotated(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
         axes[axis, 0] = fx * scale * (qx - x * qz)
         axes[axis, 1] = fy * scale * (qy - y * qz)
 
@@ -198,8 +198,8 @@ def quaternion_turn(rot, i):
 
 
 @inlined
-def before_camera(rotation, x, y, z):
-    """Transform a direction from the world's axes to the camera's."""
+def rotated(rotation, x, y, z):
+    """Turn a vector from the world's axes to the camera's."""
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
         rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,

@@ -27,7 +27,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.ply import vertex_rows, write_ply
-from gs_codec.guidance import allocate
+from gs_codec.guidance import trials
 from gs_codec.guidance.allocate import encode_to_target
 from gs_codec.guidance.search import COARSEST, FINEST, search
 from gs_codec.metrics.views import compare_views
@@ -158,7 +158,7 @@ def test_sizes_are_met_from_below(scene, target, profile, guided, monkeypatch):
     ply_bytes = vertex_rows(scene).nbytes
     guidance = told(scene, made_up_sensitivity(scene, seed=3))
     guidance.compact = guidance.recolour = unchanged
-    monkeypatch.setattr(allocate, "guide", lambda *_: guidance)
+    monkeypatch.setattr(trials, "guide", lambda *_: guidance)
     plan = Plan(Steps(), cameras(1)) if guided else None
     data, report = to_target(scene, Config(profile), target, ply_bytes, plan)
     limit = target.limit(scene.count, ply_bytes)
@@ -323,7 +323,7 @@ def test_pruning_reaches_what_steps_do_not(crowded):
     counted = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            allocate, "encode_scene", lambda *a, **k: counted.append(1) or encode_scene(*a, **k)
+            trials, "encode_scene", lambda *a, **k: counted.append(1) or encode_scene(*a, **k)
         )
         data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
     assert 8 * len(data) <= 14 * scene.count

@@ -114,6 +114,7 @@ def encode_colour(
     red, green, blue = colours.astype(np.int64)
     source = np.stack([green, red - green, blue - green])
     source[1:] *= np.array([[depths[0] > 0], [depths[2] > 0]])
+    cells = np.ascontiguousarray(cells)  # of one layout, or the kernel would be compiled for others
 
     def model(state: NDArray, data: NDArray) -> None:
         values = source.copy()

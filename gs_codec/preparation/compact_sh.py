@@ -82,7 +82,7 @@ def compact_sh(
     """
     if weights is None:
         weights = squared_weights(scene, cameras, progress)
-    least = np.broadcast_to(np.asarray(smallest, np.float32), scene.count)
+    least = np.full(scene.count, smallest, np.float32)
     before = coefficients_of(scene)
     after = before.copy()
     unseen = unsolved = 0

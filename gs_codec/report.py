@@ -124,6 +124,11 @@ class EncodeReport:
         Wall time of each stage.
     rate : RateReport, optional
         How the target was met, if one was given.
+    input_bytes : int
+        Size of the file that was encoded; 0 if the scene was in memory.
+    ratio : float
+        Compression ratio against that file, or against its floats if it is compressed; 0 if the
+        scene was in memory.
     """
 
     count: int
@@ -135,6 +140,8 @@ class EncodeReport:
     dropped: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     rate: RateReport | None = None
+    input_bytes: int = 0
+    ratio: float = 0.0
 
     @property
     def file_bytes(self) -> int:

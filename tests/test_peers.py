@@ -128,7 +128,7 @@ def test_splat_transform_is_found(tmp_path, monkeypatch):
             monkeypatch.setenv("PATH", str(tmp_path / "path"))
         if folder == "variable":
             monkeypatch.setenv(VARIABLE, expected)
-        assert splat_transform.SplatTransform.find().path == expected
+        assert splat_transform.find_program()[0] == expected
         assert len(splat_transform_peers()) == 3
 
 

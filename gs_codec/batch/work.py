@@ -56,7 +56,6 @@ def _encode(
     warnings: list[str],
 ) -> Record:
     from gs_codec.files.coding import encode_file
-    from gs_codec.formats.registry import open_scene
 
     sources, targets = storage_of(task.source.base), storage_of(task.target.base)
     if task.name.lower().endswith(".json"):
@@ -79,8 +78,6 @@ def _encode(
             file, output, options.config, options.plan, options.rate, progress=progress,
             max_memory=options.max_memory, max_bytes=limit,
         )  # fmt: skip
-    with open_scene(file) as opened:
-        counted = opened.ratio_bytes(report.raw_bytes)
     after = sources.stamp(task.source)
     if before is None or before != after:
         # The bytes that were read may be a mix of the old and the new scene.
@@ -100,7 +97,7 @@ def _encode(
         output_bytes=written[1],
         output_sha256=written[0],
         gaussians=report.count,
-        ratio=counted / written[1],
+        ratio=report.ratio,
         bits_per_gaussian=8 * written[1] / max(report.count, 1),
         seconds=times.seconds,
         changed={name: getattr(report, name) for name in names if getattr(report, name)},

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from gs_codec.config import Extra
 from gs_codec.formats.ply import read_ply
 from gs_codec.metrics.views import fitted
 from gs_codec.preparation.reference_views import photographed
@@ -68,7 +69,7 @@ def open_scene(
     cameras: str | None,
     truth: Path | None,
     width: int | None,
-    extra: Literal["error", "keep", "drop"] = "error",
+    extra: Extra = "error",
     tile: int | None = None,
 ) -> MeasuredScene:
     """Read a PLY, tiled to `tile` Gaussians if given, and split the views of `cameras`.

@@ -42,7 +42,6 @@ def command(
     """Encode a scene to an .egs file."""
     plan, config, rate = plan_of(asked), config_of(asked), target_of(asked)
     from gs_codec.files.coding import encode_file
-    from gs_codec.formats.registry import open_scene
 
     with piped(source, target, ".egs") as (file, out):
         with progress_bar() as progress:
@@ -51,16 +50,14 @@ def command(
                 max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
             )  # fmt: skip
         _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
-        with open_scene(file) as opened:
-            size, ratio = opened.stored_bytes, opened.ratio_bytes(done.raw_bytes) / done.file_bytes
         if asked["json"]:
             print_json(
                 {"input": str(source), "output": str(target), "profile": config.profile}
                 | asdict(done)
-                | {"input_bytes": size, "file_bytes": done.file_bytes}
+                | {"file_bytes": done.file_bytes}
             )
         else:
-            _print_report(size, ratio, target, done)
+            _print_report(target, done)
 
 
 def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
@@ -72,9 +69,10 @@ def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
         print_status(f"values beyond 400, moved to 400: {report.rectified:,}")
 
 
-def _print_report(size: int, ratio: float, target: Path, report: EncodeReport) -> None:
+def _print_report(target: Path, report: EncodeReport) -> None:
+    sizes = smaller(report.input_bytes, report.file_bytes, report.ratio)
     print_text(
-        f"{target}: {report.count:,} Gaussians, {smaller(size, report.file_bytes, ratio)}, "
+        f"{target}: {report.count:,} Gaussians, {sizes}, "
         f"{8 * report.file_bytes / max(report.count, 1):.1f} bits per Gaussian, "
         f"{sum(report.seconds.values()):.2f} s"
     )

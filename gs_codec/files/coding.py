@@ -114,21 +114,22 @@ def encode_file(
     times = StageTimes()
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            scene, size = _read_source(source, config.extra, max_bytes)
+            scene, input_bytes, counted = _read_source(source, config.extra, max_bytes)
         with located(source):
             if plan is None and rate is None:
                 parts, report = encode_parts(scene, config, progress)
             else:
-                data, report = encode_by_plan(scene, size, config, plan, rate, progress)
+                data, report = encode_by_plan(scene, counted, config, plan, rate, progress)
                 parts = [data]
         times.seconds |= report.seconds
         with times.stage("write"), atomic_writer(target) as file:
             file.writelines(parts)
-    return replace(report, seconds=times.seconds)
+    ratio = counted / report.file_bytes
+    return replace(report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio)
 
 
-def _read_source(source: str | Path, extra: Extra, max_bytes: int | None) -> tuple[Scene, int]:
-    """The scene of a file, and the bytes that a ratio counts from: of a PLY, or of its floats."""
+def _read_source(source: str | Path, extra: Extra, max_bytes: int | None) -> tuple[Scene, int, int]:
+    """The scene of a file, its size, and the bytes that a ratio counts from."""
     with open_scene(source) as file:
         if current().limit is not None and not file.is_read_in_parts:
             raise InvalidInput(
@@ -137,7 +138,7 @@ def _read_source(source: str | Path, extra: Extra, max_bytes: int | None) -> tup
         # Bits of a PLY or .egs stay as they are, and the comment that names another system.
         stays = file.format in ("egs", "ply")
         scene = scene_in(file, extra, None, None if stays else CONVENTION, max_bytes)
-        return scene, file.ratio_bytes(scene.float_bytes)
+        return scene, file.stored_bytes, file.ratio_bytes(scene.float_bytes)
 
 
 def decode_file(

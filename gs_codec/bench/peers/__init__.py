@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from gs_codec.bench.peers.exact import columns_peer, zstd_peer
-from gs_codec.bench.peers.peer import AbsentPeer, Extra, Peer
+from gs_codec.bench.peers.peer import AbsentPeer, Peer
 from gs_codec.bench.peers.splat_transform import splat_transform_peers
 from gs_codec.bench.peers.spz import spz_peer
+from gs_codec.config import Extra
 
 __all__ = ["AbsentPeer", "Peer", "find_peers"]
 

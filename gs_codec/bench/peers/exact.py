@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zstandard
 
-from gs_codec.bench.peers.peer import (
-    Extra,
-    Peer,
-    scene_columns,
-    scene_of_columns,
-    scene_of_ply,
-    version_of,
-)
+from gs_codec.bench.peers.peer import Peer, scene_of_ply, version_of
+from gs_codec.config import Extra
 from gs_codec.formats.ply import read_ply, vertex_rows
 from gs_codec.runtime.threads import available_threads, run_all
-from gs_codec.scene import Scene
+from gs_codec.scene import GROUPS, Scene, channel_count, group_rows
 
 #: A second for 50 MB; level 19 takes 15 to 30 times as long for files up to 13 % smaller.
 LEVEL = 9
@@ -32,7 +27,7 @@ def columns_peer(extra: Extra, threads: int | None = None) -> Peer:
 
     def encode(ply: Path) -> bytes:
         scene = read_ply(ply, extra)
-        columns = scene_columns(scene)
+        columns = [column for group in GROUPS for column in getattr(scene, group)]
         parts = run_all(lambda column: standalone.simple_compress(column, config), columns, threads)
         sizes = struct.pack(f"<{2 + len(parts)}I", len(parts), scene.count, *map(len, parts))
         return sizes + b"".join(parts)
@@ -47,7 +42,10 @@ def columns_peer(extra: Extra, threads: int | None = None) -> Peer:
             standalone.simple_decompress_into(part, planes[row])
 
         run_all(unpack, range(number if count else 0), threads)
-        scene = scene_of_columns(planes)
+        rows = group_rows((number - channel_count(0)) // 3)
+        ends = np.cumsum([rows[group] for group in GROUPS])
+        groups: dict[str, Any] = dict(zip(GROUPS, np.split(planes, ends[:-1]), strict=True))
+        scene = Scene(**groups)
         vertex_rows(scene)
         return scene
 

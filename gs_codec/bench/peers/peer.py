@@ -7,15 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from gs_codec.config import Extra
 from gs_codec.formats.ply import read_ply
-from gs_codec.scene import GROUPS, Scene, group_rows
-
-Extra = Literal["error", "keep", "drop"]
+from gs_codec.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -71,17 +67,3 @@ def scene_of_ply(data: bytes, extra: Extra) -> Scene:
         path = Path(folder, "decoded.ply")
         path.write_bytes(data)
         return read_ply(path, extra)
-
-
-def scene_columns(scene: Scene) -> list[NDArray[np.float32]]:
-    """The columns of a scene, in the order of its groups."""
-    return [column for group in GROUPS for column in getattr(scene, group)]
-
-
-def scene_of_columns(planes: NDArray[np.float32]) -> Scene:
-    """The inverse of `scene_columns`, of planes ``(columns, N)``."""
-    rows = group_rows(0)
-    rows["f_rest"] = len(planes) - sum(rows.values())
-    parts = np.split(planes, np.cumsum([rows[group] for group in GROUPS])[:-1])
-    groups: dict[str, Any] = dict(zip(GROUPS, parts, strict=True))
-    return Scene(**groups)

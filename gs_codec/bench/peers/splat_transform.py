@@ -10,7 +10,7 @@ import os
 import shutil
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,83 +40,59 @@ SECONDS = 120.0
 _MOST_BYTES = 1 << 36
 
 
-@dataclass(frozen=True)
-class SplatTransform:
-    """A program that was found, and its version line.
+def find_program() -> tuple[str, str]:
+    """Path and version of what the environment variable names, PATH or this environment has.
 
-    Parameters
-    ----------
-    path : str
-    version : str
-    threads : int or None
-        Of its workers; as many as it likes if None.
-    limits : Limits
+    Raises
+    ------
+    MissingTool
+        If there is no such program, or it is another one.
     """
-
-    path: str
-    version: str
-    threads: int | None = None
-    limits: Limits = field(default_factory=lambda: Limits(SECONDS, 3600, None))
-
-    @classmethod
-    def find(cls, threads: int | None = None) -> SplatTransform:
-        """The program that the environment variable names, of PATH, or of this environment.
-
-        Raises
-        ------
-        MissingTool
-            If there is none, or it is another program.
-        """
-        given = os.environ.get(VARIABLE)
-        found = shutil.which(given or _NAME)
-        if found is None and not given:
-            found = shutil.which(_NAME, path=os.path.join(sys.prefix, _FOLDER))
-        if found is None:
-            which = f"{_NAME}: not installed" if not given else f"{given}: no such program"
-            raise MissingTool(f"{which} ({_HOW})")
-        found = os.path.abspath(found)
-        program = cls(found, "", threads)
-        try:
-            line = first_line([found, "--version"], program.limits)
-        except (OSError, ToolFailed) as error:
-            raise MissingTool(f"{found}: cannot be run, {one_line(error)} ({_HOW})") from error
-        if not line.startswith(_NAME):
-            raise MissingTool(f"{found}: not {_NAME}, it says '{line[:80]}' ({_HOW})")
-        return replace(program, version=line.removeprefix(_NAME).strip())
-
-    def convert(self, source: str, inputs: Mapping[str, bytes], target: str) -> bytes:
-        """The bytes of the file that it makes of another, which is one of `inputs` or a path.
-
-        Raises
-        ------
-        ToolFailed
-            If it fails, or does not end in its time.
-        """
-        command = [self.path, "--quiet", "--gpu", "cpu"]
-        if self.threads is not None:
-            command += ["--max-workers", str(self.threads)]
-        return run_on_files([*command, source, target], inputs, target, self.limits, _MOST_BYTES)
+    given = os.environ.get(VARIABLE)
+    found = shutil.which(given or _NAME)
+    if found is None and not given:
+        found = shutil.which(_NAME, path=os.path.join(sys.prefix, _FOLDER))
+    if found is None:
+        which = f"{_NAME}: not installed" if not given else f"{given}: no such program"
+        raise MissingTool(f"{which} ({_HOW})")
+    found = os.path.abspath(found)
+    try:
+        line = first_line([found, "--version"], _limits())
+    except (OSError, ToolFailed) as error:
+        raise MissingTool(f"{found}: cannot be run, {one_line(error)} ({_HOW})") from error
+    if not line.startswith(_NAME):
+        raise MissingTool(f"{found}: not {_NAME}, it says '{line[:80]}' ({_HOW})")
+    return found, line.removeprefix(_NAME).strip()
 
 
 def splat_transform_peers(threads: int | None = None) -> list[Peer | AbsentPeer]:
     """Each format that the program writes, or why there is none."""
     try:
-        program = SplatTransform.find(threads)
+        path, version = find_program()
     except MissingTool as error:
         return [AbsentPeer(_NAME, str(error))]
-    return [_peer(program, label, suffix) for label, suffix in _SUFFIXES.items()]
+    command = [path, "--quiet", "--gpu", "cpu"]
+    if threads is not None:
+        command += ["--max-workers", str(threads)]
+    return [_peer(command, version, label, f"coded{end}") for label, end in _SUFFIXES.items()]
 
 
-def _peer(program: SplatTransform, label: str, suffix: str) -> Peer:
+def _peer(command: list[str], version: str, label: str, coded: str) -> Peer:
+    def convert(source: str, inputs: Mapping[str, bytes], target: str) -> bytes:
+        return run_on_files([*command, source, target], inputs, target, _limits(), _MOST_BYTES)
+
     def encode(ply: Path) -> bytes:
-        return program.convert(str(ply.absolute()), {}, f"coded{suffix}")
+        return convert(str(ply.absolute()), {}, coded)
 
     def decode(data: bytes) -> bytes:
-        return program.convert(f"coded{suffix}", {f"coded{suffix}": data}, "decoded.ply")
+        return convert(coded, {coded: data}, "decoded.ply")
 
-    slow = label == _SLOW
-    name = f"{_NAME}, {label}"
-    return Peer(name, program.version, encode, decode, _read, once=slow, own_process=True)
+    name, slow = f"{_NAME}, {label}", label == _SLOW
+    return Peer(name, version, encode, decode, _read, once=slow, own_process=True)
+
+
+def _limits() -> Limits:
+    return Limits(SECONDS, 3600, None)
 
 
 def _read(ply: bytes) -> Scene:

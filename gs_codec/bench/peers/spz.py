@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.bench.peers.peer import AbsentPeer, Extra, Peer, version_of
+from gs_codec.bench.peers.peer import AbsentPeer, Peer, version_of
+from gs_codec.config import Extra
 from gs_codec.formats.ply import read_ply
 from gs_codec.scene import Scene
 

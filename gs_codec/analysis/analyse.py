@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,6 @@ from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.reference_views import evenly
-from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
@@ -33,39 +30,6 @@ VIEWS = 8
 
 
 @dataclass(frozen=True)
-class Options:
-    """Options of an analysis.
-
-    Parameters
-    ----------
-    cameras : path, "auto", or sequence of Camera, optional
-        As for `find_cameras`; without cameras, sensitivities are not measured.
-    width : int, optional
-        Width of the views, pixels.
-    sample : int
-        Most Gaussians to use for maps and fits, 2 or more. Default 200,000.
-    seed : int
-        Random seed for sample, shuffling and noise, 0 or more. Default 0.
-
-    Raises
-    ------
-    InvalidInput
-        If a value is outside its range.
-    """
-
-    cameras: str | Path | Sequence[Camera] | None = None
-    width: int | None = None
-    sample: int = 200_000
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.sample < 2:
-            raise InvalidInput(f"sample {self.sample}: expected at least 2 Gaussians")
-        if self.seed < 0:
-            raise InvalidInput(f"seed {self.seed}: expected 0 or more")
-
-
-@dataclass(frozen=True)
 class Analysis:
     """Results of analysing a scene.
 
@@ -73,9 +37,9 @@ class Analysis:
     ----------
     name : str
         Name of the scene.
-    count, sh_degree, sampled, seed, bins : int
-        Gaussians, SH degree, Gaussians used for maps and fits, random seed, and bins per channel
-        in maps.
+    count, sh_degree, sampled, dropped, seed, bins : int
+        Gaussians, SH degree, Gaussians used for maps and fits, those with NaN or infinity, random
+        seed, and bins per channel in maps.
     maps : dict of str to Map
         See `maps_of`.
     fits : list of Fit
@@ -86,14 +50,13 @@ class Analysis:
         For each profile, `bits_by_attribute`.
     sensitivity : SensitivityCurves or None
         Only with cameras.
-    notes : tuple of str
-        What was left out, and why.
     """
 
     name: str
     count: int
     sh_degree: int
     sampled: int
+    dropped: int
     seed: int
     bins: int
     maps: dict[str, Map]
@@ -101,7 +64,33 @@ class Analysis:
     entropy: dict[str, dict[str, Any]]
     bits: dict[str, dict[str, float]]
     sensitivity: SensitivityCurves | None
-    notes: tuple[str, ...]
+
+    @property
+    def notes(self) -> list[str]:
+        """What was left out, and why."""
+        notes = []
+        if self.dropped:
+            notes.append(f"{self.dropped:,} Gaussians with NaN or infinity were left out.")
+        if self.sampled < self.count:
+            notes.append(
+                f"Mutual information and histograms use {self.sampled:,} of the {self.count:,} "
+                f"Gaussians, chosen at random (seed {self.seed}); all else uses every Gaussian."
+            )
+        if self.sampled < 1000:
+            notes.append(f"{self.sampled:,} Gaussians are few: the statistics are unreliable.")
+        if not self.sh_degree:
+            notes.append("SH degree 0: there are no SH-AC, so their sections are absent.")
+        elif self.sh_degree < 3:
+            notes.append(f"SH degree {self.sh_degree}: higher bands are absent.")
+        constant = [fit.channel.name for fit in self.fits if not fit.channel.quantiser.depth]
+        if constant:
+            notes.append(
+                f"Constant channels have no histogram; their mutual information is not defined "
+                f"and is given as 0: {', '.join(constant)}."
+            )
+        if self.sensitivity is None:
+            notes.append("No cameras were given (--cameras), so sensitivities were not measured.")
+        return notes
 
     def means(self) -> dict[str, dict[str, float | None]]:
         """Mean information of the channel pairs of each SH-AC map, by kind of pair."""
@@ -139,60 +128,70 @@ class Analysis:
 
 
 def analyse_scene(
-    scene: Scene, name: str, options: Options | None = None, progress: Progress | None = None
+    scene: Scene,
+    name: str,
+    cameras: str | None = None,
+    width: int | None = None,
+    sample: int = 200_000,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> Analysis:
     """Analyse a scene; Gaussians with NaN or infinity are left out, and a note says so.
 
-    Maps and fits use a sample of the Gaussians; entropies, bits and views use all of them.
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+    cameras : str, optional
+        As for `find_cameras`; without cameras, sensitivities are not measured.
+    width : int, optional
+        Width of the views, pixels.
+    sample : int
+        Most Gaussians to use for maps and fits; entropies, bits and views use all of them.
+    seed : int
+        Random seed for sample, shuffling and noise.
+    progress : callable, optional
 
     Raises
     ------
     InvalidInput
         If there is no Gaussian, or no camera.
     """
-    options = options or Options()
     scene, dropped = drop_nonfinite(scene, Config(nonfinite="drop"))
     if not scene.count:
         left = f"all {dropped:,} hold NaN or infinity" if dropped else "0"
         raise InvalidInput(f"{name}: Gaussians: {left}, expected at least 1 to analyse")
-    cameras = _cameras(scene, options)
-    sample = _sample(scene, options)
-    bins = bin_count(sample.count)
-    maps = maps_of(sample, bins, options.seed, progress)
+    views = []
+    if cameras is not None:
+        views = evenly(find_cameras(cameras, scene, "held-out", width, VIEWS), VIEWS)
+    chosen = _sample(scene, sample, seed)
+    bins = bin_count(chosen.count)
+    maps = maps_of(chosen, bins, seed, progress)
     config = Config(REFERENCE)
-    fits = fits_of(sample, config, progress)
+    fits = fits_of(chosen, config, progress)
     entropy, bits = _encode(scene, progress)
-    sensitivity = None
-    if cameras:
-        sensitivity = measure_sensitivity(scene, cameras, config, options.seed, progress)
+    sensitivity = measure_sensitivity(scene, views, config, seed, progress) if views else None
     return Analysis(
         name=name,
         count=scene.count,
         sh_degree=scene.sh_degree,
-        sampled=sample.count,
-        seed=options.seed,
+        sampled=chosen.count,
+        dropped=dropped,
+        seed=seed,
         bins=bins,
         maps=maps,
         fits=fits,
         entropy=entropy,
         bits=bits,
         sensitivity=sensitivity,
-        notes=_notes(scene, dropped, sample, fits, options),
     )
 
 
-def _cameras(scene: Scene, options: Options) -> list[Camera]:
-    if options.cameras is None:
-        return []
-    found = find_cameras(options.cameras, scene, "held-out", options.width, VIEWS)
-    return evenly(found, VIEWS)
-
-
-def _sample(scene: Scene, options: Options) -> Scene:
-    if scene.count <= options.sample:
+def _sample(scene: Scene, count: int, seed: int) -> Scene:
+    if scene.count <= count:
         return scene
-    rng = np.random.default_rng(options.seed)
-    return scene.take(np.sort(rng.choice(scene.count, options.sample, replace=False)))
+    rng = np.random.default_rng(seed)
+    return scene.take(np.sort(rng.choice(scene.count, count, replace=False)))
 
 
 def _encode(
@@ -212,32 +211,3 @@ def _encode(
             entropy[profile] = {"depths": depths, "groups": entropy_by_group(report)}
         advance()
     return entropy, bits
-
-
-def _notes(
-    scene: Scene, dropped: int, sample: Scene, fits: list[Fit], options: Options
-) -> tuple[str, ...]:
-    """Notes that a reader of the numbers should know."""
-    notes = []
-    if dropped:
-        notes.append(f"{dropped:,} Gaussians with NaN or infinity were left out.")
-    if sample.count < scene.count:
-        notes.append(
-            f"Mutual information and histograms use {sample.count:,} of the {scene.count:,} "
-            f"Gaussians, chosen at random (seed {options.seed}); all else uses every Gaussian."
-        )
-    if sample.count < 1000:
-        notes.append(f"{sample.count:,} Gaussians are few: the statistics are unreliable.")
-    if not scene.sh_degree:
-        notes.append("SH degree 0: there are no SH-AC, so their sections are absent.")
-    elif scene.sh_degree < 3:
-        notes.append(f"SH degree {scene.sh_degree}: higher bands are absent.")
-    constant = [fit.channel.name for fit in fits if not fit.channel.quantiser.depth]
-    if constant:
-        notes.append(
-            f"Constant channels have no histogram; their mutual information is not defined and "
-            f"is given as 0: {', '.join(constant)}."
-        )
-    if options.cameras is None:
-        notes.append("No cameras were given (--cameras), so sensitivities were not measured.")
-    return tuple(notes)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gs_codec.analysis.analyse import Analysis, Options, analyse_scene
+from gs_codec.analysis.analyse import Analysis, analyse_scene
 from gs_codec.analysis.plots import (
     new_figure,
     plot_across_colours,
@@ -31,11 +31,14 @@ if TYPE_CHECKING:
 def analyse_file(
     source: str | Path,
     folder: str | Path,
-    options: Options | None = None,
-    progress: Progress | None = None,
+    *,
     max_bytes: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
 ) -> dict[str, Any]:
     """Analyse the scene of a file, and write ``report.html``, its pictures and ``report.json``.
+
+    `options` are those of `analyse_scene`.
 
     Returns
     -------
@@ -55,7 +58,7 @@ def analyse_file(
     there = next(path for path in (target, *target.absolute().parents) if path.exists())
     check_writable(there / "report.html")
     scene = read_scene(source, "drop", max_bytes=max_bytes)
-    analysis = analyse_scene(scene, str(source), options, progress)
+    analysis = analyse_scene(scene, str(source), progress=progress, **options)
     pictures = draw_pictures(analysis, progress)
     content = analysis.as_dict() | {"pictures": list(pictures)}
     files = pictures | {

@@ -31,19 +31,24 @@ def command(
         str | None,
         typer.Option(metavar="C", help=f"Measure what views lose by errors too: {CAMERAS}"),
     ] = None,
-    sample: Annotated[int, typer.Option(help="Most Gaussians that statistics go by.")] = 200_000,
-    seed: Annotated[int, typer.Option(help="Of the sample, of shuffling, and of noise.")] = 0,
+    sample: Annotated[
+        int, typer.Option(help="Most Gaussians that statistics go by.", min=2)
+    ] = 200_000,
+    seed: Annotated[
+        int, typer.Option(help="Of the sample, of shuffling, and of noise.", min=0)
+    ] = 0,
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
     if cameras is None:
         asked.refuse(["width"], "needs --cameras")
     check_folder(out, asked["overwrite"])
-    from gs_codec.analysis.analyse import Options
     from gs_codec.analysis.save import analyse_file
 
-    options = Options(cameras, asked["width"], sample, seed)
     with progress_bar() as progress:
-        content = analyse_file(source, out, options, progress, asked["max_bytes"])
+        content = analyse_file(
+            source, out, max_bytes=asked["max_bytes"], progress=progress,
+            cameras=cameras, width=asked["width"], sample=sample, seed=seed,
+        )  # fmt: skip
     for note in content["notes"]:
         print_status(note)
     if asked["json"]:

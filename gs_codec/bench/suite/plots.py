@@ -31,8 +31,11 @@ _CURVES = {
 _COLOURS = ("#12858a", "#a3468f", "#8a6d00", "#b3203a", "#5a4fb0", "#3d7a1f")
 _MARKS = ("*", "P", "X", "v", "D", "<", ">")
 
-_AXES = {"spines.top": False, "spines.right": False, "axisbelow": True, "grid": True}
-STYLE: dict[Any, Any] = {f"axes.{name}": value for name, value in _AXES.items()} | {
+STYLE: dict[Any, Any] = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
     "font.size": 9.5,
     "grid.color": "#e2e2e2",
     "legend.frameon": False,
@@ -69,18 +72,17 @@ def plot_time(results: Results, scene: str) -> Figure:
     figure = new_figure(12, 4.8)
     axes = figure.subplots(1, 2, sharey=True)
     for axis, way in zip(axes, ("encode", "decode"), strict=True):
-        seconds = {line["codec"]: line[f"{way}_seconds"] for line in lines}
 
-        def median(line: Line, seconds: dict[str, Any] = seconds) -> float:
-            return seconds[line["codec"]]["median"]
+        def median(line: Line, way: str = way) -> float:
+            return line[f"{way}_seconds"]["median"]
 
         for curve in _CURVES:
             _draw_profiles(axis, _profiles(lines, curve), curve, median, quality, ls="")
         _draw_others(axis, lines, median, quality)
         for line in lines:
             if (value := quality(line)) is not None:
-                known = seconds[line["codec"]]
-                axis.plot([known["min"], known["max"]], [value] * 2, color="#999999", zorder=1)
+                ends = [line[f"{way}_seconds"][end] for end in ("min", "max")]
+                axis.plot(ends, [value] * 2, color="#999999", zorder=1)
         axis.set_xlabel(f"seconds to {way}")
         _make_logarithmic(axis, "x")
     _dress_quality(axes[0], quality)
@@ -105,11 +107,8 @@ def plot_scaling(results: Results) -> Figure:
     lines = sorted(results.of("scaling"), key=lambda line: line["gaussians"])
     figure = new_figure(11, 4.4)
     times, memory = figure.subplots(1, 2)
-    for profile, colour in zip(
-        dict.fromkeys(line["profile"] for line in lines),
-        cycle(("#0a6ebd", "#5b5b5b")),
-        strict=False,
-    ):
+    profiles = dict.fromkeys(line["profile"] for line in lines)
+    for profile, colour in zip(profiles, cycle(("#0a6ebd", "#5b5b5b")), strict=False):
         here = [line for line in lines if line["profile"] == profile]
         counts = [line["gaussians"] for line in here]
         for way, style in (("encode", "o-"), ("decode", "v--")):

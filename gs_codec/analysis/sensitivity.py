@@ -106,17 +106,8 @@ def measure_sensitivity(
     """Add noise to one attribute at a time, render, and compare with the unchanged scene.
 
     The noise is uniform, like the error of a quantiser, and independent for each value. Relative
-    to the channel's standard deviation it is equal in all channels of an attribute.
-
-    Parameters
-    ----------
-    scene : Scene
-        All values must be finite.
-    cameras : sequence of Camera
-    config : Config
-        A paper profile, whose quantisation errors are marked on the curves.
-    seed : int
-    progress : callable, optional
+    to the channel's standard deviation it is equal in all channels of an attribute. All values of
+    the scene must be finite; `config` is a paper profile, whose errors are marked on the curves.
     """
     groups = [group for group in ATTRIBUTES if len(getattr(scene, group))]
     advance = step_counter(progress, "sensitivity", len(groups) * len(LEVELS))

@@ -33,16 +33,9 @@ sys.exit(status != 0)
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process took, its start included.
+    """What a process took, its start included: seconds by the clock, and of processors.
 
-    Attributes
-    ----------
-    seconds : float
-        By the clock.
-    cpu_seconds : float
-        Of processors.
-    peak_bytes : int
-        The largest resident size (Linux), mapped files included.
+    `peak_bytes` is its largest resident size (Linux), mapped files included.
     """
 
     seconds: float

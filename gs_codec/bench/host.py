@@ -30,7 +30,7 @@ def machine() -> dict[str, Any]:
         "threads": available_threads(),
         "system": platform.platform(),
         "commit": commit(),
-        "packages": package_versions(),
+        "packages": {name: found for name in _PACKAGES if (found := version_of(name))},
     }
 
 
@@ -55,10 +55,9 @@ def commit() -> str | None:
     return None
 
 
-def package_versions() -> dict[str, str]:
-    """Versions of those packages that are installed."""
-    found = {}
-    for package in _PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+def version_of(package: str) -> str | None:
+    """Version of a package; None if it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import zstandard
 
-from gs_codec.bench.peers.peer import Peer, scene_of_ply, version_of
+from gs_codec.bench.host import version_of
+from gs_codec.bench.peers.peer import Peer, scene_of_ply
 from gs_codec.config import Extra
 from gs_codec.formats.ply import read_ply, vertex_rows
 from gs_codec.runtime.threads import available_threads, run_all
@@ -49,7 +50,9 @@ def columns_peer(extra: Extra, threads: int | None = None) -> Peer:
         vertex_rows(scene)
         return scene
 
-    return Peer("pcodec, columns", version_of("pcodec"), encode, decode, lambda scene: scene)
+    return Peer(
+        "pcodec, columns", version_of("pcodec") or "unknown", encode, decode, lambda scene: scene
+    )
 
 
 def zstd_peer(extra: Extra, threads: int | None = None) -> Peer:

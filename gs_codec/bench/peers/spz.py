@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.bench.peers.peer import AbsentPeer, Peer, version_of
+from gs_codec.bench.host import version_of
+from gs_codec.bench.peers.peer import AbsentPeer, Peer
 from gs_codec.config import Extra
 from gs_codec.formats.ply import read_ply
 from gs_codec.scene import Scene
@@ -43,7 +44,7 @@ def spz_peer(extra: Extra, module: str = "spz") -> Peer | AbsentPeer:
         return {"antialiased": cloud.antialiased} | {name: getattr(cloud, name) for name in names}
 
     name = f"spz v{pack.version}"
-    return Peer(name, version_of("spz"), encode, decode, _from_cloud)
+    return Peer(name, version_of("spz") or "unknown", encode, decode, _from_cloud)
 
 
 def _to_cloud(cloud: Any, scene: Scene) -> Any:

@@ -24,16 +24,8 @@ def measure_points(
     Curves are continued until they reach each other's profiles and the quality of every codec
     `beside`, by two points at most: the paper's by a bit more or less of each depth, ours by half
     or twice the steps.
-
-    Parameters
-    ----------
-    measured : MeasuredScene
-    config : Config
-        What profiles have in common.
-    with_cameras : bool
-        Whether there is a camera-guided curve.
-    beside : sequence of dict
-        Lines of `measure_beside`; profiles among them are not measured again.
+    `config` is what profiles have in common; `beside` are lines of `measure_beside`, whose profiles
+    are not measured again. The camera-guided curve is there if `with_cameras` says so.
     """
     ours = [FREE, CAMERA_GUIDED] if with_cameras else [FREE]
     known = {line["codec"]: line for line in beside if "mean" in line}

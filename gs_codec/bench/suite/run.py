@@ -30,21 +30,10 @@ SIZES = (100_000, 300_000, 1_000_000, 3_000_000)
 
 @dataclass(frozen=True)
 class Options:
-    """Scenes, and how they are measured.
+    """PLY files, and how they are measured; what of `GROUPS` is left out is in `skip`.
 
-    Parameters
-    ----------
-    scenes : tuple of Path
-        PLY files; cameras are ``cameras.json`` beside one, else chosen for it, and photographs of
-        these are in the folder ``images`` there, if it exists.
-    repeats : int
-        Timed runs, 1 and up.
-    threads : int, optional
-        Of encoding and decoding; all processors if None.
-    width : int, optional
-        Of the views, pixels; those compared with photographs have these' width.
-    skip : frozenset of str
-        `GROUPS` to leave out.
+    Cameras are ``cameras.json`` beside a file, else chosen for it. Photographs are in the folder
+    ``images`` there, if it exists; `width`, in pixels, is that of views without them.
 
     Raises
     ------
@@ -79,15 +68,9 @@ class Options:
 
 
 def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Lines:
-    """Result lines as they are measured.
+    """Result lines as they are measured; `tell` is told what is measured next.
 
-    Parameters
-    ----------
-    options : Options
-    command : str
-        How to run the same again; it stands among the lines.
-    tell : callable
-        Is told what is measured next.
+    The first line has the `command` that measures the same again.
 
     Raises
     ------

@@ -18,8 +18,7 @@ from gs_codec.analysis.fits import fits_of
 from gs_codec.analysis.information import bin_count, into_bins, mutual_information
 from gs_codec.analysis.maps import maps_of, mean_by_attribute, mean_by_relation
 from gs_codec.analysis.page import page, picture, table
-from gs_codec.analysis.plots import new_figure
-from gs_codec.analysis.save import draw_pictures
+from gs_codec.analysis.plots import draw_pictures, new_figure
 from gs_codec.analysis.sensitivity import LEVELS, THRESHOLD, level_at, measure_sensitivity
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.entropygs.symbols import Coded, order_scene, quantise_and_model

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.analysis.analyse import Analysis
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.maps import Map
 from gs_codec.analysis.sensitivity import LEVELS, SensitivityCurves
 from gs_codec.errors import MissingTool
+from gs_codec.report import Progress, step_counter
 from gs_codec.scene import sh_bands
 
 if TYPE_CHECKING:
@@ -61,6 +63,31 @@ def png_of(figure: Figure) -> bytes:
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
+
+
+def draw_pictures(analysis: Analysis, progress: Progress | None = None) -> dict[str, bytes]:
+    """Draw the plots of an analysis: PNG data by file name."""
+    figures = list(_figures(analysis))
+    advance = step_counter(progress, "pictures", len(figures))
+    pictures = {}
+    for name, figure in figures:
+        pictures[f"{name}.png"] = png_of(figure)
+        advance()
+    return pictures
+
+
+def _figures(analysis: Analysis) -> Iterator[tuple[str, Figure]]:
+    if analysis.sh_degree:
+        yield "sh_ac_within_colours", plot_within_colours(analysis.maps)
+        yield "sh_ac_across_colours", plot_across_colours(analysis.maps)
+        yield "sh_ac_others", plot_others(analysis.maps)
+    yield "histograms", plot_attributes(analysis.fits)
+    if analysis.sh_degree:
+        for colour, letter in enumerate("rgb"):
+            yield f"histograms_sh_ac_{letter}", plot_sh(analysis.fits, colour)
+    if analysis.sensitivity is not None:
+        yield "sensitivity", plot_sensitivity(analysis.sensitivity)
+    yield "bits", plot_bits(analysis.bits)
 
 
 def plot_within_colours(maps: Mapping[str, Map]) -> Figure:

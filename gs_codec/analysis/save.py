@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from gs_codec.analysis.analyse import Analysis, analyse_scene
-from gs_codec.analysis.plots import (
-    new_figure,
-    plot_across_colours,
-    plot_attributes,
-    plot_bits,
-    plot_others,
-    plot_sensitivity,
-    plot_sh,
-    plot_within_colours,
-    png_of,
-)
+from gs_codec.analysis.analyse import analyse_scene
+from gs_codec.analysis.plots import draw_pictures, new_figure
 from gs_codec.analysis.report import write_page
 from gs_codec.files.scenes import read_scene
-from gs_codec.report import Progress, step_counter
+from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_writable, write_files
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def analyse_file(
@@ -67,28 +53,3 @@ def analyse_file(
     }
     write_files(target, files)
     return content
-
-
-def draw_pictures(analysis: Analysis, progress: Progress | None = None) -> dict[str, bytes]:
-    """Draw the plots of an analysis: PNG data by file name."""
-    figures = list(_figures(analysis))
-    advance = step_counter(progress, "pictures", len(figures))
-    pictures = {}
-    for name, figure in figures:
-        pictures[f"{name}.png"] = png_of(figure)
-        advance()
-    return pictures
-
-
-def _figures(analysis: Analysis) -> Iterator[tuple[str, Figure]]:
-    if analysis.sh_degree:
-        yield "sh_ac_within_colours", plot_within_colours(analysis.maps)
-        yield "sh_ac_across_colours", plot_across_colours(analysis.maps)
-        yield "sh_ac_others", plot_others(analysis.maps)
-    yield "histograms", plot_attributes(analysis.fits)
-    if analysis.sh_degree:
-        for colour, letter in enumerate("rgb"):
-            yield f"histograms_sh_ac_{letter}", plot_sh(analysis.fits, colour)
-    if analysis.sensitivity is not None:
-        yield "sensitivity", plot_sensitivity(analysis.sensitivity)
-    yield "bits", plot_bits(analysis.bits)

@@ -20,43 +20,22 @@ from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
 
-COLUMNS = [
-    "scene, codec (* with its start)", "ratio", "bits/G", "over entropy", "encode s", "decode s",
-    "peak MB", "PSNR dB", "delta-PSNR",
-]  # fmt: skip
-
-
 #: What `--set` does not take here: only depths are of interest for every profile.
 _UNUSED = set(OPTIONS) - {"depth"}
 
 
-def add_to_rows(rows: dict[str, list[str]], line: dict[str, Any]) -> None:
-    """Put a result line into the rows, which are by name."""
-    name = f"{line.get('scene')}, {line.get('codec', line.get('profile'))}"
-    if line["kind"] == "beside" and "absent" not in line:
-        label = name + " *" * line["own_process"]
-        size = [f"{line['ratio']:.2f}", f"{line['bits_per_gaussian']:.1f}"]
-        times = [f"{line[f'{way}_seconds']['median']:.3f}" for way in ("encode", "decode")]
-        rows[name] = [label, *size, "", *times, "", *_quality(line)]
-    elif line["kind"] == "codec":
-        over = line["entropy"].get("total", {}).get("coded_overhead_percent", 0.0)
-        rows[name][3] = f"{over:.3f} %"
-    elif line["kind"] == "memory":
-        rows[name][6] = f"{max(line['encode_peak_bytes'], line['decode_peak_bytes']) / 1e6:.0f}"
+def print_codecs(lines: list[dict[str, Any]]) -> None:
+    """The table of each scene as in the report of the suite, and what is absent; on stderr."""
+    from gs_codec.bench.suite.results import Results
+    from gs_codec.bench.suite.tables import codec_table
 
-
-def print_absent(lines: list[dict[str, Any]]) -> None:
-    """Say which codecs could not be measured, and why; each reason once."""
-    for reason in sorted({line["absent"] for line in lines if "absent" in line}):
+    results = Results(lines)
+    for scene in results.scenes:
+        columns, rows = codec_table(results, scene)
+        plain = [[cell.replace("`", "").replace("\\", "") for cell in row] for row in rows]
+        print_table([f"{scene}: codec", *columns[1:]], plain, sys.stderr)
+    for reason in results.absent:
         print_status(reason)
-
-
-def _quality(line: dict[str, Any]) -> list[str]:
-    """PSNR and delta-PSNR, as far as they were measured."""
-    if "mean" not in line:
-        return ["", ""]
-    psnr, delta = line["mean"]["psnr"], line.get("delta")
-    return ["equal" if psnr is None else f"{psnr:.2f}", f"{delta['psnr']:+.3f}" if delta else ""]
 
 
 @takes("threads", "width", "overwrite")
@@ -111,7 +90,7 @@ def measure_suite(
             lines.append(line)
     tell("report")
     write_report(lines, out)
-    print_absent(lines)
+    print_codecs(lines)
     print_status(f"report: {out / 'report.md'}")
 
 
@@ -156,14 +135,11 @@ def measure(
     from gs_codec.bench.measure import measure_scenes
 
     views, peers = (cameras, asked["gt_images"], asked["width"]), asked.command == "peers"
-    rows: dict[str, list[str]] = {}
     lines = []
     for line in measure_scenes(scenes, configs, tile, repeats, *views, peers):
         print_text(json.dumps(line))
-        add_to_rows(rows, line)
         lines.append(line)
-    print_table(COLUMNS, list(rows.values()), sys.stderr)
-    print_absent(lines)
+    print_codecs(lines)
 
 
 for _name, _help in (

@@ -128,14 +128,9 @@ def compare_images(first: NDArray, second: NDArray) -> Quality:
         )
     a, b = (np.clip(image, 0, 1).astype(np.float64) for image in (first, second))
     ssim = structural_similarity(
-        a,
-        b,
-        data_range=1,
-        channel_axis=2,
-        gaussian_weights=True,
-        sigma=1.5,
+        a, b, data_range=1, channel_axis=2, gaussian_weights=True, sigma=1.5,
         use_sample_covariance=False,
-    )
+    )  # fmt: skip
     return Quality(psnr(a, b), float(ssim), _lpips(a, b))
 
 

@@ -68,7 +68,8 @@ def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
     """Tables and pictures of a scene."""
     codecs = results.of("beside", scene)
     parts = [f"## {tables.scene_title(results, scene)}", tables.views(results, scene)]
-    parts += ["\n".join(tables.codec_table(results, scene)), tables.rates(results, scene)]
+    table = tables.markdown(*tables.codec_table(results, scene))
+    parts += ["\n".join(table), tables.rates(results, scene)]
     rate = plots.plot_rate(results, scene)
     parts.append(draw(f"rate-{scene}", rate, "Quality against bits for each Gaussian"))
     if codecs:

@@ -37,8 +37,11 @@ def headline(lines: Sequence[Line]) -> list[str]:
     return markdown([*columns, "encode", "decode", *_OURS], [*rows, _paper_row(photographs)])
 
 
-def codec_table(results: Results, scene: str) -> list[str]:
-    """All codecs of a scene: size, quality, times, memory, ours at that PSNR; no empty column."""
+def codec_table(results: Results, scene: str) -> tuple[list[str], list[list[str]]]:
+    """Columns and rows of all codecs of a scene, without empty columns.
+
+    These are size, quality, times, memory, and bits of ours at that PSNR.
+    """
     peaks = {line["profile"]: line for line in results.of("memory", scene)}
     columns = ["codec", "times smaller", "bits / Gaussian", "PSNR dB", "worst view", "delta-PSNR"]
     columns += ["encode", "decode", "encode MB", "decode MB"]
@@ -52,7 +55,7 @@ def codec_table(results: Results, scene: str) -> list[str]:
         rows.append([*cells, *_times(line), *megabytes, *_ours(results, line)])
     columns += _OURS
     used = [i for i in range(len(columns)) if any(row[i] for row in rows)]
-    return markdown([columns[i] for i in used], [[row[i] for i in used] for row in rows])
+    return [columns[i] for i in used], [[row[i] for i in used] for row in rows]
 
 
 def rates(results: Results, scene: str) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gs_codec.bench.curves import Curve, Rate, bd_rate
-from gs_codec.bench.suite.results import curve_of
+from gs_codec.bench.suite.results import Curve, Rate, bd_rate, curve_of
 
 
 def _line(psnrs, factor=1.0) -> Curve:

@@ -1,15 +1,22 @@
-"""Write the report of an analysis as HTML: text, tables and pictures."""
+"""Analyse the file of a scene, and write a report: a page of text, tables and pictures; JSON."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from gs_codec.analysis.analyse import REFERENCE, Analysis
+from gs_codec.analysis.analyse import REFERENCE, Analysis, analyse_scene
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.page import heading, listing, number, page, paragraph, picture, table
+from gs_codec.analysis.plots import draw_pictures, new_figure
 from gs_codec.analysis.sensitivity import THRESHOLD
+from gs_codec.files.scenes import read_scene
+from gs_codec.report import Progress
+from gs_codec.runtime.atomic import check_writable, write_files
 
 _GROUPS = ("rotation", "scaling", "opacity", "sh-ac", "total")
 
@@ -24,7 +31,48 @@ _ENTROPY = (
 )
 
 
-def write_page(analysis: Analysis, pictures: Mapping[str, bytes]) -> str:
+def analyse_file(
+    source: str | Path,
+    folder: str | Path,
+    *,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> dict[str, Any]:
+    """Analyse the scene of a file, and write ``report.html``, its pictures and ``report.json``.
+
+    `options` are those of `analyse_scene`.
+
+    Returns
+    -------
+    dict
+        Contents of ``report.json``.
+
+    Raises
+    ------
+    InvalidInput
+        If the scene cannot be used, or the folder cannot be written to.
+    MissingTool
+        If matplotlib is not installed.
+    """
+    # Find out that the report cannot be written before doing the work.
+    new_figure(1, 1)
+    target = Path(folder)
+    there = next(path for path in (target, *target.absolute().parents) if path.exists())
+    check_writable(there / "report.html")
+    scene = read_scene(source, "drop", max_bytes=max_bytes)
+    analysis = analyse_scene(scene, str(source), progress=progress, **options)
+    pictures = draw_pictures(analysis, progress)
+    content = analysis.as_dict() | {"pictures": list(pictures)}
+    files = pictures | {
+        "report.json": (json.dumps(content, allow_nan=False) + "\n").encode(),
+        "report.html": _page(analysis, pictures).encode(),
+    }
+    write_files(target, files)
+    return content
+
+
+def _page(analysis: Analysis, pictures: Mapping[str, bytes]) -> str:
     """The report as HTML; `pictures` are PNG data by file name, from `draw_pictures`."""
     parts = [
         paragraph(

@@ -42,7 +42,7 @@ def command(
     if cameras is None:
         asked.refuse(["width"], "needs --cameras")
     check_folder(out, asked["overwrite"])
-    from gs_codec.analysis.save import analyse_file
+    from gs_codec.analysis.report import analyse_file
 
     with progress_bar() as progress:
         content = analyse_file(

@@ -17,18 +17,9 @@ from gs_codec.errors import GsCodecError, one_line
 
 #: Commands in the order of the help; each is a module of this package.
 NAMES = (
-    "encode",
-    "decode",
-    "verify",
-    "convert",
-    "prepare",
-    "batch",
-    "inspect",
-    "compare",
-    "render",
-    "analyze",
-    "bench",
-)
+    "encode", "decode", "verify", "convert", "prepare", "batch", "inspect", "compare", "render",
+    "analyze", "bench",
+)  # fmt: skip
 
 
 class _Commands(TyperGroup):

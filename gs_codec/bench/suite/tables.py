@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gs_codec.bench.beside import GUIDED, is_ours
-from gs_codec.bench.curves import bd_rate
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
-from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
+from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
 from gs_codec.codecs.entropygs import paper
 from gs_codec.config import LOSSLESS
 

@@ -69,8 +69,9 @@ def measure_suite(
     from gs_codec.bench.suite.report import write_report
     from gs_codec.bench.suite.run import Options, run_suite
 
-    of_views = (asked["threads"], asked["width"])
-    options = Options(tuple(scenes or ()), repeats, *of_views, frozenset(skip or ()))
+    options = Options(
+        tuple(scenes or ()), repeats, asked["threads"], asked["width"], frozenset(skip or ())
+    )
     check_folder(out, asked["overwrite"])
     new_figure(1, 1)  # without matplotlib there is no report: refused before the work
     start = time.monotonic()

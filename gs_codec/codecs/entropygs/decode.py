@@ -87,9 +87,8 @@ def decode_channels(
 class _Blocks:
     """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree.
 
-    ``planes`` holds the plane ``(N,)`` of each channel, a row of the arrays in ``groups``.
-    ``varying`` lists the channels that rANS codes; ``tables`` and ``levels`` hold their frequency
-    tables and the values of their symbols.
+    Of each channel that rANS codes, ``varying`` holds the stream, the plane ``(N,)``, and the
+    values of its symbols, and ``tables`` the frequency table.
     """
 
     def __init__(self, file: EgsFile, degree: int, count: int, tool: Tmc3 | None) -> None:
@@ -98,12 +97,11 @@ class _Blocks:
         self.tool = tool
         self.whole = kept == coded
         self.groups = {g: np.empty((n, count), np.float32) for g, n in group_rows(kept).items()}
-        self.channels: list[Channel] = []
-        self.planes: list[NDArray[np.float32]] = []
-        self.varying: list[int] = []
-        self.levels: list[NDArray[np.float32]] = []
+        channels = channels_of(file)
+        self.points = channels[:6]
+        self.varying: list[tuple[str, NDArray[np.float32], NDArray[np.float32]]] = []
         tables = []
-        for channel in channels_of(file):
+        for channel in channels:
             row = channel.index
             if channel.group == "f_rest":
                 colour, coefficient = divmod(row, coded)
@@ -114,17 +112,15 @@ class _Blocks:
             if not channel.quantiser.depth:
                 plane[:] = channel.quantiser.origin
             elif channel.model is not None:
-                self.varying.append(len(self.channels))
+                levels = dequantise(np.arange(channel.alphabet), channel.quantiser)
+                self.varying.append((channel.stream, plane, levels))
                 tables.append(channel.model.frequencies(channel.alphabet))
-                self.levels.append(dequantise(np.arange(channel.alphabet), channel.quantiser))
-            self.channels.append(channel)
-            self.planes.append(plane)
         self.tables = TableSet.pack(tables)
 
     def stages(self) -> list[Callable[[int, int, int], None]]:
         """The functions that decode a block."""
         stages: list[Callable[[int, int, int], None]] = []
-        if any(channel.quantiser.depth for channel in self.channels[:6]):
+        if any(channel.quantiser.depth for channel in self.points):
             stages.append(self.decode_points)
         if self.varying:
             stages.append(self.decode_attributes)
@@ -132,19 +128,19 @@ class _Blocks:
 
     def decode_points(self, block: int, start: int, stop: int) -> None:
         """Fill positions and f_dc of a block."""
-        quantisers = [channel.quantiser for channel in self.channels]
+        planes = (*self.groups["positions"], *self.groups["f_dc"])
         symbols = self._symbols_of_points(block)
-        for row, plane in enumerate(symbols):
-            if quantisers[row].depth:
-                self.planes[row][start:stop] = dequantise(plane, quantisers[row])
+        for channel, plane, row in zip(self.points, planes, symbols, strict=False):
+            if channel.quantiser.depth:
+                plane[start:stop] = dequantise(row, channel.quantiser)
 
     def _symbols_of_points(self, block: int) -> list[NDArray]:
         """Symbols of x, y, z and, unless all are constant, of f_dc."""
         if self.tool is not None:
-            cells, colours = decode_gpcc(self.file, self.tool, self.channels, block)
+            cells, colours = decode_gpcc(self.file, self.tool, self.points, block)
             return [*cells, *colours]
-        cells = _decode_cells(self.file, self.channels[:3], block)
-        depths = triple_depths([channel.quantiser for channel in self.channels[3:6]])
+        cells = _decode_cells(self.file, self.points[:3], block)
+        depths = triple_depths([channel.quantiser for channel in self.points[3:]])
         if not sum(depths):
             return [*cells]
         data = self.file.section(SectionId.SH_DC, block)
@@ -152,7 +148,7 @@ class _Blocks:
 
     def decode_attributes(self, block: int, start: int, stop: int) -> None:
         """Fill the rANS-coded channels of a block."""
-        streams = [self.channels[row].stream for row in self.varying]
+        streams = [stream for stream, *_ in self.varying]
         groups = [
             (streams.count(stream), self.file.section(SectionId.of_stream(stream), block))
             for stream in RANS_STREAMS
@@ -161,5 +157,5 @@ class _Blocks:
         states = self.file.section(SectionId.STATES, block)
         where = f"block {block}"
         symbols = decode_symbols(states, groups, stop - start, self.tables, where, self.whole)
-        for plane, levels, row in zip(symbols, self.levels, self.varying, strict=True):
-            np.take(levels, plane, out=self.planes[row][start:stop], mode="clip")
+        for row, (_, plane, levels) in zip(symbols, self.varying, strict=True):
+            np.take(levels, row, out=plane[start:stop], mode="clip")

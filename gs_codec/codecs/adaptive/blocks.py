@@ -20,6 +20,7 @@ from gs_codec.coding.nearest import find_all_nearest
 from gs_codec.coding.ycocg import take_colours, to_ycocg
 from gs_codec.config import SH_STREAMS
 from gs_codec.runtime.arrays import current
+from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import sh_bands
 
 
@@ -44,8 +45,15 @@ class PassData:
 
     def histograms(self, contexts: int) -> NDArray[np.int64]:
         """Counts of tokens ``(contexts, ALPHABET)``."""
-        pairs = self.contexts * np.int64(ALPHABET) + self.tokens
-        return np.bincount(pairs, minlength=contexts * ALPHABET).reshape(contexts, ALPHABET)
+        counts = np.zeros((contexts, ALPHABET), np.int64)
+        _count(self.tokens, self.contexts, counts)
+        return counts
+
+
+@kernel
+def _count(tokens, contexts, counts):
+    for i in range(len(tokens)):
+        counts[contexts[i], tokens[i]] += 1
 
 
 @dataclass(frozen=True)

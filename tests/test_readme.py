@@ -118,7 +118,7 @@ def test_what_few_tests_need_is_installed_where_that_is_asked(tmp_path, target, 
 
 
 def test_ci_runs_every_test():
-    assert "\nmake test-all\n" in (ROOT / ".ci" / "run").read_text()
+    assert re.search("^make .*test-all", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
 
 
 def test_documents_are_linked():

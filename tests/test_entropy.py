@@ -164,6 +164,15 @@ def test_sent_tables_return_their_weights(mantissa):
         np.testing.assert_array_equal(before, after)
 
 
+def test_sent_tables_hold_weights_of_32_bits_and_refuse_longer_ones():
+    weights = np.array([1, 0xFFFF << 16, 1 << 31, 0], np.int64)
+    (decoded,) = decode_tables(memoryview(encode_tables([weights], [15])), [4], [15], "x")
+    np.testing.assert_array_equal(decoded, weights)
+    data = encode_tables([np.array([1, 1 << 32], np.int64)], [15])
+    with pytest.raises(CorruptStream, match="more than 32 bits"):
+        decode_tables(memoryview(data), [2], [15], "x")
+
+
 def test_sent_tables_refuse_an_empty_table():
     data = encode_tables([np.zeros(5, np.int64)], [2])
     with pytest.raises(CorruptStream, match="without symbols"):

@@ -500,8 +500,12 @@ def test_colours_taken_in_steps_are_filled_in_again_seed14():
     levels, out = np.rint(taken).astype(np.int32).reshape(3, 8, 60), np.zeros((3, 8, 60))
     assert fill_colours(levels, units, shifts, 1e9, out)
     np.testing.assert_array_equal(out.astype(np.float32), from_ycocg(levels * steps))
-    largest = np.abs(levels * steps).max()
-    assert not fill_colours(levels, units, shifts, largest, out)
+    for channel in range(3):
+        alone = np.zeros_like(levels)
+        alone[channel] = levels[channel]
+        largest = np.abs(alone * steps).max()
+        assert not fill_colours(alone, units, shifts, largest, out)
+        assert fill_colours(alone, units, shifts, np.nextafter(largest, np.inf), out)
 
 
 @pytest.mark.parametrize("coefficients", [0, 3, 8, 15])

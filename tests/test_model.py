@@ -90,6 +90,39 @@ def test_mixture_recovers_its_parameters(count):
     np.testing.assert_allclose(found["weights"], 1 / count, atol=0.01)
 
 
+def mixture_by_hand(histogram, count) -> np.ndarray:
+    """Weights, means and sigmas by expectation maximisation as textbooks have it."""
+    symbols, total = np.flatnonzero(histogram), histogram.sum()
+    counts = histogram[symbols]
+    spread = sqrt(np.average(symbols**2, weights=counts) - np.average(symbols, weights=counts) ** 2)
+    shares = (2 * np.arange(count)[:, None] + 1) / (2 * count)
+    means = symbols[np.argmax(np.cumsum(counts) >= shares * total, axis=1)][:, None]
+    weights, sigmas = np.full((count, 1), 1 / count), np.full((count, 1), max(spread / count, 0.25))
+    before = -np.inf
+    for _ in range(200):
+        density = weights / sigmas * np.exp(-(((symbols - means) / sigmas) ** 2) / 2)
+        likelihood = np.sum(counts * np.log(density.sum(axis=0)))
+        shares = counts * density / density.sum(axis=0)
+        mass = shares.sum(axis=1, keepdims=True)
+        weights, means = mass / total, (shares @ symbols)[:, None] / mass
+        variances = np.sum(shares * (symbols - means) ** 2, axis=1, keepdims=True) / mass
+        sigmas = np.sqrt(np.maximum(variances, 1 / 16))
+        if likelihood - before < 1e-8 * total:
+            break
+        before = likelihood
+    return np.hstack([weights, means, sigmas]).T
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("sigma", [0.1, 3.0, 8.0, 20.0])
+def test_mixture_is_that_of_expectation_maximisation(sigma, count):
+    rng = np.random.default_rng([33, count])
+    values = rng.normal(rng.choice([12, 18, 40], 2000), sigma)
+    found = fit_mixture(histogram_of(values, 64), count, 15).describe()
+    expected = mixture_by_hand(histogram_of(values, 64), count)
+    np.testing.assert_allclose(list(found.values()), expected, atol=5e-5)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 @pytest.mark.parametrize(
     "histogram",

@@ -444,9 +444,10 @@ def test_colours_round_trip_seed11(count):
     levels, contexts, values = code_colours(find_all_nearest(places), colours, 300, shifts)
     assert np.all(2 * np.abs(values - colours) <= 300 << shifts)
     assert contexts.size == 0 or 0 <= contexts.min() <= contexts.max() < 288
-    tables = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)] * 2)
+    weights = np.stack([np.ones(ALPHABET, np.int64), np.arange(ALPHABET) + 1])
+    tables = PassTables.pack([normalise(row, PRECISION) for row in weights])
     tokens, *raw_bits = tokenise(levels.ravel())
-    rows = np.arange(288) % 2
+    rows = rng.integers(0, 2, 288)
     bits = BitWriter()
     bits.add(*raw_bits)
     states, words = encode_passes([("sh-dc", tokens, contexts.ravel(), rows)], tables)
@@ -457,6 +458,27 @@ def test_colours_round_trip_seed11(count):
     reader.close()
     reader.finish()
     raw.close()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_colours_beyond_the_largest_stay_there(sign):
+    levels = np.full(300, sign * (2**MAX_BITS - 1))
+    reader, raw = coded(levels)
+    places, shifts = np.ones((3, 100), np.int64), np.full(100, 31)
+    bits = BitReader(memoryview(raw), "test")
+    values = decode_colours(places, 1, shifts, np.zeros(288, np.int64), reader, bits)
+    assert np.all(values == sign * 4 * int(LARGEST) * ONE)
+
+
+def test_colours_are_not_read_beyond_their_words():
+    # The first slot is of a token with 2 raw bits, and all words are missing.
+    weights = np.where(np.arange(ALPHABET) < 32, 0, 1)
+    tables = PassTables.pack([normalise(weights, PRECISION)])
+    reader = PassReader(memoryview(encode_passes([], tables)[0]), tables, "test")
+    bits, places = BitReader(memoryview(b""), "test"), np.ones((3, 700), np.int64)
+    with pytest.raises(CorruptStream, match="more symbols than words"):
+        decode_colours(places, 1, np.zeros(700, int), np.zeros(288, np.int64), reader, bits)
+    assert bits.position <= 2 * LANES
 
 
 def test_diffused_rounding_is_near_and_its_errors_cancel_seed12():
@@ -536,9 +558,11 @@ def test_cell_contains_the_original_whatever_is_dropped_seed13(bits):
     origin, step = np.array([-3.0, 1.0, 0.5]), 2.0**-10
     size = step * (2.0 ** np.array(bits))[:, None]
     positions = (origin[:, None] + rng.uniform(0, 1, (3, 500)) * size * 0.999).astype(np.float32)
+    positions[:, 0] = origin + size[:, 0]
     grid = PositionGrid(tuple(origin), step, bits)
     codes = grid_codes(positions, grid)
     cells = decode_morton(codes, bits)
+    assert cells[:, 0].tolist() == [(1 << depth) - 1 for depth in bits]
     dropped = rng.integers(0, sum(bits) + 1, 500)
     found = centres(codes >> dropped << dropped, dropped, grid)
     axes = [axis for level in range(20, -1, -1) for axis in range(3) if bits[axis] > level][::-1]

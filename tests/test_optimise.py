@@ -21,12 +21,13 @@ from gs_codec.preparation import optimise as module
 from gs_codec.preparation.adam import adam_step, new_state, rig_radius
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.rendering.backward import differentiate_tiles
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.gradients import differentiate
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import GROUPS, SH_C0, Scene
 
 STEP = 1e-5
 
@@ -87,6 +88,19 @@ def test_equal_images_have_no_loss():
 
 
 # Gradients
+
+
+def test_a_splat_is_drawn_to_ten_digits():
+    camera = straight(16, 16, fx=40.0, fy=40.0)
+    scene = precise(splats([(0, 0, 2)], f_dc=0.7, opacity=1.5, log_scale=-1.2))
+    offset = np.arange(16) - 7.5
+    variance = (20 * np.exp(scene.log_scale[0])) ** 2 + 0.3
+    shade = (0.5 + SH_C0 * scene.f_dc[0]) / (1 + np.exp(-1.5))
+    expected = shade * np.exp(-(offset**2 + offset[:, None] ** 2) / (2 * variance))
+    frame = make_frame(scene, camera)
+    image = frame.draw((0, 0, 0), np.float64, np.zeros((0, 4)))[0][:, :, 0]
+    assert image.all()
+    np.testing.assert_allclose(image, expected, rtol=3e-11)
 
 
 def gradients(
@@ -216,6 +230,17 @@ def test_an_alpha_at_its_limit_does_not_change():
     for group in ("opacity", "log_scale", "rot"):
         assert not found[group].any()
     assert found["f_dc"].all()
+
+
+def test_splats_behind_finished_pixels_have_no_sums():
+    camera = straight(16, 16)
+    scene = splats([(0, 0, 2 + k) for k in range(9)], opacity=9.0, log_scale=3.0)
+    frame = make_frame(scene, camera)
+    colour, _, _ = frame.draw(TEAL, np.float64, np.zeros((0, 4)))
+    sums = np.full((frame.pairs, 9), np.nan)
+    frame.over_tiles(differentiate_tiles, colour, np.ones_like(colour), sums)
+    assert sums[0].any()
+    assert not sums[3:].any()
 
 
 def test_a_zero_quaternion_has_no_gradient():

@@ -266,6 +266,7 @@ def shape_edges() -> dict[str, Edge]:
         "log-scale 300": Edge(splats(middle, log_scale=300), False),
         "log-scale 1e30": Edge(splats(middle, log_scale=1e30), False),
         "one axis of log-scale 1e30": Edge(splats(middle, log_scale=[[-2], [1e30], [-2]]), False),
+        "opaque speck": Edge(splats([(0.025, 0, 3)], opacity=9.0, log_scale=-30)),
         "huge, off the axis": Edge(splats([(1, 1, 2), (-1.2, 0.3, 1)], log_scale=12.0)),
         "needles in the image": Edge(splats(places, log_scale=needle, rot=in_image)),
         "needles into the image": Edge(splats(places, log_scale=needle, rot=in_depth)),

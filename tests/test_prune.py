@@ -23,7 +23,7 @@ from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit, draw
 from gs_codec.preparation.steps import Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
-from gs_codec.scene import Scene
+from gs_codec.scene import SH_C0, Scene
 
 BLACK = (0.0, 0.0, 0.0)
 
@@ -161,6 +161,15 @@ def test_a_hidden_gaussian_is_worth_nothing():
     scene = replace(scene, positions=layers, log_scale=flat, opacity=np.full((1, 3), 9, np.float32))
     scores = leave_one_out(scene, references(scene), "")
     assert scores[2] < 1e-3 * scores[0]
+
+
+def test_gaussians_of_the_background_s_colour_are_worth_nothing():
+    scene = visible_scene(9, 116, 0)
+    flat, opaque = np.ones((3, 9), np.float32), np.full((1, 9), 9, np.float32)
+    scene = replace(scene, f_dc=flat, log_scale=flat, opacity=opaque)
+    scores = leave_one_out(scene, references(scene, (0.5 + SH_C0,) * 3), "")
+    assert scores.max() < 1e-20
+    assert leave_one_out(scene, references(scene), "").min() > 0
 
 
 def references(scene: Scene, background=BLACK) -> ReferenceViews:

@@ -148,6 +148,12 @@ def test_gaussians_smaller_than_a_pixel():
     assert_differences(cloud(6, 6, size=-4.0), CAMERAS[1:], True)
 
 
+def test_gaussians_too_thin_to_be_compensated():
+    scene = splats([(0.1, 0.2, 2)], log_scale=[[-1.0], [-12.0], [-12.5]], opacity=2.0)
+    scene = replace(scene, rot=np.array([[0.9], [0.1], [-0.2], [0.3]], np.float32))
+    assert_differences(scene, [straight(20, 17, fx=14.0, fy=13.0)], True)
+
+
 def test_a_gaussian_outside_the_image():
     outside = splats([(1.5, 0.2, 3.0)], log_scale=[[-1.2], [-1.5], [-0.7]], rot=np.ones((4, 1)))
     camera = straight(40, 36)

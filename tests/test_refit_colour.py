@@ -181,6 +181,18 @@ def test_objective_only_falls(seed):
     assert (np.diff(report.psnr) > 0).all()
 
 
+def test_objective_is_that_of_images_ridge_and_penalty():
+    scene, cameras = visible_scene(20, 10, 1, bright=4.0), orbit(4)
+    views = references(cameras, images(perturbed(scene, 10), cameras))
+    refitted, report = refit_colour(scene, views, 8, strength=1e-4)
+    before, after = (coefficients_of(x).astype(np.float64) for x in (scene, refitted))
+    scales = np.sqrt(1e-4 * 4 * 40 * 40 / (3 * 20)) / (np.abs(before) + 0.009)
+    for x, objective in ((before, report.objective[0]), (after, report.objective[-1])):
+        damping = 0.03 * np.sum((x - before) ** 2) + np.sum((x * scales)[:, 1:] ** 2)
+        error = errors(ImageOperator(scene, views), x)
+        assert objective == pytest.approx(error + damping, rel=1e-6)
+
+
 def test_psnr_is_that_of_the_images():
     scene, cameras = visible_scene(60, 10, bright=3.0), orbit(6)
     targets = images(perturbed(scene, 10), cameras)

@@ -108,9 +108,10 @@ def test_singular_matrix_is_not_solved():
     assert not solve(np.full((2, 2), np.nan), np.ones(2))
 
 
+@pytest.mark.parametrize("bright", [3.0, -1.5], ids=["bright", "at times black"])
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_each_colour_is_solved_as_by_brute_force(degree):
-    scene, cameras = visible_scene(12, 3, degree, bright=3.0), orbit(20)
+def test_each_colour_is_solved_as_by_brute_force(degree, bright):
+    scene, cameras = visible_scene(12, 3, degree, bright), orbit(20)
     strength, smallest = 1e-5, 0.02
     compacted, _ = compact_sh(scene, cameras, strength, smallest=smallest)
     weights = squared_weights(scene, cameras).astype(np.float64)
@@ -120,16 +121,20 @@ def test_each_colour_is_solved_as_by_brute_force(degree):
     for i in range(scene.count):
         offsets = [scene.positions[:, i].astype(np.float64) - c.position for c in cameras]
         rows = np.array([sh_basis(o / np.linalg.norm(o))[: 1 + ac] for o in offsets])
-        gram = (rows * weights[:, i, None]).T @ rows
+        inertia = 1e-9 * weights[:, i].sum()
         for channel in range(3):
             solution = before[channel, :, i]
-            right = gram @ solution
+            colours = 0.5 + rows @ solution
+            counted = colours >= 0
             for turn in range(6):
-                damping = penalty / (np.abs(solution) + smallest / 2) ** 2
-                damping[0] = 0.0
+                counted |= 0.5 + rows @ solution > 0
+                known = rows.T * (weights[:, i] * counted)
+                right = known @ (np.maximum(colours, 0) - 0.5) + inertia * solution
+                damping = inertia + penalty / (np.abs(solution) + smallest / 2) ** 2
+                damping[0] = inertia
                 used = np.ones(1 + ac, bool) if turn < 5 else (solution != 0)
                 used[0] = True
-                system = (gram + np.diag(damping))[np.ix_(used, used)]
+                system = (known @ rows + np.diag(damping))[np.ix_(used, used)]
                 solution = np.zeros(1 + ac)
                 solution[used] = np.linalg.solve(system, right[used])
                 if turn >= 4:

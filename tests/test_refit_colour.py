@@ -53,7 +53,7 @@ def psnr_of(scene: Scene, cameras, targets) -> float:
 
 @pytest.mark.parametrize(("seed", "opaque"), [(0, False), (1, False), (2, True)])
 def test_residual_is_the_references(seed, opaque):
-    scene, cameras = visible_scene(40, seed), orbit(3, seed)
+    scene, cameras = visible_scene(40, seed, bright=-1.5 * seed), orbit(3, seed)
     if opaque:
         scene = replace(scene, opacity=np.full_like(scene.opacity, 9), log_scale=scene.log_scale + 1)
     rng = np.random.default_rng(seed)
@@ -68,7 +68,7 @@ def test_residual_is_the_references(seed, opaque):
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_gradient_is_the_difference_of_the_objective(degree):
-    scene, cameras = visible_scene(30, 2, degree), orbit(4)
+    scene, cameras = visible_scene(30, 2, degree, bright=-1.0), orbit(4)
     rng = np.random.default_rng(degree)
     targets = [rng.uniform(size=(40, 40, 3)) for _ in cameras]
     operator = ImageOperator(scene, references(cameras, targets, TEAL))

@@ -22,6 +22,7 @@ from test_ply import assert_one_line
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.formats import packed_values
 from gs_codec.formats.registry import open_scene
 from gs_codec.formats.splat import pack_splat
 from gs_codec.scene import SH_COEFFICIENTS, Scene
@@ -184,6 +185,14 @@ def spz_gaussian(
         "rot": [w, x, y, z],
         "f_rest": [(sh[3 * k + c] - 128) / 128 for c in range(3) for k in range(coefficients)],
     }
+
+
+@pytest.mark.parametrize("count", [0, 1, 8, 9])
+def test_planes_are_filled_part_by_part(count, monkeypatch):
+    monkeypatch.setattr(packed_values, "_AT_ONCE", 4)
+    values = np.arange(2.0 * count).reshape(2, count)
+    planes = packed_values.planes_of(2, count, lambda some: values[:, some])
+    np.testing.assert_array_equal(planes, values)
 
 
 @pytest.mark.parametrize("version", [1, 2, 3, 4])

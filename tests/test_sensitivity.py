@@ -173,6 +173,14 @@ def test_an_alpha_at_its_limit_does_not_change():
     assert found[10, 0] == pytest.approx(64 * 0.99**2)
 
 
+def test_a_gaussian_of_the_background_s_colour_may_have_any_opacity():
+    places = [(0, 0, 0.2 * i) for i in range(9)]
+    scene = splats(places, f_dc=1.0, opacity=4.0, log_scale=1.0)
+    found = summed(scene, CAMERAS, (0.5 + SH_C0,) * 3)
+    assert found.opacity.max() < 1e-20
+    assert found.colour[:2].all()
+
+
 # Against noise
 
 
@@ -215,8 +223,10 @@ def test_views_add_up_and_are_counted():
     np.testing.assert_allclose(rows_of(both), apart[0] + apart[1], rtol=1e-12)
 
 
-def test_weights_of_views_are_those_of_drawing():
-    plain = cloud(9, 50)
+@pytest.mark.parametrize("opaque", [0, 5], ids=["translucent", "opaque"])
+def test_weights_of_views_are_those_of_drawing(opaque):
+    plain = cloud(9, 50, size=-2.0 + opaque / 5)
+    plain = replace(plain, opacity=plain.opacity + opaque)
     scene = replace(plain, f_rest=np.zeros((9, 50), np.float32))
     total, weights = sensitivity(scene, references(CAMERAS, TEAL))
     np.testing.assert_array_equal(rows_of(total), rows_of(summed(plain, CAMERAS, TEAL)))

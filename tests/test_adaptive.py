@@ -470,15 +470,20 @@ def test_colours_beyond_the_largest_stay_there(sign):
     assert np.all(values == sign * 4 * int(LARGEST) * ONE)
 
 
-def test_colours_are_not_read_beyond_their_words():
+def test_symbols_are_not_read_beyond_their_words():
     # The first slot is of a token with 2 raw bits, and all words are missing.
     weights = np.where(np.arange(ALPHABET) < 32, 0, 1)
     tables = PassTables.pack([normalise(weights, PRECISION)])
-    reader = PassReader(memoryview(encode_passes([], tables)[0]), tables, "test")
-    bits, places = BitReader(memoryview(b""), "test"), np.ones((3, 700), np.int64)
-    with pytest.raises(CorruptStream, match="more symbols than words"):
-        decode_colours(places, 1, np.zeros(700, int), np.zeros(288, np.int64), reader, bits)
-    assert bits.position <= 2 * LANES
+    places, rows = np.ones((3, 700), np.int64), np.zeros(288, np.int64)
+    for read in (
+        lambda *streams: decode_colours(places, 1, np.zeros(700, int), rows, *streams),
+        lambda *streams: read_all(*streams, 700),
+    ):
+        reader = PassReader(memoryview(encode_passes([], tables)[0]), tables, "test")
+        bits = BitReader(memoryview(b""), "test")
+        with pytest.raises(CorruptStream, match="more symbols than words"):
+            read(reader, bits)
+        assert bits.position <= 2 * LANES
 
 
 def test_diffused_rounding_is_near_and_its_errors_cancel_seed12():

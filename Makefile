@@ -26,9 +26,10 @@ demo: $(VENV)/installed
 	@echo "    $(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json"
 	@echo "Next: samples/TUTORIAL.md, five minutes; or $(BIN)/gs-codec encode YOUR.ply YOUR.egs"
 
-# Tests run on WORKERS processors at once, by default all. A worker that is done takes tests from another.
-WORKERS ?= logical
-PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+# Tests run in WORKERS processes at once, by default one more than processors, as some tests wait. A file's tests
+# share what takes long, so one worker runs them all.
+WORKERS ?= $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Tests of what is not installed are skipped, and say what they miss; `make test-all` installs it.
 test: $(VENV)/installed-test

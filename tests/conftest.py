@@ -24,10 +24,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 #: Examples of a property.
 EXAMPLES = 25
 
-#: Files whose tests come first. Tests of one file share what takes long, which workers would make
-#: twice if one took tests of the last file from another; the first of all compile other kernels
-#: than those that the next worker begins with.
-FIRST = ("test_optimise.py", "test_viewer_window.py", "test_tutorial.py")
+#: Files that take longest come first, so that no worker ends long after the others. The first three
+#: compile different kernels.
+FIRST = (
+    "test_optimise.py", "test_viewer_window.py", "test_batch_processes.py", "test_rate.py",
+    "test_damage.py", "test_tutorial.py", "test_analysis.py", "test_readme.py", "test_bench.py",
+)  # fmt: skip
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -87,6 +87,19 @@ def test_cached_kernels_start_without_the_compiler(tmp_path):
     assert compiled[1] == loaded[1] == "[14] [1. 1.]", "what is not cached has to compile"
 
 
+def test_processes_that_start_together_compile_once(tmp_path):
+    script = tmp_path / "started.py"
+    script.write_text(STARTED)
+    command = [sys.executable, str(script)]
+    environment = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    together = [
+        subprocess.Popen(command, env=os.environ | environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    lines = [process.communicate()[0].splitlines()[0] for process in together]
+    assert sorted(line.startswith("[14.] Counter({") for line in lines) == [False, True, True]
+
+
 def test_make_asks_for_it():
     rule = (ROOT / "Makefile").read_text().split("boundscheck: ")[1]
     assert "NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=" in rule

@@ -333,7 +333,8 @@ def test_pruning_reaches_what_steps_do_not(crowded):
 
 
 @pytest.mark.parametrize("target", [RateTarget(psnr_drop=1e-9), RateTarget(size=99)])
-def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
+def test_what_pruning_does_not_reach_either_is_refused(crowded, target, monkeypatch):
+    monkeypatch.setattr(allocate, "_MOST_PARTS", 3)
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="are in reach"):
         encode_to_target(scene, scene, 1, Config("m"), replace(target, allow_prune=True), plan)

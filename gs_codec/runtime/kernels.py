@@ -1,15 +1,26 @@
 """Compile functions with numba: cached on disk if possible, without the GIL."""
 
+import os
 import pickle
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
+
+from gs_codec.runtime.atomic import try_lock
 
 #: Errors of a full disk, a folder without permission, or a truncated cache entry.
 _CACHE_ERRORS = (OSError, EOFError, pickle.UnpicklingError)
+
+#: How long to wait for a process that compiles kernels of the same source file; it may be stopped.
+_PATIENCE = 60.0
+
+#: Source files whose kernels this process is compiling.
+_compiling: set[str] = set()
 
 
 def kernel(function: Callable) -> Any:
@@ -20,7 +31,38 @@ def kernel(function: Callable) -> Any:
     with suppress(RuntimeError):  # no folder for a cache: each process compiles again
         compiled.enable_caching()
         _go_by_cache(compiled._cache)
+        compiled.compile = _alone(compiled.compile, function.__code__.co_filename)
     return compiled
+
+
+def _alone(compile_one: Callable, source: str) -> Callable:
+    """Compile while no other process compiles a kernel of this source file: it may be the same."""
+
+    def compile_alone(signature: Any) -> Any:
+        with global_compiler_lock, _locked(source):
+            return compile_one(signature)
+
+    return compile_alone
+
+
+@contextmanager
+def _locked(source: str) -> Iterator[None]:
+    """Keep a source file locked, unless it is, or there are no locks."""
+    if source in _compiling:
+        yield
+        return
+    descriptor, end = None, time.monotonic() + _PATIENCE
+    _compiling.add(source)
+    try:
+        with suppress(OSError):
+            descriptor = os.open(source, os.O_RDONLY)
+            while not try_lock(descriptor) and time.monotonic() < end:
+                time.sleep(0.02)
+        yield
+    finally:
+        _compiling.remove(source)
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def _go_by_cache(cache: Any) -> None:

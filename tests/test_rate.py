@@ -27,7 +27,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.ply import vertex_rows, write_ply
-from gs_codec.guidance import trials
+from gs_codec.guidance import allocate, trials
 from gs_codec.guidance.allocate import encode_to_target
 from gs_codec.guidance.search import COARSEST, FINEST, search
 from gs_codec.metrics.views import compare_views

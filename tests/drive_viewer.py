@@ -64,14 +64,14 @@ class Driver:
         """Tick until nothing moves any more; what is on the screen then."""
         before, equal = None, 0
         for _ in range(400):
-            self.tick(1, pause=0.03)  # few frames: a software driver draws each for long
+            self.tick(1, pause=0.06)  # few frames: a software driver draws each for long
             if self.viewer.busy or not self.viewer.stage.panes:
                 before = None
                 continue
             now = grab(self.viewer.window)
             # A frame may be on its way: a software driver takes its time on a busy machine.
             equal = equal + 1 if before is not None and np.array_equal(now, before) else 0
-            if equal == 4:
+            if equal == 3:
                 return now
             before = now
         raise SystemExit("the window never rests")

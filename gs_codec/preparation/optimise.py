@@ -100,7 +100,7 @@ def _iterate(
     iterations: int,
     step: Callable[[int], float],
     save: Callable[[Checkpoint], None] | None,
-    advance: Callable[[], None] | None,
+    advance: Callable[[], None],
 ) -> Checkpoint:
     """Run the remaining iterations; call `save` every now and then, and at the end."""
     errors, seconds = run.errors.tolist(), run.seconds.tolist()
@@ -112,8 +112,7 @@ def _iterate(
             seconds.append(time.perf_counter() - start)
             if save is not None and (count % _CHECKPOINT_EVERY == 0 or count == iterations):
                 save(Checkpoint(run.state, np.array(errors), np.array(seconds)))
-        if advance is not None:
-            advance()
+        advance()
     return Checkpoint(run.state, np.array(errors), np.array(seconds))
 
 

@@ -90,8 +90,7 @@ def importance(
         sums = render(scene, camera, accumulate=True).accumulations
         assert sums is not None
         seen += sums.transmittance
-        if advance is not None:
-            advance()
+        advance()
     log_volume = scene.log_scale.sum(axis=0, dtype=np.float64)
     largest = np.quantile(log_volume, _VOLUME_QUANTILE) if scene.count else 0.0
     volume = np.exp(_VOLUME_POWER * np.minimum(log_volume - largest, 0.0))
@@ -114,8 +113,7 @@ def leave_one_out(
         errors = np.zeros((frame.pairs, 1))
         frame.over_tiles(_leave_out, camera.width, camera.height, behind, errors)
         scores += frame.sum_pairs(scene.count, errors)[:, 0]
-        if advance is not None:
-            advance()
+        advance()
     return scores
 
 

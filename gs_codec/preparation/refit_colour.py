@@ -108,7 +108,7 @@ def _descend(
     near: Linear,
     damping: tuple[NDArray, NDArray],
     iterations: int,
-    advance: Callable[[], None] | None,
+    advance: Callable[[], None],
 ) -> tuple[NDArray, list[float], list[float]]:
     """Conjugate gradients; return the change of SH, and squared errors and objectives.
 

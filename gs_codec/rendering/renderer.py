@@ -144,8 +144,7 @@ class RenderedViews:
         advance = step_counter(self._progress, "views", len(self))
         for camera in self.cameras:
             yield camera, self._draw(camera)
-            if advance is not None:
-                advance()
+            advance()
 
     def draw(self, camera: Camera | Mapping[str, Any]) -> Rendering:
         """Draw what any camera sees, including one that is not in `cameras`.

@@ -32,7 +32,7 @@ from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, Unsupp
 from gs_codec.scene import GROUPS
 
 #: Flips under right checksums that each file gets in a round; ten rounds are all.
-FLIPS = 1000
+FLIPS = 1500
 
 
 @pytest.fixture(scope="module", params=PROFILES)

@@ -27,7 +27,7 @@ def random_scene(count: int, sh_degree: int = 3, seed: int = 0) -> Scene:
     """Clustered centres, grey-ish colours, peaked SH-AC, bimodal opacity, raw quaternions."""
     rng = np.random.default_rng(seed)
     coefficients = SH_COEFFICIENTS[sh_degree]
-    centres = rng.normal(size=(3, 8))[:, rng.integers(0, 8, count)]
+    centres = np.take(rng.normal(size=(3, 8)), rng.integers(0, 8, count), axis=1)
     grey = rng.normal(size=(1, count))
     planes = {
         "positions": centres + rng.normal(scale=0.1, size=(3, count)),

@@ -16,8 +16,6 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 
-torch = pytest.importorskip("torch")
-
 
 def view() -> Camera:
     axes, _ = np.linalg.qr(np.random.default_rng(96).normal(size=(3, 3)))
@@ -27,6 +25,8 @@ def view() -> Camera:
 
 def rasterization(**given):
     """gsplat's function (release 1.5), for one camera."""
+    import torch
+
     numpy = {k: v.numpy() for k, v in given.items() if isinstance(v, torch.Tensor)}
     pose, lens = numpy["viewmats"][0].astype(np.float64), numpy["Ks"][0]
     sh = numpy["colors"].transpose(2, 1, 0)
@@ -61,6 +61,7 @@ def rasterization(**given):
 
 @pytest.fixture
 def stand_in(monkeypatch):
+    pytest.importorskip("torch")
     module = ModuleType("gsplat")
     module.rasterization = rasterization
     monkeypatch.setitem(sys.modules, "gsplat", module)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -366,14 +366,19 @@ def assert_same(first: Scene, second: Scene) -> None:
 
 CAMERAS = orbit()
 SCENE = changed(garden(1), 2)
-TARGETS = views(garden(1), CAMERAS)
+
+
+@cache
+def renders() -> list[np.ndarray]:
+    """What `SCENE` is to be fitted to; not drawn where tests are only collected."""
+    return views(garden(1), CAMERAS)
 
 
 def refit(
-    iterations: int = 12, scene=SCENE, targets=TARGETS, cameras=CAMERAS, background=(0, 0, 0),
+    iterations: int = 12, scene=SCENE, targets=None, cameras=CAMERAS, background=(0, 0, 0),
     **options,
 ):  # fmt: skip
-    references = ReferenceViews(tuple(cameras), targets, True, background)
+    references = ReferenceViews(tuple(cameras), targets or renders(), True, background)
     return optimise(scene, references, iterations, **options)
 
 
@@ -420,7 +425,7 @@ class Watched(list):
 
 def test_each_view_comes_once_before_any_comes_again():
     seen: list[int] = []
-    fitted, _ = refit(15, targets=Watched(TARGETS, seen))
+    fitted, _ = refit(15, targets=Watched(renders(), seen))
     for epoch in range(3):
         assert sorted(seen[5 * epoch : 5 * epoch + 5]) == list(range(5))
     assert seen[:5] != seen[5:10]
@@ -429,10 +434,9 @@ def test_each_view_comes_once_before_any_comes_again():
 
 def test_inputs_are_only_read():
     copies = {group: getattr(SCENE, group).copy() for group in GROUPS}
-    targets = [target.copy() for target in TARGETS]
-    for target in targets:
-        target.setflags(write=False)
+    targets = [target.copy() for target in renders()]
     fitted, _ = refit(targets=targets)
+    np.testing.assert_array_equal(targets, renders())
     for group in GROUPS:
         np.testing.assert_array_equal(getattr(SCENE, group), copies[group])
         assert not np.shares_memory(getattr(fitted, group), getattr(SCENE, group))
@@ -540,7 +544,7 @@ def test_an_interrupted_refit_goes_on_where_it_was(tmp_path, monkeypatch):
     assert [p["psnr"] for p in report["curve"]] == [p["psnr"] for p in whole["curve"]]
     assert report["updated"] == whole["updated"]
 
-    again, _ = refit(18, **options, targets=Watched(TARGETS, looked))
+    again, _ = refit(18, **options, targets=Watched(renders(), looked))
     assert_same(again, expected)
     assert looked == []
     assert [p.name for p in tmp_path.iterdir()] == ["refit.npz"]
@@ -554,7 +558,7 @@ def test_a_checkpoint_of_other_inputs_is_refused(tmp_path, monkeypatch):
         {"iterations": 3},
         {"scene": garden(1)},
         {"scene": SCENE.take(np.arange(59))},
-        {"targets": TARGETS[::-1]},
+        {"targets": renders()[::-1]},
         {"cameras": moved},
         {"background": TEAL},
         {"scene": compensated(SCENE)},
@@ -600,5 +604,6 @@ def test_a_checkpoint_that_cannot_be_written_is_refused_at_once(tmp_path: Path, 
 
 
 def test_images_that_are_not_numbers_are_refused():
+    first, second, *others = renders()
     with pytest.raises(InvalidInput, match=r"image of 'view 1': not finite"):
-        refit(targets=[TARGETS[0], TARGETS[1] * np.nan, *TARGETS[2:]])
+        refit(targets=[first, second * np.nan, *others])

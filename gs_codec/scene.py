@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import empty
-from gs_codec.runtime.threads import run_all
+from gs_codec.runtime.threads import run_all, using_threads
 
 #: SH-AC coefficients of one colour for each SH degree.
 SH_COEFFICIENTS = (0, 3, 8, 15)
@@ -221,5 +221,6 @@ def gather(planes: NDArray, index: NDArray) -> NDArray:
     def work(row: int) -> None:
         gathered[row] = np.take(planes[row], indices)
 
-    run_all(work, range(len(planes)))
+    with using_threads(None, len(indices)):
+        run_all(work, range(len(planes)))
     return gathered

@@ -145,7 +145,8 @@ class ChosenPart:
         total, done = sum(run.count for run in runs), 0
         for run in runs:
             advance = progress if len(runs) == 1 else _part_of(progress, done, run.count, total)
-            groups = decode(self.file, run.spans, self.degree, advance)
+            with using_threads(None, run.count):
+                groups = decode(self.file, run.spans, self.degree, advance)
             normals, own = header.has_normals, run.of(extra)
             scene = Scene(**groups, has_normals=normals, comments=comments, extra=own)
             if self.part.box is not None:

@@ -59,7 +59,7 @@ def encode_parts(
     """Encode a scene to the consecutive pieces of a file; see `encode_scene`."""
     config = config or Config()
     times = StageTimes()
-    with using_threads(config.threads):
+    with using_threads(config.threads, scene.count):
         check_encoding(scene.count, config)
         with times.stage("check"):
             scene, changed = clean_scene(scene, config)

@@ -1,5 +1,7 @@
 # Everything is installed into .venv; Debian/Ubuntu libraries by .ci/system-packages.
 PYTHON ?= python3
+# Or each process that tests start would compile all modules that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv
 BIN := $(VENV)/bin
 # The pip that comes with Python may be years old, and install half as fast.

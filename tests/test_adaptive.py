@@ -625,19 +625,19 @@ def octaves(steps, known) -> dict[str, np.ndarray]:
 def test_sensitivities_four_times_as_high_make_steps_an_octave_finer():
     sensitivity, opacity, scales = made_up(15)
     known = features(opacity, scales)
-    before = octaves(fit_step_sizes(sensitivity, opacity, scales, 1e-3), known)
+    before = octaves(fit_step_sizes(sensitivity, opacity, scales)(1e-3), known)
     higher = Sensitivity(*(4 * values for values in sensitivity))
-    after = octaves(fit_step_sizes(higher, opacity, scales, 1e-3), known)
+    after = octaves(fit_step_sizes(higher, opacity, scales)(1e-3), known)
     for name, values in before.items():
         np.testing.assert_allclose(after[name], values - 1, atol=1e-6, err_msg=name)
-    coarser = octaves(fit_step_sizes(sensitivity, opacity, scales, 4e-3), known)
+    coarser = octaves(fit_step_sizes(sensitivity, opacity, scales)(4e-3), known)
     for name, values in before.items():
         np.testing.assert_allclose(coarser[name], values + 1, atol=1e-9, err_msg=name)
 
 
 def test_steps_add_about_the_error_asked_for():
     sensitivity, opacity, scales = made_up(16)
-    steps = octaves(fit_step_sizes(sensitivity, opacity, scales, 1e-3), features(opacity, scales))
+    steps = octaves(fit_step_sizes(sensitivity, opacity, scales)(1e-3), features(opacity, scales))
     added = {
         "opacity": sensitivity.opacity,
         "rotation": 4 * sensitivity.rot,
@@ -651,7 +651,7 @@ def test_steps_add_about_the_error_asked_for():
 
 def test_gaussians_seen_more_have_finer_classes():
     sensitivity, opacity, scales = made_up(17)
-    steps = fit_step_sizes(sensitivity, opacity, scales, 1e-3)
+    steps = fit_step_sizes(sensitivity, opacity, scales)(1e-3)
     assert 4 < steps.shape_class.max() < 16
     seen = np.log(sensitivity.opacity)
     assert np.corrcoef(seen, steps.shape_class)[0, 1] < -0.7
@@ -664,7 +664,7 @@ def test_steps_are_finite_where_nothing_is_seen(zeros):
     sensitivity, opacity, scales = made_up(18, 500)
     hidden = np.random.default_rng(18).random(500) < zeros
     sensitivity = Sensitivity(*(np.where(hidden, 0.0, values) for values in sensitivity))
-    steps = fit_step_sizes(sensitivity, opacity, scales, 1e-3)
+    steps = fit_step_sizes(sensitivity, opacity, scales)(1e-3)
     for name, row in steps.coefficients.items():
         assert np.isfinite(row).all(), name
     assert 0 <= steps.shape_class.min() <= steps.shape_class.max() < 16
@@ -674,7 +674,7 @@ def test_steps_are_finite_where_nothing_is_seen(zeros):
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_steps_of_few_gaussians_are_finite(count):
     sensitivity, opacity, scales = made_up(19, count)
-    steps = fit_step_sizes(sensitivity, opacity, scales, 1e-3)
+    steps = fit_step_sizes(sensitivity, opacity, scales)(1e-3)
     assert all(np.isfinite(row).all() for row in steps.coefficients.values())
 
 

@@ -149,7 +149,7 @@ def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
     assert guide(pruned, whole).loss == pytest.approx(whole.error(pruned))
 
     def opacity_bytes(targets: ReferenceViews) -> int:
-        steps = guide(pruned, targets).steps(pruned, ADAPTIVE_PROFILES["m"])
+        steps = guide(pruned, targets).steps(ADAPTIVE_PROFILES["m"])
         return encode_scene(pruned, Config("m"), steps=steps)[1].section_bytes["opacity"]
 
     own = draw_reference_views(pruned, plan.cameras, (0.0, 0.0, 0.0))

@@ -49,7 +49,10 @@ class Guidance:
 
     Attributes
     ----------
-    sensitivity : Sensitivity
+    steps_adding : callable
+        Step sizes by the squared error that a parameter may add; see `fit_step_sizes`.
+    parameters : int
+        Of all Gaussians together.
     loss : float
         Mean squared error of an image value before encoding; pruning may have caused it.
     pixels : int
@@ -64,7 +67,8 @@ class Guidance:
         Images as a function of SH, for the shapes that were used last.
     """
 
-    sensitivity: Sensitivity
+    steps_adding: Callable[[float], StepSizes]
+    parameters: int
     loss: float
     pixels: int
     views: ReferenceViews
@@ -73,16 +77,11 @@ class Guidance:
     compacts: bool | None = None
     operator: ImageOperator | None = None
 
-    def steps(self, scene: Scene, profile: AdaptiveProfile) -> StepSizes:
-        """Step sizes that add the error which a profile allows; colours may have changed."""
-        found = self.sensitivity
-        axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
-        sorted_axes = np.take_along_axis(found.log_scale, axes.astype(np.int64), 0)
+    def steps(self, profile: AdaptiveProfile) -> StepSizes:
+        """Step sizes that add the error which a profile allows, with whatever colours."""
         # The error that all parameters may add, divided by their number.
-        parameters = scene.count * channel_count(len(scene.f_rest) // 3)
-        error = (profile.error + profile.of_loss * self.loss) * 3 * self.pixels / parameters
-        found = found._replace(log_scale=sorted_axes)
-        return fit_step_sizes(found, scene.opacity[0], scales, error)
+        error = (profile.error + profile.of_loss * self.loss) * 3 * self.pixels / self.parameters
+        return self.steps_adding(error)
 
     def recolour(
         self, shaped: ShapedScene, profile: AdaptiveProfile, compacting: bool = True
@@ -179,7 +178,16 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     loss = views.error(scene, progress)
     found, weights = sensitivity(scene, views, progress)
     pixels = sum(camera.width * camera.height for camera in views.cameras)
-    return Guidance(found, loss, pixels, views, weights, progress)
+    parameters = scene.count * channel_count(len(scene.f_rest) // 3)
+    adding = steps_adding(scene, found)
+    return Guidance(adding, parameters, loss, pixels, views, weights, progress)
+
+
+def steps_adding(scene: Scene, found: Sensitivity) -> Callable[[float], StepSizes]:
+    """Step sizes of a scene by the squared error that a parameter may add."""
+    axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
+    sorted_axes = np.take_along_axis(found.log_scale, axes.astype(np.int64), 0)
+    return fit_step_sizes(found._replace(log_scale=sorted_axes), scene.opacity[0], scales)
 
 
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:

@@ -75,7 +75,7 @@ def encode_planned(
         with times.stage("views"):
             guidance = guide(clean, references, progress)
         profile = config.adaptive_profile()
-        shaped = shape_scene(clean, config, guidance.steps(clean, profile), times)
+        shaped = shape_scene(clean, config, guidance.steps(profile), times)
         with times.stage("recolour"):
             shaped = shaped.with_colours(guidance.recolour(shaped, profile))
         del guidance  # It holds large arrays: a weight for each Gaussian in each view.

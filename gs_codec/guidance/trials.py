@@ -104,7 +104,7 @@ class Trials:
         with self.asked.times.stage("search"):
             steps = None
             if self.guidance is not None:
-                steps = self.guidance.steps(self.coloured, config.adaptive_profile())
+                steps = self.guidance.steps(config.adaptive_profile())
             self.last = encode_scene(self.coloured, config, steps=steps)
         self.octaves = octaves
         self.asked.encodings += 1
@@ -129,7 +129,7 @@ class Trials:
         config = self.config_at(octaves)
         profile = config.adaptive_profile()
         with self.asked.times.stage("recolour"):
-            steps = self.guidance.steps(self.scene, profile)
+            steps = self.guidance.steps(profile)
             shaped = shape_scene(self.scene, config, steps, StageTimes())
             shaped = shaped.with_colours(choose(self.guidance, shaped, profile))
         self.coloured = shaped.arranged.source

@@ -14,6 +14,7 @@ constants moved so that a bit saves about the same error wherever it is spent.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -127,8 +128,8 @@ def features(opacity: NDArray, scales: NDArray) -> NDArray[np.float64]:
 
 
 def fit_step_sizes(
-    sensitivity: Sensitivity, opacity: NDArray, scales: NDArray, error: float
-) -> StepSizes:
+    sensitivity: Sensitivity, opacity: NDArray, scales: NDArray
+) -> Callable[[float], StepSizes]:
     """Choose step sizes with which each parameter of each Gaussian adds about the same error.
 
     Parameters
@@ -137,8 +138,11 @@ def fit_step_sizes(
         Its scales are in the order of `scales`.
     opacity, scales : ndarray, shape (N,) and (3, N)
         Logits; log-scales, descending.
-    error : float
-        Squared error that a parameter may add, summed as sensitivities are.
+
+    Returns
+    -------
+    callable
+        Step sizes for the squared error that a parameter may add, summed as sensitivities are.
     """
     known = features(opacity, scales)
     shape = {
@@ -152,17 +156,19 @@ def fit_step_sizes(
     shape = {name: np.maximum(s, _least(s)) for name, s in shape.items()}
     some = slice(None, None, max(1, len(opacity) // _SAMPLE))
     offsets = _fit_offsets({name: s[some] for name, s in shape.items()}, known[:, some])
-    level = _level(shape, offsets, known)
-    shape_class, finest = _classify(level)
-    wanted = 0.5 * math.log2(12 * error)
-    first = np.eye(5)[0]
-    coefficients = {name: (wanted - finest) * first - offset for name, offset in offsets.items()}
+    shape_class, finest = _classify(_level(shape, offsets, known))
     # SH_C0 is the change of colour for a unit of SH-DC; for one of SH-AC, its RMS.
     by_sh = SH_C0**2 * sensitivity.colour
     colour = 0.5 * np.log2(np.maximum(by_sh, _least(by_sh)))
-    colour_class, finest = _classify(colour)
-    coefficients["colour"] = (wanted - finest) * first
-    return StepSizes(shape_class, colour_class, coefficients)
+    colour_class, finest_colour = _classify(colour)
+
+    def adding(error: float) -> StepSizes:
+        wanted, first = 0.5 * math.log2(12 * error), np.eye(5)[0]
+        coefficients = {name: (wanted - finest) * first - row for name, row in offsets.items()}
+        coefficients["colour"] = (wanted - finest_colour) * first
+        return StepSizes(shape_class, colour_class, coefficients)
+
+    return adding
 
 
 def _classify(level: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float]:

@@ -189,10 +189,9 @@ def describe(file: EgsFile) -> Info:
 
 
 def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
-    sizes = {"header": file.header_size}
+    sizes, known = {"header": file.header_size}, set(SectionId)
     for (section_id, _), size in sorted(file.sizes.items()):
-        known = section_id in set(SectionId)
-        label = SectionId(section_id).label if known else f"section {section_id}"
+        label = SectionId(section_id).label if section_id in known else f"section {section_id}"
         sizes[label] = sizes.get(label, 0) + size
     count = max(file.header.count, 1)
     return tuple(StreamInfo(name, size, 8 * size / count) for name, size in sizes.items())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -54,6 +55,7 @@ def _encode(cells, tables, codes):
         codes[i] = code
 
 
+@lru_cache(maxsize=1)  # the blocks of a file have the same
 def _axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
     """Bits that each value of each byte of a code sets on each axis, shape (8, 256, 3)."""
     tables = np.zeros((8, 256, 3), np.uint32)

@@ -20,6 +20,7 @@ from gs_codec.scene import GROUPS, SH_COEFFICIENTS, group_rows, property_names, 
 
 _QUANTISERS = (ConstantQuantiser, RangeQuantiser, CentredQuantiser)
 _WHERE = "section 'channels'"
+_NAMES = property_names()
 
 #: Streams whose channels are coded by rANS, in the order they share its states.
 RANS_STREAMS = DEPTH_GROUPS[2:]
@@ -57,7 +58,7 @@ class Channel:
     @property
     def name(self) -> str:
         """Property name in the PLY."""
-        return property_names()[self.group][self.index]
+        return _NAMES[self.group][self.index]
 
 
 def channel_order(coefficients: int) -> list[tuple[str, int, str]]:

@@ -23,7 +23,7 @@ def many(driver: Driver) -> int:
         for _ in range(8):
             for key in keys:
                 driver.viewer.press(ord(key))
-                driver.tick(1 + pressed % 2)
+                driver.tick(1 + pressed % 2, redraw=True)
                 pressed += 1
     return pressed
 

@@ -25,10 +25,10 @@ def run(folder: Path) -> dict:
     actions = viewer.attach(visualizer)
 
     def shown() -> np.ndarray:
-        for _ in range(20):
+        for _ in range(10):
             visualizer.post_redraw()
             app.run_one_tick()
-            time.sleep(0.03)
+            time.sleep(0.06)
         return grab(visualizer)
 
     pictures = [shown()]

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
@@ -39,7 +40,9 @@ def tell(found: dict) -> NoReturn:
 
 
 class Driver:
-    def __init__(self, folder: Path, images: Path | None = None) -> None:
+    def __init__(
+        self, folder: Path, images: Path | None = None, size: tuple[int, int] = (760, 480)
+    ) -> None:
         self.folder = folder
         self.app = gui.Application.instance
         self.app.initialize()
@@ -50,28 +53,32 @@ class Driver:
             images=images,
             pruned=folder / "report",
             layers=("splats",),
-            size=(760, 480),
+            size=size,
         )
         self.viewer = Viewer(request)
 
-    def tick(self, count: int = 1, pause: float = 0.01) -> None:
+    def tick(self, count: int = 1, pause: float = 0.01, redraw: bool = False) -> None:
+        """Let the window do what it has to, and draw frames that it does not need if asked."""
         for _ in range(count):
-            self.viewer.window.post_redraw()
+            if redraw:
+                self.viewer.window.post_redraw()
             self.app.run_one_tick()
             time.sleep(pause)
 
     def rest(self) -> np.ndarray:
         """Tick until nothing moves any more; what is on the screen then."""
         before, equal = None, 0
-        for _ in range(400):
-            self.tick(1, pause=0.06)  # few frames: a software driver draws each for long
+        for _ in range(2000):
             if self.viewer.busy or not self.viewer.stage.panes:
+                self.tick()
                 before = None
                 continue
+            # Few frames: a software driver draws each for long.
+            self.tick(1, pause=0.09, redraw=True)
             now = grab(self.viewer.window)
             # A frame may be on its way: a software driver takes its time on a busy machine.
             equal = equal + 1 if before is not None and np.array_equal(now, before) else 0
-            if equal == 3:
+            if equal == 2:
                 return now
             before = now
         raise SystemExit("the window never rests")
@@ -94,11 +101,15 @@ class Driver:
         viewer = self.viewer
         wanted = viewer.choice.layers ^ {layer}
         self.click(viewer.panel.boxes[layer])
+        self.wait(lambda: viewer.choice.layers == wanted)
+
+    def wait(self, done: Callable[[], bool]) -> None:
+        """Tick until what was clicked has come through."""
         for _ in range(400):
-            if viewer.choice.layers == wanted:
+            if done():
                 return
             self.tick(2)
-        raise SystemExit(f"no click on {layer}")
+        raise SystemExit("a click does not come through")
 
     def click(self, widget: gui.Widget) -> None:
         frame = widget.frame
@@ -179,7 +190,7 @@ def drags(driver: Driver) -> dict:
     for mode, button, key, numbers in cases:
         if mode != viewer.choice.mode:
             viewer.set_mode(mode)
-        driver.rest()
+            driver.rest()
         models = [[driver.models()]]
         for events in numbers:
             if key:
@@ -198,11 +209,12 @@ def wheel(driver: Driver) -> list[float]:
     navigator, distances = driver.viewer.stage.navigator, []
     frame = driver.viewer.stage.panes[0].widget.frame
     driver.move(frame.x + frame.width / 2, frame.y + frame.height / 2)
-    for button in (None, 4, 5, 5):
-        if button:
-            driver.xdotool("click", button)
-            driver.rest()
+    distances.append(navigator.distance)
+    for button in (4, 5, 5):
+        driver.xdotool("click", button)
+        driver.wait(lambda: navigator.distance != distances[-1])
         distances.append(navigator.distance)
+    driver.rest()
     return distances
 
 
@@ -288,7 +300,7 @@ def wipes(driver: Driver, found: dict) -> None:
 
 
 def run(folder: Path) -> dict:
-    driver = Driver(folder)
+    driver = Driver(folder, size=(640, 320))
     viewer = driver.viewer
     found: dict = {}
     first = driver.rest()

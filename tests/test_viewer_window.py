@@ -55,7 +55,7 @@ def folder(tmp_path_factory) -> Path:
     poses = [
         look_at(centre + 4 * size * np.array(p), centre) for p in ((0.3, -0.5, -1), (1, -0.5, 0))
     ]
-    entries = [pose.camera(400, 300) | {"img_name": f"view{k}"} for k, pose in enumerate(poses)]
+    entries = [pose.camera(200, 150) | {"img_name": f"view{k}"} for k, pose in enumerate(poses)]
     (folder / "cameras.json").write_text(json.dumps(entries))
     (folder / "images").mkdir()
     Image.new("RGB", (40, 30), "red").save(folder / "images" / "view0.png")

@@ -40,7 +40,6 @@ STYLE: dict[Any, Any] = {
     "grid.color": "#e2e2e2",
     "legend.frameon": False,
     "legend.fontsize": 8.5,
-    "savefig.dpi": 150,
 }
 
 #: Ticks of the axis of losses, which is logarithmic beyond the first.

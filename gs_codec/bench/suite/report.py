@@ -48,6 +48,7 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     def draw(name: str, figure: Figure, shown: str) -> str:
         plain = re.sub(r"[^A-Za-z0-9]+", "-", name)[:60].strip("-")
         file = f"{plain}.png" if f"{plain}.png" not in pictures else f"{plain}-{len(pictures)}.png"
+        figure.set_dpi(150)
         pictures[file] = png_of(figure)
         return f"![{shown}]({file})"
 

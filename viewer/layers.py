@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from viewer.opened import Opened, Pruned
 
@@ -137,6 +136,8 @@ def centres(
 
 def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.float32]:
     """Root-mean-square difference over RGB from the SH-DC colour of the nearest centre."""
+    from scipy.spatial import cKDTree
+
     colours = scene.colours[some]
     if not reference.count:
         return np.zeros(len(colours), np.float32)

@@ -259,10 +259,16 @@ def test_poses_draw_what_their_cameras_draw(files):
     assert drawn.colour.max() > 0.05
 
 
-@pytest.mark.parametrize("up", UPS)
-def test_the_overview_is_upright_and_the_first_viewpoint(files, up):
+@pytest.fixture(scope="module")
+def seen(files):
+    """A scene, and cameras chosen from it."""
     scene = open_scene(files / "a.ply")
-    cameras = gs_codec.render(scene.cloud, "auto").cameras[:4]
+    return scene, gs_codec.render(scene.cloud, "auto").cameras[:4]
+
+
+@pytest.mark.parametrize("up", UPS)
+def test_the_overview_is_upright_and_the_first_viewpoint(seen, up):
+    scene, cameras = seen
     viewpoints = find_viewpoints(scene, cameras, True, up)
     assert [viewpoint.name for viewpoint in viewpoints] == [
         "overview",

@@ -291,7 +291,8 @@ class Config:
         What to do with properties beyond the INRIA layout and with normals that are not
         all zero. ``keep`` stores them bit-exactly. Default ``error``.
     threads : int or None
-        Worker threads, 1-256; None is one for each available processor. Never changes the bytes.
+        Worker threads, 1-256; None is one for each available processor, but a single one codes
+        fewer than 4096 Gaussians. Never changes the bytes.
     block_size : int
         Most Gaussians in an independently decodable block, 1024-65536. Default 65536.
     keep_order : bool

@@ -321,6 +321,8 @@ def run(folder: Path) -> dict:
     found["where"].append(viewer.where)
     found["drags"] = drags(driver)
     found["wheel"] = wheel(driver)
+    viewer.window.size = gui.Size(660, 340)
+    driver.rest()
     found["near"] = [p.widget.scene.camera.get_near() for p in viewer.stage.panes]
     views(driver, found)
     wipes(driver, found)

@@ -17,7 +17,7 @@ from gs_codec.config import Config
 from gs_codec.guidance.guide import Guidance, steps_adding
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import ANTIALIASED, GROUPS, SH_COEFFICIENTS, Scene
+from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
 REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", "tiny_sh3.ply")
@@ -120,10 +120,8 @@ def steps_for(
 def told(scene: Scene, sensitivity: Sensitivity, loss: float = 0.0) -> Guidance:
     """What views of a thousand pixels a Gaussian tell; they cannot compact or refit colours."""
     nothing = ReferenceViews((), (), False, (0.0, 0.0, 0.0))
-    pixels, adding = 1000 * scene.count, steps_adding(scene, sensitivity)
-    parameters = sum(len(getattr(scene, group)) for group in GROUPS) * scene.count
-    weights = np.zeros((0, scene.count), np.float32)
-    return Guidance(adding, parameters, loss, pixels, nothing, weights)
+    adding, weights = steps_adding(scene, sensitivity), np.zeros((0, scene.count))
+    return Guidance(adding, loss, 1000 * scene.count, nothing, weights)
 
 
 def made_up_guide(seed: int = 0, spread: float = 3.0) -> Guide:

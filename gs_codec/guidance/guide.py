@@ -50,9 +50,7 @@ class Guidance:
     Attributes
     ----------
     steps_adding : callable
-        Step sizes by the squared error that a parameter may add; see `fit_step_sizes`.
-    parameters : int
-        Of all Gaussians together.
+        Step sizes by the squared error that all parameters together may add.
     loss : float
         Mean squared error of an image value before encoding; pruning may have caused it.
     pixels : int
@@ -68,7 +66,6 @@ class Guidance:
     """
 
     steps_adding: Callable[[float], StepSizes]
-    parameters: int
     loss: float
     pixels: int
     views: ReferenceViews
@@ -79,9 +76,7 @@ class Guidance:
 
     def steps(self, profile: AdaptiveProfile) -> StepSizes:
         """Step sizes that add the error which a profile allows, with whatever colours."""
-        # The error that all parameters may add, divided by their number.
-        error = (profile.error + profile.of_loss * self.loss) * 3 * self.pixels / self.parameters
-        return self.steps_adding(error)
+        return self.steps_adding((profile.error + profile.of_loss * self.loss) * 3 * self.pixels)
 
     def recolour(
         self, shaped: ShapedScene, profile: AdaptiveProfile, compacting: bool = True
@@ -178,16 +173,16 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     loss = views.error(scene, progress)
     found, weights = sensitivity(scene, views, progress)
     pixels = sum(camera.width * camera.height for camera in views.cameras)
-    parameters = scene.count * channel_count(len(scene.f_rest) // 3)
-    adding = steps_adding(scene, found)
-    return Guidance(adding, parameters, loss, pixels, views, weights, progress)
+    return Guidance(steps_adding(scene, found), loss, pixels, views, weights, progress)
 
 
 def steps_adding(scene: Scene, found: Sensitivity) -> Callable[[float], StepSizes]:
-    """Step sizes of a scene by the squared error that a parameter may add."""
+    """Step sizes of a scene by the squared error that all parameters together may add."""
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     sorted_axes = np.take_along_axis(found.log_scale, axes.astype(np.int64), 0)
-    return fit_step_sizes(found._replace(log_scale=sorted_axes), scene.opacity[0], scales)
+    by_error = fit_step_sizes(found._replace(log_scale=sorted_axes), scene.opacity[0], scales)
+    parameters = scene.count * channel_count(len(scene.f_rest) // 3)
+    return lambda error: by_error(error / parameters)
 
 
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:

@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 # The pip that comes with Python may be years old, and install half as fast.
 NEW_VENV := $(PYTHON) -m venv --upgrade-deps $(VENV)
+# Without the warnings of setuptools, which that pip shows.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .PHONY: demo test test-all lint check docs boundscheck scaling suite fuzz peers clean

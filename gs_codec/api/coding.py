@@ -231,7 +231,8 @@ def decode(
     part : Part, optional
         A box, a lower SH degree, or both.
     threads : int, optional
-        Worker threads, 1-256; by default one for each available processor.
+        Worker threads, 1-256; by default one for each available processor, but a single one for
+        fewer than 4096 Gaussians.
     tmc3 : str or Path, optional
         MPEG's program, for streams that use G-PCC; by default what the environment variable
         ``GS_CODEC_TMC3`` or PATH say.

@@ -59,7 +59,8 @@ def decode_part(
     data : bytes
     part : Part
     threads : int, optional
-        Worker threads, 1-256; by default one for each available processor.
+        Worker threads, 1-256; by default one for each available processor, but a single one for
+        fewer than 4096 Gaussians.
     max_bytes : int, optional
         Largest decoded size that is accepted; `most_bytes` gives the default.
     progress : callable, optional

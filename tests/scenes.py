@@ -17,7 +17,7 @@ from gs_codec.config import Config
 from gs_codec.guidance.guide import Guidance, steps_adding
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
+from gs_codec.scene import ANTIALIASED, GROUPS, SH_COEFFICIENTS, Scene
 
 SHARED = Path(__file__).parents[2] / "shared" / "scenes"
 REAL_SCENES = ("bonsai/point_cloud.ply", "flowers_sh2.ply", "showroom_sh0.ply", "tiny_sh3.ply")
@@ -76,6 +76,13 @@ def edge_scenes() -> dict[str, Scene]:
         "all colours constant": replace(base, f_dc=np.ones_like(base.f_dc)),
         "negative zero": replace(base, opacity=np.where(base.opacity > 0, -0.0, base.opacity)),
     }
+
+
+def assert_same_floats(first: Scene, second: Scene) -> None:
+    """All bits of all floats are the same."""
+    for group in GROUPS:
+        a, b = getattr(first, group), getattr(second, group)
+        np.testing.assert_array_equal(a.view(np.uint32), b.view(np.uint32), err_msg=group)
 
 
 def with_threads(number: int | None, function: Callable[..., Any], *arguments: Any) -> Any:

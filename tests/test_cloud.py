@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import open3d as o3d
 import pytest
-from scenes import random_scene
+from scenes import assert_same_floats, random_scene
 
 import gs_codec
 from gs_codec.api.cloud import from_cloud, to_cloud, turn_cloud
@@ -28,10 +28,7 @@ def tensor(values) -> o3d.core.Tensor:
 
 
 def assert_same_scene(first: Scene, second: Scene) -> None:
-    for group in GROUPS:
-        np.testing.assert_array_equal(
-            getattr(first, group).view(np.uint32), getattr(second, group).view(np.uint32), group
-        )
+    assert_same_floats(first, second)
     assert first.has_normals == second.has_normals
     assert list(first.extra) == list(second.extra)
     for name, column in first.extra.items():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import plyfile
 import pytest
-from scenes import random_scene, shared_scene_path
+from scenes import assert_same_floats, random_scene, shared_scene_path
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
@@ -59,9 +59,7 @@ def random_bits(dtype: str, count: int, seed: int) -> np.ndarray:
 
 
 def assert_same_bits(first: Scene, second: Scene) -> None:
-    for group in GROUPS:
-        a, b = (getattr(scene, group) for scene in (first, second))
-        np.testing.assert_array_equal(a.view(np.uint32), b.view(np.uint32), err_msg=group)
+    assert_same_floats(first, second)
     assert (first.has_normals, first.comments) == (second.has_normals, second.comments)
     assert list(first.extra) == list(second.extra)
     for name, column in first.extra.items():

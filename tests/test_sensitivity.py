@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -82,13 +81,12 @@ def differences(scene: Scene, cameras, antialiased: bool) -> np.ndarray:
     A step that takes a pixel over a threshold adds to it, so of two the lesser is taken.
     """
     expected = np.full((11, scene.count), np.inf)
-    small = partial(with_threads, 1, images)  # starting threads would take longer than drawing
     for place in np.ndindex(expected.shape):
         for step in STEPS:
             change = np.zeros(expected.shape)
             change[place] = step
-            ahead = small(moved(scene, change), cameras, antialiased)
-            behind = small(moved(scene, -change), cameras, antialiased)
+            ahead = images(moved(scene, change), cameras, antialiased)
+            behind = images(moved(scene, -change), cameras, antialiased)
             slopes = (ahead - behind) / (2 * step)
             expected[place] = min(expected[place], (slopes**2).sum())
     return expected

@@ -25,7 +25,7 @@ from gs_codec.rendering.project import (
 )
 from gs_codec.rendering.trace import draw_tiles
 from gs_codec.runtime.kernels import inlined, kernel
-from gs_codec.runtime.threads import available_threads, run_all
+from gs_codec.runtime.threads import available_threads, run_all, using_threads
 from gs_codec.scene import Scene
 
 _CHUNK = 1 << 14
@@ -60,13 +60,14 @@ class Frame(NamedTuple):
         `arguments`. It may write only to the pixels or pairs of its own tiles.
         """
         tiles = self.columns * self.rows
-        size = -(-tiles // (16 * available_threads()))
 
         def run(first: int) -> None:
             end = min(first + size, tiles)
             function(self.splats.fields, *self.lists, first, end, self.columns, *arguments)
 
-        run_all(run, range(0, tiles, size))
+        with using_threads(None, self.pairs):
+            size = -(-tiles // (16 * available_threads()))
+            run_all(run, range(0, tiles, size))
 
     def draw(
         self, background: Sequence[float], dtype: type[np.floating], sums: NDArray[np.float64]
@@ -92,7 +93,9 @@ def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) ->
         antialiased = scene.antialiased
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
     splats = _sorted_splats(scene, camera, antialiased)
-    return Frame(camera, splats, _list_tiles(splats, columns, rows), columns, rows)
+    with using_threads(None, len(splats.fields)):
+        lists = _list_tiles(splats, columns, rows)
+    return Frame(camera, splats, lists, columns, rows)
 
 
 def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:

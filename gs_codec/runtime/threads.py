@@ -20,15 +20,15 @@ Result = TypeVar("Result")
 
 _SET: ContextVar[int | None] = ContextVar("threads", default=None)
 
-#: Fewer Gaussians are coded sooner by one thread: several wait for each other.
+#: Fewer Gaussians or splats are done sooner by one thread: several wait for each other.
 _FEW = 1 << 12
 
 
 @contextmanager
 def using_threads(number: int | None, count: int = _FEW) -> Iterator[None]:
-    """Use `number` threads in everything that the block calls, which codes `count` Gaussians.
+    """Use `number` threads in everything that the block calls, on `count` Gaussians or splats.
 
-    None changes nothing, but few Gaussians are then coded by one thread.
+    None changes nothing, but one thread is then used for few of them.
     """
     token = _SET.set(number or _SET.get() or (1 if count < _FEW else None))
     try:

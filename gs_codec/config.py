@@ -12,6 +12,10 @@ from gs_codec.errors import InvalidInput
 #: What to do with properties beyond the INRIA layout.
 Extra = Literal["error", "keep", "drop"]
 
+#: What gives the probabilities of symbols of a paper profile, and what codes them.
+Models = Literal["parametric", "table", "best"]
+Coder = Literal["rans", "torchac"]
+
 #: Depth groups in stream order. ``sh-ac`` is accepted as shorthand for the three SH bands.
 DEPTH_GROUPS = ("geometry", "sh-dc", "opacity", "scaling", "rotation", "sh1", "sh2", "sh3")
 
@@ -309,6 +313,14 @@ class Config:
         ``GS_CODEC_TMC3``, then in PATH.
     verify : bool
         Decode the output of ``tmc3`` once and compare. Default True.
+    models : {"parametric", "table", "best"}
+        With a paper profile, what gives the probabilities of symbols: as published, Laplace
+        distributions for SH-AC and Gaussian mixtures for the rest (``parametric``), tables in the
+        file (``table``), or for each channel the cheapest of all, which is ours (``best``). Default
+        ``parametric``.
+    coder : {"rans", "torchac"}
+        With a paper profile, the entropy coder: ours, or the paper's, a Python package (extra
+        ``paper``) that decoding needs too. Default ``rans``.
 
     Raises
     ------
@@ -365,6 +377,16 @@ class Config:
         None, "The G-PCC program.", metavar="PATH", shown="GS_CODEC_TMC3, or tmc3 in PATH"
     )
     verify: bool = option(True, "Decode what tmc3 has coded, and compare.", kind=bool)
+    models: Models = option(
+        "parametric",
+        "With paper-*: Laplace and mixtures, as published, tables, or the cheapest of all (best).",
+        values=get_args(Models),
+    )
+    coder: Coder = option(
+        "rans",
+        "With paper-*: the entropy coder; torchac, the paper's, is needed to decode, too.",
+        values=get_args(Coder),
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "profile", PROFILE_WORDS.get(self.profile, self.profile))
@@ -376,6 +398,10 @@ class Config:
             raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
+        for name, default in (("models", "parametric"), ("coder", "rans")):
+            if (value := getattr(self, name)) != default and self.profile not in PROFILES:
+                known = ", ".join(PROFILES)
+                raise InvalidInput(f"{name} '{value}': profile '{self.profile}', expected {known}")
         self._check_geometry()
 
     def _check_geometry(self) -> None:

@@ -44,8 +44,8 @@ class ChannelCost:
     coded_bits : float
         Code length of the symbols under the table in use.
     parametric_bits : float
-        Code length under the cheapest fitted distribution; with profiles ``l``, ``m`` and ``s``,
-        which send tables, the same as `coded_bits`.
+        Code length under the cheapest fitted distribution; where tables alone are sent, as with
+        profiles ``l``, ``m`` and ``s``, the same as `coded_bits`.
     shannon_bits : float
         Their entropy times their number: the least that any static table can take.
     """

@@ -18,7 +18,7 @@ import numpy as np
 from pcodec.wrapped import FileDecompressor
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
-CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOX = 1, 2, 3, 4, 11, 12, 17
+CHANNELS, GEOMETRY, SH_DC, STATES, COMMENTS, EXTRA, BOX, CODER = 1, 2, 3, 4, 11, 12, 17, 20
 LOSSLESS = 6
 RANS_STREAMS = (5, 6, 7, 8, 9, 10)
 BLOCK_SECTIONS = (GEOMETRY, SH_DC, STATES, *RANS_STREAMS)
@@ -117,7 +117,7 @@ def read_sections(reader, table, blocks):
         check(flags <= 1, f"{place}: reserved bits")
         check((number, block) not in seen, f"{place}: twice")
         seen.add((number, block))
-        known = CHANNELS <= number <= BOX
+        known = CHANNELS <= number <= BOX or number == CODER
         check(known or flags == 1, f"{place}: unknown and not optional")
         of_block = number in (*BLOCK_SECTIONS, *BLOCK_SECTIONS_OF_LATTICES)
         limit = blocks if of_block else 1 if known else max(blocks, 1)
@@ -129,9 +129,12 @@ def read_sections(reader, table, blocks):
 
 def check_presence(sections, channels, blocks):
     needed = {channel.stream for channel in channels if channel.depth}
-    if needed & set(RANS_STREAMS):
-        needed.add(STATES)
     found = [number for number, _ in sections]
+    if CODER in found:
+        check(needed & set(RANS_STREAMS), "section 20: nothing is coded")
+        check_line(sections[CODER, 0])
+    elif needed & set(RANS_STREAMS):
+        needed.add(STATES)
     check(CHANNELS in found and not any(13 <= number <= BOX for number in found), "sections")
     for number in BLOCK_SECTIONS:
         expected = blocks if number in needed else 0
@@ -531,6 +534,62 @@ def decode_symbol(channel, states, lane, words):
     return symbol
 
 
+# Torchac
+
+
+def check_line(content):
+    check(1 <= len(content) <= 200, "section 20: length")
+    check(all(32 <= byte < 127 for byte in content), "section 20: not printable ASCII")
+
+
+def decode_torchac(sections, block, channels, points):
+    """Return {name: symbols of the block} of the streams 5-10, constant channels left out."""
+    coded = [channel for channel in channels if channel.stream in RANS_STREAMS and channel.depth]
+    symbols = {}
+    for stream in RANS_STREAMS:
+        members = [channel for channel in coded if channel.stream == stream]
+        if not members:
+            continue
+        reader = Reader(sections[stream, block], f"section {stream} of block {block}")
+        checksum = reader.take("I")
+        for channel in members:
+            run, column = 1 << (22 - channel.depth), []
+            for start in range(0, points, run):
+                data = reader.bytes(reader.take("I"))
+                column += decode_run(channel, data, min(run, points - start))
+            symbols[channel.name] = column
+        packed = b"".join(struct.pack(f"<{points}H", *symbols[c.name]) for c in members)
+        check(crc32c(packed) == checksum, f"{reader.place}: other symbols")
+        check(not reader.rest(), f"{reader.place}: bytes left over")
+    return symbols
+
+
+def decode_run(channel, data, count):
+    bits = iter(f"{int.from_bytes(data, 'big'):0{8 * len(data)}b}")
+    low, high, code = 0, (1 << 32) - 1, 0
+    for _ in range(32):
+        code = 2 * code + int(next(bits, 0))
+    run, up = [], 16 - channel.precision
+    for _ in range(count):
+        span = high - low + 1
+        place = ((code - low + 1) * (1 << 16) - 1) // span
+        symbol = bisect_right(channel.starts, place >> up) - 1
+        run.append(symbol)
+        start, end = channel.starts[symbol], channel.starts[symbol] + channel.frequencies[symbol]
+        high = low - 1 + ((span * (end << up)) >> 16)
+        low += (span * (start << up)) >> 16
+        while True:
+            if high < 1 << 31 or low >= 1 << 31:
+                away = low & 1 << 31
+            elif low >= 1 << 30 and high < 3 << 30:
+                away = 1 << 30
+            else:
+                break
+            low, high = 2 * (low - away), 2 * (high - away) + 1
+            code = 2 * (code - away) + int(next(bits, 0))
+    return run
+
+
 # Lossless
 
 
@@ -741,7 +800,8 @@ def decode_block(sections, block, channels, points):
             sections[SH_DC, block], depths[3:6], list(zip(*position_symbols, strict=True))
         )
     columns = [*position_symbols, *colour_symbols]
-    symbols = decode_rans(sections, block, channels, points)
+    decode_attributes = decode_torchac if (CODER, 0) in sections else decode_rans
+    symbols = decode_attributes(sections, block, channels, points)
     for channel, column in zip(channels[:6], columns, strict=True):
         if channel.depth:
             symbols[channel.name] = column

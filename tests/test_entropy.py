@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torchac_coder
 
 from gs_codec.coding.binary import code_bit, decode_binary, encode_binary, new_contexts
 from gs_codec.coding.frequency_table import FrequencyTable, normalise, shannon_bits
@@ -184,20 +183,3 @@ def test_sent_tables_survive_noise(seed):
     data = np.random.default_rng(seed).integers(0, 256, 100, np.uint8).tobytes()
     with pytest.raises(CorruptStream):
         decode_tables(memoryview(data), [256, 256], [15, 15], "x")
-
-
-def test_torchac_codes_the_same_symbols_in_nearly_the_same_size():
-    if not torchac_coder.is_available():
-        pytest.skip("torchac is not installed")
-    rng = np.random.default_rng(26)
-    tables = [table_of(rng, alphabet, precision) for alphabet, precision in ((16, 12), (256, 15))]
-    symbols = np.stack([draw(rng, table, 70_000) for table in tables])
-    ours = rans_round_trip(symbols, tables)
-    theirs = [torchac_coder.encode_symbols(*pair) for pair in zip(symbols, tables, strict=True)]
-    for row, chunks, table in zip(symbols, theirs, tables, strict=True):
-        back = torchac_coder.decode_symbols(chunks, row.size, table)
-        np.testing.assert_array_equal(back, row)
-    np.testing.assert_array_equal(ours[0], symbols)
-    our_bytes = len(ours[1]) + len(ours[2][0][1])
-    their_bytes = sum(len(chunk) for chunks in theirs for chunk in chunks)
-    assert abs(our_bytes / their_bytes - 1) < 0.002

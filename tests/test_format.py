@@ -30,9 +30,9 @@ ROWS = {
 }
 
 
-def config(profile="paper-m", extra="error", **depths):
-    depths = {group.replace("_", "-"): bits for group, bits in depths.items()}
-    return Config(profile, {"rotation": 6, **depths}, extra=extra, threads=1, block_size=1024)
+def config(profile="paper-m", extra="error", models="best", **depths):
+    depths = {"rotation": 6} | {group.replace("_", "-"): bits for group, bits in depths.items()}
+    return Config(profile, depths, extra=extra, threads=1, block_size=1024, models=models)
 
 
 def lattice_config(profile="m", extra="error"):
@@ -126,7 +126,7 @@ CASES = {
     "12-bits-blocks-seed12": (scene_of, (12, 1500, 0), config(**every_depth(12))),
     "geometry21-seed13": (scene_of, (13, 1500, 0), config(geometry=21)),
     **{
-        f"{profile}-seed14": (scene_of, (14, 300), config(profile))
+        f"{profile}-seed14": (scene_of, (14, 300), config(profile, models="parametric"))
         for profile in ("paper-l", "paper-m", "paper-s")
     },
     "extra-seed15": (with_extra, (15, 1100), config(extra="keep")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import erf, exp, sqrt
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from gs_codec.codecs.entropygs.models import (
 )
 from gs_codec.coding.frequency_table import normalise, shannon_bits
 from gs_codec.coding.sent_tables import SentModel
+from gs_codec.config import Models
 
 
 def histogram_of(values, alphabet):
@@ -177,7 +179,7 @@ def test_few_symbols_are_coded_by_parameters_and_many_by_a_table():
 
     def kind(count):
         histogram = histogram_of(values[:count], 256)
-        return choose_model(histogram, None).model.kind
+        return choose_model(histogram, None, "best").model.kind
 
     assert kind(500) == "mixture"
     assert kind(1_000_000) == "table"
@@ -186,7 +188,7 @@ def test_few_symbols_are_coded_by_parameters_and_many_by_a_table():
 def test_choice_is_the_cheapest_and_its_bits_are_real():
     rng = np.random.default_rng(33)
     histogram = histogram_of(rng.laplace(8, 1.2, 10_000), 16)
-    choice = choose_model(histogram, 1.2)
+    choice = choose_model(histogram, 1.2, "best")
     assert choice.model.kind == "laplace"
     frequencies = choice.table.frequencies / choice.table.frequencies.sum()
     occurring = histogram > 0
@@ -194,3 +196,17 @@ def test_choice_is_the_cheapest_and_its_bits_are_real():
     assert choice.bits == pytest.approx(bits)
     assert choice.shannon_bits == pytest.approx(shannon_bits(histogram))
     assert choice.shannon_bits <= choice.bits <= 1.01 * choice.shannon_bits
+
+
+@pytest.mark.parametrize("scale", [None, 1.2])
+def test_only_what_is_asked_for_is_chosen(scale):
+    """Whatever is cheaper: here tables are, for a comb that neither distribution describes."""
+    histogram = np.zeros(64, np.int64)
+    histogram[::7] = 100_000
+    chosen = {models: choose_model(histogram, scale, models) for models in get_args(Models)}
+    published = "mixture" if scale is None else "laplace"
+    kinds = {models: choice.model.kind for models, choice in chosen.items()}
+    assert kinds == {"parametric": published, "table": "table", "best": "table"}
+    assert chosen["parametric"].bits > 1.01 * chosen["table"].bits
+    assert chosen["best"].parametric_bits == chosen["parametric"].parametric_bits
+    assert chosen["table"].parametric_bits == chosen["table"].bits

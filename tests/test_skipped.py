@@ -145,13 +145,15 @@ def test_command_line_prints_what_is_skipped(profile, tmp_path):
     assert "skipped" not in CliRunner().invoke(app, ["inspect", str(path)]).stdout
 
 
-def test_tables_that_are_cheaper_than_models_are_told():
+def test_tables_in_place_of_models_are_told():
     two = edge_scenes()["two opacities"]
-    line = "opacity: a table, cheaper than a mixture model"
-    assert line in skipped(two, "paper-m")
+    line = "opacity: a table in place of a mixture model"
+    assert line in skipped(two, "paper-m", models="best")
+    assert line not in skipped(two, "paper-m")
     bits = np.random.default_rng(205).choice([-1.0, 1.0], BASE.f_rest.shape).astype(np.float32)
-    line = "sh1, sh2, sh3: a table, cheaper than a Laplace model"
-    assert skipped(replace(BASE, f_rest=bits), "paper-m", depths={"sh-ac": 5}) == [line]
+    line = "sh1, sh2, sh3: a table in place of a Laplace model"
+    asked = {"depths": {"sh-ac": 5}, "models": "best"}
+    assert skipped(replace(BASE, f_rest=bits), "paper-m", **asked) == [line]
 
 
 @pytest.mark.parametrize("profile", ["paper-m", "m", "lossless"])

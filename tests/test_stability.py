@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from gs_codec.codecs.entropygs.models import MAX_COMPONENTS, LaplaceModel, choos
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.frequency_table import MAX_PRECISION
 from gs_codec.coding.sent_tables import SentModel
-from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config
+from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILE_CHOICES, Config, Models
 from gs_codec.errors import InvalidInput
 from gs_codec.scene import GROUPS
 
@@ -153,4 +154,5 @@ def test_tables_code_what_occurs(name):
             assert np.all(table.frequencies[histogram > 0] > 0)
             assert math.isfinite(table.code_length(histogram))
     for scale in (None, 0.0, 2.0):
-        assert math.isfinite(choose_model(histogram, scale).bits)
+        for models in get_args(Models):
+            assert math.isfinite(choose_model(histogram, scale, models).bits)

@@ -167,7 +167,7 @@ def analyse_scene(
     chosen = _sample(scene, sample, seed)
     bins = bin_count(chosen.count)
     maps = maps_of(chosen, bins, seed, progress)
-    config = Config(REFERENCE)
+    config = Config(REFERENCE, models="best")
     fits = fits_of(chosen, config, progress)
     entropy, bits = _encode(scene, progress)
     sensitivity = measure_sensitivity(scene, views, config, seed, progress) if views else None

@@ -113,7 +113,7 @@ def write(
         If the suffix is unknown, an attribute is missing, ``log_scale`` and ``scale`` disagree, a
         value to be coded is not finite, or the file cannot be written.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC, and its program is not installed or fails.
+        If `config` asks for G-PCC or torchac, which is not installed or fails.
 
     Examples
     --------

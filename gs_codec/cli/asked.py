@@ -163,7 +163,7 @@ def config_of(asked: Asked) -> Config:
     config = asked.build(Config)
     if config.profile not in PROFILES:
         why = f"has no effect on profile '{config.profile}', expected one of {', '.join(PROFILES)}"
-        asked.refuse(("geometry", "tmc3", "verify"), why)
+        asked.refuse(("geometry", "tmc3", "verify", "models", "coder"), why)
     return config
 
 

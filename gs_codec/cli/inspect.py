@@ -82,6 +82,8 @@ def _print_info(file: Path, info: Info) -> None:
     )
     if info.tool is not None:
         print_text(f"geometry and SH-DC: G-PCC, by '{info.tool}'")
+    if info.coder.startswith("torchac"):
+        print_text(f"attributes: coded by '{info.coder}'")
     print_table(
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],
         [_stream_row(stream, info) for stream in info.streams],

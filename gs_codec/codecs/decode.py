@@ -16,9 +16,11 @@ from gs_codec.codecs.entropygs.decode import (
     channel_sections,
     channels_of,
     decode_channels,
+    sections_beside,
 )
 from gs_codec.codecs.entropygs.gpcc import tool_for
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.codecs.entropygs.torchac_coder import require_coder
 from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_positions, lossless_sections
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, check_threads
@@ -81,7 +83,7 @@ def decode_part(
         If the number of threads is out of range.
     CorruptStream, TruncatedStream, UnsupportedVersion
     MissingTool, ToolFailed
-        If the stream uses G-PCC, and the program is missing or fails.
+        If the stream uses G-PCC or torchac, and the program is missing or fails.
     """
     check_threads(threads)
     with using_threads(threads):
@@ -106,6 +108,7 @@ def choose_part(
         )
     coded = _check_sections(file)
     tool = tool_for(file, tmc3)
+    require_coder(file)
     degree = part.degree_of(header.sh_degree)
     blocks: Sequence[int] = range(header.block_count)
     if coded:
@@ -241,9 +244,8 @@ def _check_sections(file: EgsFile) -> set[SectionId]:
         own = {SectionId.LATTICE, SectionId.BOUNDS} if header.count else {SectionId.LATTICE}
         expected = adaptive_sections(header.sh_degree)
     else:
-        own, expected = {SectionId.CHANNELS}, channel_sections(file)
-        if SectionId.GPCC in expected:
-            own.add(SectionId.TOOL)
+        expected = channel_sections(file)
+        own = sections_beside(file, expected)
     others = set(SectionId) - own - expected - {SectionId.COMMENTS, SectionId.EXTRA}
     for section_id, block in file.table:
         if section_id in others:

@@ -44,7 +44,7 @@ def encode_scene(
     InvalidInput
         If values are not finite and `config` does not say to drop them.
     MissingTool, ToolFailed
-        If `config` asks for G-PCC, and the program is missing or fails.
+        If `config` asks for G-PCC or torchac, and the program is missing or fails.
     """
     parts, report = encode_parts(scene, config, progress, steps)
     return b"".join(parts), report

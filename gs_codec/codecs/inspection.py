@@ -1,6 +1,6 @@
 """Describe a file from its header and the sections that describe its blocks.
 
-Those sections hold channels, lattices, bounds or box, the G-PCC program, and comments.
+Those sections hold channels, lattices, bounds or box, comments, and what else coded the scene.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file
-from gs_codec.egs.sections import Box, read_box, read_comments, read_tool
+from gs_codec.egs.sections import Box, read_box, read_comments, read_line
 from gs_codec.scene import SH_COEFFICIENTS, antialiased_of, coordinates_of
 
 
@@ -87,6 +87,8 @@ class Info:
         Coder of positions: ``octree``, ``gpcc`` (SH-DC too), or ``columns`` (`lossless`).
     tool : str or None
         With ``gpcc``, the version line of the program that coded them.
+    coder : str
+        Entropy coder of attributes: ``rans``, ``pcodec`` (`lossless`), or torchac's version line.
     bounds : tuple of two tuples of float
         Lowest and highest x, y, z of the centres.
     file_bytes : int
@@ -120,6 +122,7 @@ class Info:
     keeps_order: bool
     geometry: str
     tool: str | None
+    coder: str
     bounds: Box
     file_bytes: int
     raw_bytes: int
@@ -167,7 +170,7 @@ def describe(file: EgsFile) -> Info:
         details, coder = _lossless_details, "columns"
     stored = file.sections.get((SectionId.COMMENTS, 0))
     comments = () if stored is None else read_comments(stored)
-    tool = file.sections.get((SectionId.TOOL, 0))
+    tool, packed = (read_line(file, section) for section in (SectionId.TOOL, SectionId.CODER))
     return Info(
         version=file.version,
         count=header.count,
@@ -178,7 +181,8 @@ def describe(file: EgsFile) -> Info:
         has_normals=header.has_normals,
         keeps_order=header.keeps_order,
         geometry=coder if tool is None else "gpcc",
-        tool=None if tool is None else read_tool(tool),
+        tool=tool,
+        coder=packed or ("pcodec" if header.profile == LOSSLESS else "rans"),
         file_bytes=len(file.data),
         raw_bytes=header.float_bytes,
         streams=_streams(file),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from gs_codec.codecs.entropygs.torchac_coder import is_torchac
 from gs_codec.config import ADAPTIVE_PROFILES, Config
-from gs_codec.egs.file import Header
+from gs_codec.egs.file import EgsFile
 from gs_codec.errors import InvalidInput
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import available_threads
 from gs_codec.scene import float_bytes
 
-#: Bytes of Python, packages and compiled kernels; bytes of each thread. Measured, rounded up.
-_FIXED, _THREAD = 280_000_000, 45_000_000
+#: Bytes of Python, packages and compiled kernels; of torch; of each thread. Measured, rounded up.
+_FIXED, _TORCH, _THREAD = 280_000_000, 220_000_000, 45_000_000
 
 #: Bytes for each Gaussian to sort a scene: profiles `l`, `m` and `s`; the others.
 _ADAPTIVE, _OTHERS = 40, 55
@@ -19,7 +20,7 @@ _ADAPTIVE, _OTHERS = 40, 55
 def least_memory(count: int, config: Config) -> int:
     """Lowest memory limit, in bytes, that a scene of `count` Gaussians can be encoded in."""
     each = _ADAPTIVE if config.profile in ADAPTIVE_PROFILES else _OTHERS
-    return _working() + count * each
+    return _working(config.coder == "torchac") + count * each
 
 
 def check_encoding(count: int, config: Config) -> None:
@@ -32,7 +33,7 @@ def check_encoding(count: int, config: Config) -> None:
     _check(least_memory(count, config), f"{count:,} Gaussians by profile {config.profile}")
 
 
-def slab_within(header: Header, degree: int, wanted: int) -> int:
+def slab_within(file: EgsFile, degree: int, wanted: int) -> int:
     """Number of Gaussians to decode at once: `wanted`, or fewer if the memory limit is lower.
 
     Raises
@@ -42,14 +43,14 @@ def slab_within(header: Header, degree: int, wanted: int) -> int:
     """
     # A slab, and a copy of it that is being written.
     each = 2 * float_bytes(1, degree)
-    working = _working()
-    _check(working + header.block_size * each, "decoding")
+    working = _working(is_torchac(file))
+    _check(working + file.header.block_size * each, "decoding")
     limit = current().limit
     return wanted if limit is None else min(wanted, (limit - working) // each)
 
 
-def _working() -> int:
-    return _FIXED + available_threads() * _THREAD
+def _working(torchac: bool) -> int:
+    return _FIXED + torchac * _TORCH + available_threads() * _THREAD
 
 
 def _check(least: int, what: str) -> None:

@@ -39,7 +39,7 @@ def skipped_by_header(header: Header) -> list[str]:
 
 
 def skipped_by_channels(channels: list[Channel]) -> list[str]:
-    """Channels of a `paper` profile without symbols, and models that cost more than a table."""
+    """Channels of a `paper` profile without symbols, and those coded by a table, not a model."""
     constant: list[str] = []
     zero_bands: list[int] = []
     tables: dict[str, list[str]] = {"mixture": [], "Laplace": []}
@@ -58,7 +58,7 @@ def skipped_by_channels(channels: list[Channel]) -> list[str]:
         lines.append(f"{', '.join(constant)}: constant")
     for model, names in tables.items():
         if names:
-            lines.append(f"{', '.join(names)}: a table, cheaper than a {model} model")
+            lines.append(f"{', '.join(names)}: a table in place of a {model} model")
     return lines
 
 

@@ -77,9 +77,9 @@ class Slabs:
         with located(self.path):
             if self.chosen.part.box is None:
                 order = order_of_file(describe(self.chosen.file))
-            header = self.chosen.file.header
-            wanted = max(_SLAB, 2 * available_threads() * header.block_size)
-            size = slab_within(header, self.sh_degree, wanted)
+            file = self.chosen.file
+            wanted = max(_SLAB, 2 * available_threads() * file.header.block_size)
+            size = slab_within(file, self.sh_degree, wanted)
             for scene in self.chosen.slabs(size, self.progress):
                 self.seconds += time.perf_counter() - start
                 yield with_order(scene, order)
@@ -106,7 +106,8 @@ def opened_slabs(
     CorruptStream, TruncatedStream, UnsupportedVersion
         If it is not a valid `.egs` file; damaged blocks raise when a slab is decoded.
     MissingTool
-        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed.
+        If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed, or
+        torchac, likewise.
     """
     with using_threads(threads), bounded(max_memory), open_scene(path) as file:
         start = time.perf_counter()
@@ -152,7 +153,7 @@ def verify_file(
         If it is not a valid `.egs` file.
     MissingTool, ToolFailed
         If it uses G-PCC, and the program (`tmc3`, or as the environment says) is not installed or
-        does not decode it.
+        does not decode it, or torchac, likewise.
     """
     start = time.perf_counter()
     with opened_slabs(path, Part(), threads, max_bytes, progress, tmc3, max_memory) as slabs:

@@ -51,6 +51,7 @@ class SectionId(IntEnum):
     BOX = 17
     GPCC = 18
     TOOL = 19
+    CODER = 20
 
     @property
     def label(self) -> str:
@@ -71,6 +72,7 @@ DESCRIPTIONS = frozenset(
         SectionId.BOUNDS,
         SectionId.BOX,
         SectionId.TOOL,
+        SectionId.CODER,
     }
 )
 

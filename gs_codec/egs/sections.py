@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.egs.file import Header, Section, SectionId, file_parts, section_sizes
+from gs_codec.egs.file import EgsFile, Header, Section, SectionId, file_parts, section_sizes
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.report import ChannelCost, EncodeReport, StageTimes
 from gs_codec.runtime.arrays import empty
@@ -25,7 +25,7 @@ _LAYOUT = "<6f"
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 
-#: Most characters of a version line.
+#: Most characters of the version line of a program.
 MAX_LENGTH = 200
 
 
@@ -171,16 +171,20 @@ def read_box(data: memoryview) -> Box:
     return low, high
 
 
-def write_tool(version: str) -> bytes:
+def write_line(version: str) -> bytes:
     """Serialise a version line of 1-200 printable ASCII characters."""
     return version.encode("ascii")
 
 
-def read_tool(data: memoryview) -> str:
-    """The inverse of `write_tool`."""
+def read_line(file: EgsFile, section: SectionId) -> str | None:
+    """The version line of a section of a file, `tool` or `coder`; None if it has none."""
+    data = file.sections.get((section, 0))
+    if data is None:
+        return None
     text = bytes(data[: MAX_LENGTH + 1])
     if not 1 <= len(text) <= MAX_LENGTH or any(not 32 <= byte < 127 for byte in text):
         raise CorruptStream(
-            f"section 'tool': {len(data)} bytes, expected 1-{MAX_LENGTH} of printable ASCII"
+            f"section '{section.label}': {len(data)} bytes, expected 1-{MAX_LENGTH} of printable "
+            "ASCII"
         )
     return text.decode("ascii")

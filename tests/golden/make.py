@@ -51,14 +51,14 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
     unit = random_scene(60, 3, seed=104)
     unit.rot[:] = unit.rot / np.linalg.norm(unit.rot, axis=0) * np.where(unit.rot[0] < 0, -1, 1)
     return {
-        "paper-l": (plain, Config("paper-l", block_size=1024)),
-        "paper-m": (plain, Config("paper-m", block_size=1024)),
-        "paper-s": (plain, Config("paper-s", block_size=1024)),
-        "carried": (carried, Config("paper-m", extra="keep")),
-        "constant": (flat, Config("paper-m")),
+        "paper-l": (plain, Config("paper-l", models="best", block_size=1024)),
+        "paper-m": (plain, Config("paper-m", models="best", block_size=1024)),
+        "paper-s": (plain, Config("paper-s", models="best", block_size=1024)),
+        "carried": (carried, Config("paper-m", models="best", extra="keep")),
+        "constant": (flat, Config("paper-m", models="best")),
         "deep": (
             plain.take(np.arange(200)),
-            Config("paper-m", depths={"geometry": 21, "sh-ac": 12}),
+            Config("paper-m", depths={"geometry": 21, "sh-ac": 12}, models="best"),
         ),
         "lossless": (bits, Config("lossless", extra="keep", block_size=1024)),
         "lossless-kept": (unit, Config("lossless", keep_order=True)),

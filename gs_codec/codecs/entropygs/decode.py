@@ -12,8 +12,10 @@ from gs_codec.codecs.entropygs.gpcc import decode_gpcc, is_gpcc
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.entropygs.symbols import triple_depths
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.codecs.entropygs.torchac_coder import decode_stream, is_torchac
 from gs_codec.coding.colour import decode_colour
 from gs_codec.coding.count_tree import decode_geometry
+from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.coding.morton import decode_morton
 from gs_codec.coding.quantise import dequantise
 from gs_codec.coding.rans import TableSet, decode_symbols
@@ -29,11 +31,21 @@ def channel_sections(file: EgsFile) -> set[SectionId]:
     """The sections that each block has: those of streams with a channel that is not constant."""
     streams = {channel.stream for channel in channels_of(file) if channel.quantiser.depth}
     expected = {SectionId.of_stream(stream) for stream in streams}
-    if streams & set(RANS_STREAMS):
+    if streams & set(RANS_STREAMS) and not is_torchac(file):
         expected.add(SectionId.STATES)
     if is_gpcc(file) and expected & _POINTS:
         expected = expected - _POINTS | {SectionId.GPCC}
     return expected
+
+
+def sections_beside(file: EgsFile, expected: set[SectionId]) -> set[SectionId]:
+    """The sections of the scene that go with those of its blocks, which are `expected`."""
+    beside = {SectionId.CHANNELS}
+    if SectionId.GPCC in expected:
+        beside.add(SectionId.TOOL)
+    if is_torchac(file) and expected & {SectionId.of_stream(stream) for stream in RANS_STREAMS}:
+        beside.add(SectionId.CODER)
+    return beside
 
 
 def channel_positions(
@@ -87,8 +99,8 @@ def decode_channels(
 class _Blocks:
     """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree.
 
-    Of each channel that rANS codes, ``varying`` holds the stream, the plane ``(N,)``, and the
-    values of its symbols, and ``tables`` the frequency table.
+    Of each channel of attributes that varies, ``varying`` holds the stream, the plane ``(N,)``, and
+    the values of its symbols, and ``tables`` the frequency table.
     """
 
     def __init__(self, file: EgsFile, degree: int, count: int, tool: Tmc3 | None) -> None:
@@ -100,7 +112,7 @@ class _Blocks:
         channels = channels_of(file)
         self.points = channels[:6]
         self.varying: list[tuple[str, NDArray[np.float32], NDArray[np.float32]]] = []
-        tables = []
+        self.tables: list[FrequencyTable] = []
         for channel in channels:
             row = channel.index
             if channel.group == "f_rest":
@@ -114,8 +126,8 @@ class _Blocks:
             elif channel.model is not None:
                 levels = dequantise(np.arange(channel.alphabet), channel.quantiser)
                 self.varying.append((channel.stream, plane, levels))
-                tables.append(channel.model.frequencies(channel.alphabet))
-        self.tables = TableSet.pack(tables)
+                self.tables.append(channel.model.frequencies(channel.alphabet))
+        self.packed = TableSet.pack(self.tables)
 
     def stages(self) -> list[Callable[[int, int, int], None]]:
         """The functions that decode a block."""
@@ -147,15 +159,30 @@ class _Blocks:
         return [*cells, *decode_colour(data, cells, depths, f"sh-dc of block {block}")]
 
     def decode_attributes(self, block: int, start: int, stop: int) -> None:
-        """Fill the rANS-coded channels of a block."""
+        """Fill the channels of a block that are modelled."""
+        by_coder = self._by_torchac if is_torchac(self.file) else self._by_rans
+        for row, (_, plane, levels) in zip(by_coder(block), self.varying, strict=True):
+            np.take(levels, row, out=plane[start:stop], mode="clip")
+
+    def _streams(self, block: int) -> list[tuple[int, memoryview]]:
+        """Number of channels of each stream that varies, and its section."""
         streams = [stream for stream, *_ in self.varying]
-        groups = [
+        return [
             (streams.count(stream), self.file.section(SectionId.of_stream(stream), block))
             for stream in RANS_STREAMS
             if stream in streams
         ]
+
+    def _by_rans(self, block: int) -> NDArray[np.uint16]:
+        start, stop = self.file.header.block_range(block)
         states = self.file.section(SectionId.STATES, block)
-        where = f"block {block}"
-        symbols = decode_symbols(states, groups, stop - start, self.tables, where, self.whole)
-        for row, (_, plane, levels) in zip(symbols, self.varying, strict=True):
-            np.take(levels, row, out=plane[start:stop], mode="clip")
+        where, streams = f"block {block}", self._streams(block)
+        return decode_symbols(states, streams, stop - start, self.packed, where, self.whole)
+
+    def _by_torchac(self, block: int) -> list[NDArray[np.uint16]]:
+        start, stop = self.file.header.block_range(block)
+        rows: list[NDArray[np.uint16]] = []
+        for number, data in self._streams(block):
+            tables = self.tables[len(rows) : len(rows) + number]
+            rows += decode_stream(data, stop - start, tables, f"block {block}")
+        return rows

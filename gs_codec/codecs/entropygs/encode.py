@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from gs_codec.codecs.entropygs.gpcc import encode_gpcc, tool_of, tool_section
-from gs_codec.codecs.entropygs.section import RANS_STREAMS, write_channels
+from gs_codec.codecs.entropygs.section import write_channels
 from gs_codec.codecs.entropygs.symbols import Coded, Ordered, order_scene, quantise_and_model
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
+from gs_codec.codecs.entropygs.torchac_coder import coder_section, encode_stream, require_torchac
 from gs_codec.coding.colour import encode_colour
 from gs_codec.coding.count_tree import encode_geometry
 from gs_codec.coding.rans import TableSet, encode_symbols
@@ -24,6 +25,8 @@ def encode_channels(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`."""
     tool = tool_of(config)
+    if config.coder == "torchac":
+        require_torchac()
     with times.stage("order"):
         ordered = order_scene(scene, config.resolved_depths())
     with times.stage("quantise and model"):
@@ -32,6 +35,7 @@ def encode_channels(
         header = Header.of(scene, config)
         channels = write_channels([*ordered.channels, *coded.channels])
         sections = [Section(SectionId.CHANNELS, 0, channels), *tool_section(tool, ordered)]
+        sections += coder_section(config) if coded.tables else []
         sections += _encode_blocks(header, ordered, coded, config, tool, progress)
     return pack_scene(scene, header, sections, ordered.order, times, coded.costs, coded.rectified)
 
@@ -45,11 +49,13 @@ def _encode_blocks(
     progress: Progress | None,
 ) -> list[Section]:
     """Sections of all blocks, block after block."""
-    tables = TableSet.pack(coded.tables)
+    attributes = partial(_encode_by_rans, coded, TableSet.pack(coded.tables))
+    if config.coder == "torchac":
+        attributes = partial(_encode_by_torchac, coded)
     stages = [partial(_encode_geometry, ordered), partial(_encode_colour, ordered)]
     if tool is not None:
         stages = [partial(encode_gpcc, tool, config.verify, ordered)]
-    stages.append(partial(_encode_symbols, coded, tables))
+    stages += [attributes] if coded.tables else []
     jobs = [
         partial(stage, block, *header.block_range(block))
         for block in range(header.block_count)
@@ -76,16 +82,21 @@ def _encode_colour(ordered: Ordered, block: int, start: int, stop: int) -> list[
     return [Section.kept(SectionId.SH_DC, block, data)]
 
 
-def _encode_symbols(
+def _encode_by_rans(
     coded: Coded, tables: TableSet, block: int, start: int, stop: int
 ) -> list[Section]:
-    if not coded.tables:
-        return []
     states, words = encode_symbols(coded.symbols, start, stop, tables)
     sections = [Section(SectionId.STATES, block, states)]
-    for stream in RANS_STREAMS:
-        pairs = zip(words, coded.varying, strict=True)
-        members = [data for data, channel in pairs if channel.stream == stream]
-        if members:
-            sections.append(Section.kept(SectionId.of_stream(stream), block, b"".join(members)))
+    for stream, rows in coded.streams.items():
+        data = b"".join(words[row] for row in rows)
+        sections.append(Section.kept(SectionId.of_stream(stream), block, data))
+    return sections
+
+
+def _encode_by_torchac(coded: Coded, block: int, start: int, stop: int) -> list[Section]:
+    sections = []
+    for stream, rows in coded.streams.items():
+        symbols = [coded.symbols[row, start:stop] for row in rows]
+        data = encode_stream(symbols, [coded.tables[row] for row in rows])
+        sections.append(Section.kept(SectionId.of_stream(stream), block, data))
     return sections

@@ -20,7 +20,7 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import canonical_order, encode_morton
 from gs_codec.config import GPCC_DEPTHS, Config
 from gs_codec.egs.file import EgsFile, Section, SectionId
-from gs_codec.egs.sections import read_tool, write_tool
+from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.ply_header import read_header
 
@@ -140,7 +140,7 @@ def tool_section(tool: Tmc3 | None, ordered: Ordered) -> list[Section]:
     """The section `tool`, if points are coded by a program."""
     if tool is None or not any(map(sum, ordered.depths)):
         return []
-    return [Section(SectionId.TOOL, 0, write_tool(tool.version))]
+    return [Section(SectionId.TOOL, 0, write_line(tool.version))]
 
 
 def encode_gpcc(
@@ -181,7 +181,7 @@ def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:
     """
     if not is_gpcc(file):
         return None
-    read_tool(file.section(SectionId.TOOL))
+    read_line(file, SectionId.TOOL)
     header = file.header
     if header.block_count > 1 and header.block_size < _LEAST_BLOCK:
         raise CorruptStream(
@@ -215,7 +215,7 @@ def decode_gpcc(
     try:
         return _decode(tool, reader.rest(), checksum, stop - start, axes, colours)
     except ToolFailed as error:
-        written = read_tool(file.section(SectionId.TOOL))
+        written = read_line(file, SectionId.TOOL)
         by = "" if written == tool.version else f"; written by {written}"
         raise ToolFailed(f"{where}: tmc3 ({tool.version}{by}) {error}") from error
 

@@ -21,6 +21,7 @@ from gs_codec.coding.frequency_table import (
 )
 from gs_codec.coding.linear import dot
 from gs_codec.coding.sent_tables import MAX_MANTISSA, SentModel, encode_tables
+from gs_codec.config import Models
 from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import kernel
 
@@ -264,8 +265,10 @@ class Choice:
     shannon_bits: float
 
 
-def choose_model(histogram: NDArray[np.int64], laplace_scale: float | None) -> Choice:
-    """Cheapest of the parametric models and the sent tables, parameters included.
+def choose_model(
+    histogram: NDArray[np.int64], laplace_scale: float | None, models: Models
+) -> Choice:
+    """Cheapest of the asked models, parameters included.
 
     Parameters
     ----------
@@ -273,15 +276,20 @@ def choose_model(histogram: NDArray[np.int64], laplace_scale: float | None) -> C
         Count of each symbol, not all 0.
     laplace_scale : float or None
         Mean absolute deviation in symbols for SH-AC; None tries mixtures instead.
+    models : {"parametric", "table", "best"}
+        Those distributions, sent tables, or both.
     """
-    parametric: list[Model] = _parametric_models(histogram, laplace_scale)
-    sent = [SentModel.fit(histogram, mantissa, MAX_PRECISION) for mantissa in _MANTISSAS]
+    fitted: list[Model] = []
+    if models != "table":
+        fitted += _parametric_models(histogram, laplace_scale)
+    if models != "parametric":
+        fitted += [SentModel.fit(histogram, mantissa, MAX_PRECISION) for mantissa in _MANTISSAS]
     precisions = [p for p in _PRECISIONS if 1 << p >= 2 * histogram.size]
     priced = []
-    for fitted in [*parametric, *sent]:
-        size = model_bytes(fitted)
+    for each in fitted:
+        size = model_bytes(each)
         for precision in precisions:
-            model = replace(fitted, precision=precision)
+            model = replace(each, precision=precision)
             table = model.frequencies(histogram.size)
             bits = table.code_length(histogram)
             priced.append((bits + 8 * size, bits, model, table))
@@ -290,8 +298,8 @@ def choose_model(histogram: NDArray[np.int64], laplace_scale: float | None) -> C
         (item for item in priced if item[0] <= enough),
         key=lambda item: (item[2].precision, item[0]),
     )
-    parametric_bits = min(b for _, b, model, _ in priced if not isinstance(model, SentModel))
-    return Choice(model, table, bits, parametric_bits, shannon_bits(histogram))
+    parametric = [b for _, b, each, _ in priced if not isinstance(each, SentModel)]
+    return Choice(model, table, bits, min(parametric, default=bits), shannon_bits(histogram))
 
 
 def _parametric_models(histogram: NDArray[np.int64], laplace_scale: float | None) -> list[Model]:

@@ -115,9 +115,12 @@ class Coded:
     rectified: int
 
     @property
-    def varying(self) -> list[Channel]:
-        """The channels that are not constant."""
-        return [channel for channel in self.channels if channel.model is not None]
+    def streams(self) -> dict[str, list[int]]:
+        """Rows of `symbols` by their stream, in stream order."""
+        streams: dict[str, list[int]] = {}
+        for row, cost in enumerate(self.costs):
+            streams.setdefault(cost.stream, []).append(row)
+        return streams
 
 
 def quantise_and_model(
@@ -140,7 +143,7 @@ def quantise_and_model(
         channel, scale = fitted[varying[row]]
         values = getattr(scene, channel.group)[channel.index]
         symbols[row], histogram, clamped = quantise(values, channel.quantiser, order)
-        return choose_model(histogram, scale), clamped
+        return choose_model(histogram, scale, config.models), clamped
 
     advance = step_counter(progress, "quantise", len(varying))
     results = run_all(work, range(len(varying)), advance=advance)

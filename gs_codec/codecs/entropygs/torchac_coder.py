@@ -1,0 +1,175 @@
+"""The paper's entropy coder, the package torchac. FORMAT.md, section "Torchac".
+
+It codes under the tables of our models, a channel of a block at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import importlib.util
+import os
+import struct
+import sys
+import sysconfig
+import warnings
+from collections.abc import Iterator, Sequence
+from functools import cache
+
+import numpy as np
+from crc32c import crc32c
+from numpy.typing import NDArray
+
+from gs_codec.coding.fields import ByteReader
+from gs_codec.coding.frequency_table import FrequencyTable
+from gs_codec.config import Config
+from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.sections import read_line, write_line
+from gs_codec.errors import CorruptStream, MissingTool, one_line
+
+#: Symbols coded together, times the alphabet: torchac wants a row of its CDF for each symbol.
+_VALUES = 1 << 22
+
+
+def require_torchac() -> None:
+    """Import torch and torchac, which compiles itself the first time.
+
+    Raises
+    ------
+    MissingTool
+        If they are not installed, or torchac cannot be compiled.
+    """
+    _load()
+
+
+@cache
+def _load():
+    """The modules torch and torchac; what torchac prints on stdout goes to stderr."""
+    if not all(importlib.util.find_spec(name) for name in ("torch", "torchac")):
+        raise MissingTool("torchac is not installed: pip install 'gs-codec[paper]'")
+    import torch
+
+    try:
+        with _output_on_stderr(), _own_programs_first(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a docstring, where it was not compiled before
+            import torchac
+    except (RuntimeError, OSError) as error:
+        reason = one_line(error)[:200]
+        raise MissingTool(f"torchac cannot be compiled here: {reason}") from error
+    return torch, torchac
+
+
+@contextlib.contextmanager
+def _own_programs_first() -> Iterator[None]:
+    """Let torch find the ninja of this environment even when the shell has not activated it."""
+    path = os.environ.get("PATH", "")
+    os.environ["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), path])
+    try:
+        yield
+    finally:
+        os.environ["PATH"] = path
+
+
+@contextlib.contextmanager
+def _output_on_stderr() -> Iterator[None]:
+    """Send what this process and its compilers write to stdout to stderr."""
+    sys.stdout.flush()
+    saved = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+
+
+def is_torchac(file: EgsFile) -> bool:
+    """Whether torchac codes the attributes of a file."""
+    return (SectionId.CODER, 0) in file.table
+
+
+def require_coder(file: EgsFile) -> None:
+    """Check that what a file's attributes are coded with is here.
+
+    Raises
+    ------
+    CorruptStream, MissingTool
+    """
+    if is_torchac(file):
+        read_line(file, SectionId.CODER)
+        require_torchac()
+
+
+def coder_section(config: Config) -> list[Section]:
+    """The section `coder`, if torchac codes the attributes."""
+    if config.coder == "rans":
+        return []
+    version = importlib.metadata.version("torchac")
+    return [Section(SectionId.CODER, 0, write_line(f"torchac {version}"))]
+
+
+def encode_stream(symbols: Sequence[NDArray[np.uint16]], tables: Sequence[FrequencyTable]) -> bytes:
+    """Code a stream's channels of a block, ``(n,)`` each."""
+    checksum, parts = 0, []
+    for row, table in zip(symbols, tables, strict=True):
+        checksum = crc32c(row.astype("<u2").tobytes(), checksum)
+        for data in _encode(row, table):
+            parts += [struct.pack("<I", len(data)), data]
+    return struct.pack("<I", checksum) + b"".join(parts)
+
+
+def decode_stream(
+    data: memoryview, count: int, tables: Sequence[FrequencyTable], where: str
+) -> list[NDArray[np.uint16]]:
+    """The inverse of `encode_stream` for `count` symbols of each channel.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    """
+    reader = ByteReader(data, where)
+    expected, checksum = reader.unpack("I")[0], 0
+    channels = [_decode(reader, count, table) for table in tables]
+    for row in channels:
+        checksum = crc32c(row.astype("<u2").tobytes(), checksum)
+    if checksum != expected or len(reader.rest()):
+        raise CorruptStream(f"{where}: torchac gives other symbols than were coded")
+    return channels
+
+
+def _encode(symbols: NDArray[np.uint16], table: FrequencyTable) -> Iterator[bytes]:
+    torch, torchac = _load()
+    ranks = np.searchsorted(_present(table), symbols).astype(np.int16)
+    for start, stop in _runs(symbols.size, table):
+        part = torch.from_numpy(ranks[start:stop])
+        yield torchac.encode_int16_normalized_cdf(_cdf(table, stop - start), part)
+
+
+def _decode(reader: ByteReader, count: int, table: FrequencyTable) -> NDArray[np.uint16]:
+    _, torchac = _load()
+    ranks = np.empty(count, np.int16)
+    for start, stop in _runs(count, table):
+        data = bytes(reader.take(reader.unpack("I")[0]))
+        cdf = _cdf(table, stop - start)
+        ranks[start:stop] = torchac.decode_int16_normalized_cdf(cdf, data).numpy()
+    return _present(table)[ranks].astype(np.uint16)
+
+
+def _runs(count: int, table: FrequencyTable) -> Iterator[tuple[int, int]]:
+    """Where runs of symbols begin and end."""
+    size = _VALUES // table.frequencies.size
+    return ((start, min(start + size, count)) for start in range(0, count, size))
+
+
+def _cdf(table: FrequencyTable, count: int):
+    """The table as the int16 CDF torchac wants, one row for each symbol to code."""
+    torch, _ = _load()
+    starts = np.append(table.starts[_present(table)], 1 << table.precision).astype(np.int64)
+    wrapped = (starts << (16 - table.precision)).astype(np.uint16).view(np.int16)
+    return torch.from_numpy(wrapped).expand(count, -1).contiguous()
+
+
+def _present(table: FrequencyTable) -> NDArray[np.intp]:
+    """Symbols that can occur; torchac fails if two values of a CDF are equal."""
+    return np.flatnonzero(table.frequencies)

@@ -35,7 +35,8 @@ class Option:
     Parameters
     ----------
     help : str
-        One sentence for the help of a command.
+        One sentence for the help of a command; of a switch that is on by default, what switching it
+        off does.
     kind : type
         ``bool``, ``int``, ``float``, ``str`` or ``Path``.
     name : str, optional
@@ -55,7 +56,7 @@ class Option:
     unit : {"bytes"}, optional
         Sizes are typed with units: ``5MB``.
     expert : bool
-        Whether commands that do not list it take it by ``--set NAME=VALUE``.
+        Whether it is an expert option, which the help of most commands lists at its end.
     """
 
     help: str
@@ -338,11 +339,13 @@ class Config:
     gs_codec.errors.InvalidInput: coarseness 100: expected 1/64 to 64
     """
 
-    profile: str = option("m", f"One of {PROFILES_SHOWN}.", metavar="NAME", values=PROFILE_CHOICES)
+    profile: str = option(
+        "m", f"One of {PROFILES_SHOWN}.", metavar="NAME", values=(*PROFILE_CHOICES, *PROFILE_WORDS)
+    )
     depths: Mapping[str, int] = option(
         dict,
-        f"Bits of a group: {', '.join((*DEPTH_GROUPS, 'sh-ac'))}.",
-        kind=int, name="depth", metavar="BITS", keys=(*DEPTH_GROUPS, "sh-ac"),
+        f"Bits of a group: {', '.join((*DEPTH_GROUPS, 'sh-ac'))}. May be repeated.",
+        kind=int, name="depth", metavar="GROUP=BITS", keys=(*DEPTH_GROUPS, "sh-ac"),
     )  # fmt: skip
     nonfinite: Literal["error", "drop"] = option(
         "error", "What to do with Gaussians that hold NaN or infinity.", values=("error", "drop")
@@ -376,7 +379,7 @@ class Config:
     tmc3: str | None = option(
         None, "The G-PCC program.", metavar="PATH", shown="GS_CODEC_TMC3, or tmc3 in PATH"
     )
-    verify: bool = option(True, "Decode what tmc3 has coded, and compare.", kind=bool)
+    verify: bool = option(True, "Do not check what tmc3 has coded by decoding it.", kind=bool)
     models: Models = option(
         "parametric",
         "With paper-*: Laplace and mixtures, as published, tables, or the cheapest of all (best).",

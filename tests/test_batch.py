@@ -115,7 +115,7 @@ def test_tree_begins_where_the_glob_is_no_longer_fixed(folder, source, outputs):
 
 
 def test_options_are_those_of_encode(folder):
-    options = ("-p", "paper-s", "--set", "depth.rotation=9", "--extra", "drop", "--threads", "2")
+    options = ("-p", "paper-s", "--depth", "rotation=9", "--extra", "drop", "--threads", "2")
     assert folder.run("batch", "in/*.ply", "out", *options, "--json").status == 0
     config = Config("paper-s", {"rotation": 9}, extra="drop")
     assert Path("out/a.egs").read_bytes() == encoded("in/a.ply", config)

@@ -34,7 +34,7 @@ def measured(tmp_path_factory) -> tuple[list[dict], str]:
     [view] = read_cameras(folder / "cameras.json")
     write_png(folder / "v.png", render(scene, view).colour)
     options = ["--cameras", str(folder), "--gt-images", str(folder), "--repeats", "1"]
-    options += ["-p", "m", "-p", "paper-m", "--set", "depth.sh-dc=7", "--tile", "1000"]
+    options += ["-p", "m", "-p", "paper-m", "--depth", "sh-dc=7", "--tile", "1000"]
     result = CliRunner().invoke(app, ["bench", "run", str(folder / "scene.ply"), *options])
     assert result.exit_code == 0, result.output
     return [json.loads(line) for line in result.stdout.splitlines()], result.stderr

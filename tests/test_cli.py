@@ -163,12 +163,12 @@ def test_depth_may_be_given_several_times(folder):
     depths = [
         "-p",
         "paper-m",
-        "--set",
-        "depth.sh-ac=5",
-        "--set",
-        "depth.sh3=2",
-        "--set",
-        "depth.geometry=12",
+        "--depth",
+        "sh-ac=5",
+        "--depth",
+        "sh3=2",
+        "--depth",
+        "geometry=12",
     ]
     assert folder.run("encode", "scene.ply", "out.egs", *depths).status == 0
     info = strict_json(folder.run("inspect", "out.egs", "--json").out)
@@ -595,34 +595,37 @@ REFUSED = {
     "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians.* cameras see"),
     "profile": ("encode scene.ply out.egs -p best", "profile 'best': expected one of l, m, s, "),
     "depth group": (
-        "encode scene.ply out.egs -p paper-m --set depth.colour=3",
+        "encode scene.ply out.egs -p paper-m --depth colour=3",
         "'colour': expected one of",
     ),
     "depth 0": (
-        "encode scene.ply out.egs -p paper-m --set depth.opacity=0",
+        "encode scene.ply out.egs -p paper-m --depth opacity=0",
         "integer from 1 to 12",
     ),
     "depth 13": (
-        "encode scene.ply out.egs -p paper-m --set depth.sh-ac=13",
+        "encode scene.ply out.egs -p paper-m --depth sh-ac=13",
         "integer from 1 to 12",
     ),
     "depth 22": (
-        "encode scene.ply out.egs -p paper-m --set depth.geometry=22",
+        "encode scene.ply out.egs -p paper-m --depth geometry=22",
         "integer from 1 to 21",
     ),
-    "depth word": ("encode scene.ply out.egs --set depth.sh-ac=x", "expected an integer"),
-    "depth empty": ("encode scene.ply out.egs --set depth.sh-ac=", "expected an integer"),
-    "depth negative": ("encode scene.ply out.egs --set depth.sh-ac=-1", "expected an integer"),
-    "depth no number": ("encode scene.ply out.egs --set depth.sh-ac", "expected depth.sh-ac=BITS"),
-    "depth superscript": ("encode scene.ply out.egs --set depth.sh-ac=²", "expected an integer"),
+    "depth word": ("encode scene.ply out.egs --depth sh-ac=x", "expected an integer"),
+    "depth empty": ("encode scene.ply out.egs --depth sh-ac=", "expected an integer"),
+    "depth negative": ("encode scene.ply out.egs --depth sh-ac=-1", "expected an integer"),
+    "depth no number": (
+        "encode scene.ply out.egs --depth sh-ac",
+        "--depth sh-ac: expected GROUP=BITS",
+    ),
+    "depth superscript": ("encode scene.ply out.egs --depth sh-ac=²", "expected an integer"),
     "depth of 5000 digits": (
-        f"encode scene.ply out.egs --set depth.sh-ac={'9' * 5000}",
+        f"encode scene.ply out.egs --depth sh-ac={'9' * 5000}",
         "expected",
     ),
     "nonfinite": ("encode scene.ply out.egs --nonfinite keep", "nonfinite 'keep'"),
     "extra": ("encode scene.ply out.egs --extra maybe", "extra 'maybe'"),
-    "depth of a lattice": ("encode scene.ply out.egs -p m --set depth.sh1=13", "depth of sh1 13"),
-    "depth of lossless": ("encode scene.ply o.egs -p lossless --set depth.sh1=3", "has none"),
+    "depth of a lattice": ("encode scene.ply out.egs -p m --depth sh1=13", "depth of sh1 13"),
+    "depth of lossless": ("encode scene.ply o.egs -p lossless --depth sh1=3", "has none"),
     "box of five": ("decode scene.egs out.ply --bbox 0,0,0,1,1", "--bbox 0,0,0,1,1: expected six"),
     "box of seven": ("decode scene.egs out.ply --bbox 0,0,0,1,1,1,1", "expected six numbers"),
     "box of words": ("decode scene.egs out.ply --bbox a,b,c,d,e,f", "expected six numbers"),
@@ -695,7 +698,7 @@ def test_disk_that_fills_up_leaves_what_was(folder, command, existing):
 def test_scenes_in_different_orders_are_refused(folder):
     assert (
         folder.run(
-            "encode", "scene.ply", "out.egs", "-p", "paper-m", "--set", "depth.geometry=9"
+            "encode", "scene.ply", "out.egs", "-p", "paper-m", "--depth", "geometry=9"
         ).status
         == 0
     )
@@ -791,8 +794,8 @@ def test_progress_on_a_terminal_ends_in_a_clean_line(folder):
     [
         "encode scene.ply out.egs",
         "encode scene.ply out.egs -p paper-m",
-        "encode scene.ply out.egs --cameras auto --set views=3 --set width=48 --prune 10",
-        "encode scene.ply out.egs --cameras auto --set views=3 --set width=48 --max-psnr-drop 1",
+        "encode scene.ply out.egs --cameras auto --views 3 --width 48 --prune 10",
+        "encode scene.ply out.egs --cameras auto --views 3 --width 48 --max-psnr-drop 1",
         "decode scene.egs out.ply",
         "verify scene.egs",
         "convert scene.ply out.splat",

@@ -54,7 +54,7 @@ def ply(tmp_path) -> Path:
 def test_what_spz_declares_stays_with_the_scene(suffix, spz, tmp_path, caplog):
     caplog.set_level("INFO")
     target = tmp_path / f"out{suffix}"
-    exact = ["-p", "lossless", "--set", "keep-order=yes"] if suffix == ".egs" else []
+    exact = ["-p", "lossless", "--keep-order"] if suffix == ".egs" else []
     out, err = run("convert", spz, target, "--coordinates", "keep", *exact)
     assert out.startswith(f"{target}: 40 Gaussians, SH degree 2, ")
     assert "coordinates RUB, as they were" in err
@@ -76,7 +76,7 @@ def test_inspect_shows_what_was_declared(spz, tmp_path):
 
 
 def test_extra_properties_survive_both_ways(ply, tmp_path):
-    run("convert", ply, tmp_path / "a.egs", "-p", "lossless", "--set", "keep-order=yes")
+    run("convert", ply, tmp_path / "a.egs", "-p", "lossless", "--keep-order")
     run("convert", tmp_path / "a.egs", tmp_path / "b.ply")
     assert (tmp_path / "b.ply").read_bytes() == ply.read_bytes()
     run("convert", ply, tmp_path / "c.ply", "--extra", "drop")
@@ -133,8 +133,7 @@ def test_what_is_not_finite_is_refused_or_dropped(tmp_path):
         tmp_path / "c.egs",
         "-p",
         "lossless",
-        "--set",
-        "keep-order=yes",
+        "--keep-order",
     )
     np.testing.assert_array_equal(read_scene(tmp_path / "c.egs").opacity, opacity)
 
@@ -169,7 +168,7 @@ def test_every_command_reads_other_formats(spz, tmp_path):
         "prepare",
         spz,
         tmp_path / "b.splat",
-        *["--prune-geometry", "10", "--set", "width=16", "--set", "views=2"],
+        *["--prune-geometry", "10", "--width", "16", "--views", "2"],
     )
     assert read_scene(tmp_path / "b.splat").count < 40
 
@@ -269,7 +268,7 @@ def test_ply_and_splat_come_out_right_down_forward(spz, tmp_path):
     for name, *exact in (
         ["a.ply"],
         ["a.splat"],
-        ["a.egs", "-p", "lossless", "--set", "keep-order=yes"],
+        ["a.egs", "-p", "lossless", "--keep-order"],
     ):
         _, err = run("convert", spz, tmp_path / name, *exact)
         assert "coordinates turned from RUB to RDF" in err

@@ -154,9 +154,9 @@ WRITING = {
     "encode": "encode scene.ply {}/out.egs -p lossless",
     "decode": "decode scene.egs {}/out.ply",
     "convert": "convert scene.egs {}/out.splat",
-    "prepare": "prepare scene.ply {}/out.ply --prune-geometry 0.01 --set width=30 --set views=2",
-    "prepare --report": "prepare scene.ply out.ply --prune-importance 1 --set width=30"
-    " --set views=2 --report {} --overwrite",
+    "prepare": "prepare scene.ply {}/out.ply --prune-geometry 0.01 --width 30 --views 2",
+    "prepare --report": "prepare scene.ply out.ply --prune-importance 1 --width 30"
+    " --views 2 --report {} --overwrite",
     "compare --images": "compare scene.ply scene.egs --cameras auto --width 100 --images {}"
     " --overwrite",
     "render": "render scene.ply --cameras auto --width 100 --out {} --overwrite",

@@ -188,13 +188,13 @@ def test_the_command_line_finds_the_program_where_it_is_told(stand_in, tmp_path,
         target,
         "-p",
         "paper-s",
-        "--set",
-        "geometry=gpcc",
+        "--geometry",
+        "gpcc",
         "--json",
         "--overwrite",
     ]
-    for options in ([], ["--set", "verify=no"]):
-        result = CliRunner().invoke(app, [*encode, "--set", f"tmc3={stand_in}", *options])
+    for options in ([], ["--no-verify"]):
+        result = CliRunner().invoke(app, [*encode, "--tmc3", stand_in, *options])
         assert result.exit_code == 0, result.output
     assert CliRunner().invoke(app, ["decode", target, back, "--tmc3", stand_in]).exit_code == 0
     assert read_ply(back).count == 400
@@ -213,7 +213,7 @@ def test_the_command_line_finds_the_program_where_it_is_told(stand_in, tmp_path,
 def test_without_the_program_one_line_says_what_it_is(stand_in, tmp_path, monkeypatch):
     source, target, back = (str(tmp_path / n) for n in ("a.ply", "a.egs", "b.ply"))
     write_ply(source, random_scene(10, 0, seed=97))
-    encode = ["encode", source, target, "-p", "paper-m", "--set", "geometry=gpcc"]
+    encode = ["encode", source, target, "-p", "paper-m", "--geometry", "gpcc"]
     assert CliRunner().invoke(app, encode).exit_code == 0
     monkeypatch.delenv("GS_CODEC_TMC3")
     again = [*encode[:2], str(tmp_path / "c.egs"), *encode[3:]]
@@ -289,7 +289,7 @@ def test_a_failure_leaves_no_file(stand_in, tmp_path, monkeypatch):
     source, target = tmp_path / "a.ply", tmp_path / "a.egs"
     write_ply(source, random_scene(20, 0, seed=98))
     monkeypatch.setenv("TMC3_STAND_IN", "encode:segfault")
-    options = ["-p", "paper-m", "--set", "geometry=gpcc"]
+    options = ["-p", "paper-m", "--geometry", "gpcc"]
     result = CliRunner().invoke(app, ["encode", str(source), str(target), *options])
     assert isinstance(result.exception, ToolFailed)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.ply", "stand in", "temporary"]

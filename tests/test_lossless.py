@@ -249,7 +249,7 @@ def run(*arguments) -> str:
 
 def test_command_line_gives_the_same_file_back(plain, tmp_path):
     stream, back = tmp_path / "scene.egs", tmp_path / "back.ply"
-    run("encode", plain, stream, "-p", "lossless", "--set", "keep-order=yes", "--extra", "keep")
+    run("encode", plain, stream, "-p", "lossless", "--keep-order", "--extra", "keep")
     run("decode", stream, back)
     assert back.read_bytes() == plain.read_bytes()
     run(
@@ -258,8 +258,7 @@ def test_command_line_gives_the_same_file_back(plain, tmp_path):
         tmp_path / "again.egs",
         "-p",
         "lossless",
-        "--set",
-        "keep-order=yes",
+        "--keep-order",
         "--extra",
         "keep",
     )

@@ -10,22 +10,22 @@ import pytest
 from typer.main import get_command
 
 from gs_codec.cli.main import app
+from gs_codec.cli.options import parse_value
 from gs_codec.config import Config
 from gs_codec.files.coding import encode_file
 from gs_codec.preparation.steps import Plan, Steps
 
 #: How each option that a command may ignore is typed.
 VALUES = {
-    "cameras": "--cameras cameras.json", "views": "--set views=64", "width": "--set width=40",
-    "background": "--set background=black", "gt-images": "--gt-images images",
-    "checkpoint": "--checkpoint kept", "allow-prune": "--set allow-prune=yes",
-    "geometry": "--set geometry=octree", "tmc3": "--set tmc3=tmc3", "verify": "--set verify=no",
-    "keep-order": "--set keep-order=yes", "depth": "--set depth.opacity=8",
-    "coarseness": "--set coarseness=2", "block-size": "--set block-size=2048",
+    "cameras": "--cameras cameras.json", "views": "--views 64", "width": "--width 40",
+    "background": "--background black", "gt-images": "--gt-images images",
+    "checkpoint": "--checkpoint kept", "allow-prune": "--allow-prune",
+    "geometry": "--geometry octree", "tmc3": "--tmc3 tmc3", "verify": "--no-verify",
+    "keep-order": "--keep-order", "depth": "--depth opacity=8",
+    "coarseness": "--coarseness 2", "block-size": "--block-size 2048",
     "profile": "--profile m", "images": "--images views", "split": "--split all",
     "device": "--device cpu", "overwrite": "--overwrite", "channels": "--channels",
-    "max-memory": "--max-memory 1GB", "plain width": "--width 40",
-    "plain background": "--background black",
+    "max-memory": "--max-memory 1GB",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -51,13 +51,13 @@ IGNORED = {
     "convert scene.ply o.splat": ("profile", "depth", "coarseness", "block-size", *_GPCC),
     "convert scene.egs o.ply": ("keep-order",),
     "compare scene.ply scene.egs": (
-        "images", "gt-images", "plain width", "split", "plain background", "device", "overwrite",
+        "images", "gt-images", "width", "split", "background", "device", "overwrite",
     ),
     "compare scene.ply scene.egs --cameras auto": ("overwrite",),
     "inspect scene.egs --json": ("channels",),
-    "analyze scene.ply --out out": ("plain width",),
-    "bench run scene.ply": ("gt-images", "plain width"),
-    "bench peers scene.ply": ("gt-images", "plain width"),
+    "analyze scene.ply --out out": ("width",),
+    "bench run scene.ply": ("gt-images", "width"),
+    "bench peers scene.ply": ("gt-images", "width"),
 }  # fmt: skip
 
 
@@ -66,71 +66,147 @@ IGNORED = {
 )
 def test_option_without_effect_is_refused(folder, command, option):
     line = folder.refuse(*command.split(), *VALUES[option].split())
-    assert re.search(option.removeprefix("plain ").replace("-", "[-_]"), line)
+    assert re.search(option.replace("-", "[-_]"), line)
 
 
-# --set
+@pytest.mark.parametrize(
+    ("command", "typed"),
+    [
+        ("encode scene.ply o.egs", "--no-verify"),
+        ("encode scene.ply o.egs", "--allow-prune"),
+        ("encode scene.ply o.egs", "--views 3"),
+        ("convert scene.ply o.splat", "--depth opacity=8"),
+        ("convert scene.ply o.splat", "--block-size 2048"),
+    ],
+)
+def test_refusal_names_the_option_as_typed(folder, command, typed):
+    line = folder.refuse(*command.split(), *typed.split())
+    assert line.startswith(f"gs-codec: error: {typed.split()[0]} ")
+
+
+# Expert options
 
 
 @pytest.mark.parametrize(
     ("typed", "message"),
     [
-        ("coarsness=1.2", "no such name, expected one of depth.GROUP, block-size, keep-order, "),
-        ("profile=l", "no such name, expected one of depth.GROUP, "),
-        ("refine=5", "no such name, "),
-        ("=3", "no such name, "),
-        ("", "no such name, "),
-        ("depth=3", "no such name, "),
-        ("views.x=3", "no such name, "),
-        ("depth.colour=3", "depth group 'colour': expected one of geometry, sh-dc, "),
-        ("views", "--set views: expected views=N"),
-        ("verify", "--set verify: expected verify=yes|no"),
-        ("views=many", "--set views=many: expected an integer"),
-        ("views=0", "views 0: expected at least 1"),
-        ("coarseness=fine", "--set coarseness=fine: expected a number"),
-        ("coarseness=nan", "--set coarseness=nan: expected a number"),
-        ("coarseness=65", "coarseness 65.0: expected 1/64 to 64"),
-        ("keep-order=1", "--set keep-order=1: expected yes or no"),
-        ("geometry=best", "geometry 'best': expected one of octree, gpcc, auto"),
-        ("background=red", "--set background=red: expected black or white"),
-        ("block-size=5", "block_size 5: expected an integer from 1024 to 65536"),
-        ("tmc3=", "--set tmc3=: expected a value"),
-        ("target-bpg=0", "target bits 0.0: expected a number above 0"),
+        ("--coarsness 1.2", "No such option: --coarsness"),
+        ("--nosuch", "No such option: --nosuch"),
+        ("--nosuch=3", "No such option: --nosuch"),
+        ("--verify", "No such option: --verify"),
+        ("--no-keep-order", "No such option: --no-keep-order"),
+        ("--depth 3", "--depth 3: expected GROUP=BITS"),
+        ("--depth=", "--depth : expected GROUP=BITS"),
+        ("--depth sh-ac", "--depth sh-ac: expected GROUP=BITS"),
+        ("--depth sh-ac=x", "--depth sh-ac=x: expected an integer"),
+        ("--depth =3", "depth group '': expected one of geometry, sh-dc, "),
+        ("--depth colour=3", "depth group 'colour': expected one of geometry, sh-dc, "),
+        ("--depth opacity=3 --depth colour=3", "depth group 'colour': expected one of geometry, "),
+        ("--views", "Option '--views' requires an argument."),
+        ("--no-verify=yes", "Option '--no-verify' does not take a value."),
+        ("--keep-order=1", "Option '--keep-order' does not take a value."),
+        ("--views many", "--views many: expected an integer"),
+        ("--views=", "--views : expected an integer"),
+        ("--views 1_0", "--views 1_0: expected an integer"),
+        ("--views 0", "--views 0: expected at least 1"),
+        ("--coarseness fine", "--coarseness fine: expected a number"),
+        ("--coarseness nan", "--coarseness nan: expected a number"),
+        ("--coarseness inf", "--coarseness inf: expected a number"),
+        ("--coarseness 65", "--coarseness 65.0: expected 1/64 to 64"),
+        ("--coarseness .01", "--coarseness 0.01: expected 1/64 to 64"),
+        ("--geometry best", "--geometry 'best': expected one of octree, gpcc, auto"),
+        ("--background red", "--background red: expected black or white"),
+        ("--block-size 5", "--block-size 5: expected an integer from 1024 to 65536"),
+        ("--tmc3=", "--tmc3 : expected a value"),
+        ("--target-bpg 0", "target bits 0.0: expected a number above 0"),
+        ("--threads many", "--threads many: expected an integer"),
+        ("--prune half", "--prune half: expected a number"),
+        ("--cameras=", "--cameras : expected a value"),
+        ("-p best", "--profile 'best': expected one of l, m, s, "),
     ],
 )
-def test_what_set_does_not_know_is_refused_in_one_line(folder, typed, message):
+def test_what_an_option_does_not_take_is_refused_in_one_line(folder, typed, message):
     cameras = [] if "target" in typed else ["--cameras", "cameras.json"]
-    assert message in folder.refuse("encode", "scene.ply", "o.egs", *cameras, "--set", typed)
+    assert message in folder.refuse("encode", "scene.ply", "o.egs", *cameras, *typed.split())
 
 
-def test_set_does_what_the_library_does(folder):
-    typed = ["depth.opacity=6", "depth.sh-ac=4", "coarseness=1.25", "block-size=1024"]
-    options = [word for each in typed for word in ("--set", each)]
-    assert folder.run("encode", "scene.ply", "a.egs", *options).status == 0
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("max_bytes", "9000000000000000", 9 * 10**15),
+        ("views", "+8", 8),
+        ("prune", ".5", 0.5),
+        ("prune", "5.", 5.0),
+        ("compact_sh", "3e-5", 3e-5),
+        ("compact_sh", "1E+2", 100.0),
+        ("depth", "sh-ac=3", ("sh-ac", 3)),
+        ("background", "white", (1.0, 1.0, 1.0)),
+        ("report", "a b", Path("a b")),
+    ],
+)
+def test_how_values_are_typed(name, text, value):
+    found = parse_value(name, text)
+    assert (found, type(found)) == (value, type(value))
+
+
+@pytest.mark.parametrize("command", ["encode", "batch", "convert"])
+def test_misspelt_expert_option_is_recognised(folder, command):
+    line = folder.refuse(command, "scene.ply", "o.egs", "--coarsness", "2")
+    assert line.count("--coarseness") == 1
+
+
+def test_expert_options_do_what_the_library_does(folder):
+    typed = (
+        "--depth opacity=5 --depth sh-ac=4 --depth opacity=6 --coarseness 1.25 --block-size 1024"
+    )
+    assert folder.run("encode", "scene.ply", "a.egs", *typed.split()).status == 0
     depths = {"opacity": 6, "sh-ac": 4}
     encode_file("scene.ply", "b.egs", Config(depths=depths, coarseness=1.25, block_size=1024))
     assert Path("a.egs").read_bytes() == Path("b.egs").read_bytes()
-    views = ["--cameras", "cameras.json", "--set", "views=1", "--set", "background=white"]
-    assert folder.run("encode", "scene.ply", "c.egs", *views).status == 0
+    views = "--cameras cameras.json --views 1 --background white"
+    assert folder.run("encode", "scene.ply", "c.egs", *views.split()).status == 0
     encode_file("scene.ply", "d.egs", plan=Plan(Steps(), "cameras.json", None, None, 1, (1, 1, 1)))
     assert Path("c.egs").read_bytes() == Path("d.egs").read_bytes()
+    kept = "-p lossless --keep-order"
+    assert folder.run("encode", "scene.ply", "e.egs", *kept.split()).status == 0
+    encode_file("scene.ply", "f.egs", Config("lossless", keep_order=True))
+    assert Path("e.egs").read_bytes() == Path("f.egs").read_bytes()
 
 
-def test_encode_has_at_most_16_options_and_batch_the_same():
-    def options(name: str) -> set[str]:
-        params = get_command(app).get_command(None, name).params
-        return {p.name for p in params if p.param_type_name == "option"} - {"help"}
-
-    assert len(options("encode")) == 16
-    assert options("encode") <= options("batch")
+def _options(name: str, *, hidden: bool) -> set[str]:
+    """How the options of a command are typed."""
+    params = get_command(app).get_command(None, name).params
+    options = [p for p in params if p.param_type_name == "option" and p.hidden == hidden]
+    return {(*p.opts, *p.secondary_opts)[0] for p in options} - {"--help"}
 
 
+def test_encode_shows_at_most_16_options_and_batch_the_same():
+    assert len(_options("encode", hidden=False)) <= 16
+    assert _options("encode", hidden=False) <= _options("batch", hidden=False)
+    assert _options("encode", hidden=True) == _options("batch", hidden=True)
+
+
+#: Expert options of encode.
+EXPERT = (
+    "--depth", "--block-size", "--keep-order", "--coarseness", "--geometry", "--tmc3",
+    "--no-verify", "--target-bpg", "--allow-prune", "--width", "--views", "--background",
+)  # fmt: skip
+
+
+def test_expert_options_of_encode():
+    assert _options("encode", hidden=True) >= set(EXPERT)
+
+
+@pytest.mark.parametrize("columns", ["80", "160"])
 @pytest.mark.parametrize("command", ["encode", "batch", "convert", "prepare"])
-def test_help_lists_what_set_takes(folder, command):
-    names = re.findall(r"one of (.*)", folder.refuse(command, "scene.ply", "o.egs", "--set", "x=1"))
-    listed = folder.run(command, "--help").out
-    for name in names[0].split(", "):
-        assert re.search(rf"^ *{re.escape(name)}=", listed, re.MULTILINE), name
+def test_help_lists_expert_options_once_at_its_end(folder, command, columns):
+    folder.monkeypatch.setenv("COLUMNS", columns)
+    shown, heading, listed = folder.run(command, "--help").out.partition("Expert options:")
+    assert heading
+    for name in _options(command, hidden=True):
+        assert len(re.findall(rf"^ {re.escape(name)} ", listed, re.MULTILINE)) == 1, name
+        assert not re.search(rf"^. {re.escape(name)} ", shown, re.MULTILINE), name
+    assert all(len(line.rstrip()) < 80 for line in listed.splitlines())
 
 
 @pytest.mark.parametrize(("word", "short"), [("high", "l"), ("medium", "m"), ("low", "s")])

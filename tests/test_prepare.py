@@ -409,8 +409,8 @@ REFUSALS = {
     ),
     "report": ("prepare scene.ply o.ply --rectify --report scene.ply", "scene.ply: "),
     "checkpoint alone": ("prepare s.ply o.ply --rectify --checkpoint c", "needs --refine"),
-    "background": ("prepare scene.ply o.ply --rectify --set background=red", "black or white"),
-    "width": ("prepare scene.ply o.ply --rectify --set width=-4", "width -4"),
+    "background": ("prepare scene.ply o.ply --rectify --background red", "black or white"),
+    "width": ("prepare scene.ply o.ply --rectify --width -4", "width -4"),
 }
 
 

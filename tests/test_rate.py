@@ -19,7 +19,7 @@ import gs_codec
 from gs_codec.api.cloud import to_cloud
 from gs_codec.cli.asked import Asked, plan_of
 from gs_codec.cli.main import app
-from gs_codec.cli.options import parse_size
+from gs_codec.cli.options import parse_value
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
@@ -81,7 +81,7 @@ def test_limits_of_targets():
     ],
 )
 def test_sizes_have_units(text, size):
-    assert parse_size("--target-size ", text) == size
+    assert parse_value("target_size", text) == size
 
 
 @pytest.mark.parametrize("text", ["", "MB", "five", "-3MB", "3 MBB", "1e6", "5Mb/s"])
@@ -349,28 +349,28 @@ def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
 
 
 def test_pruning_without_a_target_is_refused(tmp_path):
-    result = CliRunner().invoke(
-        app, ["encode", "a.ply", str(tmp_path / "x.egs"), "--set", "allow-prune=yes"]
-    )
+    result = CliRunner().invoke(app, ["encode", "a.ply", str(tmp_path / "x.egs"), "--allow-prune"])
     assert isinstance(result.exception, InvalidInput)
-    assert "--set allow-prune needs a size or a quality" in str(result.exception)
+    assert "--allow-prune needs a size or a quality" in str(result.exception)
 
 
 @pytest.mark.parametrize(
-    "asked", [{"set": ["allow-prune=yes"]}, {"max_psnr_drop": 0.5}], ids=["pruning", "quality"]
+    "asked", [{"allow_prune": True}, {"max_psnr_drop": 0.5}], ids=["pruning", "quality"]
 )
 def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
     def found(**values: Any) -> Plan | None:
-        ctx = SimpleNamespace(info_name="encode", get_parameter_source=lambda name: None)
-        settable = ["views", "width", "background", "allow_prune"]
-        return plan_of(Asked(ctx, {"profile": "m"} | values, settable))
+        typed = SimpleNamespace(name="COMMANDLINE")
+        ctx = SimpleNamespace(
+            info_name="encode", get_parameter_source=dict.fromkeys(values, typed).get
+        )
+        return plan_of(Asked(ctx, {"profile": "m"} | values))
 
-    views = ["views=8", "width=100", "background=white"]
-    plan = found(**asked | {"set": views + asked.get("set", [])})
+    views = {"views": 8, "width": 100, "background": (1.0, 1.0, 1.0)}
+    plan = found(**asked, **views)
     assert (plan.cameras, plan.views, plan.width) == ("auto", 8, 100)
     assert plan.background == (1, 1, 1)
-    with pytest.raises(InvalidInput, match="--set views has no effect without views"):
-        found(set=views)
+    with pytest.raises(InvalidInput, match="--views has no effect without views"):
+        found(**views)
     assert found() is None
 
 
@@ -430,7 +430,7 @@ def test_command_line_refuses_what_is_out_of_reach(scene, tmp_path, options):
 
 
 def test_two_targets_are_refused(scene, tmp_path):
-    options = ["--target-ratio", "20", "--set", "target-bpg=30"]
+    options = ["--target-ratio", "20", "--target-bpg", "30"]
     result = CliRunner().invoke(app, ["encode", "scene.ply", str(tmp_path / "x.egs"), *options])
     assert isinstance(result.exception, InvalidInput)
 

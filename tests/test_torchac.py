@@ -160,7 +160,7 @@ def absent(monkeypatch):
 def test_without_it_encoding_is_one_clear_error(absent, tmp_path):
     source, target = tmp_path / "a.ply", tmp_path / "a.egs"
     write_ply(source, random_scene(20, 0, seed=78))
-    options = ["encode", str(source), str(target), "-p", "paper-m", "--set", "coder=torchac"]
+    options = ["encode", str(source), str(target), "-p", "paper-m", "--coder", "torchac"]
     result = CliRunner().invoke(app, options)
     assert isinstance(result.exception, MissingTool)
     assert "a.ply: torchac is not installed: pip install 'gs-codec[paper]'" in str(result.exception)

@@ -71,7 +71,7 @@ def measure_memory(
     measured: MeasuredScene, config: Config, ply: Path, back: Path
 ) -> dict[str, Any]:
     """The result line of the largest resident memory of whole processes, from `ply` to `back`."""
-    depths = [arg for g, bits in config.depths.items() for arg in ("--set", f"depth.{g}={bits}")]
+    depths = [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
     threads = [] if config.threads is None else ["--threads", str(config.threads)]
     options = ["-p", config.profile, "--extra", config.extra, *depths, *threads]
     stream = str(back.with_suffix(".egs"))

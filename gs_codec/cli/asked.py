@@ -9,15 +9,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from gs_codec.cli.options import (
-    DEFAULTS,
-    OPTIONS,
-    dashed,
-    parse_value,
-    set_name,
-    typer_option,
-    value_of,
-)
+from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config, RateTarget, options_of
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan, Steps
@@ -32,17 +24,17 @@ class Asked:
     ----------
     ctx : typer.Context
     values : dict
-        The command's parameters by name, ``set`` among them as it was typed.
-    settable : list of str
-        Names that ``--set`` takes.
+        The command's parameters by name.
     """
 
-    def __init__(self, ctx: typer.Context, values: dict[str, Any], settable: list[str]) -> None:
+    def __init__(self, ctx: typer.Context, values: dict[str, Any]) -> None:
         self.command = ctx.info_name
-        self._values = {name: value for name, value in values.items() if value is not None}
-        self._typed = {name: f"--{dashed(name)}" for name in values if _is_given(ctx, name)}
-        for text in self._values.pop("set", ()):
-            self._set(text, settable)
+        self._values: dict[str, Any] = {
+            name: dict(value) if name in OPTIONS and OPTIONS[name].keys else value
+            for name, value in values.items()
+            if value is not None
+        }
+        self._typed = {name for name in values if _is_given(ctx, name)}
 
     def __getitem__(self, name: str) -> Any:
         return self._values.get(name)
@@ -57,7 +49,7 @@ class Asked:
         """
         for name in names:
             if name in self._typed:
-                raise InvalidInput(f"{self._typed[name]} {why}")
+                raise InvalidInput(f"{typed_name(name)} {why}")
 
     def build(self, settings: type[Settings], **others: Any) -> Settings:
         """A dataclass of the library, with what was asked for and `others`."""
@@ -65,30 +57,16 @@ class Asked:
         asked = {field: self._values[name] for field, name in names.items() if name in self._values}
         return settings(**asked | others)
 
-    def _set(self, text: str, settable: list[str]) -> None:
-        typed, equals, value = text.partition("=")
-        name, dot, key = typed.partition(".")
-        name = name.replace("-", "_")
-        if name not in settable or bool(dot) != bool(OPTIONS[name].keys):
-            known = ", ".join(map(set_name, settable))
-            raise InvalidInput(f"--set {text}: no such name, expected one of {known}")
-        described = OPTIONS[name]
-        if not equals:
-            raise InvalidInput(f"--set {text}: expected {typed}={value_of(described)}")
-        found = parse_value(f"--set {typed}=", described, value)
-        self._values[name] = (self._values.get(name, {}) | {key: found}) if dot else found
-        self._typed[name] = f"--set {typed}"
-
 
 def takes(
     *names: str, expert: Iterable[type] = (), without: Iterable[str] = (), **defaults: Any
 ) -> Callable[[Callable[..., None]], Any]:
-    """Give a command options by name, and ``--set`` for the expert ones of dataclasses.
+    """Give a command options by name, and the expert ones of dataclasses.
 
     What was typed for them is the command's parameter `asked`; `defaults` are those that differ
-    from the library's, `without` what ``--set`` does not take.
+    from the library's, `without` are expert options that the command does not take.
     """
-    settable = [
+    hidden = [
         name
         for settings in expert
         for field, described in options_of(settings).items()
@@ -98,19 +76,20 @@ def takes(
     def decorate(command: Callable[..., None]) -> Any:
         own = inspect.signature(command, eval_str=True).parameters.values()
         kept = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p.name != "asked"]
-        shared = [_parameter(name, DEFAULTS | defaults) for name in names]
-        if settable:
-            shared.append(_parameter("set", {}))
+        shared = [
+            _parameter(name, (DEFAULTS | defaults).get(name), name in hidden)
+            for name in (*names, *hidden)
+        ]
 
         def called(ctx: typer.Context, **values: Any) -> None:
             arguments = {p.name: values[p.name] for p in kept}
-            command(**arguments, asked=Asked(ctx, values, settable))
+            command(**arguments, asked=Asked(ctx, values))
 
         called.__doc__ = command.__doc__
         parameters = [_CONTEXT, *kept, *shared]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
-        called.epilog = _listed(settable, DEFAULTS | defaults)  # type: ignore[attr-defined]
+        called.epilog = _listed(hidden, DEFAULTS | defaults)  # type: ignore[attr-defined]
         return called
 
     return decorate
@@ -119,16 +98,17 @@ def takes(
 _CONTEXT = inspect.Parameter("ctx", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 
 
-def _parameter(name: str, defaults: dict[str, Any]) -> inspect.Parameter:
+def _parameter(name: str, default: Any, hidden: bool) -> inspect.Parameter:
     """The parameter of a command for an option; what nobody types is None or the default."""
-    kind: Any = list[str] if name == "set" else OPTIONS[name].kind
-    default = None if name == "cameras" else defaults.get(name)
-    annotation = kind if isinstance(default, bool) else kind | None
+    described = OPTIONS[name]
+    kind: Any = list[str] if described.keys else described.kind
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
-        default=default,
-        annotation=Annotated[annotation, typer_option(name)],
+        default=None if name == "cameras" else default,
+        annotation=Annotated[
+            kind if described.kind is bool else kind | None, typer_option(name, hidden)
+        ],
     )
 
 
@@ -138,17 +118,18 @@ def _is_given(ctx: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _listed(settable: list[str], defaults: dict[str, Any]) -> str:
-    """What ``--set`` takes, for the end of the help."""
-    lines = ["--set takes these, and depth.sh-ac=3 is an example:"] * bool(settable)
-    for name in settable:
-        described = OPTIONS[name]
+def _listed(hidden: list[str], defaults: dict[str, Any]) -> str:
+    """The expert options, for the end of the help."""
+    heads = [f"{typed_name(name)} {metavar_of(OPTIONS[name])}".rstrip() for name in hidden]
+    column = 2 + max(map(len, heads), default=0)
+    lines = ["Expert options:"] * bool(hidden)
+    for name, head in zip(hidden, heads, strict=True):
+        described, told = OPTIONS[name], OPTIONS[name].help
         default = described.shown or defaults.get(name)
-        if isinstance(default, bool):
-            default = "yes" if default else "no"
-        told = described.help + ("" if default is None else f" (default: {default})")
-        head, (first, *rest) = f"{set_name(name)}={value_of(described)}", textwrap.wrap(told, 49)
-        lines += [f"{head:<28} {first}", *(29 * " " + line for line in rest)]
+        if default is not None and described.kind is not bool:
+            told += f" (default: {default})"
+        first, *rest = textwrap.wrap(told, 78 - column)
+        lines += [f"{head:<{column}}{first}", *(column * " " + line for line in rest)]
     return "\n".join(lines)
 
 
@@ -160,11 +141,11 @@ def config_of(asked: Asked) -> Config:
     InvalidInput
         If an option is out of its range, or has no effect.
     """
-    config = asked.build(Config)
-    if config.profile not in PROFILES:
-        why = f"has no effect on profile '{config.profile}', expected one of {', '.join(PROFILES)}"
+    profile = Config(asked["profile"]).profile
+    if profile not in PROFILES:
+        why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
         asked.refuse(("geometry", "tmc3", "verify", "models", "coder"), why)
-    return config
+    return asked.build(Config)
 
 
 def target_of(asked: Asked) -> RateTarget | None:

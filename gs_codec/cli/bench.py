@@ -13,15 +13,11 @@ import typer
 from typer.core import TyperGroup
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.options import OPTIONS
 from gs_codec.cli.output import print_status, print_table, print_text
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
-
-#: What `--set` does not take here: only depths are of interest for every profile.
-_UNUSED = set(OPTIONS) - {"depth"}
 
 
 def print_codecs(lines: list[dict[str, Any]]) -> None:
@@ -113,7 +109,7 @@ app = typer.Typer(
 )
 
 
-@takes("threads", "gt_images", "width", "extra", expert=(Config,), without=_UNUSED)
+@takes("threads", "gt_images", "width", "extra", "depth")
 def measure(
     scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],
     asked: Asked,
@@ -147,5 +143,5 @@ for _name, _help in (
     ("run", "Measure each profile: time, size, entropy, error, memory, quality."),
     ("peers", "Measure profiles beside spz, splat-transform, pcodec and zstd."),
 ):
-    app.command(_name, help=_help, epilog=measure.epilog)(measure)
+    app.command(_name, help=_help)(measure)
 app.command("suite")(measure_suite)

@@ -17,10 +17,10 @@ from gs_codec.preparation.steps import Plan, Steps
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
 
-#: How numbers are typed.
-_NUMBERS: Mapping[type, str] = {
-    int: r"-?[0-9]{1,12}",
-    float: r"-?[0-9]{1,12}(\.[0-9]{1,20})?(e-?[0-9]{1,2})?",
+#: How numbers are typed, and what they are called.
+_NUMBERS: Mapping[type, tuple[str, str]] = {
+    int: (r"[-+]?[0-9]{1,30}", "an integer"),
+    float: (r"[-+]?([0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})([eE][-+]?[0-9]{1,2})?", "a number"),
 }
 
 #: Options by their names in Python, and their defaults; first those that are no field.
@@ -35,7 +35,6 @@ OPTIONS = {
     "overwrite": Option("Replace what exists; without it, that is an error.", bool),
     "json": Option("Print the report as JSON.", bool),
     "report": Option("Write report.json, ablation.md, labels.npy there.", Path, metavar="DIR"),
-    "set": Option("Set an expert option, see below; may be repeated.", metavar="NAME=VALUE"),
     "split": Option(
         "Cameras to use: all, test, train, or held-out (test where they are marked, else all)."
     ),
@@ -54,67 +53,68 @@ for _settings in (Config, RateTarget, Plan, Steps):
                 DEFAULTS[_described.name or _field.name] = _field.default
 
 
-def typer_option(name: str) -> Any:
+def typer_option(name: str, hidden: bool = False) -> Any:
     """The option `name` for a parameter of a command."""
-    described = OPTIONS[name]
+    described, typed = OPTIONS[name], typed_name(name)
+    switch = described.kind is bool
 
     def parse(text: Any) -> Any:
-        return parse_value(f"--{dashed(name)} ", described, text)
+        return parse_value(name, text)
 
     return typer.Option(
-        f"--{dashed(name)}",
+        f" /{typed}" if DEFAULTS.get(name) is True else typed,  # " /" declares what switches off
         *(["-p"] if name == "profile" else []),
         help=described.help,
-        metavar=described.metavar or "|".join(described.values) or None,
+        metavar=metavar_of(described) or None,
         show_default=described.shown or True,
-        parser=parse if described.unit or isinstance(described.values, Mapping) else None,
+        parser=None if switch else parse,
+        hidden=hidden,
     )
 
 
-def parse_value(typed: str, described: Option, text: Any) -> Any:
-    """The value that a text means for an option, which is called `typed` in errors.
+def parse_value(name: str, text: Any) -> Any:
+    """The value that a text means for an option; with its key, where the option has keys.
 
     Raises
     ------
     InvalidInput
-        If it means none.
+        If it means none, or one out of range.
     """
     if not isinstance(text, str):  # a default
         return text
+    described, typed = OPTIONS[name], f"{typed_name(name)} {text}"
+    if described.keys:
+        key, equals, number = text.partition("=")
+        if not equals:
+            raise InvalidInput(f"{typed}: expected {described.metavar}")
+        return key, _read(described, number, typed)
+    value = _read(described, text, typed)
+    described.check(typed_name(name), value)
+    return value
+
+
+def _read(described: Option, text: str, typed: str) -> Any:
+    words = described.values
+    pattern, expected = _NUMBERS.get(described.kind, ("(?s).+", "a value"))
     if described.unit:
-        return parse_size(typed, text)
-    words = {"yes": True, "no": False} if described.kind is bool else described.values
-    if isinstance(words, Mapping):
+        if size := _SIZE.fullmatch(text.strip().lower()):
+            return int(float(size[1]) * _UNITS[size[2]])
+        expected = "a size, for example 5MB or 800kB"
+    elif isinstance(words, Mapping):
         if text in words:
             return words[text]
         expected = " or ".join(words) if len(words) < 3 else f"one of {', '.join(words)}"
-    elif re.fullmatch(_NUMBERS.get(described.kind, ".+"), text):
+    elif re.fullmatch(pattern, text):
         return described.kind(text)
-    else:
-        expected = {int: "an integer", float: "a number"}.get(described.kind, "a value")
-    raise InvalidInput(f"{typed}{text}: expected {expected}")
+    raise InvalidInput(f"{typed}: expected {expected}")
 
 
-def parse_size(typed: str, text: str) -> int:
-    """Bytes of a size with or without a unit, the value of an option."""
-    found = _SIZE.fullmatch(text.strip().lower())
-    if not found:
-        raise InvalidInput(f"{typed}{text}: expected a size, for example 5MB or 800kB")
-    return int(float(found[1]) * _UNITS[found[2]])
+def metavar_of(described: Option) -> str:
+    """What stands for the value of an option in the help; a switch has none."""
+    kinds = {bool: "", int: "N", float: "X"}
+    return described.metavar or "|".join(described.values) or kinds.get(described.kind, "TEXT")
 
 
-def value_of(described: Option) -> str:
-    """What stands for the value of an option where it is described."""
-    kinds = {bool: "yes|no", int: "N", float: "X"}
-    known = "|".join(described.values) or kinds.get(described.kind, "TEXT")
-    return described.metavar or known
-
-
-def set_name(name: str) -> str:
-    """The name of an option for ``--set``."""
-    return dashed(name) + (".GROUP" if OPTIONS[name].keys else "")
-
-
-def dashed(name: str) -> str:
-    """The name of an option as it is typed."""
-    return name.replace("_", "-")
+def typed_name(name: str) -> str:
+    """An option's name as it is typed; one that is on by default is switched off."""
+    return ("--no-" if DEFAULTS.get(name) is True else "--") + name.replace("_", "-")

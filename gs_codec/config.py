@@ -319,6 +319,9 @@ class Config:
         distributions for SH-AC and Gaussian mixtures for the rest (``parametric``), tables in the
         file (``table``), or for each channel the cheapest of all, which is ours (``best``). Default
         ``parametric``.
+    laplace_scales : float or None
+        With a paper profile, SH-AC are rectified to this many Laplace scales (mean absolute
+        deviations) on either side of their median, 0.1-1000; None is 3 for each bit of depth.
     coder : {"rans", "torchac"}
         With a paper profile, the entropy coder: ours, or the paper's, a Python package (extra
         ``paper``) that decoding needs too. Default ``rans``.
@@ -385,6 +388,12 @@ class Config:
         "With paper-*: Laplace and mixtures, as published, tables, or the cheapest of all (best).",
         values=get_args(Models),
     )
+    laplace_scales: float | None = option(
+        None,
+        "With paper-*: Laplace scales that SH-AC keep on either side of their median.",
+        kind=float, metavar="N", low=0.1, high=1000, expected="0.1 to 1000",
+        shown="3 for each bit",
+    )  # fmt: skip
     coder: Coder = option(
         "rans",
         "With paper-*: the entropy coder; torchac, the paper's, is needed to decode, too.",
@@ -401,7 +410,8 @@ class Config:
             raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
-        for name, default in (("models", "parametric"), ("coder", "rans")):
+        defaults = {"models": "parametric", "laplace_scales": None, "coder": "rans"}
+        for name, default in defaults.items():
             if (value := getattr(self, name)) != default and self.profile not in PROFILES:
                 known = ", ".join(PROFILES)
                 raise InvalidInput(f"{name} '{value}': profile '{self.profile}', expected {known}")

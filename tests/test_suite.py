@@ -15,8 +15,9 @@ from typer.testing import CliRunner
 from gs_codec.bench import apart, beside, measure, sources
 from gs_codec.bench import apart as scaling
 from gs_codec.bench.peers import AbsentPeer
+from gs_codec.bench.sources import open_beside
 from gs_codec.bench.suite import run
-from gs_codec.bench.suite.run import GROUPS, Options, open_suite_scene, run_suite, scene_line
+from gs_codec.bench.suite.run import GROUPS, Options, run_suite, scene_line
 from gs_codec.cli import main
 from gs_codec.cli.main import app
 from gs_codec.config import PROFILE_CHOICES, Config
@@ -228,13 +229,13 @@ def test_marked_cameras_are_held_out_as_they_say(tmp_path):
     for number, camera in enumerate(cameras):
         camera["split"] = "test" if number in (1, 4) else "train"
     (tmp_path / "scene" / "cameras.json").write_text(json.dumps(cameras))
-    measured = open_suite_scene(path, WIDTH)
+    measured = open_beside(path, WIDTH)
     assert [camera.name for camera in measured.cameras] == ["00001", "00004"]
     assert scene_line(measured)["encoded_by_views"] == 4
 
 
 def test_one_camera_is_measured_in_and_encoded_by(tmp_path):
-    line = scene_line(open_suite_scene(make_scene(tmp_path / "scene", 50, 1), WIDTH))
+    line = scene_line(open_beside(make_scene(tmp_path / "scene", 50, 1), WIDTH))
     assert (line["measured_views"], line["encoded_by_views"]) == (1, 1)
 
 
@@ -242,7 +243,7 @@ def test_photographs_of_other_cameras_are_refused(tmp_path):
     path = make_scene(tmp_path / "scene", 50, 3)
     (tmp_path / "scene" / "images").mkdir()
     with pytest.raises(InvalidInput, match="no image of the 1 cameras"):
-        open_suite_scene(path, WIDTH)
+        open_beside(path, WIDTH)
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,19 @@ def open_scene(
     return MeasuredScene(path, scene_name(path), scene, measured, guides, truth)
 
 
+def open_beside(path: Path, width: int | None) -> MeasuredScene:
+    """A scene with the cameras and photographs beside it; `open_scene` says what is refused."""
+    cameras, images = cameras_beside(path), path.with_name("images")
+    truth = images if cameras != "auto" and images.is_dir() else None
+    return open_scene(path, cameras, truth, width)
+
+
+def cameras_beside(path: Path) -> str:
+    """The cameras beside a scene, or ``auto``."""
+    beside = path.with_name("cameras.json")
+    return str(beside) if beside.is_file() else "auto"
+
+
 def held_out_views(
     source: str, scene: Scene, width: int | None
 ) -> tuple[list[Camera], list[Camera]]:

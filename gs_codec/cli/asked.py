@@ -12,6 +12,7 @@ import typer
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config, RateTarget, options_of
 from gs_codec.errors import InvalidInput
+from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
 Settings = TypeVar("Settings", Config, RateTarget, Plan, Steps)
@@ -35,6 +36,9 @@ class Asked:
             if value is not None
         }
         self._typed = {name for name in values if _is_given(ctx, name)}
+        if preset := self._values.get("preset"):
+            chosen = PRESETS[preset].options()
+            self._values |= {n: value for n, value in chosen.items() if n not in self._typed}
 
     def __getitem__(self, name: str) -> Any:
         return self._values.get(name)
@@ -143,8 +147,9 @@ def config_of(asked: Asked) -> Config:
     """
     profile = Config(asked["profile"]).profile
     if profile not in PROFILES:
+        asked.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
         why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
-        asked.refuse(("geometry", "tmc3", "verify", "models", "coder"), why)
+        asked.refuse(("geometry", "tmc3", "verify", "models", "laplace_scales", "coder"), why)
     return asked.build(Config)
 
 

@@ -1,4 +1,4 @@
-"""``gs-codec bench``: subcommands ``run``, ``peers`` and ``suite``."""
+"""``gs-codec bench``: subcommands ``run``, ``peers``, ``suite`` and ``paper``."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import typer
 from typer.core import TyperGroup
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.output import print_status, print_table, print_text
+from gs_codec.cli.output import print_status, print_table, print_text, progress_bar
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import CAMERAS
-from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
+from gs_codec.runtime.atomic import check_folder, check_writable, make_folder, write_files
 
 
 def print_codecs(lines: list[dict[str, Any]]) -> None:
@@ -91,6 +92,42 @@ def measure_suite(
     print_status(f"report: {out / 'report.md'}")
 
 
+@takes("refine", "threads", "overwrite", refine=PRESETS["entropygs"].steps.refine)
+def measure_paper(
+    scenes: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SCENE...",
+            help="3DGS .ply files; cameras.json and images beside one are its views.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for paper.jsonl, paper.md, checkpoints.")
+    ],
+    asked: Asked,
+) -> None:
+    """Reproduce the paper's experiment: preset entropygs, then its tables, on scenes.
+
+    Optimisation takes most of the time, and goes on from the checkpoints in DIR.
+    """
+    from gs_codec.bench.reproduce import open_scenes, reproduce, tables_of
+    from gs_codec.runtime.threads import using_threads
+
+    check_folder(out, asked["overwrite"])
+    with using_threads(asked["threads"]), progress_bar() as progress:
+        measured = open_scenes(scenes)
+        target = make_folder(out) / "paper.jsonl"
+        check_writable(target)
+        command, lines = shlex.join(["gs-codec", *sys.argv[1:]]), []
+        with open(target, "w", encoding="utf-8") as file:
+            for line in reproduce(measured, asked["refine"], out, command, progress):
+                print(json.dumps(line, allow_nan=False), file=file, flush=True)
+                lines.append(line)
+    page = tables_of(lines)
+    write_files(out, {"paper.md": page.encode()})
+    print_text(*page.splitlines())
+
+
 class _Group(TyperGroup):
     """The subcommands; anything else in their place is one error that names them."""
 
@@ -145,3 +182,4 @@ for _name, _help in (
 ):
     app.command(_name, help=_help)(measure)
 app.command("suite")(measure_suite)
+app.command("paper")(measure_paper)

@@ -25,7 +25,7 @@ from gs_codec.report import EncodeReport, RateReport
 
 #: Options of coding, which `batch` has too.
 CODING = (
-    "profile", "cameras", "gt_images", "refine", "prune", "target_size", "target_ratio",
+    "profile", "preset", "cameras", "gt_images", "refine", "prune", "target_size", "target_ratio",
     "max_psnr_drop", "threads", "max_memory", "max_bytes", "nonfinite", "extra", "overwrite",
 )  # fmt: skip
 EXPERT = (Config, RateTarget, Plan)

@@ -12,6 +12,7 @@ import typer
 
 from gs_codec.config import Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
+from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
@@ -31,6 +32,10 @@ OPTIONS = {
     ),
     "max_bytes": Option(
         "Largest size of a scene's floats, bytes.", int, shown="1 GiB or 1000 times the file"
+    ),
+    "preset": Option(
+        "entropygs: the paper's whole pipeline; --refine and -p paper-* change it.",
+        values=tuple(PRESETS),
     ),
     "overwrite": Option("Replace what exists; without it, that is an error.", bool),
     "json": Option("Print the report as JSON.", bool),

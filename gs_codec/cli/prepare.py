@@ -16,9 +16,10 @@ from gs_codec.preparation.steps import Plan
 
 
 @takes(
-    "profile", "cameras", "gt_images", "refine", "prune", "prune_max_psnr_drop", "prune_geometry",
-    "prune_importance", "compact_sh", "refit_colour", "rectify", "report", "checkpoint", "threads",
-    "max_bytes", "overwrite", "json", expert=(Config, Plan), without=("nonfinite", "extra"),
+    "profile", "preset", "cameras", "gt_images", "refine", "prune", "prune_max_psnr_drop",
+    "prune_geometry", "geometry_rule", "prune_importance", "compact_sh", "refit_colour", "rectify",
+    "report", "checkpoint", "threads", "max_bytes", "overwrite", "json",
+    expert=(Config, Plan), without=("nonfinite", "extra"),
 )  # fmt: skip
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],

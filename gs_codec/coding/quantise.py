@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import kernel
 
-#: SH-AC is rectified to this many Laplace scales on either side of the median, for each bit of
-#: depth. The paper leaves the number to its supplement. Cut-off tails are visible, and
-#: entropy coding makes rare levels cheap: a wide range with a bit more depth takes no more space
-#: than a narrow one, and rendered views are nearer to the original (RESULTS.md).
+#: SH-AC are rectified to this many Laplace scales on either side of the median, for each bit of
+#: depth, unless a configuration says how many. The paper leaves the number to its supplement.
+#: Cut-off tails are visible, and entropy coding makes rare levels cheap: a wide range with a bit
+#: more depth takes no more space than a narrow one, and rendered views are nearer to the original
+#: (RESULTS.md).
 LAPLACE_SCALES_PER_BIT = 3.0
 
 
@@ -114,14 +115,14 @@ def fit_range(values: NDArray[np.float32], depth: int) -> ConstantQuantiser | Ra
 
 
 def fit_centred(
-    values: NDArray[np.float32], depth: int
+    values: NDArray[np.float32], depth: int, scales: float | None = None
 ) -> tuple[ConstantQuantiser | CentredQuantiser, float]:
     """Quantiser of an SH-AC channel ``(N,)`` after rectification to its Laplace range.
 
-    The half range is `LAPLACE_SCALES_PER_BIT` times the depth times the mean absolute deviation
-    of the values that differ from the median, but never more than the largest deviation. Values
-    equal to the median are left out of the mean because trained scenes hold many exact zeros,
-    which do not tell how far the others reach.
+    The half range is `scales`, by default `LAPLACE_SCALES_PER_BIT` times the depth, times the mean
+    absolute deviation of the values that differ from the median, but never more than the largest
+    deviation. Values equal to the median are left out of the mean because trained scenes hold many
+    exact zeros, which do not tell how far the others reach.
 
     Returns
     -------
@@ -137,7 +138,8 @@ def fit_centred(
     centre = float(np.partition(values, middle)[middle])
     deviation, off_centre = _deviation(values, centre)
     reach = max(high - centre, centre - low)
-    scales = LAPLACE_SCALES_PER_BIT * depth
+    if scales is None:
+        scales = LAPLACE_SCALES_PER_BIT * depth
     half_range = float(np.float32(min(scales * deviation / off_centre, reach)))
     if half_range == 0.0:
         half_range = float(np.finfo(np.float32).smallest_subnormal)

@@ -80,7 +80,7 @@ def prepare_file(
         with located(source):
             if report_folder is not None:
                 check_writable(make_folder(report_folder) / "report.json")
-            scene, prepared = prepare_scene(scene, plan, progress, config=config)
+            scene, prepared = prepare_scene(scene, plan, progress)
             coded, views = suffix == ".egs", prepared.views
             coded_by = plan if coded else None
             data, report = encode_planned(scene, config, coded_by, progress, views.renders)

@@ -38,7 +38,7 @@ def encode_by_plan(
     if plan is not None and plan.steps.wanted:
         from gs_codec.preparation.pipeline import prepare_scene
 
-        scene, prepared = prepare_scene(scene, plan, progress, config=config)
+        scene, prepared = prepare_scene(scene, plan, progress)
         views = prepared.views
     if rate is not None:
         from gs_codec.guidance.allocate import encode_to_target

@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from math import isqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
-from gs_codec.config import PROFILES, Config
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.prune import (
@@ -49,15 +47,12 @@ class _Context(NamedTuple):
     plan: Plan
     views: ViewSplit
     progress: Progress | None
-    config: Config
 
 
 def prepare_scene(
-    scene: Scene, plan: Plan, progress: Progress | None = None, config: Config | None = None
+    scene: Scene, plan: Plan, progress: Progress | None = None
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
-
-    `config` says how the scene will be coded; `rectify` uses its depths.
 
     Raises
     ------
@@ -65,7 +60,7 @@ def prepare_scene(
         If there are no cameras, no Gaussian would be left, or an image is broken.
     """
     views = choose_views(scene, plan, progress)
-    context = _Context(plan, views, progress, config or Config())
+    context = _Context(plan, views, progress)
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
@@ -149,7 +144,8 @@ def _prune_importance(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _prune_geometry(scene: Scene, context: _Context) -> _Outcome:
-    stay = keep_near(scene, context.plan.steps.prune_geometry)
+    steps = context.plan.steps
+    stay = keep_near(scene, steps.prune_geometry, steps.geometry_rule)
     return stay, scene.take(stay), {}
 
 
@@ -188,13 +184,10 @@ def _refit(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _rectify(scene: Scene, context: _Context) -> _Outcome:
-    """Clip each SH-AC channel to the range it has at its band's depth; see `fit_centred`."""
-    config = context.config
-    depths = config.resolved_depths() if config.profile in PROFILES else PROFILES["paper-m"]
+    """Clip each SH-AC channel to its Laplace range; see `fit_centred`."""
     clipped = scene.f_rest.copy()
-    for index, row in enumerate(clipped):
-        band = isqrt(index % (len(clipped) // 3) + 1)
-        quantiser, _ = fit_centred(row, depths[f"sh{band}"])
+    for row in clipped:
+        quantiser, _ = fit_centred(row, 1, context.plan.steps.rectify)
         if isinstance(quantiser, CentredQuantiser):
             centre, reach = quantiser.centre, quantiser.half_range
             np.clip(row, centre - reach, centre + reach, out=row)
@@ -221,8 +214,8 @@ _STEPS = (
         _prune_loo,
         "leave-one-out",
     ),
+    _Step("rectification", lambda s: s.rectify > 0, _rectify),
     _Step("optimisation", lambda s: s.refine > 0, _optimise),
     _Step("SH compaction", lambda s: s.compact_sh > 0, _compact),
     _Step("colour refit", lambda s: s.refit_colour > 0, _refit),
-    _Step("rectification", lambda s: s.rectify, _rectify),
 )

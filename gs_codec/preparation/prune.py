@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
-from gs_codec.preparation.steps import Steps
+from gs_codec.preparation.steps import GeometryRule, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import RED, TILE
@@ -63,12 +63,16 @@ def keep_highest(scores: NDArray, number: int) -> NDArray[np.int64]:
     return np.sort(np.argsort(scores, kind="stable")[number:])
 
 
-def keep_near(scene: Scene, percent: float) -> NDArray[np.int64]:
+def keep_near(scene: Scene, percent: float, rule: GeometryRule) -> NDArray[np.int64]:
     """Remove the `percent` farthest from the centre along x, then of the rest along y, then z.
 
-    The paper's geometry pruning (Section 4.2): N (1 - theta2)^3 stay. The centre is the median.
+    The paper's geometry pruning (Section 4.2): N (1 - theta2)^3 stay. It removes the largest
+    absolute values, so its centre is the origin (rule ``largest``), wherever that lies in a
+    capture; ours is the median.
     """
-    centre = np.median(scene.positions, axis=1) if scene.count else np.zeros(3)
+    centre = np.zeros(3)
+    if rule == "median" and scene.count:
+        centre = np.median(scene.positions, axis=1)
     kept = np.arange(scene.count)
     for axis in range(3):
         distance = np.abs(scene.positions[axis, kept].astype(np.float64) - centre[axis])

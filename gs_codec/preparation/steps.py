@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from gs_codec.config import check_options, option
 from gs_codec.errors import InvalidInput
@@ -22,6 +22,9 @@ _PERCENT = {
     "high": math.nextafter(100, 0),
     "expected": "0 to below 100 percent",
 }
+
+#: What geometry pruning counts from.
+GeometryRule = Literal["median", "largest"]
 
 _ITERATIONS = {"kind": int, "metavar": "N", "low": 0, "high": 10_000_000}
 
@@ -40,6 +43,9 @@ class Steps:
     prune_geometry : float
         Percent of the Gaussians to remove along each axis, those farthest from the centre
         (theta2 of the paper, Section 4.2), 0 up to 100.
+    geometry_rule : {"median", "largest"}
+        What is farthest: from the median of each axis, or, as the paper has it, the largest
+        absolute values. Default ``median``, which does not depend on where the origin is.
     prune_importance : float
         Percent to remove by LightGaussian's importance (theta1 of the paper), 0 up to 100.
     prune : float
@@ -54,9 +60,9 @@ class Steps:
         (0-1) that it may cost; 3e-5 is usual.
     refit_colour : int
         Conjugate-gradient iterations on the colours, SH-DC and SH-AC.
-    rectify : bool
-        Move SH-AC outside their Laplace range to its edge, as encoding with a `paper` profile
-        does, at the depths of that profile; for other profiles, at those of ``paper-m``.
+    rectify : float
+        Move SH-AC to within this many Laplace scales of their median, 0 to 1000; 0 does not. It
+        comes before `refine`, which adapts to it.
 
     Raises
     ------
@@ -73,6 +79,11 @@ class Steps:
         0.0, "Prune this percentage along each axis, farthest first (the paper's theta2).",
         **_PERCENT,
     )  # fmt: skip
+    geometry_rule: GeometryRule = option(
+        "median",
+        "What --prune-geometry counts from: the median, or 0 (largest), as the paper does.",
+        values=get_args(GeometryRule),
+    )
     prune_importance: float = option(
         0.0, "Prune this percentage, least important first (the paper's theta1).", **_PERCENT
     )
@@ -91,12 +102,16 @@ class Steps:
         kind=float, metavar="STRENGTH", low=0, high=1e6, expected="a strength of 0 or more",
     )  # fmt: skip
     refit_colour: int = option(0, "Refit SH with N conjugate-gradient iterations.", **_ITERATIONS)
-    rectify: bool = option(
-        False, "Move SH-AC to the Laplace range of -p paper-* (else paper-m).", kind=bool
-    )
+    rectify: float = option(
+        0.0,
+        "Move SH-AC to within N Laplace scales of their median.",
+        kind=float, metavar="N", low=0, high=1000, expected="0 to 1000",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.geometry_rule != "median" and not self.prune_geometry:
+            raise InvalidInput("geometry_rule: needs prune_geometry")
         if 0 < self.prune < 1:
             raise InvalidInput(f"prune {self.prune}: expected percent, half of all is 50")
 

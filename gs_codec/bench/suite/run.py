@@ -14,7 +14,7 @@ from gs_codec.bench.beside import measure_beside, our_codecs
 from gs_codec.bench.host import machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
-from gs_codec.bench.sources import MeasuredScene, open_scene, scene_name
+from gs_codec.bench.sources import MeasuredScene, cameras_beside, open_beside, scene_name
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
@@ -77,15 +77,8 @@ def run_suite(options: Options, command: str, tell: Callable[[str], None]) -> Li
     InvalidInput
         If a scene, cameras or photographs cannot be used; before anything is measured.
     """
-    scenes = [open_suite_scene(path, options.width) for path in options.scenes]
+    scenes = [open_beside(path, options.width) for path in options.scenes]
     return _measure(options, command, tell, scenes)
-
-
-def open_suite_scene(path: Path, width: int | None) -> MeasuredScene:
-    """A scene with the cameras and photographs beside it; `open_scene` says what is refused."""
-    cameras, images = _cameras_beside(path), path.with_name("images")
-    truth = images if cameras != "auto" and images.is_dir() else None
-    return open_scene(path, cameras, truth, width)
 
 
 def scene_line(measured: MeasuredScene) -> dict[str, Any]:
@@ -97,18 +90,13 @@ def scene_line(measured: MeasuredScene) -> dict[str, Any]:
         "gaussians": scene.count,
         "sh_degree": scene.sh_degree,
         "ply_bytes": measured.path.stat().st_size,
-        "cameras": Path(_cameras_beside(measured.path)).name,
+        "cameras": Path(cameras_beside(measured.path)).name,
         "measured_views": len(measured.cameras),
         "encoded_by_views": min(len(measured.guides), measured.plan.views),
         "width": first.width,
         "height": first.height,
         "photographs": measured.truth is not None,
     }
-
-
-def _cameras_beside(path: Path) -> str:
-    beside = path.with_name("cameras.json")
-    return str(beside) if beside.is_file() else "auto"
 
 
 def _measure(

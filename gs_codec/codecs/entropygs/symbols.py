@@ -131,7 +131,9 @@ def quantise_and_model(
 
     def fit(key: tuple[str, int, str]) -> tuple[Channel, float | None]:
         group, index, stream = key
-        quantiser, scale = fit_channel(getattr(scene, group)[index], group, depths[stream])
+        quantiser, scale = fit_channel(
+            getattr(scene, group)[index], group, depths[stream], config.laplace_scales
+        )
         return Channel(group, index, stream, quantiser), scale
 
     keys = [key for key in channel_order(len(scene.f_rest) // 3) if key[2] in RANS_STREAMS]
@@ -157,11 +159,11 @@ def quantise_and_model(
 
 
 def fit_channel(
-    values: NDArray[np.float32], group: str, depth: int
+    values: NDArray[np.float32], group: str, depth: int, laplace_scales: float | None = None
 ) -> tuple[Quantiser, float | None]:
     """Quantiser of a channel ``(N,)``, and the Laplace scale in steps if it is of SH-AC."""
     if group == "f_rest":
-        return fit_centred(values, depth)
+        return fit_centred(values, depth, laplace_scales)
     return fit_range(values, depth), None
 
 

@@ -1,0 +1,62 @@
+"""Whole pipelines by name: steps of preparation, and how to encode what they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gs_codec.config import Config, options_of
+from gs_codec.preparation.steps import Steps
+
+#: Half range of SH-AC in Laplace scales w at which a Laplace distribution of 4 bits, whose step is
+#: 2 w / 15 scales, has the paper's entropy of 2.436 bits: log2(15 e / w).
+_LAPLACE_SCALES = 7.5
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Steps of preparation, and how to encode what they leave.
+
+    Parameters
+    ----------
+    steps : Steps
+        For a `Plan`, with the cameras and images of the scene.
+    config : Config
+        For `encode`, after the steps.
+
+    Examples
+    --------
+    >>> preset = gs_codec.PRESETS["entropygs"]
+    >>> preset.steps.prune_importance, preset.config.profile
+    (65.0, 'paper-m')
+    """
+
+    steps: Steps
+    config: Config
+
+    def options(self) -> dict[str, Any]:
+        """The values that differ from the defaults, by the names of the commands' options."""
+        return {
+            described.name or field: value
+            for settings in (self.steps, self.config)
+            for field, described in options_of(settings).items()
+            if (value := getattr(settings, field)) != getattr(type(settings)(), field)
+        }
+
+
+#: ``entropygs``: the paper's pipeline in its order (Sections 4.2 to 4.4). Its sizes after each step
+#: imply the percentages: 760.1 to 266.0 MB by importance, theta1; 266.0 to 264.4 MB by geometry,
+#: (1 - theta2)^3. 6000 iterations are 20 % of a usual training.
+PRESETS: Mapping[str, Preset] = {
+    "entropygs": Preset(
+        Steps(
+            prune_importance=65.0,
+            prune_geometry=0.2,
+            geometry_rule="largest",
+            rectify=_LAPLACE_SCALES,
+            refine=6000,
+        ),
+        Config("paper-m", geometry="auto", laplace_scales=_LAPLACE_SCALES),
+    )
+}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import mmap
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +17,10 @@ from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import ply_header
-from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
+from gs_codec.formats.ply import read_ply, scene_of, vertex_rows, write_ply
+from gs_codec.formats.ply_body import ply_of
+from gs_codec.runtime.arrays import Disk, using
+from gs_codec.runtime.mapped import opened
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 #: Every scalar type of the PLY format.
@@ -262,6 +267,70 @@ def test_odd_name_is_refused_or_decodes(name, tmp_path):
     except InvalidInput:
         return
     assert list(decode_scene(data).extra) == [name]
+
+
+@pytest.mark.parametrize("form", [{}, {"text": True}, {"byte_order": ">"}], ids=str)
+def test_plyfile_reads_the_same_numbers_of_every_type_seed13(form, tmp_path):
+    scene = random_scene(40, 1, seed=13)
+    extra = {f"p{i}": random_bits(t, 40, 130 + i) for i, t in enumerate(PLY_TYPES)}
+    path = write_rows(tmp_path / "a.ply", with_columns(vertex_rows(scene), extra), **form)
+    rows, back = plyfile.PlyData.read(str(path))["vertex"].data, read_ply(path, "keep")
+    for name, column in {"x": back.positions[0], "rot_3": back.rot[3], **back.extra}.items():
+        np.testing.assert_array_equal(column, rows[name])
+    assert [column.dtype for column in back.extra.values()] == list(map(np.dtype, PLY_TYPES))
+
+
+@pytest.mark.parametrize("byte_order", ["<", ">"])
+def test_binary_rows_are_mapped_and_may_leave_memory(byte_order, tmp_path):
+    path, disk = tmp_path / "a.ply", Disk()
+    write_rows(path, vertex_rows(random_scene(5, 0)), byte_order=byte_order)
+    with using(disk), opened(path) as data:
+        rows = ply_of(path, data).rows("vertex")
+    assert not rows.flags.writeable
+    base = rows
+    while isinstance(base, np.ndarray):
+        base = base.base
+    assert isinstance(base, mmap.mmap)
+    assert base in [known() for known in disk._maps][1:]
+
+
+def test_reading_allocates_the_planes_alone(tmp_path):
+    write_ply(tmp_path / "a.ply", random_scene(20_000, 3))
+    read_ply(tmp_path / "a.ply")
+    tracemalloc.start()
+    try:
+        scene = read_ply(tmp_path / "a.ply")
+        assert tracemalloc.get_traced_memory()[1] < 1.02 * scene.float_bytes + 500_000
+    finally:
+        tracemalloc.stop()
+
+
+def replace_by_another(path: Path) -> None:
+    write_ply(path, random_scene(6, 1))
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [(Path.unlink, "No such file"), (cut, "row 4"), (replace_by_another, "was replaced")],
+    ids=["gone", "cut", "replaced"],
+)
+def test_file_that_changes_after_its_header_was_read_is_refused(change, message, tmp_path):
+    path = tmp_path / "a.ply"
+    write_ply(path, random_scene(5, 0))
+    with opened(path) as data:
+        ply = ply_of(path, data)
+        change(path)
+        with pytest.raises(InvalidInput, match=message) as caught:
+            scene_of(ply)
+    assert_one_line(caught.value, path)
+
+
+def test_long_names_take_no_time_in_plyfile():
+    assert len(ply_header.Element("vertex", 5, {"n" * 10**6: "f4"}).header("<")) < 100
 
 
 @pytest.mark.parametrize("name", ["two words", "é", "x", "f_dc_0", ""])
@@ -535,7 +604,7 @@ class Counted(str):
 
 @pytest.mark.parametrize("kind", ["list uchar int", "char"])
 def test_work_on_a_header_is_linear_in_its_properties(kind, monkeypatch):
-    def split(head: bytes) -> tuple[list[str], int]:
+    def split(head: memoryview) -> tuple[list[str], int]:
         lines, size = split_lines(head)
         return [Counted(line) for line in lines], size
 

@@ -8,14 +8,16 @@ import warnings
 from dataclasses import dataclass
 from itertools import islice, takewhile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
+from plyfile import PlyData, PlyParseError
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import refusing
 from gs_codec.formats.ply_header import Element, PlyHeader, read_header
-from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.arrays import current, empty
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import run_all
 
@@ -68,7 +70,9 @@ class Ply:
     data: NDArray[np.uint8]
 
     def rows(self, name: str) -> NDArray:
-        """Structured rows of an element; for a binary file, a view of the mapped file.
+        """Structured rows of an element; for a binary file, a view of the file as plyfile maps it.
+
+        plyfile takes 9 times as long as this module for the rows of a text file.
 
         Raises
         ------
@@ -103,7 +107,20 @@ class Ply:
         if len(before) == len(self.header.elements) - 1 and end < len(self.data):
             surplus = len(self.data) - end
             log.warning("%s: %d bytes after the last %s not read", self.path, surplus, element.name)
-        return self.data[start:end].view(dtype) if dtype.itemsize else np.empty(0, dtype)
+        if start == end:
+            return np.empty(0, dtype)
+        head = io.BytesIO(element.header(self.header.byte_order))
+        with refusing(f"element '{element.name}'", PlyParseError), open(self.path, "rb") as file:
+            if file.read(self.header.size) != self.data[: self.header.size].tobytes():
+                raise InvalidInput("the file was replaced while it was read")
+            file.seek(start)
+            # plyfile reads this header only, and maps the rows where the file stands.
+            part = SimpleNamespace(
+                read=head.read, tell=file.tell, seek=file.seek, fileno=file.fileno
+            )
+            rows = PlyData.read(part, mmap="r")[element.name].data
+        current().watch(rows._mmap)
+        return rows.view(dtype, np.ndarray)
 
     def _text_rows(self, element: Element, skipped: int) -> NDArray:
         body = self.data[self.header.size :].tobytes()

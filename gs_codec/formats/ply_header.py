@@ -54,6 +54,13 @@ class Element:
         """Type of a row in a binary file."""
         return np.dtype([(name, byte_order + code) for name, code in self.types.items()])
 
+    def header(self, byte_order: str) -> bytes:
+        """Header of a binary file of these rows alone; columns have numbers, which are short."""
+        form = next(name for name, order in _FORMATS.items() if order == byte_order)
+        lines = ["ply", f"format {form} 1.0", f"element {self.name} {self.count}"]
+        lines += [f"property {_CODES[code][0]} {i}" for i, code in enumerate(self.types.values())]
+        return "\n".join([*lines, "end_header", ""]).encode()
+
 
 @dataclass
 class PlyHeader:
@@ -87,7 +94,7 @@ def read_header(data: NDArray[np.uint8]) -> PlyHeader:
     InvalidInput
         If it is not the header of a PLY file.
     """
-    lines, size = _split_lines(bytes(data[:_HEADER_BYTES]))
+    lines, size = _split_lines(data[:_HEADER_BYTES].data)
     byte_order: str | None = None
     elements: dict[str, Element] = {}
     element: Element | None = None
@@ -115,11 +122,11 @@ def read_header(data: NDArray[np.uint8]) -> PlyHeader:
     return PlyHeader(byte_order, elements, tuple(comments), obj_info, size)
 
 
-def _split_lines(head: bytes) -> tuple[list[str], int]:
+def _split_lines(head: memoryview) -> tuple[list[str], int]:
     """The lines between ``ply`` and ``end_header``, and where the body begins."""
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
     if not start:
-        raise _error(1, f"{head[:20]!a}, expected 'ply'")
+        raise _error(1, f"{bytes(head[:20])!a}, expected 'ply'")
     # Use one kind of line end: the first byte of the body may look like part of another kind.
     newline = start[1]
     end = re.compile(rb"(?<=[\r\n])end_header[ \t]*" + newline).search(head, start.end())
@@ -127,7 +134,7 @@ def _split_lines(head: bytes) -> tuple[list[str], int]:
         where = "beyond 16 MiB" if len(head) == _HEADER_BYTES else "early end-of-file"
         raise InvalidInput(f"not a readable PLY file (no end of the header: {where})")
     try:
-        text = head[start.end() : end.start()].decode("ascii")
+        text = str(head[start.end() : end.start()], "ascii")
     except UnicodeDecodeError:
         raise InvalidInput("not a readable PLY file (its header is not ASCII text)") from None
     return text.split(newline.decode())[:-1], end.end()

@@ -173,7 +173,7 @@ def test_commands_that_read_scenes_take_a_limit(command, folder: Folder):
 def test_functions_that_read_scenes_take_a_limit(tmp_path):
     path = tmp_path / "a.ply"
     write_scene(path, random_scene(40, 0), Config())
-    plan = gs_codec.Plan(gs_codec.Steps(rectify=True))
+    plan = gs_codec.Plan(gs_codec.Steps(rectify=7.5))
     for read, *others in ((gs_codec.read,), (gs_codec.render,), (gs_codec.prepare, plan)):
         with pytest.raises(InvalidInput, match="at most 999 are read"):
             read(path, *others, max_bytes=999)

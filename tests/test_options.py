@@ -20,6 +20,9 @@ VALUES = {
     "cameras": "--cameras cameras.json", "views": "--views 64", "width": "--width 40",
     "background": "--background black", "gt-images": "--gt-images images",
     "checkpoint": "--checkpoint kept", "allow-prune": "--allow-prune",
+    "models": "--models parametric", "coder": "--coder rans",
+    "laplace-scales": "--laplace-scales 9", "geometry-rule": "--geometry-rule median",
+    "preset": "--preset entropygs",
     "geometry": "--geometry octree", "tmc3": "--tmc3 tmc3", "verify": "--no-verify",
     "keep-order": "--keep-order", "depth": "--depth opacity=8",
     "coarseness": "--coarseness 2", "block-size": "--block-size 2048",
@@ -29,26 +32,28 @@ VALUES = {
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
-_GPCC = ("geometry", "tmc3", "verify")
+_PAPER = ("geometry", "tmc3", "verify", "models", "coder", "laplace-scales")
 
 #: Commands, and options that have no effect there.
 IGNORED = {
     "encode scene.ply o.egs -p paper-m": (
         *_ENCODE, "keep-order", "allow-prune", "verify", "coarseness",
     ),
-    "encode scene.ply o.egs -p lossless": (*_ENCODE, *_GPCC, "depth", "allow-prune"),
-    "encode scene.ply o.egs": (*_ENCODE[1:], *_GPCC, "keep-order", "allow-prune"),
-    "encode scene.ply o.egs -p medium": (*_ENCODE[1:], *_GPCC, "keep-order", "allow-prune"),
+    "encode scene.ply o.egs -p lossless": (*_ENCODE, *_PAPER, "depth", "allow-prune"),
+    "encode scene.ply o.egs": (*_ENCODE[1:], *_PAPER, "keep-order", "allow-prune"),
+    "encode scene.ply o.egs -p medium": (*_ENCODE[1:], *_PAPER, "keep-order", "allow-prune"),
     "encode scene.ply o.egs --cameras cameras.json": ("gt-images",),
-    "encode scene.ply o.egs --target-ratio 9": (*_ENCODE[1:], "keep-order", *_GPCC),
+    "encode scene.ply o.egs --target-ratio 9": (*_ENCODE[1:], "keep-order", *_PAPER),
     "encode scene.ply o.egs --max-psnr-drop 1": ("max-memory",),
-    "encode scene.ply o.egs --prune 10": ("allow-prune", "max-memory", *_GPCC),
-    "prepare scene.ply o.ply --rectify": ("checkpoint", *_GPCC, "keep-order"),
-    "batch scene.ply out": ("views", "width", "background", "gt-images", *_GPCC, "allow-prune"),
+    "encode scene.ply o.egs --prune 10": ("allow-prune", "max-memory", *_PAPER),
+    "encode scene.ply o.egs -p s": ("preset",),
+    "batch scene.ply out -p lossless": ("preset",),
+    "prepare scene.ply o.ply --rectify 7": ("checkpoint", "geometry-rule", *_PAPER, "keep-order"),
+    "batch scene.ply out": ("views", "width", "background", "gt-images", *_PAPER, "allow-prune"),
     "batch scene.ply out -p paper-m": ("cameras", "views", "width", "background", "keep-order"),
     "batch scene.ply out --resume": ("overwrite",),
     "batch scene.ply out --target-ratio 9": ("max-memory",),
-    "convert scene.ply o.splat": ("profile", "depth", "coarseness", "block-size", *_GPCC),
+    "convert scene.ply o.splat": ("profile", "depth", "coarseness", "block-size", *_PAPER),
     "convert scene.egs o.ply": ("keep-order",),
     "compare scene.ply scene.egs": (
         "images", "gt-images", "width", "split", "background", "device", "overwrite",

@@ -26,7 +26,7 @@ WRONG_SUFFIX = {
     "decode scene.egs b.egs": "b.egs: suffix '.egs', expected .ply; `convert` writes that",
     "decode scene.egs b.compressed.ply": "suffix '.compressed.ply', expected .ply",
     "convert scene.ply b.Compressed.PLY": "suffix '.compressed.ply', expected .ply, .egs or .splat",
-    "prepare scene.ply b.compressed.ply --rectify": "suffix '.compressed.ply', expected .ply, .egs",
+    "prepare scene.ply b.compressed.ply --prune 9": "suffix '.compressed.ply', expected .ply, .egs",
     "convert scene.ply -": "-: suffix '', expected .ply, .egs or .splat",
 }
 
@@ -43,8 +43,8 @@ WRITING = {
     "encode scene.ply out.egs": "out.egs",
     "decode scene.egs out.ply": "out.ply",
     "convert scene.ply out.splat": "out.splat",
-    "prepare scene.ply out.ply --rectify --width 16": "out.ply",
-    "prepare scene.ply o.ply --rectify --report out --width 16": "out/report.json",
+    "prepare scene.ply out.ply --rectify 7 --width 16": "out.ply",
+    "prepare scene.ply o.ply --rectify 7 --report out --width 16": "out/report.json",
     f"render scene.ply {VIEWS} --out out": "out/a.png",
     f"compare scene.ply scene.egs {VIEWS} --images out": "out/a_a.png",
     "analyze scene.ply --out out": "out/report.html",
@@ -95,7 +95,7 @@ def test_functions_replace_unless_told_not_to(folder):
         "a.ply": lambda path, **keep: decode_file("scene.egs", path, **keep),
         "a.splat": lambda path, **keep: convert_file("scene.ply", path, **keep),
         "b.ply": lambda path, **keep: prepare_file(
-            "scene.ply", path, Plan(Steps(rectify=True), width=16), **keep
+            "scene.ply", path, Plan(Steps(rectify=7.5), width=16), **keep
         ),
         "c.ply": lambda path, **keep: gs_codec.write(path, cloud, **keep),
     }
@@ -130,7 +130,7 @@ def test_dash_is_stdin_and_stdout(folder, trio):
     "command",
     [
         "convert - out.splat",
-        "prepare - out.ply --rectify --width 16",
+        "prepare - out.ply --rectify 7 --width 16",
         "verify -",
         "encode - out.egs",
     ],

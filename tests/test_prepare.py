@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import gs_codec
 from gs_codec.cli.main import app
+from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
@@ -48,6 +49,9 @@ def scene() -> Scene:
     base = random_scene(400, 1, seed=130)
     sizes = np.random.default_rng(130).normal(-2.3, 0.4, (3, 400)).astype(np.float32)
     return replace(base, log_scale=sizes)
+
+
+PAPER = Config("paper-m")
 
 
 def plan(**steps) -> Plan:
@@ -121,7 +125,7 @@ def test_quality_is_measured_in_held_out_views(scene):
 
 def test_cameras_without_marks_do_for_both(scene):
     unmarked = [replace(c, split=None) for c in CAMERAS]
-    _, report = prepare_scene(scene, Plan(Steps(rectify=True), unmarked, views=2))
+    _, report = prepare_scene(scene, Plan(Steps(rectify=7.5), unmarked, views=2))
     assert report.views.held_out is report.views.renders
     assert [c.name for c in report.views.renders.cameras] == ["a", "d"]
 
@@ -159,53 +163,44 @@ def test_drop_of_photographs_and_of_own_renders(scene):
     assert real.drop(*views) == pytest.approx(10 * np.log10(4))  # the mean of decibels
 
 
-def test_rectification_is_what_coding_does(scene):
+def test_rectification_moves_what_is_beyond_its_range(scene):
     outlier = scene.f_rest.copy()
-    outlier[2, 5] = 40.0
+    outlier[2, 5], outlier[4] = 40.0, 0.5
     wild = replace(scene, f_rest=outlier)
-    result, report = prepare_scene(wild, plan(rectify=True))
-    changed = result.f_rest != wild.f_rest
-    assert changed[2, 5]
-    assert report.steps[-1].details == {"moved": np.count_nonzero(changed)}
+    result, report = prepare_scene(wild, plan(rectify=5.0))
+    medians = np.quantile(outlier, 0.5, axis=1, method="lower", keepdims=True)
+    offsets = np.abs(outlier.astype(np.float64) - medians)
+    off_centre = np.maximum(np.count_nonzero(offsets, axis=1, keepdims=True), 1)
+    reach = 5 * offsets.sum(axis=1, keepdims=True) / off_centre
+    np.testing.assert_allclose(
+        result.f_rest, np.clip(outlier, medians - reach, medians + reach), atol=1e-6
+    )
+    assert report.steps[-1].details == {"moved": np.count_nonzero(result.f_rest != outlier)}
     assert 0 < result.f_rest[2, 5] < 40
     assert not report.labels.any()
 
 
-def test_rectification_goes_by_the_depths_of_the_profile(scene):
-    outlier = scene.f_rest.copy()
-    outlier[2, 5] = 40.0
-    wild = replace(scene, f_rest=outlier)
-    edges = {}
-    for config in (Config("paper-l"), Config("paper-m"), Config("m"), Config("paper-s")):
-        result, _ = prepare_scene(wild, plan(rectify=True), config=config)
-        edges[config.profile] = float(result.f_rest[2, 5])
-    # Of band 1, which has 5, 4, and 4 bits in l, m, and s.
-    assert edges["m"] == edges["paper-m"] == edges["paper-s"] < edges["paper-l"]
-    finer = Config("paper-m", depths={"sh1": 5})
-    result, _ = prepare_scene(wild, plan(rectify=True), config=finer)
-    assert result.f_rest[2, 5] == edges["paper-l"]
-
-
-@pytest.mark.parametrize("degree", [1, 2, 3])
-def test_each_band_is_rectified_at_its_own_depth(degree):
-    scene = random_scene(300, degree, seed=5)
-    scene.f_rest[:, 7] = 40.0
-    config = Config("paper-m", depths={"sh1": 2, "sh2": 5, "sh3": 8})
-    edges = prepare_scene(scene, plan(rectify=True), config=config)[0].f_rest[:, 7].reshape(3, -1)
-    bands = np.split(edges, [3, 8][: degree - 1], axis=1)
-    for coarse, fine in zip(bands, bands[1:], strict=False):
-        assert coarse.max() < fine.min()
+@pytest.mark.parametrize("scales", [2.0, 7.5])
+def test_rectification_is_what_coding_does(scene, scales):
+    """A scene that is rectified is coded as one that the encoder rectifies."""
+    config = replace(PAPER, laplace_scales=scales)
+    coded = decode_scene(encode_scene(scene, config)[0])
+    limits = np.abs(coded.f_rest).max(axis=1)
+    rectified, _ = prepare_scene(scene, plan(rectify=scales))
+    np.testing.assert_allclose(np.abs(rectified.f_rest).max(axis=1), limits, rtol=0.15)
+    wide = decode_scene(encode_scene(rectified, replace(PAPER, laplace_scales=1000.0))[0])
+    np.testing.assert_allclose(np.abs(wide.f_rest).max(axis=1), limits, rtol=0.15)
 
 
 def test_all_steps_run_in_order(scene):
     steps = {
         "prune_geometry": 1, "prune_importance": 10, "prune": 20, "refine": 6,
-        "compact_sh": 3e-5, "refit_colour": 3, "rectify": True,
+        "compact_sh": 3e-5, "refit_colour": 3, "rectify": 7.5,
     }  # fmt: skip
     result, report = prepare_scene(scene, plan(**steps))
     assert [step.name for step in report.steps] == [
         "original", "importance pruning", "geometry pruning", "leave-one-out pruning",
-        "optimisation", "SH compaction", "colour refit", "rectification",
+        "rectification", "optimisation", "SH compaction", "colour refit",
     ]  # fmt: skip
     assert report.steps[-1].count == result.count == (report.labels == 0).sum()
     assert result.sh_degree == 1
@@ -243,7 +238,7 @@ def test_steps_that_need_something_to_see_refuse_an_empty_scene():
 
 def test_the_input_is_not_changed(scene):
     before = {group: getattr(scene, group).copy() for group in GROUPS}
-    prepare_scene(scene, plan(prune=20, rectify=True))
+    prepare_scene(scene, plan(prune=20, rectify=7.5))
     for group, plane in before.items():
         np.testing.assert_array_equal(getattr(scene, group), plane)
 
@@ -263,9 +258,6 @@ def folder(scene, tmp_path):
     ]  # fmt: skip
     (tmp_path / "cameras.json").write_text(json.dumps(entries))
     return tmp_path
-
-
-PAPER = Config("paper-m")
 
 
 def test_report_files(folder, scene):
@@ -356,7 +348,9 @@ def test_prepared_scene_is_coded_as_encode_does(folder, profile):
     assert inspect_bytes(data).profile == (profile or "m")
 
 
-@pytest.mark.parametrize("command", ["encode scene.ply o.egs", "prepare scene.ply o.ply --rectify"])
+@pytest.mark.parametrize(
+    "command", ["encode scene.ply o.egs", "prepare scene.ply o.ply --rectify 7"]
+)
 def test_errors_name_the_file_they_are_about(folder, monkeypatch, command):
     monkeypatch.chdir(folder)
     (folder / "broken").mkdir()
@@ -397,20 +391,20 @@ def test_encode_with_steps(folder):
 REFUSALS = {
     "no step": ("prepare scene.ply out.ply", "no step of preparation asked for"),
     "suffix": (
-        "prepare scene.ply out.txt --rectify",
+        "prepare scene.ply out.txt --rectify 7",
         "suffix '.txt', expected .ply, .egs or .splat",
     ),
-    "itself": ("prepare scene.ply scene.ply --rectify", "the source itself"),
+    "itself": ("prepare scene.ply scene.ply --rectify 7", "the source itself"),
     "fraction": ("prepare scene.ply o.ply --prune 0.3", "expected percent, half of all is 50"),
-    "cameras": ("prepare scene.ply o.ply --rectify --cameras none", "none: no such file"),
+    "cameras": ("prepare scene.ply o.ply --rectify 7 --cameras none", "none: no such file"),
     "photographs": (
-        "prepare scene.ply o.ply --rectify --cameras cameras.json --gt-images none",
+        "prepare scene.ply o.ply --rectify 7 --cameras cameras.json --gt-images none",
         "none: no such folder",
     ),
-    "report": ("prepare scene.ply o.ply --rectify --report scene.ply", "scene.ply: "),
-    "checkpoint alone": ("prepare s.ply o.ply --rectify --checkpoint c", "needs --refine"),
-    "background": ("prepare scene.ply o.ply --rectify --background red", "black or white"),
-    "width": ("prepare scene.ply o.ply --rectify --width -4", "width -4"),
+    "report": ("prepare scene.ply o.ply --rectify 7 --report scene.ply", "scene.ply: "),
+    "checkpoint alone": ("prepare s.ply o.ply --rectify 7 --checkpoint c", "needs --refine"),
+    "background": ("prepare scene.ply o.ply --rectify 7 --background red", "black or white"),
+    "width": ("prepare scene.ply o.ply --rectify 7 --width -4", "width -4"),
 }
 
 
@@ -429,7 +423,7 @@ def test_refusals_are_one_line_and_write_nothing(folder, monkeypatch, name):
 @pytest.mark.parametrize(("name", "value"), [
     ("prune_geometry", 1.0), ("prune_importance", 1.0), ("prune", 30.0),
     ("prune_max_psnr_drop", 0.0),
-    ("refine", 1), ("compact_sh", 1e-5), ("refit_colour", 1), ("rectify", True),
+    ("refine", 1), ("compact_sh", 1e-5), ("refit_colour", 1), ("rectify", 7.5),
 ])  # fmt: skip
 def test_any_step_is_something_to_do(name, value):
     assert not Steps().wanted

@@ -82,23 +82,25 @@ def test_geometry_leaves_the_papers_number(percent):
     expected = 1000
     for _ in range(3):
         expected -= int(expected * percent / 100)
-    assert len(keep_near(scene, percent)) == expected
+    assert len(keep_near(scene, percent, "median")) == expected
 
 
-def test_geometry_removes_the_farthest_of_each_axis_in_turn():
+@pytest.mark.parametrize("rule", ["median", "largest"])
+def test_geometry_removes_the_farthest_of_each_axis_in_turn(rule):
     scene = random_scene(200, 0, seed=111)
-    centre = np.median(scene.positions, axis=1)
+    scene.positions[:] += np.float32([[3], [0], [-1]])
+    centre = np.median(scene.positions, axis=1) if rule == "median" else np.zeros(3)
     left = list(range(200))
     for axis in range(3):
         offsets = np.abs(scene.positions[axis].astype(np.float64) - centre[axis])
         left.sort(key=lambda i, offsets=offsets: offsets[i])
         left = left[: len(left) - len(left) // 10]
-    assert keep_near(scene, 10).tolist() == sorted(left)
+    assert keep_near(scene, 10, rule).tolist() == sorted(left)
 
 
 def test_geometry_of_one_place_removes_the_first():
     scene = edge_scenes()["one place"]
-    kept = keep_near(scene, 10)
+    kept = keep_near(scene, 10, "median")
     assert kept.tolist() == list(range(scene.count - len(kept), scene.count))
 
 

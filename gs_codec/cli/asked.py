@@ -170,6 +170,8 @@ def plan_of(asked: Asked) -> Plan | None:
     InvalidInput
         If one of the options has no effect beside the others.
     """
+    if not asked["prune_geometry"]:
+        asked.refuse(["geometry_rule"], "needs --prune-geometry")
     steps = asked.build(Steps)
     if not steps.refine:
         asked.refuse(["checkpoint"], "needs --refine, whose state it keeps")

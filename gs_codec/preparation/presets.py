@@ -9,9 +9,8 @@ from typing import Any
 from gs_codec.config import Config, options_of
 from gs_codec.preparation.steps import Steps
 
-#: Half range of SH-AC, in Laplace scales. The paper's is in a supplement, but at 4 bits its SH-AC have
-#: an entropy of 2.436 bits (Table 1). Here a Laplace distribution has 2.48, two pruned captures 2.40
-#: and 2.14 (RESULTS.md).
+#: Half range of SH-AC, in Laplace scales. The paper leaves it to a supplement, but at 4 bits its
+#: SH-AC have an entropy of 2.436 bits (Table 1). In this range a Laplace distribution has 2.48.
 _LAPLACE_SCALES = 7.5
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import struct
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -261,3 +262,13 @@ def test_random_bytes_are_refused(seed):
 def test_ours_needs_no_package(absent):
     scene = random_scene(60, 1, seed=83)
     assert decode_scene(encode_scene(scene, Config("paper-m"))[0]).count == 60
+
+
+@needs_torchac
+def test_what_torchac_prints_is_not_seen(capfd):
+    torchac_coder._load.cache_clear()
+    for name in [name for name in sys.modules if name.startswith("torchac")]:
+        del sys.modules[name]
+    torchac_coder.require_torchac()
+    print("after")
+    assert capfd.readouterr() == ("after\n", "")

@@ -44,13 +44,13 @@ def require_torchac() -> None:
 
 @cache
 def _load():
-    """The modules torch and torchac; what torchac prints on stdout goes to stderr."""
+    """The modules torch and torchac."""
     if not all(importlib.util.find_spec(name) for name in ("torch", "torchac")):
         raise MissingTool("torchac is not installed: pip install 'gs-codec[paper]'")
     import torch
 
     try:
-        with _output_on_stderr(), _own_programs_first(), warnings.catch_warnings():
+        with _without_output(), _own_programs_first(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a docstring, where it was not compiled before
             import torchac
     except (RuntimeError, OSError) as error:
@@ -71,17 +71,18 @@ def _own_programs_first() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _output_on_stderr() -> Iterator[None]:
-    """Send what this process and its compilers write to stdout to stderr."""
+def _without_output() -> Iterator[None]:
+    """Drop what this process and its compilers write to stdout: torchac reports its build there."""
     sys.stdout.flush()
     saved = os.dup(1)
-    os.dup2(2, 1)
-    try:
-        with contextlib.redirect_stdout(sys.stderr):
-            yield
-    finally:
-        os.dup2(saved, 1)
-        os.close(saved)
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        try:
+            with contextlib.redirect_stdout(nowhere):
+                yield
+        finally:
+            os.dup2(saved, 1)
+            os.close(saved)
 
 
 def is_torchac(file: EgsFile) -> bool:

@@ -53,10 +53,12 @@ def test_edge_scenes_are_those_of_rans(name):
 
 
 @needs_torchac
-@pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("models", ["parametric", "table"])
-def test_blocks_are_those_of_rans_and_of_the_reference_decoder(models, profile):
-    scene = random_scene(1500, 3, seed=70)
+@pytest.mark.parametrize(
+    ("profile", "models"),
+    [("paper-l", "parametric"), ("paper-m", "table"), ("paper-s", "best")],
+)
+def test_blocks_are_those_of_rans_and_of_the_reference_decoder(profile, models):
+    scene = random_scene(1100, 3, seed=70)
     data, _ = both(scene, profile=profile, models=models)
     values, decoded = reference_decode(data)["values"], decode_scene(data)
     names = {
@@ -78,7 +80,7 @@ def test_depths_are_those_of_rans(bits):
 
 @needs_torchac
 def test_sizes_are_nearly_those_of_rans():
-    scene = random_scene(60_000, 1, seed=72)
+    scene = random_scene(20_000, 1, seed=72)
     sizes = []
     for coder in ("torchac", "rans"):
         _, report = encode_scene(scene, Config("paper-m", coder=coder))
@@ -246,11 +248,11 @@ def test_a_coder_of_nothing_is_refused(profile):
 
 
 @needs_torchac
-@pytest.mark.rounds(40)
+@pytest.mark.rounds(20)
 def test_random_bytes_are_refused(seed):
     """Whatever the bytes are: no crash, and no symbols that are not those of the checksum."""
     rng = np.random.default_rng(seed)
-    data = encode_scene(random_scene(200, 1, seed=82), config())[0]
+    data = encode_scene(random_scene(40, 1, seed=82), config())[0]
     streams = {SectionId.OPACITY, SectionId.SCALING, SectionId.ROTATION, SectionId.SH1}
     noise = rng.integers(0, 256, 5000, np.uint8).tobytes()
     chosen = SectionId(int(rng.choice(sorted(streams))))

@@ -34,6 +34,7 @@ _PUBLIC = {
         "ToolFailed",
     ),
     "gs_codec.api.coding": ("read", "write", "encode", "decode", "inspect"),
+    "gs_codec.api.octree": ("to_octree",),
     "gs_codec.api.viewing": ("compare", "render", "prepare"),
     "gs_codec.metrics.images": ("compare_images", "Quality", "View"),
     "gs_codec.files.coding": ("encode_file", "decode_file", "DecodeReport"),

@@ -1,0 +1,85 @@
+"""A scene as Open3D's octree."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gs_codec.api.cloud import from_cloud
+from gs_codec.coding.cube import DEPTHS, EXPANSION, Cube
+from gs_codec.errors import InvalidInput
+from gs_codec.scene import SH_C0
+
+if TYPE_CHECKING:
+    from open3d.geometry import Octree
+    from open3d.t.geometry import PointCloud
+
+
+def to_octree(cloud: PointCloud, depth: int) -> Octree:
+    """Sort the centres of a cloud into Open3D's octree, to count, search or draw them by cells.
+
+    Parameters
+    ----------
+    cloud : open3d.t.geometry.PointCloud
+        With the attributes that `read` gives, at least one Gaussian; others are ignored.
+    depth : int
+        Depth of the leaves, 1-16: they are cubes of ``octree.size / 2**depth`` scene units.
+
+    Returns
+    -------
+    open3d.geometry.Octree
+        Its root is Open3D's cube around the centres, 1 % larger than their extent. A leaf, an
+        `OctreePointColorLeafNode`, has in ``indices`` the Gaussians whose centres are in it, by
+        their index in the cloud, and as ``color`` the mean of their SH-DC colours, RGB, 0-1.
+
+    Raises
+    ------
+    InvalidInput
+        If the depth is not 1-16, an attribute is missing, the cloud is empty, a centre or SH-DC
+        is not finite, or all centres are together so far from the origin that 64-bit floats have
+        no cells there.
+
+    Notes
+    -----
+    `encode` does not use this class: its coder of positions walks sorted Morton codes, which takes
+    a fraction of the time. Open3D calls ``octree.traverse`` back for each node, leaves or not.
+
+    Examples
+    --------
+    >>> import open3d
+    >>> octree = gs_codec.to_octree(gs_codec.read("scene.ply"), 4)
+    >>> octree.max_depth, len(octree.root_node.indices)
+    (4, 2000)
+    >>> counts = []
+    >>> def count(node, info):
+    ...     if isinstance(node, open3d.geometry.OctreePointColorLeafNode):
+    ...         counts.append(len(node.indices))
+    >>> octree.traverse(count)
+    >>> sum(counts)
+    2000
+    """
+    import open3d
+
+    if not isinstance(depth, int) or depth not in DEPTHS:
+        raise InvalidInput(f"depth {depth}: expected an integer from 1 to {DEPTHS[-1]}")
+    scene = from_cloud(cloud, "drop")
+    if not scene.count:
+        raise InvalidInput("to_octree: no Gaussians, expected at least one")
+    for name, plane in (("positions", scene.positions), ("f_dc", scene.f_dc)):
+        if bad := np.count_nonzero(~np.isfinite(plane).all(axis=0)):
+            raise InvalidInput(f"{name}: not finite in {bad:,} Gaussians")
+    cube = Cube.around(scene.positions)
+    if not cube.is_divisible(depth):
+        raise InvalidInput("positions: too close together, so far from the origin, to be divided")
+    codes, positions = cube.divide(scene.positions, depth)
+    cells = np.unique(codes, return_inverse=True)[1]
+    colours = np.clip(0.5 + SH_C0 * scene.f_dc.astype(np.float64), 0, 1)
+    sums = np.stack([np.bincount(cells, row) for row in colours])
+    vectors = open3d.utility.Vector3dVector
+    points = open3d.geometry.PointCloud(vectors(positions.T))
+    # Open3D gives a leaf the colour of its last point: all points of a cell have the mean.
+    points.colors = vectors((sums / np.bincount(cells))[:, cells].T)
+    octree = open3d.geometry.Octree(max_depth=depth)
+    octree.convert_from_point_cloud(points, EXPANSION)
+    return octree

@@ -60,7 +60,7 @@ docs: $(VENV)/installed
 scaling: $(VENV)/installed-test
 	@mkdir -p build/scaling
 	$(BIN)/python samples/generate.py build/scaling/sample.ply --gaussians 200000 --sh-degree 3
-	$(BIN)/gs-codec bench suite build/scaling/sample.ply --out build/scaling/report --overwrite --skip memory --skip codecs --skip curves
+	$(BIN)/gs-codec bench suite build/scaling/sample.ply --out build/scaling/report --overwrite --skip memory --skip codecs --skip curves --skip geometry
 
 # Two samples and SCENES="a/point_cloud.ply ...", cameras.json and images beside each: build/suite/report.
 # Half an hour with a scene of 200,000 Gaussians; OPTIONS="--skip pruned" leaves that out. Other codecs are

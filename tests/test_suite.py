@@ -95,7 +95,7 @@ def of(lines: list[dict], kind: str, scene: str | None = None) -> list[dict]:
 
 def test_every_kind_of_line_is_there_and_says_its_scene(suite):
     lines, _, _ = suite
-    common = {"scene", "memory", "beside", "point"}
+    common = {"scene", "memory", "beside", "point", "geometry"}
     for scene, others in (("shot", set()), ("plain", {"scaling"})):
         assert {line["kind"] for line in lines if line.get("scene") == scene} == common | others
     assert [line["kind"] for line in lines if "scene" not in line] == ["machine"]
@@ -183,6 +183,21 @@ def test_costs_grow_over_the_largest_scene_tiled(suite):
         assert line["encode"] == {"seconds": 0.5, "cpu_seconds": 0.25, "peak_bytes": 100_000_000}
 
 
+def test_positions_are_measured_beside_open3ds_octree(suite):
+    for scene, count in (("shot", 300), ("plain", 400)):
+        ours, theirs = of(suite[0], "geometry", scene)
+        assert (ours["coder"], theirs["coder"]) == ("count tree", "Open3D's Octree")
+        assert (ours["depth"], theirs["depth"]) == (16, 10)
+        assert ours["gaussians"] == theirs["gaussians"] == count
+        steps = {"build_seconds", "walk_seconds"}
+        assert {key for key in ours if key.endswith("_seconds")} == steps | {"decode_seconds"}
+        assert {key for key in theirs if key.endswith("_seconds")} == steps
+        assert min(ours[key] for key in steps) > 0
+        # A point takes less than its 48 bits; each has a leaf of its own, or shares it.
+        assert 2 * count < ours["bytes"] < 6 * count
+        assert 10 < theirs["nodes"] <= 1 + 10 * count
+
+
 def test_progress_and_absent_codecs_are_told(suite):
     _, said, out = suite
     assert re.search(r"^ *\d+:\d\d shot: codecs beside each other$", said, re.MULTILINE)
@@ -195,7 +210,14 @@ def test_progress_and_absent_codecs_are_told(suite):
 def test_the_report_is_written(suite):
     _, _, out = suite
     page = (out / "report.md").read_text()
-    for text in ("## shot (300, 1)", "## plain (400, 1)", "39 % pruned", "third: get it"):
+    for text in (
+        "## shot (300, 1)",
+        "## plain (400, 1)",
+        "## Positions",
+        "| shot | count tree | 16 |",
+        "39 % pruned",
+        "third: get it",
+    ):
         assert text in page
     table = (out / "headline.md").read_text()
     assert "plain (400, 1)" in table

@@ -54,7 +54,8 @@ def measure_suite(
         list[str] | None,
         typer.Option(
             metavar="GROUP",
-            help="Leave out, repeatedly: codecs, curves, memory, scaling, peers, guided, pruned.",
+            help="Leave out, repeatedly: codecs, curves, memory, geometry, scaling, peers, guided, "
+            "pruned.",
         ),
     ] = None,
 ) -> None:

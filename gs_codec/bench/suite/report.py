@@ -25,6 +25,12 @@ _INTRODUCTION = (
     "their coarsest point is better. Pruned scenes have the bits of the input's Gaussians."
 )
 
+_POSITIONS = (
+    "Processor seconds per million points, medians. Count tree: quantising, Morton codes and "
+    "sorting; coding them; decoding. Open3D's class: `convert_from_point_cloud`; `traverse`, "
+    "which calls Python back for each node, here to read which children it has."
+)
+
 _GROWTH = "The largest scene, tiled; every measurement is a process of its own, its start included."
 
 
@@ -56,13 +62,16 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
         parts = ["# Benchmarks of gs_codec", _INTRODUCTION]
         for scene in results.scenes:
             parts += _scene_parts(results, scene, draw)
+        if results.of("geometry"):
+            table = tables.markdown(*tables.geometry_table(results))
+            parts += ["## Positions", _POSITIONS, "\n".join(table)]
         if results.of("scaling"):
             picture = draw("scaling", plots.plot_scaling(results), "Time and memory by Gaussians")
             parts += ["## Scaling", _GROWTH, picture]
     parts += _circumstances(results)
-    table = "\n".join(tables.headline(lines)) + "\n"
+    headline = "\n".join(tables.headline(lines)) + "\n"
     text = "\n\n".join(part for part in parts if part) + "\n"
-    write_files(folder, {**pictures, "headline.md": table.encode(), "report.md": text.encode()})
+    write_files(folder, {**pictures, "headline.md": headline.encode(), "report.md": text.encode()})
 
 
 def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from gs_codec.bench.apart import measure_scaling
 from gs_codec.bench.beside import measure_beside, our_codecs
+from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
@@ -144,6 +145,10 @@ def _curves(measured: MeasuredScene, options: Options, found: Sequence[dict[str,
     return measure_points(measured, options.config("m"), "guided" not in options.skip, beside)
 
 
+def _geometry(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
+    return measure_geometry(measured.scene.positions, measured.name, options.repeats)
+
+
 def _scaling(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
     profiles = ("m", "paper-m")
     return measure_scaling(measured.scene, measured.name, SIZES, profiles, options.threads)
@@ -155,6 +160,7 @@ STAGES = {
     "codecs": ("codecs beside each other", _codecs),
     "curves": ("rate-quality curves", _curves),
     "memory": ("memory of each profile", _memory),
+    "geometry": ("positions beside Open3D's octree", _geometry),
     "scaling": ("growing scenes", _scaling),
 }
 

@@ -57,6 +57,20 @@ def codec_table(results: Results, scene: str) -> tuple[list[str], list[list[str]
     return [columns[i] for i in used], [[row[i] for i in used] for row in rows]
 
 
+def geometry_table(results: Results) -> tuple[list[str], list[list[str]]]:
+    """Columns and rows of ways to divide positions; processor seconds per million points."""
+    columns = ["scene", "by", "depth", "build", "walk", "decode", "bits / point"]
+    rows = []
+    for line in results.of("geometry"):
+        million = max(line["gaussians"], 1) / 1e6
+        seconds = [line.get(f"{step}_seconds") for step in ("build", "walk", "decode")]
+        cells = [_number(x and x / million, ".2f") for x in seconds]
+        bits = line.get("bytes") and line["bytes"] * 8e-6 / million
+        name = escaped(line["scene"])
+        rows.append([name, line["coder"], str(line["depth"]), *cells, _number(bits, ".1f")])
+    return columns, rows
+
+
 def rates(results: Results, scene: str) -> str:
     """A sentence on the BD-rate of our curves over the paper's profiles; empty without any."""
     told = []

@@ -97,6 +97,16 @@ def options_of(settings: Any) -> dict[str, Option]:
     return {f.name: f.metadata["option"] for f in fields(settings) if "option" in f.metadata}
 
 
+def changed_options(settings: Any) -> dict[str, Any]:
+    """The values of a dataclass that differ from its defaults, by the options' names."""
+    default = type(settings)()
+    return {
+        described.name or field: value
+        for field, described in options_of(settings).items()
+        if (value := getattr(settings, field)) != getattr(default, field)
+    }
+
+
 def check_options(settings: Any) -> None:
     """Refuse values of a dataclass's fields that their options do not allow; None is allowed."""
     for name, described in options_of(settings).items():

@@ -15,6 +15,8 @@ from gs_codec.bench import host
 from gs_codec.bench.apart import run_apart
 from gs_codec.bench.sources import held_out_views, tile_scene
 from gs_codec.cli.main import app
+from gs_codec.codecs import encode_scene
+from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.formats.ply import write_ply
 from gs_codec.rendering.cameras import read_cameras
@@ -125,7 +127,7 @@ def test_views_need_cameras(command, options):
 def test_subcommands_are_named_where_there_is_none(arguments):
     result = CliRunner().invoke(app, ["bench", *arguments])
     assert isinstance(result.exception, InvalidInput)
-    expected = f"bench {arguments[0]}: expected a subcommand, one of run, peers, suite"
+    expected = f"bench {arguments[0]}: expected a subcommand, one of run, peers, suite, paper"
     assert str(result.exception) == expected
 
 
@@ -163,3 +165,16 @@ def test_a_process_of_its_own_is_measured(tmp_path):
     assert 5e6 < used.peak_bytes < 2e8
     with pytest.raises(GsCodecError, match=r"^.*no directory"):
         run_apart(["encode", "scene.ply", str(tmp_path / "none" / "scene.egs")])
+
+
+def test_options_of_the_paper_are_those_of_encoding(tmp_path):
+    scene = random_scene(300, 1, seed=71)
+    write_ply(tmp_path / "scene.ply", scene)
+    options = ["--models", "table", "--laplace-scales", "4", "-p", "paper-s", "--repeats", "1"]
+    result = CliRunner().invoke(app, ["bench", "run", str(tmp_path / "scene.ply"), *options])
+    assert result.exit_code == 0, result.output
+    expected = encode_scene(scene, Config("paper-s", models="table", laplace_scales=4))[1]
+    (line,) = (x for x in map(json.loads, result.stdout.splitlines()) if x["kind"] == "codec")
+    assert line["section_bytes"] == expected.section_bytes
+    result = CliRunner().invoke(app, ["bench", "run", str(tmp_path / "scene.ply"), *options[:2]])
+    assert "models 'table': profile 'l', expected paper-l" in str(result.exception)

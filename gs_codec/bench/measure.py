@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from gs_codec.bench.host import machine
 from gs_codec.bench.peers import find_peers
 from gs_codec.bench.sources import MeasuredScene, open_scene
 from gs_codec.codecs import encode_scene
-from gs_codec.config import Config
+from gs_codec.config import Config, changed_options
 from gs_codec.files.scenes import compare_files
 from gs_codec.formats.ply import write_ply
 
@@ -71,9 +71,11 @@ def measure_memory(
     measured: MeasuredScene, config: Config, ply: Path, back: Path
 ) -> dict[str, Any]:
     """The result line of the largest resident memory of whole processes, from `ply` to `back`."""
-    depths = [arg for g, bits in config.depths.items() for arg in ("--depth", f"{g}={bits}")]
+    changed = changed_options(replace(config, depths={}))
+    typed = [(name.replace("_", "-"), value) for name, value in changed.items()]
+    typed += [("depth", f"{group}={bits}") for group, bits in config.depths.items()]
+    options = [text for name, value in typed for text in (f"--{name}", str(value))]
     threads = [] if config.threads is None else ["--threads", str(config.threads)]
-    options = ["-p", config.profile, "--extra", config.extra, *depths, *threads]
     stream = str(back.with_suffix(".egs"))
     encode = run_apart(["encode", str(ply), stream, *options, "--overwrite"]).peak_bytes
     decode = run_apart(["decode", stream, str(back), *threads, "--overwrite"]).peak_bytes

@@ -147,7 +147,9 @@ app = typer.Typer(
 )
 
 
-@takes("threads", "gt_images", "width", "extra", "depth")
+@takes(
+    "threads", "gt_images", "width", "extra", "depth", "models", "laplace_scales", "coder"
+)  # fmt: skip
 def measure(
     scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="3DGS .ply files.")],
     asked: Asked,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gs_codec.config import Config, options_of
+from gs_codec.config import Config, changed_options
 from gs_codec.preparation.steps import Steps
 
 #: Half range of SH-AC, in Laplace scales. The paper leaves it to a supplement, but at 4 bits its
@@ -37,12 +37,7 @@ class Preset:
 
     def options(self) -> dict[str, Any]:
         """The values that differ from the defaults, by the names of the commands' options."""
-        return {
-            described.name or field: value
-            for settings in (self.steps, self.config)
-            for field, described in options_of(settings).items()
-            if (value := getattr(settings, field)) != getattr(type(settings)(), field)
-        }
+        return changed_options(self.steps) | changed_options(self.config)
 
 
 #: ``entropygs``: the paper's pipeline in its order (Sections 4.2 to 4.4). Its sizes after each step

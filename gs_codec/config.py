@@ -1,4 +1,4 @@
-"""Encoder configuration: profiles and quantisation depths (paper, Table 1)."""
+"""Encoder configuration: profiles and quantisation depths (paper, Table 2)."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _depths(*bits: int) -> Mapping[str, int]:
     return dict(zip(DEPTH_GROUPS, bits, strict=True))
 
 
-#: Bits per group. The paper's Table 1 gives a range for SH-AC (4-5 / 3-4 / 2-4) and for the
+#: Bits per group. The paper's Table 2 gives a range for SH-AC (4-5 / 3-4 / 2-4) and for the
 #: geometry of S (15-16); these values were chosen by rendered views (bench/RESULTS.md).
 PROFILES: Mapping[str, Mapping[str, int]] = {
     "paper-l": _depths(17, 8, 8, 8, 8, 5, 5, 5),
@@ -290,7 +290,7 @@ class Config:
     ----------
     profile : {"l", "m", "s", "paper-l", "paper-m", "paper-s", "lossless"}
         ``l``, ``m``, ``s``: step sizes by how visible each Gaussian is; ``high``, ``medium`` and
-        ``low`` are other names for them. ``paper-*``: quantisation depths of the paper's Table 1.
+        ``low`` are other names for them. ``paper-*``: quantisation depths of the paper's Table 2.
         ``lossless``: every bit is kept. Default ``m``.
     depths : mapping of str to int
         Bits per group that override those of a paper profile (its rate control, Section 4.4).

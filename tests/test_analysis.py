@@ -18,8 +18,14 @@ from gs_codec.analysis.fits import fits_of
 from gs_codec.analysis.information import bin_count, into_bins, mutual_information
 from gs_codec.analysis.maps import maps_of, mean_by_attribute, mean_by_relation
 from gs_codec.analysis.page import page, picture, table
-from gs_codec.analysis.plots import draw_pictures, new_figure
-from gs_codec.analysis.sensitivity import LEVELS, THRESHOLD, level_at, measure_sensitivity
+from gs_codec.analysis.plots import draw_pictures, new_figure, plot_sensitivity, png_of
+from gs_codec.analysis.sensitivity import (
+    LEVELS,
+    SCALES,
+    THRESHOLD,
+    level_at,
+    measure_sensitivity,
+)
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.entropygs.symbols import Coded, order_scene, quantise_and_model
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
@@ -53,7 +59,7 @@ def coded_of(scene, config) -> Coded:
 
 def histograms_of(coded: Coded) -> dict[str, np.ndarray]:
     """Histograms of the symbols of the channels that vary, by name."""
-    names = [channel.name for channel in coded.varying]
+    names = [channel.name for channel in coded.channels if channel.model]
     return dict(zip(names, map(np.bincount, coded.symbols), strict=True))
 
 
@@ -125,6 +131,36 @@ def test_bins_hold_equally_many_and_equal_values_share_one():
     assert np.all(np.diff(codes[order]) >= 0)
 
 
+def test_bins_of_equal_widths_are_those_of_a_histogram():
+    rng = np.random.default_rng(20)
+    values = rng.uniform(-3, 5, (1, 20000)).astype(np.float32)
+    low, high = np.quantile(values, (0.001, 0.999), method="nearest")
+    inner = values[(values >= low) & (values <= high)]
+    counts = np.bincount(into_bins(values, 16, "widths")[0], minlength=16)
+    expected = np.histogram(inner, 16, (low, high))[0]
+    assert counts.sum() == 20000
+    assert np.array_equal(counts[1:-1], expected[1:-1])
+    # The few values beyond the quantiles are in the outermost bins.
+    assert np.all(counts[[0, -1]] == expected[[0, -1]] + [20, 20])
+
+
+def test_outliers_do_not_leave_all_values_in_one_bin():
+    values = np.random.default_rng(21).normal(size=(1, 10000)).astype(np.float32)
+    values[0, :5] = [1e30, -1e30, 1e6, -1e6, 1e9]
+    codes = into_bins(values, 16, "widths")[0]
+    assert np.bincount(codes, minlength=16).max() < 0.2 * values.size
+    assert codes[[0, 2, 4]].tolist() == [15] * 3
+    assert codes[[1, 3]].tolist() == [0] * 2
+
+
+def test_rare_values_beside_one_have_bins_of_equal_widths():
+    values = np.zeros((2, 10000), np.float32)
+    values[0, :3] = [1, 2, 4]  # both quantiles are 0
+    codes = into_bins(values, 4, "widths")
+    assert codes[0, :4].tolist() == [0, 1, 3, 0]
+    assert not codes[1].any()
+
+
 @pytest.mark.parametrize(
     ("count", "bins"), [(1, 2), (199, 2), (5000, 10), (51200, 32), (10**7, 32)]
 )
@@ -164,7 +200,12 @@ def test_maps_show_what_was_put_into_a_scene():
     assert others["opacity"] == pytest.approx(1 / 9, abs=0.01)
     assert others["rotation"] == pytest.approx(0, abs=0.01)
     row = maps["sh-ac-others"].rows.index("opacity")
-    assert maps["sh-ac-others"].information.corrected[row].argmax() == 7
+    for found in maps["sh-ac-others"].information.values():
+        assert found.corrected[row].argmax() == 7
+    by_widths = mean_by_relation(maps["sh-ac"], "widths")
+    assert by_widths["R and G, same coefficient"] == pytest.approx(1)
+    assert by_widths["R and B, same coefficient"] == pytest.approx(0, abs=0.01)
+    assert mean_by_attribute(maps["sh-ac-others"], "widths") != others
     assert maps["sh-ac-others"].columns[7] == "B 2"
 
 
@@ -186,7 +227,7 @@ def test_luma_and_chroma_part_what_colours_share():
     scene = random_scene(5000, 0, seed=8)  # grey with a little of each colour
     maps = maps_of(scene, bin_count(5000), 0)
     off = ~np.eye(3, dtype=bool)
-    before, after = (maps[n].information.corrected[off] for n in ("sh-dc", "sh-dc-ycocg"))
+    before, after = (maps[n].information["counts"].corrected[off] for n in ("sh-dc", "sh-dc-ycocg"))
     assert before.min() > 0.3
     assert after.max() < 0.02
 
@@ -299,7 +340,8 @@ def measured():
     scene = random_scene(1500, 1, seed=15)
     cameras = [camera.resized(60, 40) for camera in auto_cameras(scene, 2)]
     steps = []
-    found = measure_sensitivity(scene, cameras, Config("paper-m"), 3, lambda *s: steps.append(s))
+    counted = {"progress": lambda *s: steps.append(s)}
+    found = measure_sensitivity(scene, cameras, Config("paper-m"), 3, **counted)
     return scene, cameras, found, steps
 
 
@@ -310,7 +352,8 @@ def test_more_error_is_worse_to_look_at(measured):
     for curve in found.curves:
         assert curve.psnr[0] > 60
         assert curve.psnr[0] > curve.psnr[4] > curve.psnr[8]
-        assert 0 < curve.profile_level < 1
+        assert 0 < curve.profile_error < 1
+        assert curve.errors == LEVELS
         if curve.tolerance is not None:
             low = max(i for i, q in enumerate(curve.psnr) if q >= THRESHOLD)
             assert LEVELS[0] <= curve.tolerance <= LEVELS[min(low + 1, len(LEVELS) - 1)]
@@ -340,6 +383,59 @@ def test_the_same_seed_makes_the_same_noise(measured):
     scene, cameras, found, _ = measured
     again = measure_sensitivity(scene, cameras, Config("paper-m"), 3)
     assert again.as_dict() == found.as_dict()
+
+
+def test_errors_over_the_mean_are_those_of_the_noise(measured):
+    scene, cameras, found, _ = measured
+    other = measure_sensitivity(scene, cameras, Config("paper-m"), 3, "mean")
+    planes = {"SH-DC": scene.f_dc, "rotation": scene.rot, "positions": scene.positions}
+    for ours, papers in zip(found.curves, other.curves, strict=True):
+        assert papers.psnr == ours.psnr
+        assert papers.tolerance_of_range == ours.tolerance_of_range
+        if (values := planes.get(ours.attribute)) is not None:
+            noise = np.random.default_rng(0).normal(size=values.shape)
+            noise *= 0.1 * values.std(axis=1, keepdims=True)
+            expected = np.mean(noise**2) / np.abs(values).mean()
+            assert papers.errors[LEVELS.index(0.1)] == pytest.approx(expected, rel=0.05)
+        # The same points of the curve are marked.
+        unit = papers.errors[-1]
+        assert papers.profile_error == pytest.approx(unit * ours.profile_error**2)
+        if ours.tolerance is not None:
+            assert papers.tolerance == pytest.approx(unit * ours.tolerance**2)
+
+
+def test_the_scale_decides_the_order(measured):
+    scene, cameras, found, _ = measured
+    assert found.ranked()[0].attribute == "positions"
+    # The unit of length changes errors over the mean, but not those in standard deviations.
+    unit = np.float32(2**20)
+    large = replace(
+        scene, positions=scene.positions * unit, log_scale=scene.log_scale + np.log(unit)
+    )
+    views = [replace(camera, position=camera.position * unit) for camera in cameras]
+    known = {
+        scale: measure_sensitivity(large, views, Config("paper-m"), 3, scale) for scale in SCALES
+    }
+    ranks = {scale: found.ranked()[0].attribute for scale, found in known.items()}
+    assert ranks["deviation"] == "positions"
+    assert ranks["mean"] != "positions"
+    for scale, found in known.items():
+        assert found.as_dict()["error_scale"] == scale
+        assert found.as_dict()["most_sensitive_first"][0] == ranks[scale]
+
+
+def test_constant_attributes_have_no_error_over_the_mean():
+    scene = random_scene(200, 1, seed=22)
+    scene = replace(scene, f_rest=scene.f_rest * np.float32(0), opacity=scene.opacity * 0 + 1)
+    cameras = [camera.resized(30, 20) for camera in auto_cameras(scene, 1)]
+    found = measure_sensitivity(scene, cameras, Config("paper-m"), 3, "mean")
+    errors = {curve.attribute: curve.errors for curve in found.curves}
+    assert not any(errors["SH-AC"])
+    assert not any(errors["opacity"])
+    assert all(errors["rotation"])
+    assert png_of(plot_sensitivity(found)).startswith(b"\x89PNG")
+    nothing = replace(found, curves=tuple(c for c in found.curves if not any(c.errors)))
+    assert png_of(plot_sensitivity(nothing)).startswith(b"\x89PNG")
 
 
 # Whole scenes
@@ -464,6 +560,31 @@ def test_command_prints_a_summary(folder):
         (folder.path / name / "report.json").read_bytes() for name in ("report", "again")
     )
     assert first == second
+
+
+def test_command_gives_errors_over_the_mean_and_either_bins(folder):
+    write_ply(folder.path / "scene.ply", random_scene(600, 1, seed=23))
+    given = ("analyze", "scene.ply", "--out", "report", "--cameras", "auto", "--width", "30")
+    status, out, err = folder.run(*given, "--error-scale", "mean", "--json")
+    assert status == 0, err
+    content = strict_json(out)
+    assert content["sensitivity"]["error_scale"] == "mean"
+    curve = content["sensitivity"]["curves"]["rotation"]
+    assert curve["errors"][-1] == pytest.approx(curve["errors"][0] * 1e10)
+    text = (folder.path / "report" / "report.html").read_text()
+    assert "paper, Section 3.3" in text
+    assert "paper-m: MSE/mean" in text
+    information = content["mutual_information"]
+    for name, found in information["maps"].items():
+        shape = len(found["rows"]), len(found["columns"])
+        assert np.shape(found["counts"]["nmi"]) == np.shape(found["widths"]["nmi"]) == shape
+        if name.startswith("sh-ac"):
+            assert set(information["means"]["widths"][name]) == set(
+                information["means"]["counts"][name]
+            )
+    assert "all, widths" in text
+    line = folder.refuse(*given, "--error-scale", "median")
+    assert "--error-scale median: expected deviation or mean" in line
 
 
 def test_command_refuses_what_it_cannot_use(folder):

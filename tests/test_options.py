@@ -28,7 +28,7 @@ VALUES = {
     "coarseness": "--coarseness 2", "block-size": "--block-size 2048",
     "profile": "--profile m", "images": "--images views", "split": "--split all",
     "device": "--device cpu", "overwrite": "--overwrite", "channels": "--channels",
-    "max-memory": "--max-memory 1GB",
+    "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -60,7 +60,7 @@ IGNORED = {
     ),
     "compare scene.ply scene.egs --cameras auto": ("overwrite",),
     "inspect scene.egs --json": ("channels",),
-    "analyze scene.ply --out out": ("width",),
+    "analyze scene.ply --out out": ("width", "error-scale"),
     "bench run scene.ply": ("gt-images", "width"),
     "bench peers scene.ply": ("gt-images", "width"),
 }  # fmt: skip

@@ -10,9 +10,9 @@ import numpy as np
 from gs_codec import __version__
 from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.analysis.fits import Fit, fits_of
-from gs_codec.analysis.information import bin_count
+from gs_codec.analysis.information import BINS, Bins, bin_count
 from gs_codec.analysis.maps import Map, maps_of, mean_by_attribute, mean_by_relation
-from gs_codec.analysis.sensitivity import SensitivityCurves, measure_sensitivity
+from gs_codec.analysis.sensitivity import ErrorScale, SensitivityCurves, measure_sensitivity
 from gs_codec.codecs import encode_scene
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
@@ -92,10 +92,10 @@ class Analysis:
             notes.append("No cameras were given (--cameras), so sensitivities were not measured.")
         return notes
 
-    def means(self) -> dict[str, dict[str, float | None]]:
+    def means(self, kind: Bins) -> dict[str, dict[str, float | None]]:
         """Mean information of the channel pairs of each SH-AC map, by kind of pair."""
         return {
-            name: mean_by_attribute(found) if "others" in name else mean_by_relation(found)
+            name: (mean_by_attribute if "others" in name else mean_by_relation)(found, kind)
             for name, found in self.maps.items()
             if name.startswith("sh-ac")
         }
@@ -114,8 +114,11 @@ class Analysis:
                 "formula": "2 I(X; Y) / (H(X) + H(Y)), less that of shuffled data: "
                 "(nmi - shuffled) / (1 - shuffled)",
                 "bins": self.bins,
-                "binning": "equal mass",
-                "means": self.means(),
+                "binning": {
+                    "counts": "equal counts",
+                    "widths": "equal widths between the 0.1 % and the 99.9 % quantile",
+                },
+                "means": {kind: self.means(kind) for kind in BINS},
                 "maps": {name: found.as_dict() for name, found in self.maps.items()},
             },
             "channels": {"profile": REFERENCE, "fits": [fit.as_dict() for fit in self.fits]},
@@ -132,6 +135,7 @@ def analyse_scene(
     name: str,
     cameras: str | None = None,
     width: int | None = None,
+    error_scale: ErrorScale = "deviation",
     sample: int = 200_000,
     seed: int = 0,
     progress: Progress | None = None,
@@ -146,6 +150,8 @@ def analyse_scene(
         As for `find_cameras`; without cameras, sensitivities are not measured.
     width : int, optional
         Width of the views, pixels.
+    error_scale : {"deviation", "mean"}
+        Scale of the errors of `sensitivity`; see `gs_codec.analysis.sensitivity`.
     sample : int
         Most Gaussians to use for maps and fits; entropies, bits and views use all of them.
     seed : int
@@ -170,7 +176,9 @@ def analyse_scene(
     config = Config(REFERENCE, models="best")
     fits = fits_of(chosen, config, progress)
     entropy, bits = _encode(scene, progress)
-    sensitivity = measure_sensitivity(scene, views, config, seed, progress) if views else None
+    sensitivity = None
+    if views:
+        sensitivity = measure_sensitivity(scene, views, config, seed, error_scale, progress)
     return Analysis(
         name=name,
         count=scene.count,

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
+
+#: Bins of equal counts, or of equal widths.
+Bins = Literal["counts", "widths"]
+BINS: tuple[Bins, ...] = ("counts", "widths")
+
+# Quantiles between which bins of equal widths lie; outliers would leave most values in one bin.
+_INNER = (0.001, 0.999)
 
 #: Most bins per channel; values that each pair of bins should hold if channels are independent.
 MAX_BINS = 32
@@ -51,22 +59,35 @@ def bin_count(samples: int) -> int:
     return int(np.clip(math.isqrt(samples // _VALUES_A_CELL), 2, MAX_BINS))
 
 
-def into_bins(planes: NDArray[np.floating], bins: int) -> NDArray[np.int8]:
-    """Bins ``(C, N)`` of channels ``(C, N)`` with about equal counts; equal values share a bin.
+def into_bins(planes: NDArray[np.floating], bins: int, kind: Bins = "counts") -> NDArray[np.int8]:
+    """Bins ``(C, N)`` of channels ``(C, N)``; equal values share a bin.
 
-    A frequent value that fills several bins leaves some empty; a constant channel has one bin.
+    ``counts``: about equally many values in each bin; a frequent value that fills several bins
+    leaves some empty. ``widths``: equally wide bins from the 0.1 % quantile to the 99.9 % quantile;
+    the outermost hold all values beyond. If the two quantiles are equal, the bins reach from the
+    lowest value to the highest. A constant channel has one bin of either kind.
     """
     codes = np.zeros(planes.shape, np.int8)
-    shares = np.arange(1, bins) / bins
+    edges_of = _equal_counts if kind == "counts" else _equal_widths
 
     def work(row: int) -> None:
-        values = planes[row]
-        edges = np.unique(np.quantile(values, shares, method="lower"))
-        codes[row] = np.searchsorted(edges, values, side="left")
+        codes[row] = np.searchsorted(edges_of(planes[row], bins), planes[row], side="left")
 
     if planes.shape[1]:
         run_all(work, range(len(planes)))
     return codes
+
+
+def _equal_counts(values: NDArray[np.floating], bins: int) -> NDArray[np.floating]:
+    """Inner edges of the bins; a value on an edge is in the bin below."""
+    return np.unique(np.quantile(values, np.arange(1, bins) / bins, method="lower"))
+
+
+def _equal_widths(values: NDArray[np.floating], bins: int) -> NDArray[np.float64]:
+    low, high = np.quantile(values, _INNER, method="nearest").astype(np.float64)
+    if low == high:
+        low, high = float(values.min()), float(values.max())
+    return np.linspace(low, high, bins + 1)[1:-1]
 
 
 def mutual_information(

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.analysis.information import Information, into_bins, is_zero, mutual_information
+from gs_codec.analysis.information import (
+    BINS,
+    Bins,
+    Information,
+    into_bins,
+    is_zero,
+    mutual_information,
+)
 from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import Scene
@@ -22,12 +30,15 @@ _COMPONENTS = {"rot": "wxyz", "log_scale": "012", "opacity": " ", "f_dc": "RGB"}
 
 @dataclass(frozen=True)
 class Map:
-    """Normalised mutual information of the channels `rows` with the channels `columns`."""
+    """Normalised mutual information of the channels `rows` with the channels `columns`.
+
+    `information` is by bins of equal ``counts``, and by bins of equal ``widths``.
+    """
 
     rows: tuple[str, ...]
     columns: tuple[str, ...]
     gaussians: int
-    information: Information
+    information: Mapping[Bins, Information]
 
     def as_dict(self) -> dict:
         """For JSON."""
@@ -35,17 +46,21 @@ class Map:
             "rows": self.rows,
             "columns": self.columns,
             "gaussians": self.gaussians,
-            "nmi": np.round(self.information.corrected, 6).tolist(),
-            "nmi_uncorrected": np.round(self.information.raw, 6).tolist(),
-            "nmi_shuffled_mean": float(self.information.bias.mean()),
-            "nmi_shuffled_max": float(self.information.bias.max()),
+        } | {
+            kind: {
+                "nmi": np.round(found.corrected, 6).tolist(),
+                "nmi_uncorrected": np.round(found.raw, 6).tolist(),
+                "nmi_shuffled_mean": float(found.bias.mean()),
+                "nmi_shuffled_max": float(found.bias.max()),
+            }
+            for kind, found in self.information.items()
         }
 
 
 class _Channels(NamedTuple):
-    """Channels in bins ``(C, N)``, and what each is called."""
+    """Channels in bins of either kind ``(C, N)``, and what each is called."""
 
-    codes: NDArray[np.int8]
+    codes: Mapping[Bins, NDArray[np.int8]]
     labels: tuple[str, ...]
 
 
@@ -57,13 +72,17 @@ def maps_of(scene: Scene, bins: int, seed: int, progress: Progress | None = None
     other attributes. ``coloured`` leaves out Gaussians that have a colour channel whose SH-AC are
     all (nearly) zero, because these make otherwise independent channels look dependent.
     """
-    rng = np.random.default_rng(seed)
+    rngs = {kind: np.random.default_rng(seed) for kind in BINS}
     advance = step_counter(progress, "mutual information", 8 if scene.sh_degree else 2)
     maps: dict[str, Map] = {}
 
     def compare(name: str, rows: _Channels, columns: _Channels) -> None:
-        information = mutual_information(rows.codes, columns.codes, bins, rng)
-        maps[name] = Map(rows.labels, columns.labels, rows.codes.shape[1], information)
+        information = {
+            kind: mutual_information(rows.codes[kind], columns.codes[kind], bins, rngs[kind])
+            for kind in BINS
+        }
+        count = rows.codes["counts"].shape[1]
+        maps[name] = Map(rows.labels, columns.labels, count, information)
         advance()
 
     def compare_colours(name: str, planes: NDArray[np.float32]) -> _Channels:
@@ -82,11 +101,11 @@ def maps_of(scene: Scene, bins: int, seed: int, progress: Progress | None = None
         sh_ac = compare_colours(name, part.f_rest)
         planes = np.concatenate([getattr(part, group) for group in _OTHERS])
         labels = [f"{_OTHERS[g]} {c}".strip() for g in _OTHERS for c in _COMPONENTS[g]]
-        compare(f"{name}-others", _Channels(into_bins(planes, bins), tuple(labels)), sh_ac)
+        compare(f"{name}-others", _Channels(_codes(planes, bins), tuple(labels)), sh_ac)
     return maps
 
 
-def mean_by_relation(of_colours: Map) -> dict[str, float | None]:
+def mean_by_relation(of_colours: Map, kind: Bins = "counts") -> dict[str, float | None]:
     """Mean information of pairs of SH-AC channels, by kind of pair.
 
     Kinds: different coefficients of one colour, for each colour; the same coefficient of two
@@ -94,7 +113,8 @@ def mean_by_relation(of_colours: Map) -> dict[str, float | None]:
     such pairs.
     """
     size = len(of_colours.rows) // 3
-    blocks = of_colours.information.corrected.reshape(3, size, 3, size).transpose(0, 2, 1, 3)
+    values = of_colours.information[kind].corrected
+    blocks = values.reshape(3, size, 3, size).transpose(0, 2, 1, 3)
     letters = [of_colours.rows[size * i].split()[0] for i in range(3)]
     same = np.eye(size, dtype=bool)
     pairs = ((0, 1), (0, 2), (1, 2))
@@ -108,10 +128,10 @@ def mean_by_relation(of_colours: Map) -> dict[str, float | None]:
     return means | {which: _mean(np.concatenate(across))}
 
 
-def mean_by_attribute(of_others: Map) -> dict[str, float | None]:
+def mean_by_attribute(of_others: Map, kind: Bins = "counts") -> dict[str, float | None]:
     """Mean information of SH-AC channels with the channels of each other attribute."""
     owners = np.array([name.split()[0] for name in of_others.rows])
-    values = of_others.information.corrected
+    values = of_others.information[kind].corrected
     return {name: _mean(values[owners == name]) for name in dict.fromkeys(owners.tolist())}
 
 
@@ -133,4 +153,8 @@ def _colours(planes: NDArray, letters: tuple[str, ...], bins: int) -> _Channels:
     """Channels of three colours ``(3 K, N)``."""
     number = len(planes) // 3
     numbered = [f"{letter} {k + 1}" for letter in letters for k in range(number)]
-    return _Channels(into_bins(planes, bins), letters if number == 1 else tuple(numbered))
+    return _Channels(_codes(planes, bins), letters if number == 1 else tuple(numbered))
+
+
+def _codes(planes: NDArray, bins: int) -> dict[Bins, NDArray[np.int8]]:
+    return {kind: into_bins(planes, bins, kind) for kind in BINS}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.analysis.analyse import Analysis
 from gs_codec.analysis.fits import Fit
 from gs_codec.analysis.maps import Map
-from gs_codec.analysis.sensitivity import LEVELS, SensitivityCurves
+from gs_codec.analysis.sensitivity import SCALES, SensitivityCurves
 from gs_codec.errors import MissingTool
 from gs_codec.report import Progress, step_counter
 from gs_codec.scene import sh_bands
@@ -129,7 +129,7 @@ def plot_others(maps: Mapping[str, Map]) -> Figure:
     figure = new_figure(10.5, 5.6)
     axes = figure.subplots(2, 1)
     found = [maps[f"{name}-others"] for name in _WHICH]
-    values = [each.information.corrected for each in found]
+    values = [each.information["counts"].corrected for each in found]
     _draw_maps(figure, list(zip(axes, _WHICH.values(), values, strict=True)))
     for axis, each in zip(axes, found, strict=True):
         axis.set_aspect("auto")
@@ -140,7 +140,7 @@ def plot_others(maps: Mapping[str, Map]) -> Figure:
 
 def _without_self(found: Map) -> NDArray[np.float64]:
     """The values of a map; NaN for a channel with itself."""
-    values = found.information.corrected
+    values = found.information["counts"].corrected
     return np.where(np.eye(len(values), dtype=bool), np.nan, values)
 
 
@@ -187,20 +187,21 @@ def plot_sensitivity(sensitivity: SensitivityCurves) -> Figure:
 
     figure = new_figure(9.5, 5.6)
     axis = figure.add_subplot()
-    curves = sensitivity.curves
+    curves = [curve for curve in sensitivity.curves if any(curve.errors)]
     shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(curves)))
     for i, curve in enumerate(curves):
         style = {"color": shades[i], "marker": _MARKERS[i], "ms": 5}
-        axis.plot(LEVELS, curve.psnr, linestyle=_DASHES[i], label=curve.attribute, **style)
-        if LEVELS[0] <= curve.profile_level <= LEVELS[-1]:
-            at = np.interp(np.log(curve.profile_level), np.log(LEVELS), curve.psnr)
+        axis.plot(curve.errors, curve.psnr, linestyle=_DASHES[i], label=curve.attribute, **style)
+        if curve.errors[0] <= curve.profile_error <= curve.errors[-1]:
+            at = np.interp(np.log(curve.profile_error), np.log(curve.errors), curve.psnr)
             hollow = style | {"ms": 13, "mfc": "none", "mew": 1.8}
-            axis.plot(curve.profile_level, at, linestyle="none", **hollow)
+            axis.plot(curve.profile_error, at, linestyle="none", **hollow)
     axis.set_xscale("log")
-    axis.set_xlabel("error, root mean square, in standard deviations of the channel")
+    axis.set_xlabel(f"error: {SCALES[sensitivity.scale]}")
     axis.set_ylabel("PSNR of views against the unchanged scene, dB")
     axis.grid(alpha=0.3)
-    axis.legend(title=f"error in (hollow: {sensitivity.profile})", fontsize=9)
+    if curves:
+        axis.legend(title=f"error in (hollow: {sensitivity.profile})", fontsize=9)
     figure.tight_layout()
     return figure
 

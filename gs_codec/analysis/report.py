@@ -11,12 +11,25 @@ import numpy as np
 
 from gs_codec.analysis.analyse import REFERENCE, Analysis, analyse_scene
 from gs_codec.analysis.fits import Fit
+from gs_codec.analysis.information import BINS
 from gs_codec.analysis.page import heading, listing, number, page, paragraph, picture, table
 from gs_codec.analysis.plots import draw_pictures, new_figure
-from gs_codec.analysis.sensitivity import THRESHOLD
+from gs_codec.analysis.sensitivity import SCALES, THRESHOLD, Curve, ErrorScale
 from gs_codec.files.scenes import read_scene
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_writable, write_files
+
+#: Errors in the titles of columns, and what they mean.
+_ERRORS: dict[ErrorScale, str] = {"deviation": "std.", "mean": "MSE/mean"}
+_SCALE_TEXTS: dict[ErrorScale, str] = {
+    "deviation": "Errors are root mean squares, in standard deviations of the channel, so that "
+    "attributes of any unit compare. --error-scale mean gives them as the paper does.",
+    "mean": "Errors are the mean square over the attribute's mean, as in the paper, Section 3.3. "
+    "Positions and SH-AC have means of about zero, so the mean of the magnitudes of all stored "
+    "values (logits, log-scales) is used; this is our reading. The quotient has the attribute's "
+    "unit: with positions it depends on the scene's unit of length and origin. Constant attributes "
+    "have no errors and no curve.",
+}
 
 _GROUPS = ("rotation", "scaling", "opacity", "sh-ac", "total")
 
@@ -89,13 +102,17 @@ def _page(analysis: Analysis, pictures: Mapping[str, bytes]) -> str:
 
 def _information(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
     yield heading("Mutual information between channels")
-    bias = max(float(found.information.bias.max()) for found in analysis.maps.values())
+    found = [each.information for each in analysis.maps.values()]
+    counts, widths = (max(each[bins].bias.max() for each in found) for bins in BINS)
     yield paragraph(
         "Normalised mutual information, 2 I(X; Y) / (H(X) + H(Y)): 0 for independent channels, 1 "
         f"if each channel determines the other. Values are put into at most {analysis.bins} bins "
-        f"of equal counts. A finite sample gives a small value even for independent channels, here "
-        f"up to {bias:.4f}; it is measured with one channel shuffled, and removed: "
-        "(NMI - shuffled) / (1 - shuffled)."
+        'of equal counts, in the pictures too. Columns "widths" have as many bins of equal '
+        "widths, the usual histogram, to compare with the paper (Section 3.1). These lie between "
+        "the 0.1 % and the 99.9 % quantile, and the outermost hold the values beyond: with bins up "
+        "to the outliers, nearly all values could share one. A finite sample gives a small value "
+        f"even for independent channels, here up to {counts:.4f} (widths: {widths:.4f}); it is "
+        "measured with one channel shuffled, and removed: (NMI - shuffled) / (1 - shuffled)."
     )
     yield _colour_table(analysis)
     if "sh-ac" not in analysis.maps:
@@ -126,21 +143,22 @@ def _colour_table(analysis: Analysis) -> str:
     for name in ("sh-dc", "sh-dc-ycocg"):
         found = analysis.maps[name]
         for i, j in ((0, 1), (0, 2), (1, 2)):
-            value = number(found.information.corrected[i, j])
-            rows.append([f"{found.rows[i]} and {found.rows[j]}", value])
-    return table("SH-DC across colours", ["pair", "NMI"], rows)
+            values = [number(found.information[bins].corrected[i, j]) for bins in BINS]
+            rows.append([f"{found.rows[i]} and {found.rows[j]}", *values])
+    return table("SH-DC across colours", ["pair", "NMI", "widths"], rows)
 
 
 def _means_table(
     analysis: Analysis, caption: str, column: str, kinds: Sequence[str], digits: int
 ) -> str:
-    """Means over pairs of channels, of all Gaussians and of the coloured ones."""
-    means, rows = analysis.means(), []
+    """Means over pairs of channels, of all Gaussians and of the coloured ones, by either bins."""
+    columns = ["all Gaussians", "coloured", "all, widths", "coloured, widths"]
+    means, rows = [analysis.means(bins) for bins in BINS], []
     for kind in kinds:
-        every, coloured = means[f"sh-ac{kind}"], means[f"sh-ac-coloured{kind}"]
-        for name in every:
-            rows.append([name, number(every[name], digits), number(coloured[name], digits)])
-    return table(f"{caption}: mean over the pairs", [column, "all Gaussians", "coloured"], rows)
+        cells = [of[f"{part}{kind}"] for of in means for part in ("sh-ac", "sh-ac-coloured")]
+        for name in cells[0]:
+            rows.append([name, *(number(cell[name], digits) for cell in cells)])
+    return table(f"{caption}: mean over the pairs", [column, *columns], rows)
 
 
 def _histograms(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
@@ -227,19 +245,35 @@ def _sensitivity(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[
         "Uniform noise, like quantisation error, in all channels of one attribute at a time. PSNR "
         f"is against the unchanged scene, mean over {len(found.cameras)} views of {width} x "
         f"{height} pixels; seed {found.seed}. Most sensitive first: "
-        f"{', '.join(curve.attribute for curve in found.ranked())}."
+        f"{', '.join(curve.attribute for curve in found.ranked())}. Attributes whose views stay "
+        f"above {THRESHOLD:.0f} dB come last; the table has the largest error measured (>)."
     )
+    yield paragraph(_SCALE_TEXTS[found.scale])
     yield picture(
         pictures["sensitivity.png"],
         f"Quality against normalised error; 120 dB stands for 120 dB or more, and for equal views. "
         f"Large hollow marks: the error of {found.profile}.",
     )
-    columns = ["attribute", "standard deviations", "of the range", f"{found.profile}: std."]
-    rows = []
-    for curve in found.ranked():
-        errors = (curve.tolerance, curve.tolerance_of_range, curve.profile_level)
-        rows.append([curve.attribute, *("-" if x is None else f"{x:.2e}" for x in errors)])
-    yield table(f"Error at which views fall to {THRESHOLD:.0f} dB", columns, rows)
+    error = _ERRORS[found.scale]
+    columns = ["attribute", error, "of the range", f"{found.profile}: {error}"]
+    rows = [
+        [
+            curve.attribute,
+            _tolerance(curve),
+            "-" if curve.tolerance_of_range is None else f"{curve.tolerance_of_range:.2e}",
+            f"{curve.profile_error:.2e}",
+        ]
+        for curve in found.ranked()
+    ]
+    caption = f"Error at which views fall to {THRESHOLD:.0f} dB: {SCALES[found.scale]}"
+    yield table(caption, columns, rows)
+
+
+def _tolerance(curve: Curve) -> str:
+    """The error at the threshold, or the largest one measured if views stay above it."""
+    if curve.tolerance is not None:
+        return f"{curve.tolerance:.2e}"
+    return f"> {curve.errors[-1]:.2e}" if curve.errors[-1] else "-"
 
 
 def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:

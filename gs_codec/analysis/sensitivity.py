@@ -1,10 +1,18 @@
-"""Measure how errors of one attribute lower the quality of views (paper, Section 3.3)."""
+"""Measure how errors of one attribute lower the quality of views (paper, Section 3.3).
+
+Errors are given in one of two scales. ``deviation`` is ours: the root mean square error in standard
+deviations of the channel. ``mean`` is the paper's: the mean squared error of the attribute over the
+attribute's mean. Positions and SH-AC have means of about zero, so we take the mean of the
+magnitudes, over all stored values of the attribute (logits, log-scales); this is our reading of the
+paper. The quotient has a unit: with positions it depends on the scene's unit and origin.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +27,15 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Root-mean-square errors, in standard deviations of the channel.
+ErrorScale = Literal["deviation", "mean"]
+
+#: What the numbers of each scale are.
+SCALES: dict[ErrorScale, str] = {
+    "deviation": "root mean square, in standard deviations of the channel",
+    "mean": "mean square over the attribute's mean magnitude",
+}
+
+#: Levels of noise: root-mean-square errors, in standard deviations of the channel.
 LEVELS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 
 #: PSNR at which attributes are ranked, dB.
@@ -41,28 +57,34 @@ _HIGHEST = 120.0
 
 @dataclass(frozen=True)
 class Curve:
-    """Quality of views against the error of one attribute.
+    """Quality of views against the error of one attribute, in the scale of `SensitivityCurves`.
 
     Attributes
     ----------
     attribute : str
+    errors : tuple of float
+        The error that noise of each of `LEVELS` makes; in the scale ``mean`` all 0 if the attribute
+        is constant.
     psnr : tuple of float
         PSNR at each of `LEVELS`, dB, against views of the unchanged scene, mean over the views; at
         most 120.
     tolerance : float or None
-        The error level at which PSNR falls to `THRESHOLD`; the lowest of `LEVELS` if PSNR is below
+        The error at which PSNR falls to `THRESHOLD`; the lowest of `errors` if PSNR is below
         `THRESHOLD` even there; None if it never falls so far.
     tolerance_of_range : float or None
-        The same error as a share of the channel's range, from lowest to highest value.
-    profile_level : float
-        The level of the quantisation error of the paper's profile.
+        The same error, root mean square, as a share of the channel's range, from lowest to highest
+        value; in either scale.
+    profile_error : float
+        The quantisation error of the paper's profile; in the scale ``mean``, that of noise of the
+        same level in standard deviations.
     """
 
     attribute: str
+    errors: tuple[float, ...]
     psnr: tuple[float, ...]
     tolerance: float | None
     tolerance_of_range: float | None
-    profile_level: float
+    profile_error: float
 
 
 @dataclass(frozen=True)
@@ -72,6 +94,7 @@ class SensitivityCurves:
     cameras: tuple[Camera, ...]
     profile: str
     seed: int
+    scale: ErrorScale
     curves: tuple[Curve, ...]
 
     def ranked(self) -> list[Curve]:
@@ -86,8 +109,10 @@ class SensitivityCurves:
             "views": [camera.name for camera in self.cameras],
             "width": self.cameras[0].width,
             "height": self.cameras[0].height,
-            "error": "uniform noise, root mean square in standard deviations of the channel",
-            "levels": LEVELS,
+            "noise": "uniform",
+            "levels_in_standard_deviations": LEVELS,
+            "error_scale": self.scale,
+            "error": SCALES[self.scale],
             "threshold_psnr": THRESHOLD,
             "profile": self.profile,
             "seed": self.seed,
@@ -101,6 +126,7 @@ def measure_sensitivity(
     cameras: Sequence[Camera],
     config: Config,
     seed: int,
+    scale: ErrorScale = "deviation",
     progress: Progress | None = None,
 ) -> SensitivityCurves:
     """Add noise to one attribute at a time, render, and compare with the unchanged scene.
@@ -108,6 +134,7 @@ def measure_sensitivity(
     The noise is uniform, like the error of a quantiser, and independent for each value. Relative
     to the channel's standard deviation it is equal in all channels of an attribute. All values of
     the scene must be finite; `config` is a paper profile, whose errors are marked on the curves.
+    The noise is the same in either scale.
     """
     groups = [group for group in ATTRIBUTES if len(getattr(scene, group))]
     advance = step_counter(progress, "sensitivity", len(groups) * len(LEVELS))
@@ -124,8 +151,8 @@ def measure_sensitivity(
                 noisy = replace(scene, **{group: planes + np.float32(level) * noise})
             qualities.append(_quality(_views(noisy, cameras), original))
             advance()
-        curves.append(_curve(scene, group, tuple(qualities), deviations, config))
-    return SensitivityCurves(tuple(cameras), config.profile, seed, tuple(curves))
+        curves.append(_curve(scene, group, tuple(qualities), deviations, config, scale))
+    return SensitivityCurves(tuple(cameras), config.profile, seed, scale, tuple(curves))
 
 
 def _noise(deviations: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float32]:
@@ -155,6 +182,7 @@ def _curve(
     qualities: tuple[float, ...],
     deviations: NDArray[np.float64],
     config: Config,
+    scale: ErrorScale,
 ) -> Curve:
     planes = getattr(scene, group)
     varying = deviations > 0
@@ -166,14 +194,30 @@ def _curve(
     ]
     ranges = np.ptp(planes[varying].astype(np.float64), axis=1)
     share = float(np.mean(deviations[varying] / ranges)) if varying.any() else 0.0
+    profile_level = float(np.sqrt(np.mean(np.square(errors)))) if errors else 0.0
+    unit = _error_over_mean(planes, deviations)
+
+    def scaled(level: float) -> float:
+        return level if scale == "deviation" else unit * level**2
+
     tolerance = level_at(THRESHOLD, qualities)
     return Curve(
         ATTRIBUTES[group],
+        tuple(scaled(level) for level in LEVELS),
         qualities,
-        tolerance,
+        None if tolerance is None else scaled(tolerance),
         None if tolerance is None else tolerance * share,
-        float(np.sqrt(np.mean(np.square(errors)))) if errors else 0.0,
+        scaled(profile_level),
     )
+
+
+def _error_over_mean(planes: NDArray[np.float32], deviations: NDArray[np.float64]) -> float:
+    """Mean squared error of an attribute ``(C, N)`` over its mean magnitude, at noise of level 1.
+
+    It grows with the square of the level. If all values are zero, there is no noise: 0.
+    """
+    magnitude = float(np.abs(planes).mean(dtype=np.float64))
+    return float(np.square(deviations).mean()) / magnitude if magnitude else 0.0
 
 
 def level_at(quality: float, qualities: tuple[float, ...]) -> float | None:

@@ -20,7 +20,7 @@ from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder
 
 
-@takes("width", "max_bytes", "overwrite", "json")
+@takes("width", "error_scale", "max_bytes", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     out: Annotated[
@@ -40,14 +40,15 @@ def command(
 ) -> None:
     """Report why coding works on a scene: correlations, distributions, entropies, sensitivities."""
     if cameras is None:
-        asked.refuse(["width"], "needs --cameras")
+        asked.refuse(["width", "error_scale"], "needs --cameras")
     check_folder(out, asked["overwrite"])
     from gs_codec.analysis.report import analyse_file
 
     with progress_bar() as progress:
         content = analyse_file(
             source, out, max_bytes=asked["max_bytes"], progress=progress,
-            cameras=cameras, width=asked["width"], sample=sample, seed=seed,
+            cameras=cameras, width=asked["width"], error_scale=asked["error_scale"],
+            sample=sample, seed=seed,
         )  # fmt: skip
     for note in content["notes"]:
         print_status(note)

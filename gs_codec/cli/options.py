@@ -47,8 +47,18 @@ OPTIONS = {
         "Draw on cpu, on cuda with gsplat, or auto: cuda where possible.",
         values={name: name for name in ("auto", "cpu", "cuda")},
     ),
+    "error_scale": Option(
+        "Errors of sensitivities in standard deviations of the channel, or as the paper: mean "
+        "square over the attribute's mean.",
+        values={name: name for name in ("deviation", "mean")},
+    ),
 }  # fmt: skip
-DEFAULTS: dict[str, Any] = {"overwrite": False, "json": False, "device": "auto"}
+DEFAULTS: dict[str, Any] = {
+    "overwrite": False,
+    "json": False,
+    "device": "auto",
+    "error_scale": "deviation",
+}
 
 for _settings in (Config, RateTarget, Plan, Steps):
     for _field in fields(_settings):

@@ -1,4 +1,4 @@
-"""Models of symbols: Laplace, Gaussian mixtures; the choice by code length (paper, 4.3)."""
+"""Models of symbols: Laplace, Gaussian mixtures; the choice by code length (paper, Section 4.3)."""
 
 from __future__ import annotations
 

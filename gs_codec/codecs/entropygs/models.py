@@ -1,4 +1,4 @@
-"""Models of symbols: Laplace, Gaussian mixtures; the choice by code length (paper, Section 4.3)."""
+"""Models of symbols: Laplace, Gaussian mixtures (paper, Section 4.3); the choice by code length."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "gs_codec.config": ("Config", "RateTarget"),
     "gs_codec.preparation.steps": ("Plan", "Steps"),
-    "gs_codec.preparation.presets": ("Preset", "PRESETS"),
+    "gs_codec.preparation.presets": ("Preset", "preset"),
     "gs_codec.codecs.part": ("Part",),
     "gs_codec.rendering.camera": ("Camera",),
     "gs_codec.errors": (

@@ -148,6 +148,12 @@ def test_what_makes_no_sense_is_refused(folder, arguments, message):
     assert message in str(result.exception)
 
 
+def test_a_preset_has_a_name():
+    assert gs_codec.preset("entropygs") is PRESET
+    with pytest.raises(InvalidInput, match="preset 'paper': expected one of entropygs"):
+        gs_codec.preset("paper")
+
+
 def test_a_rule_needs_something_to_prune():
     with pytest.raises(InvalidInput, match="geometry_rule: needs prune_geometry"):
         Steps(geometry_rule="largest")

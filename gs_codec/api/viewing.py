@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gs_codec.api.cloud import from_cloud, to_cloud
-from gs_codec.config import check_threads
+from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.coordinates import system_of, turn_axes
@@ -171,8 +171,8 @@ def compare(
 def prepare(
     source: PointCloud | str | Path,
     plan: Plan,
+    config: Config | None = None,
     *,
-    threads: int | None = None,
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> tuple[PointCloud, PrepareReport]:
@@ -184,8 +184,8 @@ def prepare(
         The input, which stays as it is.
     plan : Plan
         Steps of preparation, and the views that guide them.
-    threads : int, optional
-        Worker threads, 1-256; by default one for each available processor.
+    config : Config, optional
+        As for `prepare_file`; of it, `threads` alone matters here.
     progress, max_bytes
         As for `read`; `max_bytes` only for paths.
 
@@ -212,9 +212,9 @@ def prepare(
     """
     from gs_codec.preparation.pipeline import prepare_scene
 
-    check_threads(threads)
-    with using_threads(threads):
-        scene, report = prepare_scene(scene_of(source, max_bytes), plan, progress)
+    with using_threads(None if config is None else config.threads):
+        scene = scene_of(source, max_bytes)
+        scene, report = prepare_scene(scene, plan, progress)
     return to_cloud(scene), report
 
 

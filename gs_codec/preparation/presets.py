@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gs_codec.config import Config, changed_options
+from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Steps
 
 #: Half range of SH-AC, in Laplace scales. The paper leaves it to a supplement, but at 4 bits its
@@ -27,9 +28,8 @@ class Preset:
 
     Examples
     --------
-    >>> preset = gs_codec.PRESETS["entropygs"]
-    >>> preset.steps.prune_importance, preset.config.profile
-    (65.0, 'paper-m')
+    >>> gs_codec.Preset(gs_codec.Steps(prune=30), gs_codec.Config("s")).steps.wanted
+    True
     """
 
     steps: Steps
@@ -55,3 +55,33 @@ PRESETS: Mapping[str, Preset] = {
         Config("paper-m", geometry="auto", laplace_scales=_LAPLACE_SCALES),
     )
 }
+
+
+def preset(name: str) -> Preset:
+    """A pipeline by its name.
+
+    Parameters
+    ----------
+    name : {"entropygs"}
+        ``entropygs`` is the paper's: prune, rectify and refine, then a paper profile.
+
+    Returns
+    -------
+    Preset
+        Its steps and configuration; `dataclasses.replace` changes parts of them.
+
+    Raises
+    ------
+    InvalidInput
+        If there is none of this name.
+
+    Examples
+    --------
+    >>> entropygs = gs_codec.preset("entropygs")
+    >>> entropygs.steps.prune_importance, entropygs.steps.refine, entropygs.config.profile
+    (65.0, 6000, 'paper-m')
+    >>> plan = gs_codec.Plan(entropygs.steps, "cameras.json", "images")
+    """
+    if name not in PRESETS:
+        raise InvalidInput(f"preset '{name}': expected one of {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -173,7 +173,7 @@ def analyse_scene(
     chosen = _sample(scene, sample, seed)
     bins = bin_count(chosen.count)
     maps = maps_of(chosen, bins, seed, progress)
-    config = Config(REFERENCE, models="best")
+    config = Config(REFERENCE)
     fits = fits_of(chosen, config, progress)
     entropy, bits = _encode(scene, progress)
     sensitivity = None
@@ -205,7 +205,7 @@ def _sample(scene: Scene, count: int, seed: int) -> Scene:
 def _encode(
     scene: Scene, progress: Progress | None
 ) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, float]]]:
-    """Entropies of the paper's profiles, and bits per attribute of all profiles."""
+    """Entropies of the paper's profiles by the best models, and bits per attribute of all."""
     advance = step_counter(progress, "profiles", len(PROFILE_CHOICES))
     # Extra properties and comments would count as bits.
     scene = replace(scene, extra={}, comments=())
@@ -216,6 +216,7 @@ def _encode(
         bits[profile] = bits_by_attribute(report, scene.sh_degree)
         if profile in PROFILES:
             depths = depths_by_group(config, scene.sh_degree)
-            entropy[profile] = {"depths": depths, "groups": entropy_by_group(report)}
+            best = encode_scene(scene, replace(config, models="best"))[1]
+            entropy[profile] = {"depths": depths, "groups": entropy_by_group(best)}
         advance()
     return entropy, bits

@@ -221,8 +221,9 @@ def _entropy(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]
     yield heading("Entropy and coded size")
     yield paragraph(
         "Bits per symbol, for all Gaussians. Coded: the streams of a group in a file of the best "
-        "models, tables among them. Overheads are relative to the Shannon entropy: of the coded streams, of the best parametric model "
-        "alone, and the paper's (means over Mip-NeRF 360, SH-AC at 4 bits). The last row also "
+        "models, tables among them. Overheads are relative to the Shannon entropy: of the coded "
+        "streams, of the best parametric model alone, and the paper's (means over Mip-NeRF 360, "
+        "SH-AC at 4 bits). The last row also "
         "counts what a decoder needs: models, quantisers, coder states."
     )
     columns = ["group", "Q", *(title for title, _, _ in _ENTROPY)]

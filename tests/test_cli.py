@@ -898,8 +898,15 @@ for line in {commands}:
             {"open3d", "torch", "torchac", "matplotlib"}
             | {"scipy.linalg", "rich", "gs_codec.cli.batch", "gs_codec.cli.bench"},
         ),
+        (
+            RUN_ALL.format(
+                commands=["compare scene.ply scene.egs --cameras auto --width 40 --device cpu"]
+            ),
+            {"skimage"},
+            {"torch", "lpips", "torchvision"},
+        ),
     ],
-    ids=["import", "help", "files"],
+    ids=["import", "help", "files", "views"],
 )
 def test_heavy_packages_load_where_they_are_used(folder, run, loaded, absent):
     python("-c", run, cwd=folder.path)  # compiles

@@ -29,6 +29,7 @@ VALUES = {
     "profile": "--profile m", "images": "--images views", "split": "--split all",
     "device": "--device cpu", "overwrite": "--overwrite", "channels": "--channels",
     "max-memory": "--max-memory 1GB", "error-scale": "--error-scale mean",
+    "lpips": "--lpips weights.pth",
 }  # fmt: skip
 
 _ENCODE = ("cameras", "views", "width", "background", "gt-images")
@@ -56,7 +57,7 @@ IGNORED = {
     "convert scene.ply o.splat": ("profile", "depth", "coarseness", "block-size", *_PAPER),
     "convert scene.egs o.ply": ("keep-order",),
     "compare scene.ply scene.egs": (
-        "images", "gt-images", "width", "split", "background", "device", "overwrite",
+        "images", "gt-images", "lpips", "width", "split", "background", "device", "overwrite",
     ),
     "compare scene.ply scene.egs --cameras auto": ("overwrite",),
     "inspect scene.egs --json": ("channels",),

@@ -85,36 +85,6 @@ def test_images_that_cannot_be_compared(first, second, message):
         compare_images(np.zeros((*first, 3)), np.zeros((*second, 3)))
 
 
-def test_lpips_is_measured_where_package_and_weights_are(monkeypatch, tmp_path):
-    torch = pytest.importorskip("torch")
-    from gs_codec.metrics import images
-
-    class Network:
-        def __init__(self, net, verbose):
-            assert (net, verbose) == ("vgg", False)
-
-        def eval(self):
-            return self
-
-        def __call__(self, a, b, normalize):
-            assert a.shape == b.shape == (1, 3, 12, 15)
-            assert normalize
-            return (a - b).abs().mean()
-
-    package = type("lpips", (), {"LPIPS": Network})
-    monkeypatch.setitem(__import__("sys").modules, "lpips", package)
-    monkeypatch.setattr(images, "find_spec", lambda name: package)
-    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
-    image = np.zeros((12, 15, 3))
-    for weights, expected in ((False, None), (True, 0.25)):
-        if weights:
-            (tmp_path / "checkpoints").mkdir()
-            (tmp_path / "checkpoints" / "vgg16-397923af.pth").touch()
-        images._lpips_network.cache_clear()
-        assert compare_images(image, image + 0.25).lpips == expected
-    images._lpips_network.cache_clear()
-
-
 def test_means_and_differences_of_qualities():
     a, b = Quality(30.0, 0.9, 0.2), Quality(20.0, 0.7, 0.5)
     assert mean_quality([a, b]) == Quality(25.0, pytest.approx(0.8), pytest.approx(0.35))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.coordinates import system_of, turn_axes
 from gs_codec.metrics.attributes import Comparison, compare_scenes
+from gs_codec.metrics.lpips import VARIABLE
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.steps import Plan
 from gs_codec.rendering.camera import Camera
@@ -103,6 +105,7 @@ def compare(
     width: int | None = None,
     gt_images: str | Path | None = None,
     images: str | Path | None = None,
+    lpips: str | Path | None = None,
     background: Sequence[float] = (0.0, 0.0, 0.0),
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
@@ -123,12 +126,16 @@ def compare(
         Folder of ground-truth images, named as the cameras; views are rendered at their size.
     images : path, optional
         Output folder: for each view, both images and their amplified difference.
+    lpips : path, optional
+        Weights of torchvision's VGG16, AlexNet or SqueezeNet 1.1, as PyTorch stores a state dict:
+        measures LPIPS of views too (extra ``lpips``). By default the environment variable
+        ``GS_CODEC_LPIPS`` names the file; if nothing does, LPIPS is not measured.
 
     Returns
     -------
     Comparison
         Without cameras its `groups`: largest and root-mean-square errors of each attribute. With
-        cameras its `views`, their `mean` and the `worst`: PSNR, SSIM and, where installed, LPIPS.
+        cameras its `views`, their `mean` and the `worst`: PSNR, SSIM and, if asked for, LPIPS.
 
     Raises
     ------
@@ -136,7 +143,7 @@ def compare(
         As for `read`; or if images differ in size or are missing, or, without cameras, if the
         numbers of Gaussians differ.
     MissingTool
-        If ``cuda`` is asked for but not available.
+        If ``cuda`` or LPIPS is asked for but not available.
 
     Examples
     --------
@@ -159,7 +166,10 @@ def compare(
         systems = system_of(stored[0]), system_of(stored[1])
         scenes = turn_axes(stored[0]), turn_axes(stored[1])
         views = find_cameras(cameras, scenes[0], split, width)
-        seen = compare_views(*scenes, views, gt_images, images, background, device, progress)
+        weights = os.environ.get(VARIABLE) or None if lpips is None else lpips
+        seen = compare_views(
+            *scenes, views, gt_images, images, background, device, progress, weights
+        )
         return replace(seen, systems=systems)
     if isinstance(first, str | Path) and isinstance(second, str | Path):
         return compare_files(first, second, max_bytes)

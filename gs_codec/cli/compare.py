@@ -46,10 +46,19 @@ def command(
             metavar="DIR", help="Write each view's two images, and 10 x their difference."
         ),
     ] = None,
+    lpips: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="Measure LPIPS too, by the network (VGG16, AlexNet or SqueezeNet 1.1) whose"
+            " weights this file holds.",
+            show_default="GS_CODEC_LPIPS",
+        ),
+    ] = None,
 ) -> None:
     """Show how far two versions of a scene are apart: by attribute, or in rendered views."""
     if cameras is None:
-        asked.refuse((*_OF_VIEWS, "gt_images", "images", "overwrite"), "needs --cameras")
+        asked.refuse((*_OF_VIEWS, "gt_images", "images", "lpips", "overwrite"), "needs --cameras")
     elif images is None:
         asked.refuse(["overwrite"], "needs --images")
     else:
@@ -64,8 +73,8 @@ def command(
         with progress_bar() as progress:
             drawn = {name: asked[name] for name in _OF_VIEWS}
             comparison = compare(
-                first, second, cameras, gt_images=gt_images, images=images, progress=progress,
-                max_bytes=asked["max_bytes"], **drawn,
+                first, second, cameras, gt_images=gt_images, images=images, lpips=lpips,
+                progress=progress, max_bytes=asked["max_bytes"], **drawn,
             )  # fmt: skip
     _say_systems(comparison.systems)
     if asked["json"]:
@@ -92,7 +101,7 @@ def _say_systems(systems: tuple[str, str]) -> None:
 def _print_views(comparison: Comparison) -> None:
     mean, worst = comparison.mean, comparison.worst
     with_truth, with_lpips = mean.delta is not None, mean.between.lpips is not None
-    columns = ["view", "PSNR dB", "SSIM"] + ["LPIPS"] * with_lpips
+    columns = ["view", "PSNR dB", "SSIM"] + [f"LPIPS ({comparison.backbone})"] * with_lpips
     if with_truth:
         columns += ["A to truth", "B to truth", "delta-PSNR", "delta-SSIM"]
         columns += ["delta-LPIPS"] * with_lpips
@@ -131,5 +140,6 @@ def _plain(comparison: Comparison) -> dict:
         "views": [plain(view) for view in comparison.views],
         "mean": plain(comparison.mean),
         "worst": plain(comparison.worst),
+        "backbone": comparison.backbone,
         "systems": comparison.systems,
     }

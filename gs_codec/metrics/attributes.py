@@ -53,6 +53,9 @@ class Comparison:
         Comparison of each view, in the cameras' order; empty without cameras.
     systems : tuple of two str
         Coordinate systems of the two files; if they differ, one scene was converted.
+    backbone : str or None
+        Network that measured LPIPS, whose values are not comparable with those of another; None
+        if LPIPS was not asked for.
     """
 
     counts: tuple[int, int]
@@ -60,6 +63,7 @@ class Comparison:
     groups: tuple[GroupError, ...] = ()
     views: tuple[View, ...] = ()
     systems: tuple[str, str] = (CONVENTION, CONVENTION)
+    backbone: str | None = None
 
     @property
     def mean(self) -> View:

@@ -1,18 +1,16 @@
-"""Quality of images: PSNR, SSIM, and LPIPS where it is installed."""
+"""Quality of images: PSNR, SSIM, and LPIPS if asked for."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.util import find_spec
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.metrics.lpips import LEAST, load_lpips
 
 #: Side of the window of SSIM, pixels.
 _SSIM_WINDOW = 11
@@ -30,8 +28,8 @@ class Quality:
         At most 1 (Wang et al. 2004): Gaussian window of sigma 1.5, 11 pixels wide, mean over
         the pixels whose window lies within the image.
     lpips : float or None
-        0 for equal images (Zhang et al. 2018, VGG as in the 3DGS paper); None where the package
-        or its weights are missing.
+        0 for equal images (Zhang et al. 2018, version 0.1); None if it is not asked for. Images
+        are scaled to -1 to 1, as it is defined; the script of the 3DGS paper leaves them in 0-1.
     """
 
     psnr: float
@@ -94,23 +92,27 @@ def mean_quality(qualities: Sequence[Quality]) -> Quality:
     )
 
 
-def compare_images(first: NDArray, second: NDArray) -> Quality:
+def compare_images(first: NDArray, second: NDArray, lpips: str | Path | None = None) -> Quality:
     """Compare two images, clipped to 0-1.
 
     Parameters
     ----------
     first, second : ndarray, shape (H, W, 3)
         RGB.
+    lpips : path, optional
+        As for `compare`; by default LPIPS is not measured.
 
     Returns
     -------
     Quality
-        PSNR, SSIM and, where installed, LPIPS.
+        PSNR, SSIM and, with `lpips`, LPIPS.
 
     Raises
     ------
     InvalidInput
-        If the sizes differ, or an image is narrower than the window of SSIM.
+        If the sizes differ, or are too small for SSIM or LPIPS; or if the file is not such weights.
+    MissingTool
+        If LPIPS is asked for, and its package is not installed.
 
     Examples
     --------
@@ -122,16 +124,18 @@ def compare_images(first: NDArray, second: NDArray) -> Quality:
 
     if first.shape != second.shape:
         raise InvalidInput(f"images of {_size(first)} and {_size(second)} pixels")
-    if min(first.shape[:2]) < _SSIM_WINDOW:
+    least, metric = (_SSIM_WINDOW, "SSIM") if lpips is None else (LEAST, "LPIPS")
+    if min(first.shape[:2]) < least:
         raise InvalidInput(
-            f"images of {_size(first)} pixels, expected at least {_SSIM_WINDOW} each way for SSIM"
+            f"images of {_size(first)} pixels, expected at least {least} each way for {metric}"
         )
     a, b = (np.clip(image, 0, 1).astype(np.float64) for image in (first, second))
     ssim = structural_similarity(
         a, b, data_range=1, channel_axis=2, gaussian_weights=True, sigma=1.5,
         use_sample_covariance=False,
     )  # fmt: skip
-    return Quality(psnr(a, b), float(ssim), _lpips(a, b))
+    distance = None if lpips is None else load_lpips(lpips).distance(a, b)
+    return Quality(psnr(a, b), float(ssim), distance)
 
 
 def psnr(a: NDArray, b: NDArray) -> float:
@@ -142,29 +146,3 @@ def psnr(a: NDArray, b: NDArray) -> float:
 
 def _size(image: NDArray) -> str:
     return f"{image.shape[1]}x{image.shape[0]}"
-
-
-def _lpips(a: NDArray, b: NDArray) -> float | None:
-    network = _lpips_network()
-    if network is None:
-        return None
-    import torch
-
-    first, second = (torch.from_numpy(x.transpose(2, 0, 1)[None]).float() for x in (a, b))
-    with torch.no_grad():
-        return float(network(first, second, normalize=True))
-
-
-@cache
-def _lpips_network() -> Any:
-    """The network, or None if it or its weights are not installed; nothing is downloaded."""
-    if find_spec("lpips") is None:
-        return None
-    import torch
-
-    folder = os.path.join(torch.hub.get_dir(), "checkpoints")
-    if not os.path.isdir(folder) or not any(n.startswith("vgg16-") for n in os.listdir(folder)):
-        return None
-    import lpips
-
-    return lpips.LPIPS(net="vgg", verbose=False).eval()

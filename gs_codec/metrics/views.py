@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.images import View, compare_images
+from gs_codec.metrics.lpips import load_lpips
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.images import find_image, output_names, read_image, write_png
 from gs_codec.rendering.renderer import render
@@ -33,6 +34,7 @@ def compare_views(
     background: Sequence[float] = (0.0, 0.0, 0.0),
     device: Literal["auto", "cpu", "cuda"] = "auto",
     progress: Progress | None = None,
+    lpips: str | Path | None = None,
 ) -> Comparison:
     """Draw both scenes for every camera and compare the images.
 
@@ -51,12 +53,17 @@ def compare_views(
     device : {"auto", "cpu", "cuda"}
         As for `render`.
     progress : callable, optional
+    lpips : path, optional
+        As for `compare_images`.
 
     Raises
     ------
     InvalidInput
         If a ground-truth image is missing or of another shape, or an image cannot be written.
+    InvalidInput, MissingTool
+        As for `compare_images`.
     """
+    backbone = None if lpips is None else load_lpips(lpips).backbone
     names = output_names(cameras)
     paths = [find_image(truth, camera.name) for camera in cameras] if truth else []
     folder = make_folder(images) if images else None
@@ -72,11 +79,11 @@ def compare_views(
         )
         if folder is not None:
             _write_images(folder / names[i], a, b)
-        against = [compare_images(image, target) for image in (a, b) if target is not None]
-        return View(camera.name, compare_images(a, b), *against)
+        against = [compare_images(image, target, lpips) for image in (a, b) if target is not None]
+        return View(camera.name, compare_images(a, b, lpips), *against)
 
     views = run_all(compare_view, range(len(cameras)), advance=advance)
-    return Comparison((first.count, second.count), views=tuple(views))
+    return Comparison((first.count, second.count), views=tuple(views), backbone=backbone)
 
 
 def fitted(camera: Camera, target: NDArray, path: Path) -> Camera:

@@ -109,7 +109,7 @@ def measure_paper(
 ) -> None:
     """Reproduce the paper's experiment: preset entropygs, then its tables, on scenes.
 
-    Optimisation takes most of the time, and goes on from the checkpoints in DIR.
+    Optimisation takes most of the time; with --overwrite it goes on from checkpoints in DIR.
     """
     from gs_codec.bench.reproduce import open_scenes, reproduce, tables_of
     from gs_codec.runtime.threads import using_threads

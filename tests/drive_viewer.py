@@ -255,6 +255,35 @@ def slide(driver: Driver) -> float:
     return driver.viewer.choice.wipe
 
 
+def octree(driver: Driver) -> dict:
+    """Depths that are chosen while the slider is dragged to its ends, and what is on the screen."""
+    viewer, corner = driver.viewer, driver.viewer.window.os_frame
+    driver.toggle("octree")
+    first = driver.scenes(driver.rest())
+    frame, depths = viewer.panel.depth.frame, []
+    y = corner.y + frame.y + frame.height // 2
+    columns = np.linspace(frame.x + 10, frame.get_right() - 10, 12).round().astype(int)
+    driver.xdotool("mousemove", corner.x + columns[5], y, "mousedown", 1)
+    for column in (*columns[5:], *columns[::-1]):
+        driver.xdotool("mousemove", corner.x + column, y)
+        depths.append(viewer.choice.octree.depth)
+    driver.xdotool("mouseup", 1)
+    last = driver.scenes(driver.rest())
+    viewer.set_octree(colouring="bits")
+    driver.rest()
+    captions = [label.text for label in viewer.stage.captions]
+    legends = [legend.title for legend in viewer.stage.legends]
+    driver.toggle("octree")
+    driver.rest()
+    return {
+        "depths": depths,
+        "changed": int((np.abs(last - first) > 12).sum()),
+        "captions": captions,
+        "legends": legends,
+        "after": len(viewer.stage.legends),
+    }
+
+
 def views(driver: Driver, found: dict) -> None:
     """Go through views, and flip two scenes."""
     viewer = driver.viewer
@@ -323,6 +352,7 @@ def run(folder: Path) -> dict:
     found["wheel"] = wheel(driver)
     viewer.window.size = gui.Size(660, 340)
     driver.rest()
+    found["octree"] = octree(driver)
     found["near"] = [p.widget.scene.camera.get_near() for p in viewer.stage.panes]
     views(driver, found)
     wipes(driver, found)

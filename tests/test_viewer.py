@@ -27,7 +27,9 @@ from gs_codec.config import Config
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
 from viewer import screenshot
+from viewer.choice import OctreeChoice
 from viewer.layers import (
+    LAYERS,
     Points,
     box_lines,
     centres,
@@ -330,7 +332,7 @@ def test_points_half_outside_are_cut():
     assert 0 < image.any(axis=2).sum() < 16
 
 
-@pytest.mark.parametrize("layer", ["splats", "centres", "pruned", "boxes", "error"])
+@pytest.mark.parametrize("layer", LAYERS)
 def test_every_layer_is_seen(files, layer):
     a, b = open_scene(files / "a.ply"), open_scene(files / "blocks.egs")
     shown = Shown((layer,), scenes=(a, b), pruned=read_pruned(files / "report", a))
@@ -496,6 +498,9 @@ def test_layers_of_a_list():
         ({"images": Path("/none"), "cameras": "c.json"}, "/none: no such folder"),
         ({"up": "w"}, "up 'w': expected -y, y, -z"),
         ({"a": None, "cameras": "auto"}, "no scene"),
+        ({"octree": OctreeChoice(0)}, "octree-depth 0: expected 1 to 12"),
+        ({"octree": OctreeChoice(13)}, "octree-depth 13: expected 1 to 12"),
+        ({"octree": OctreeChoice(4, "size")}, "octree-colour 'size': expected occupancy, bits"),
     ],
 )
 def test_wrong_wishes_are_refused(wrong, said):
@@ -507,7 +512,8 @@ def test_screenshots_need_no_display(files, tmp_path):
     out = tmp_path / "out.png"
     result = viewer(
         files / "a.ply", files / "b.egs", "--pruned", files / "report", "--width", "400",
-        "--height", "200", "--layers", "splats,centres,pruned,boxes", "--screenshot", out,
+        "--height", "200", "--layers", "splats,centres,pruned,boxes,octree", "--octree-depth", "3",
+        "--octree-colour", "bits", "--screenshot", out,
         DISPLAY="",
     )  # fmt: skip
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
@@ -567,6 +573,7 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch,
         (["viewer/error.png", "--screenshot", "x.png"], "error.png: begins with"),
         (["a.ply", "--colour", "red"], "colour 'red': expected colour"),
         (["a.ply", "--unknown"], "No such option"),
+        (["a.ply", "--octree-depth", "13"], "octree-depth 13: expected 1 to 12"),
     ],
 )
 def test_errors_are_one_line(arguments, said, here, monkeypatch):

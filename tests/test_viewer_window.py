@@ -92,7 +92,7 @@ def test_it_draws_both_scenes(found):
     assert "dB, SSIM" in found["quality"]
 
 
-@pytest.mark.parametrize("layer", ["splats", "centres"])
+@pytest.mark.parametrize("layer", ["splats", "centres", "octree"])
 def test_layers_are_switched_by_clicks_in_both_panes(found, layer):
     left, right, apart = found["layers"][layer]
     assert left > 100
@@ -106,6 +106,26 @@ def test_what_is_of_one_scene_alone_shows_there(found, layer, owner):
     assert halves[1 - owner] < halves[owner] / 10
     assert halves[owner] > 100
     assert apart <= 4
+
+
+def test_the_depth_of_the_octree_follows_the_slider(found):
+    depths = found["octree"]["depths"]
+    assert min(depths) == 1
+    assert max(depths) == 12
+    top = depths.index(12)
+    assert depths[:top] == sorted(depths[:top])
+    assert depths[top:] == sorted(depths[top:], reverse=True)
+    assert depths[-1] == 1
+    assert found["octree"]["changed"] > 1000
+
+
+def test_the_octree_says_whose_bits_are_unknown(found):
+    unknown, known = found["octree"]["captions"]
+    assert unknown.startswith(" A: a.ply, bits unk")  # as much as there is room for
+    assert known == " B: b.egs"
+    [legend] = found["octree"]["legends"]
+    assert legend.startswith("bits / Gaussian, cells ")
+    assert found["octree"]["after"] == 0
 
 
 def test_the_quality_is_of_the_frame_whatever_the_layout(found, folder):

@@ -2,10 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 #: How two scenes are shown.
 MODES = ("side", "wipe", "flip")
+
+#: Quantities that cells of the octree can be coloured by, and the depths they can have.
+CELL_COLOURINGS = ("occupancy", "bits")
+DEPTHS = range(1, 13)
+
+
+@dataclass(frozen=True)
+class OctreeChoice:
+    """How the octree is shown.
+
+    Attributes
+    ----------
+    depth : int
+        In `DEPTHS`.
+    colouring : str
+        One of `CELL_COLOURINGS`.
+    """
+
+    depth: int = 6
+    colouring: str = "occupancy"
 
 
 @dataclass
@@ -26,6 +46,7 @@ class Choice:
         Position of the line of ``wipe``.
     up : str
         Name of the up axis, in `UPS` or "cameras".
+    octree : OctreeChoice
     """
 
     layers: set[str]
@@ -34,3 +55,4 @@ class Choice:
     front: int = 1
     wipe: float = 0.5
     up: str = "-y"
+    octree: OctreeChoice = field(default_factory=OctreeChoice)

@@ -26,7 +26,7 @@ _KEYS = (
     ("M", "side by side, wipe, flip"),
     ("F", "one view: switch between A and B"),
     ("left, right", "move the wipe; its line can be dragged"),
-    ("1 ... 5", ", ".join(LAYERS)),
+    ("1 ... 6", ", ".join(LAYERS)),
     ("C", "colour centres by the next quantity"),
     ("O", "open a scene"),
     ("S", "save a picture"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from viewer.opened import Opened, Pruned
 
 #: Layers that can be switched on and off.
-LAYERS = ("splats", "centres", "pruned", "boxes", "error")
+LAYERS = ("splats", "centres", "pruned", "boxes", "error", "octree")
 
 #: Quantities that centres can be coloured by.
 COLOURINGS = ("colour", "opacity", "scale", "error")

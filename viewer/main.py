@@ -10,6 +10,7 @@ import typer
 
 import gs_codec
 from gs_codec.cli.output import log_to_stderr, print_status, print_text
+from viewer.choice import CELL_COLOURINGS, DEPTHS, OctreeChoice
 from viewer.layers import COLOURINGS, LAYERS
 from viewer.pose import UPS
 
@@ -52,6 +53,12 @@ def command(
     colour: Annotated[
         str, typer.Option(help=f"Colour centres by: {', '.join(COLOURINGS)}.")
     ] = "colour",
+    octree_depth: Annotated[
+        int, typer.Option(help=f"Depth of the octree's cells, {DEPTHS[0]}-{DEPTHS[-1]}.")
+    ] = OctreeChoice.depth,
+    octree_colour: Annotated[
+        str, typer.Option(help=f"Colour the octree's cells by: {', '.join(CELL_COLOURINGS)}.")
+    ] = OctreeChoice.colouring,
     mode: Annotated[
         str, typer.Option(help="Two scenes: side by side, wipe (one view, A left), or flip (B).")
     ] = "side",
@@ -99,6 +106,7 @@ def command(
         (width, height),
         max_bytes,
         up,
+        OctreeChoice(octree_depth, octree_colour),
     )
     request.check()
     if screenshot is not None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.api.cloud import to_cloud, turn_cloud
-from gs_codec.files.scenes import read_scene, turn_scene
+from gs_codec.files.scenes import gaussian_bits_of_file, read_scene, turn_scene
 from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, float_bytes
 
@@ -54,6 +54,8 @@ class Opened:
         For an ``.egs`` file.
     system : str
         The coordinate system of the file.
+    path : Path
+        Of the file; a cloud has none.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Opened:
     file_bytes: int | None = None
     info: Any = None
     system: str = CONVENTION
+    path: Path = Path()
 
     @property
     def title(self) -> str:
@@ -116,6 +119,29 @@ class Opened:
         blocks = [self.positions[start : start + info.block_size] for start in starts]
         return np.stack([np.quantile(block, _BOX, axis=0) for block in blocks]).astype(np.float32)
 
+    @cached_property
+    def bits(self) -> NDArray[np.float64] | None:
+        """Bits of each Gaussian ``(N,)``, by `gaussian_bits`; None if `bits_unknown` says why.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+            If the file is no longer what was opened.
+        """
+        if self.bits_unknown:
+            return None
+        bits = gaussian_bits_of_file(self.path)
+        if len(bits) != self.count:
+            raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
+        return bits
+
+    @property
+    def bits_unknown(self) -> str:
+        """Why the bits of single Gaussians are not known; empty if they are."""
+        if self.info is None or not self.count:
+            return "not an .egs file" if self.count else "no Gaussians"
+        return "stored in the original order" if self.info.keeps_order else ""
+
     def _array(self, name: str) -> NDArray[np.float32]:
         return np.ascontiguousarray(self.cloud.point[name].numpy())
 
@@ -140,7 +166,8 @@ def open_scene(
         info = gs_codec.inspect(source)
     except gs_codec.GsCodecError:  # not an .egs file
         info = None
-    return Opened(Path(source).name, cloud, os.path.getsize(source), info, system_of(scene))
+    path, system = Path(source), system_of(scene)
+    return Opened(path.name, cloud, os.path.getsize(path), info, system, path)
 
 
 def turned(scene: Opened) -> Opened:

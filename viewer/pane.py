@@ -9,9 +9,10 @@ import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
+from viewer.cubes import Cubes
 from viewer.layers import EDGES, Points, block_colour, box_lines
 from viewer.opened import Opened
-from viewer.picture import BACKGROUND, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
+from viewer.picture import BACKGROUND, CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
 from viewer.pose import Pose
 
 _BACKGROUND = (*BACKGROUND, 1.0)
@@ -26,6 +27,9 @@ HIDDEN = 1, 1
 
 #: Depth of the frame's outline, relative to the near plane; its width, pixels.
 _BEFORE, _OUTLINE = 1.5, 1.5
+
+#: Sizes of points by their name; of others `POINT_SIZE`.
+_SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE}
 
 #: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2
@@ -107,8 +111,15 @@ class Pane:
             self._replace(name, None, None)
             return
         cloud, material = point_geometry(points)
-        material.point_size = PRUNED_SIZE if name == "pruned" else POINT_SIZE
+        material.point_size = _SIZES.get(name, POINT_SIZE)
         self._replace(name, cloud, material)
+
+    def show_cells(self, cells: Cubes | Points | None) -> None:
+        """Show cells of the octree, or hide them."""
+        if isinstance(cells, Cubes):
+            self._replace("octree", *cube_geometry(cells))
+        else:
+            self.show_points("octree", cells)
 
     def show_boxes(self, boxes: NDArray | None) -> None:
         """Show the edges of boxes ``(n, 2, 3)``."""
@@ -156,6 +167,22 @@ def point_geometry(
     material = rendering.MaterialRecord()
     material.shader = "defaultUnlit"
     return cloud, material
+
+
+def cube_geometry(
+    cubes: Cubes,
+) -> tuple[o3d.t.geometry.TriangleMesh, rendering.MaterialRecord]:
+    """A mesh of cubes, and a material that shows their colours unchanged."""
+    corners, colours = cubes.faces()
+    mesh = o3d.t.geometry.TriangleMesh()
+    mesh.vertex.positions = _tensor(corners.reshape(-1, 3))
+    mesh.vertex.colors = _tensor(colours.reshape(-1, 3).repeat(4, axis=0))
+    first = 4 * np.arange(corners[..., 0, 0].size, dtype=np.int32)[:, None]
+    triangles = (first + np.array([0, 1, 2, 0, 2, 3], np.int32)).reshape(-1, 3)
+    mesh.triangle.indices = o3d.core.Tensor.from_numpy(triangles)
+    material = rendering.MaterialRecord()
+    material.shader = "defaultUnlit"
+    return mesh, material
 
 
 def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:

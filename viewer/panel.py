@@ -10,7 +10,7 @@ import numpy as np
 from open3d.visualization import gui
 
 from gs_codec.formats.coordinates import CONVENTION
-from viewer.choice import MODES
+from viewer.choice import CELL_COLOURINGS, DEPTHS, MODES
 from viewer.layers import COLOURINGS, LAYERS, Legend, heat_bar, reason_colour
 from viewer.numbers import between, facts
 from viewer.pane import picture_of
@@ -60,6 +60,7 @@ class Panel:
         self.colouring = self._choice(
             "centres by", COLOURINGS, lambda index: viewer.set_colouring(COLOURINGS[index])
         )
+        self._add_octree()
         self.mode = self._choice(
             "two scenes", _MODE_NAMES, lambda index: viewer.set_mode(MODES[index])
         )
@@ -74,7 +75,7 @@ class Panel:
         self.widget.add_child(self._views)
         self._view = gui.Label("")
         self.widget.add_child(self._view)
-        self._legends = [_LegendRow(em), _LegendRow(em)]
+        self._legends = [_LegendRow(em) for _ in range(3)]
         bar = np.full((int(0.7 * em), 256, 4), 255, np.uint8)
         bar[..., :3] = np.rint(255 * heat_bar(bar.shape[1], bar.shape[0]))
         # Hidden instead of removed: see HIDDEN in pane.py.
@@ -91,6 +92,23 @@ class Panel:
         self._numbers = gui.Label("")
         self._numbers.font_id = font
         self.widget.add_child(self._numbers)
+
+    def _add_octree(self) -> None:
+        """Controls of the octree, which show with it."""
+        set_octree = self.viewer.set_octree
+        self._octree = gui.Vert(0.25 * self._em)
+        self.widget.add_child(self._octree)
+        self.cells = self._choice(
+            "octree by",
+            CELL_COLOURINGS,
+            lambda index: set_octree(colouring=CELL_COLOURINGS[index]),
+            self._octree,
+        )
+        self.depth = gui.Slider(gui.Slider.INT)
+        self.depth.set_limits(DEPTHS[0], DEPTHS[-1])
+        self.depth.set_on_value_changed(lambda value: set_octree(depth=int(float(value))))
+        self._octree.add_child(gui.Label("octree's depth"))
+        self._octree.add_child(self.depth)
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""
@@ -123,6 +141,9 @@ class Panel:
         self.boxes["pruned"].enabled = stage.pruned is not None
         self.boxes["error"].enabled = self.mode.enabled = two
         self.colouring.selected_index = COLOURINGS.index(choice.colouring)
+        self._octree.visible = "octree" in choice.layers
+        self.cells.selected_index = CELL_COLOURINGS.index(choice.octree.colouring)
+        self.depth.int_value = choice.octree.depth
         self.mode.selected_index = MODES.index(choice.mode)
         self.turned.visible = two
         self.turned.checked = two and stage.scenes[1].system != CONVENTION
@@ -170,7 +191,9 @@ class Panel:
         button.set_on_clicked(action)
         return button
 
-    def _choice(self, text: str, names: Any, chosen: Any) -> gui.Combobox:
+    def _choice(
+        self, text: str, names: Any, chosen: Any, parent: gui.Widget | None = None
+    ) -> gui.Combobox:
         box = gui.Combobox()
         for name in names:
             box.add_item(name)
@@ -178,7 +201,7 @@ class Panel:
         row = gui.Horiz(0.4 * self._em)
         row.add_child(gui.Label(text))
         row.add_child(box)
-        self.widget.add_child(row)
+        (parent or self.widget).add_child(row)
         return box
 
 

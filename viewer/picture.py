@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import gs_codec
+from viewer.choice import OctreeChoice
+from viewer.cubes import Cubes, draw_cubes
 from viewer.layers import (
     EDGES,
     PIXEL_LEGEND,
@@ -25,12 +27,13 @@ from viewer.layers import (
     reason_colour,
 )
 from viewer.numbers import quality_text
+from viewer.octree import Octree
 from viewer.opened import Opened, Pruned
 from viewer.pose import Pose
 
 #: Side of a centre, pixels.
 POINT_SIZE = 2
-PRUNED_SIZE = 3
+PRUNED_SIZE = CELL_SIZE = 3
 
 #: Nothing nearer to the camera than this is drawn, scene units.
 _NEAR = 1e-3
@@ -65,12 +68,14 @@ class Shown:
         One or two; errors are those of the second against the first.
     pruned : Pruned or None
         Gaussians that were removed from the first.
+    octree : OctreeChoice
     """
 
     layers: Collection[str]
     colouring: str = "colour"
     scenes: tuple[Opened, ...] = ()
     pruned: Pruned | None = None
+    octree: OctreeChoice = field(default_factory=OctreeChoice)
 
     def shows_error(self, scene: Opened) -> bool:
         """Whether the error of each pixel is shown instead of the scene."""
@@ -80,9 +85,15 @@ class Shown:
     def captions(self) -> list[str]:
         """The caption of each scene's pane."""
         return [
-            f"{letter}: {scene.title}{', error against A' if self.shows_error(scene) else ''}"
+            f"{letter}: {scene.title}{self._remark(scene)}"
             for letter, scene in zip("AB", self.scenes, strict=False)
         ]
+
+    def _remark(self, scene: Opened) -> str:
+        remark = ", error against A" if self.shows_error(scene) else ""
+        if "octree" in self.layers and self.octree.colouring == "bits" and scene.bits_unknown:
+            remark += f", bits unknown: {scene.bits_unknown}"
+        return remark
 
 
 def draw_scene(
@@ -110,6 +121,16 @@ def draw_scene(
         draw_points(image, pruned_centres(scene, shown.pruned), pose, PRUNED_SIZE)
     if "boxes" in shown.layers:
         image = draw_boxes(image, scene.blocks, pose)
+    if "octree" in shown.layers:
+        cells = Octree(shown.scenes).cells(scene, shown.octree)
+        if isinstance(cells, Cubes):
+            canvas = to_pillow(image)
+            draw_cubes(canvas, cells, pose)
+            image = from_pillow(canvas)
+        else:
+            draw_points(image, cells, pose, CELL_SIZE)
+        if cells.legend is not None:
+            legends.append(cells.legend)
     return image, legends
 
 

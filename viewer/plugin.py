@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import gs_codec
+from viewer.choice import OctreeChoice
 from viewer.device import find_device
 from viewer.layers import Points, centres, pruned_centres
 from viewer.opened import Opened, open_scene, read_pruned
@@ -22,6 +23,8 @@ def draw(
     pruned: str | Path | None = None,
     layers: Sequence[str] | None = None,
     colour: str = "colour",
+    octree_depth: int = OctreeChoice.depth,
+    octree_colour: str = OctreeChoice.colouring,
     mode: str = "side",
     width: int = 1280,
     height: int = 800,
@@ -37,10 +40,15 @@ def draw(
     pruned : path, optional
         Folder of a report of ``gs-codec prepare`` for the first scene.
     layers : sequence of str, optional
-        Of ``splats``, ``centres``, ``pruned``, ``boxes`` and ``error``; by default ``splats``, and
-        ``pruned`` if a report is given.
+        Of ``splats``, ``centres``, ``pruned``, ``boxes``, ``error`` and ``octree``; by default
+        ``splats``, and ``pruned`` if a report is given.
     colour : {"colour", "opacity", "scale", "error"}
         Quantity that centres are coloured by.
+    octree_depth : int
+        Depth of the octree's cells, 1-12.
+    octree_colour : {"occupancy", "bits"}
+        What these are coloured by: how many Gaussians they hold, or, of an ``.egs`` file, the
+        mean of these Gaussians' bits.
     mode : {"side", "wipe", "flip"}
         Two scenes side by side, or in one view: divided by a line, or switched by a key.
     width, height : int
@@ -60,7 +68,8 @@ def draw(
     a, b = (*scenes, None)[:2]
     folder = Path(pruned) if pruned is not None else None
     shown = tuple(layers) if layers is not None else parse_layers(None, folder)
-    request = Request(a, b, cameras, None, folder, shown, colour, mode, None, (width, height))
+    octree, size = OctreeChoice(octree_depth, octree_colour), (width, height)
+    request = Request(a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree)
     request.check()
     device = find_device()
     from viewer.window import run

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import gs_codec
-from viewer.choice import MODES
+from viewer.choice import CELL_COLOURINGS, DEPTHS, MODES, OctreeChoice
 from viewer.layers import COLOURINGS, LAYERS
 from viewer.opened import Opened, Progress, Pruned, open_scene, read_pruned
 from viewer.pose import UPS
@@ -38,6 +38,7 @@ class Request:
         As for `gs_codec.read`.
     up : str or None
         Which axis of the scene is up, of `UPS`.
+    octree : OctreeChoice
     """
 
     a: Any = None
@@ -52,6 +53,7 @@ class Request:
     size: tuple[int, int] = (1280, 800)
     max_bytes: int | None = None
     up: str | None = None
+    octree: OctreeChoice = field(default_factory=OctreeChoice)
 
     def check(self) -> None:
         """Check everything that does not need opening a file.
@@ -64,6 +66,11 @@ class Request:
         _check_among("colour", [self.colouring], COLOURINGS)
         _check_among("mode", [self.mode], MODES)
         _check_among("up", [self.up or "-y"], tuple(UPS))
+        _check_among("octree-colour", [self.octree.colouring], CELL_COLOURINGS)
+        if self.octree.depth not in DEPTHS:
+            raise gs_codec.GsCodecError(
+                f"octree-depth {self.octree.depth}: expected {DEPTHS[0]} to {DEPTHS[-1]}"
+            )
         if not all(64 <= side <= _MAX_SIDE for side in self.size):
             raise gs_codec.GsCodecError(
                 f"size {self.size[0]}x{self.size[1]}: expected 64 to {_MAX_SIDE} pixels each way"
@@ -93,10 +100,14 @@ class Request:
                 stage, k * total + done, len(sources) * total
             )
 
-        return [
+        scenes = [
             open_scene(source, progress=part(k), max_bytes=self.max_bytes)
             for k, source in enumerate(sources)
         ]
+        if self.octree.colouring == "bits" and scenes and all(x.bits_unknown for x in scenes):
+            scene = scenes[-1]
+            raise gs_codec.GsCodecError(f"octree-colour bits: {scene.name} is {scene.bits_unknown}")
+        return scenes
 
 
 def parse_layers(text: str | None, pruned: Path | None) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ def draw_request(request: Request) -> tuple[Image.Image, str]:
     viewpoints = find_viewpoints(scenes[0], cameras, request.chosen, up)
     viewpoint = viewpoints[first_view(request, cameras)]
     pruned = find_pruned(request, scenes[0])
-    shown = Shown(request.layers, request.colouring, tuple(scenes), pruned)
+    shown = Shown(request.layers, request.colouring, tuple(scenes), pruned, request.octree)
     photograph, missing = None, ""
     if request.images is not None:
         try:

@@ -14,6 +14,8 @@ from viewer.choice import Choice
 from viewer.divider import Divider
 from viewer.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
 from viewer.navigation import Navigator, distance_ahead
+from viewer.octree import MOST_CUBES
+from viewer.octree_layer import OctreeLayer
 from viewer.opened import Opened, Pruned
 from viewer.pane import HIDDEN, Pane
 from viewer.picture import Shown, measure, picture, wipe_line
@@ -22,6 +24,9 @@ from viewer.worker import Stale, Worker
 
 #: Most centres that a pane shows, by device.
 _MOST = {"gpu": 5_000_000, "cpu": 250_000}
+
+#: Most cells of the octree that it shows as cubes: each is twelve triangles.
+_CUBES = {"gpu": MOST_CUBES, "cpu": 12_000}
 
 #: Seconds without a move until pictures are drawn in full; reduction of size before that.
 _REST, _COARSE = 0.25, 4
@@ -81,6 +86,7 @@ class Stage:
         self._measured: tuple[Pose | None, str] = (None, "")
         self._views: dict[Opened, Any] = {}
         self._coloured: Any = None
+        self._octree = OctreeLayer(worker, changed, failed)
         self._moved_at = 0.0
         self._laid_out = False
         self._drawn: Literal["coarse", "full"] | None = None
@@ -99,6 +105,7 @@ class Stage:
         self._coloured = self._coming = None
         self._measured = (None, "")
         self.panes = [Pane(self.window, scene) for scene in scenes]
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
         if pruned is not None:
             self.panes[0].points["pruned"] = pruned_centres(scenes[0], pruned, self._most)
         for pane in self.panes:
@@ -112,7 +119,8 @@ class Stage:
     def shown(self) -> Shown:
         """What to draw."""
         choice = self.choice
-        return Shown(tuple(choice.layers), choice.colouring, tuple(self.scenes), self.pruned)
+        scenes = tuple(self.scenes)
+        return Shown(tuple(choice.layers), choice.colouring, scenes, self.pruned, choice.octree)
 
     @property
     def quality(self) -> str:
@@ -128,6 +136,7 @@ class Stage:
             known = [p.points["centres"].legend for p in self.panes[:1]]
         if "error" in layers and len(self.scenes) > 1:
             known.append(PIXEL_LEGEND)
+        known.append(self._octree.legend)
         return [legend for legend in known if legend is not None]
 
     @property
@@ -163,7 +172,13 @@ class Stage:
                 pane.show_points(name, pane.points.get(name) if name in layers else None)
         if "centres" in layers:
             self._colour_centres()
+        self.show_octree()
         self.arrange()
+
+    def show_octree(self) -> None:
+        """Update the octree alone to the choice."""
+        choice = self.choice
+        self._octree.show(choice.octree if "octree" in choice.layers else None)
 
     def _colour_centres(self) -> None:
         """Start colouring centres, unless they have the chosen colours."""

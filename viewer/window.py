@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -57,7 +58,9 @@ class Viewer:
 
     def __init__(self, request: Request, device: Literal["gpu", "cpu"] = "cpu") -> None:
         self.request = request
-        self.choice = Choice(set(request.layers), request.colouring, request.mode)
+        self.choice = Choice(
+            set(request.layers), request.colouring, request.mode, octree=request.octree
+        )
         self.cameras: list[Any] = []
         self.viewpoints: list[Viewpoint] = []
         self.number = 0
@@ -217,6 +220,11 @@ class Viewer:
         """Colour centres by another quantity."""
         self.choice.colouring = colouring
         self.refresh()
+
+    def set_octree(self, **changes: Any) -> None:
+        """Change the depth or the colouring of the octree's cells."""
+        self.choice.octree = replace(self.choice.octree, **changes)
+        self.stage.show_octree()
 
     def set_mode(self, mode: str) -> None:
         """Set how two scenes are shown."""

@@ -7,10 +7,15 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gs_codec.codecs import decode_part, encode_scene, matching
+from gs_codec.codecs.costs import gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra
+from gs_codec.egs.file import read_file
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply import write_ply
@@ -139,6 +144,12 @@ def inspect_file(path: str | Path) -> Info:
     """See `inspect_bytes`; blocks are not read."""
     with opened(path) as data, located(path):
         return inspect_bytes(data)
+
+
+def gaussian_bits_of_file(path: str | Path) -> NDArray[np.float64]:
+    """See `gaussian_bits`."""
+    with opened(path) as data, located(path):
+        return gaussian_bits(read_file(data))
 
 
 def compare_files(

@@ -50,7 +50,7 @@ def decode_adaptive(
     `spans` gives each block's range in the result; SH is decoded up to `degree`.
     """
     count = max((span.stop for span in spans.values()), default=0)
-    decoder = _Blocks(file, degree, count)
+    decoder = Blocks(file, degree, count)
     jobs = [partial(decoder.decode, block, span) for block, span in spans.items()]
     run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
     return decoder.groups
@@ -67,7 +67,7 @@ def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return low, high
 
 
-class _Blocks:
+class Blocks:
     """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree."""
 
     def __init__(self, file: EgsFile, degree: int, count: int) -> None:
@@ -80,6 +80,10 @@ class _Blocks:
         rows = group_rows(self.kept)
         self.groups = {group: np.zeros((n, count), np.float32) for group, n in rows.items()}
 
+    def streams(self, block: int, span: slice) -> Streams:
+        """What a block is read from, whose Gaussians are in `span`."""
+        return Streams(self, block)
+
     def decode(self, block: int, span: slice) -> None:
         """Fill the groups of a block."""
         where = f"block {block}"
@@ -87,7 +91,7 @@ class _Blocks:
         tree = self.file.section(SectionId.GEOMETRY, block)
         count = span.stop - span.start
         codes, lefts = decode_tree(tree, count, grid.total_bits, f"geometry of {where}")
-        streams = _Streams(self, block)
+        streams = self.streams(block, span)
         most_shapes, most_colours = self.lattice.classes
         shape_class = streams.read(np.zeros_like(codes))
         _check_range([shape_class], 0, most_shapes, f"{where}: a class")
@@ -100,8 +104,7 @@ class _Blocks:
         grid_positions = self._grid_positions(block, codes, lefts, shape_class, shape)
         rule, unit = self.lattice.rules["colour"], self.lattice.units["sh-dc"]
         shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
-        tables = streams.next_tables()
-        colours = decode_colours(grid_positions, unit, shifts, tables, streams.reader, streams.bits)
+        colours = streams.read_colours(grid_positions, unit, shifts)
         _check_values(colours, where)
         self.groups["positions"][:, span] = from_grid(grid_positions, grid)
         self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
@@ -133,7 +136,7 @@ class _Blocks:
         return grid_positions
 
     def _decode_ac(
-        self, streams: _Streams, shifts: NDArray[np.int64], span: slice, where: str
+        self, streams: Streams, shifts: NDArray[np.int64], span: slice, where: str
     ) -> None:
         energy = streams.read(shift_context(shifts))
         _check_range([energy], 0, len(ENERGIES), f"{where}: an SH energy")
@@ -149,10 +152,10 @@ class _Blocks:
             raise CorruptStream(f"{where}: a value out of range")
 
 
-class _Streams:
+class Streams:
     """Reads the passes of a block one after another, and opens the streams that they are in."""
 
-    def __init__(self, blocks: _Blocks, block: int) -> None:
+    def __init__(self, blocks: Blocks, block: int) -> None:
         self.file = blocks.file
         self.block = block
         self.passes = zip(passes(blocks.coded), blocks.models.rows, strict=True)
@@ -184,6 +187,13 @@ class _Streams:
         """Read the levels of the next pass into ``values[indices]``."""
         tables = self.next_tables()
         read_pass(self.reader, self.bits, tables, contexts, indices, values)
+
+    def read_colours(
+        self, grid_positions: NDArray[np.int64], unit: int, shifts: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """SH-DC ``(3, n)`` of the next pass, fixed-point Y, Co, Cg."""
+        tables = self.next_tables()
+        return decode_colours(grid_positions, unit, shifts, tables, self.reader, self.bits)
 
     def finish(self, whole: bool) -> None:
         """Check that the stream was read to its end; if `whole`, check the final states too."""

@@ -1,0 +1,67 @@
+"""Cubes: their faces for the window, and drawn in software."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from viewer.layers import Legend
+from viewer.pose import Pose
+
+#: Brightness of the faces across x, y and z, which tells them apart.
+_SHADES = np.array([0.8, 1.0, 0.6], np.float32)
+
+#: The upper face across x of a unit cube, anticlockwise from outside; the lower one.
+_UPPER = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]) - 0.5
+_LOWER = (_UPPER * [-1, 1, 1])[::-1]
+
+#: Nothing with a corner nearer to the camera than this is drawn, scene units.
+_NEAR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Cubes:
+    """Cubes along the axes.
+
+    Attributes
+    ----------
+    middles : ndarray, shape (n, 3), float32
+    sides : ndarray, shape (n,), float32
+    colours : ndarray, shape (n, 3), float32, 0-1
+    legend : Legend or None
+    """
+
+    middles: NDArray[np.float32]
+    sides: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    legend: Legend | None = None
+
+    def faces(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Corners ``(6, n, 4, 3)``, anticlockwise from outside, and colours ``(6, n, 3)``."""
+        units = [np.roll(face, axis, 1) for axis in range(3) for face in (_LOWER, _UPPER)]
+        offsets = np.array(units, np.float32)[:, None] * self.sides[:, None, None]
+        return self.middles[:, None] + offsets, _SHADES.repeat(2)[:, None, None] * self.colours
+
+
+def draw_cubes(canvas: Image.Image, cubes: Cubes, pose: Pose) -> None:
+    """Draw the faces of cubes that are turned to the camera, nearest on top."""
+    size = canvas.width, canvas.height
+    ahead = pose.position - cubes.middles
+    order = np.argsort(-np.linalg.norm(ahead, axis=1), kind="stable")
+    # Lower faces are turned to a camera below them, upper ones to a camera above.
+    beyond = np.stack([way * ahead[:, axis] for axis in range(3) for way in (-1, 1)])
+    corners, colours = cubes.faces()
+    cube, side = np.nonzero((beyond > cubes.sides / 2).T[order])
+    some = side, order[cube]
+    pixels, depth = pose.project(corners[some].reshape(-1, 3), *size)
+    pixels, depth = pixels.reshape(-1, 4, 2), depth.reshape(-1, 4)
+    seen = (depth > _NEAR).all(axis=1) & (pixels.max(axis=1) >= 0).all(axis=1)
+    seen &= (pixels.min(axis=1) < size).all(axis=1)
+    pen = ImageDraw.Draw(canvas)
+    polygons = np.clip(pixels[seen], -1e6, 1e6).reshape(-1, 8)
+    fills = np.rint(255 * colours[some][seen]).astype(int)
+    for polygon, fill in zip(polygons.tolist(), fills.tolist(), strict=True):
+        pen.polygon(polygon, fill=tuple(fill))

@@ -1,0 +1,141 @@
+"""The octree layer: the cells that hold centres, coloured by how many, or by their bits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.cube import Cube
+from gs_codec.coding.morton import decode_morton
+from viewer.choice import DEPTHS, OctreeChoice
+from viewer.cubes import Cubes
+from viewer.layers import Legend, Points, heat, thinned
+from viewer.opened import Opened
+
+#: Most cells that are drawn as cubes; more are drawn as points in their middles.
+MOST_CUBES = 100_000
+
+#: Side of the cubes of the emptiest and the fullest cells, relative to that of a cell: few
+#: Gaussians, as those that float before the scene, hide little of what is behind them.
+_LEAST, _MOST = 0.3, 0.94
+
+#: Quantiles of the Gaussians' bits that get the first and the last colour.
+_BITS = (0.02, 0.98)
+
+#: Colour of cells whose bits are not known.
+_UNKNOWN = (0.45, 0.45, 0.45)
+
+_DEEPEST = DEPTHS[-1]
+
+
+@dataclass(frozen=True)
+class _Sorted:
+    """Morton codes ``(N,)`` at the deepest cells, ascending, and the Gaussians in this order."""
+
+    codes: NDArray[np.int64]
+    order: NDArray[np.int64]
+
+    def at(self, depth: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Codes of the occupied cells at a depth, and the first Gaussian of each."""
+        codes = self.codes >> 3 * (_DEEPEST - depth)
+        first = np.flatnonzero(np.diff(codes, prepend=-1))
+        return codes[first], first
+
+    def counts(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Gaussians of each cell."""
+        return np.diff(first, append=len(self.codes))
+
+
+class Octree:
+    """The cells of one or two scenes at any depth, in one cube around both.
+
+    The cells of a single scene are those of `gs_codec.to_octree`. Centres that are not finite are
+    left out.
+
+    Parameters
+    ----------
+    scenes : sequence of Opened
+    """
+
+    def __init__(self, scenes: Sequence[Opened]) -> None:
+        kept = {scene: np.isfinite(scene.positions).all(axis=1) for scene in scenes}
+        places = {scene: scene.positions[mask].T for scene, mask in kept.items()}
+        both = np.concatenate(list(places.values()), axis=1)
+        self._cube = Cube.around(both) if both.size else Cube((0.0, 0.0, 0.0), 1.0)
+        self._sorted: dict[Opened, _Sorted] = {}
+        for scene, mask in kept.items():
+            codes = self._cube.divide(places[scene], _DEEPEST)[0]
+            order = np.argsort(codes)
+            self._sorted[scene] = _Sorted(codes[order], np.flatnonzero(mask)[order])
+
+    def cells(
+        self,
+        scene: Opened,
+        choice: OctreeChoice,
+        cubes: int = MOST_CUBES,
+        points: int | None = None,
+    ) -> Cubes | Points:
+        """The occupied cells of a scene: cubes, or points if any scene has more than `cubes` cells.
+
+        At most `points` of them. Sizes and colours are on scales that are the same for all scenes.
+        """
+        cells, depth = self._sorted[scene], choice.depth
+        codes, first = cells.at(depth)
+        by = self._by_occupancy if choice.colouring == "occupancy" else self._by_bits
+        colours, legend = by(scene, first, depth)
+        share = np.log(cells.counts(first)) / max(np.log(self._fullest(depth)), 1e-9)
+        side = self._side(depth)
+        places = decode_morton(codes, (depth,) * 3).astype(np.int64)
+        middles = (np.array(self._cube.low) + side * (places.T + 0.5)).astype(np.float32)
+        if max(len(each.at(depth)[1]) for each in self._sorted.values()) > cubes:
+            some = thinned(len(codes), points or len(codes))
+            return Points(middles[some], colours[some], legend)
+        sides = side * (_LEAST + (_MOST - _LEAST) * share)
+        return Cubes(middles, sides.astype(np.float32), colours, legend)
+
+    def _side(self, depth: int) -> float:
+        return self._cube.side / 2**depth
+
+    def _fullest(self, depth: int) -> int:
+        """Most Gaussians in a cell of any scene."""
+        every = [each.counts(each.at(depth)[1]) for each in self._sorted.values()]
+        return max((int(each.max(initial=1)) for each in every), default=1)
+
+    def _by_occupancy(
+        self, scene: Opened, first: NDArray[np.int64], depth: int
+    ) -> tuple[NDArray[np.float32], Legend | None]:
+        """Colours ``(cells, 3)``, and what they mean."""
+        most = self._fullest(depth)
+        title = f"Gaussians in a cell {self._side(depth):.2g} wide"
+        counts = self._sorted[scene].counts(first)
+        return heat(np.log(counts), 0, np.log(most)), _legend(title, np.geomspace(1, most, 5))
+
+    def _by_bits(
+        self, scene: Opened, first: NDArray[np.int64], depth: int
+    ) -> tuple[NDArray[np.float32], Legend | None]:
+        """As `_by_occupancy`; grey where bits are unknown."""
+        if scene.bits is None:
+            return np.full((len(first), 3), _UNKNOWN, np.float32), None
+        low, high = self._bits
+        cells = self._sorted[scene]
+        sums = np.add.reduceat(scene.bits[cells.order], first)
+        title = f"bits / Gaussian, cells {self._side(depth):.2g} wide"
+        return heat(sums / cells.counts(first), low, high), _legend(
+            title, np.linspace(low, high, 5)
+        )
+
+    @cached_property
+    def _bits(self) -> tuple[float, float]:
+        """The bits that get the first and the last colour, at all depths."""
+        known = [scene.bits for scene in self._sorted if scene.bits is not None]
+        low, high = np.quantile(np.concatenate(known), _BITS).tolist()
+        return low, high
+
+
+def _legend(title: str, values: NDArray[np.float64]) -> Legend:
+    """A legend of values with three digits, or all digits of larger ones."""
+    return Legend(title, tuple(f"{v:.3g}" if v < 1000 else f"{v:,.0f}" for v in values))

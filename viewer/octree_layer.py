@@ -1,0 +1,94 @@
+"""The octree layer of a window: its cells are found in the background while the slider moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from viewer.choice import OctreeChoice
+from viewer.cubes import Cubes
+from viewer.layers import Legend, Points
+from viewer.octree import Octree
+from viewer.pane import Pane
+from viewer.worker import Stale, Worker
+
+
+class OctreeLayer:
+    """Shows the cells of the panes' scenes, or hides them.
+
+    A drawing that was begun is shown, though the slider has moved on: otherwise none would appear
+    while it moves. Then the newest choice is drawn.
+
+    Parameters
+    ----------
+    worker : Worker
+    changed : callable
+        Called when other cells are shown.
+    failed : callable
+        Called with the exception of a failed job.
+
+    Attributes
+    ----------
+    legend : Legend or None
+        Of the cells that are shown.
+    """
+
+    def __init__(
+        self,
+        worker: Worker,
+        changed: Callable[[], None],
+        failed: Callable[[Exception], None],
+    ) -> None:
+        self._worker, self._changed, self._failed = worker, changed, failed
+        self.put([])
+
+    def put(self, panes: Sequence[Pane], cubes: int = 0, points: int = 0) -> None:
+        """Show cells in other panes, in which none are shown yet: at most so many of a kind."""
+        self._worker.cancel("octree")
+        self._panes, self._most = list(panes), (cubes, points)
+        self._octree: Octree | None = None
+        self._wanted: OctreeChoice | None = None
+        self._shown: OctreeChoice | None = None
+        self._coming = False
+        self.legend: Legend | None = None
+
+    def show(self, choice: OctreeChoice | None) -> None:
+        """Show the cells so, or hide them."""
+        self._wanted = choice
+        if choice is None:
+            self._show([None] * len(self._panes), None)
+        elif choice != self._shown and not self._coming:
+            self._start(choice)
+
+    def _start(self, choice: OctreeChoice) -> None:
+        """Start finding cells; the tree is made once for each scene."""
+        panes, most, octree = self._panes, self._most, self._octree
+
+        def find(stale: Stale) -> tuple[Octree, list[Cubes | Points]]:
+            tree = octree or Octree([pane.scene for pane in panes])
+            return tree, [tree.cells(pane.scene, choice, *most) for pane in panes]
+
+        def done(found: tuple[Octree, list[Cubes | Points]]) -> None:
+            self._coming = False
+            self._octree = found[0]
+            if self._wanted is None:
+                return
+            self._show(found[1], choice)
+            if self._wanted != choice:
+                self._start(self._wanted)
+            self._changed()
+
+        def failed(error: Exception) -> None:
+            self._coming = False
+            self._failed(error)
+
+        self._coming = True
+        self._worker.submit("octree", find, done, failed)
+
+    def _show(self, cells: Sequence[Cubes | Points | None], choice: OctreeChoice | None) -> None:
+        if choice == self._shown:
+            return
+        self._shown = choice
+        legends = [each.legend for each in cells if each is not None and each.legend is not None]
+        self.legend = legends[0] if legends else None
+        for pane, each in zip(self._panes, cells, strict=True):
+            pane.show_cells(each)

@@ -127,7 +127,8 @@ def _step_line(
         "step": step.name,
         "gaussians": step.count,
         "bytes": step.size_bytes,
-        "seconds": step.seconds,
+        # Of optimisation, with the seconds before it was taken up from a checkpoint.
+        "seconds": step.details.get("seconds", step.seconds),
         "photographs": report.views.held_out.photographs,
         **step.quality.as_dict(),
     }

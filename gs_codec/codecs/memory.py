@@ -11,7 +11,7 @@ from gs_codec.runtime.threads import available_threads
 from gs_codec.scene import float_bytes
 
 #: Bytes of Python, packages and compiled kernels; of torch; of each thread. Measured, rounded up.
-_FIXED, _TORCH, _THREAD = 280_000_000, 220_000_000, 45_000_000
+_FIXED, _TORCH, _THREAD = 280_000_000, 300_000_000, 45_000_000
 
 #: Bytes for each Gaussian to sort a scene: profiles `l`, `m` and `s`; the others.
 _ADAPTIVE, _OTHERS = 40, 55

@@ -168,7 +168,7 @@ def _cdf(table: FrequencyTable, count: int):
     torch, _ = _load()
     starts = np.append(table.starts[_present(table)], 1 << table.precision).astype(np.int64)
     wrapped = (starts << (16 - table.precision)).astype(np.uint16).view(np.int16)
-    return torch.from_numpy(wrapped).expand(count, -1).contiguous()
+    return torch.from_numpy(np.tile(wrapped, (count, 1)))  # copied by torch, it starts threads
 
 
 def _present(table: FrequencyTable) -> NDArray[np.intp]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from gs_codec.analysis.entropy import entropy_by_group
 from gs_codec.bench.host import machine
-from gs_codec.bench.sources import MeasuredScene, cameras_beside, open_beside
+from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, open_beside
 from gs_codec.bench.suite.tables import escaped, markdown
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs import paper
@@ -21,7 +21,7 @@ from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.report import PrepareReport, StepReport, coding_steps
 from gs_codec.preparation.steps import Plan
-from gs_codec.report import EncodeReport, Progress
+from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
 Line = dict[str, Any]
@@ -45,8 +45,9 @@ def open_scenes(paths: Sequence[Path]) -> list[MeasuredScene]:
     Raises
     ------
     InvalidInput
-        If a scene, cameras or photographs cannot be used.
+        If a scene, cameras or photographs cannot be used, or two scenes have one name.
     """
+    check_names(paths)
     return [open_beside(path, None) for path in paths]
 
 
@@ -105,15 +106,8 @@ def _profile_lines(
         "file_bytes": report.file_bytes,
         "geometry": "gpcc" if "gpcc" in report.section_bytes else "octree",
         "seconds": {name: median(runs) for name, runs in seconds.items()},
-        "models": _models(report),
+        "models": entropy_by_group(report),
     }
-
-
-def _models(report: EncodeReport) -> dict[str, Any]:
-    """Entropy and overhead of each group of channels."""
-    groups = entropy_by_group(report)
-    groups.pop("total", None)
-    return groups
 
 
 def _step_line(

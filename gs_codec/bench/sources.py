@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gs_codec.config import Extra
+from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply import read_ply
 from gs_codec.metrics.views import fitted
 from gs_codec.preparation.reference_views import photographed
@@ -62,6 +64,15 @@ class MeasuredScene:
 def scene_name(path: Path) -> str:
     """Name of a scene: its file's, or its folder's if the file is a trainer's point_cloud.ply."""
     return path.stem if path.stem != "point_cloud" else path.absolute().parent.name
+
+
+def check_names(paths: Sequence[Path]) -> None:
+    """Refuse scenes of which two have one name."""
+    names: dict[str, Path] = {}
+    for path in paths:
+        other = names.setdefault(scene_name(path), path)
+        if other is not path:
+            raise InvalidInput(f"{path}: named '{scene_name(path)}', as {other} is")
 
 
 def open_scene(

@@ -15,7 +15,7 @@ from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import machine
 from gs_codec.bench.measure import measure_memory
 from gs_codec.bench.peers import AbsentPeer, find_peers
-from gs_codec.bench.sources import MeasuredScene, cameras_beside, open_beside, scene_name
+from gs_codec.bench.sources import MeasuredScene, cameras_beside, check_names, open_beside
 from gs_codec.bench.suite.points import measure_points
 from gs_codec.config import PROFILE_CHOICES, Config, check_threads
 from gs_codec.errors import InvalidInput
@@ -54,11 +54,7 @@ class Options:
                 "no scenes given, expected .ply files, each beside its cameras.json; "
                 "`make suite` makes two and measures them"
             )
-        names: dict[str, Path] = {}
-        for path in self.scenes:
-            other = names.setdefault(scene_name(path), path)
-            if other is not path:
-                raise InvalidInput(f"{path}: named '{scene_name(path)}', as {other} is")
+        check_names(self.scenes)
         check_threads(self.threads)
         for group in sorted(self.skip - set(GROUPS)):
             raise InvalidInput(f"--skip {group}: expected one of {', '.join(GROUPS)}")

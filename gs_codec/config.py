@@ -126,6 +126,9 @@ PROFILES: Mapping[str, Mapping[str, int]] = {
     "paper-s": _depths(15, 8, 7, 7, 7, 4, 3, 3),
 }
 
+#: Options that these profiles alone have, beside those of G-PCC.
+PAPER_OPTIONS = ("models", "laplace_scales", "coder")
+
 #: Largest depths that G-PCC can code.
 GPCC_DEPTHS: Mapping[str, int] = {"geometry": 18, "sh-dc": 8}
 
@@ -420,9 +423,9 @@ class Config:
             raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
-        defaults = {"models": "parametric", "laplace_scales": None, "coder": "rans"}
-        for name, default in defaults.items():
-            if (value := getattr(self, name)) != default and self.profile not in PROFILES:
+        for name in PAPER_OPTIONS:
+            value = getattr(self, name)
+            if value != getattr(Config, name) and self.profile not in PROFILES:
                 known = ", ".join(PROFILES)
                 raise InvalidInput(f"{name} '{value}': profile '{self.profile}', expected {known}")
         self._check_geometry()

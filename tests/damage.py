@@ -15,6 +15,7 @@ from scenes import random_scene
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import LOSSLESS, Config
+from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import GROUPS
 
@@ -38,6 +39,17 @@ def sample(profile: str, count: int = 5, degree: int = 1, block_size: int = 3) -
     # Smaller blocks than an encoder may be asked for: more of them in less to damage.
     object.__setattr__(config, "block_size", block_size)
     return encode_scene(scene, config)[0]
+
+
+def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> bytes:
+    """The file with the bytes of a section changed; None removes it."""
+    file = read_file(data)
+    content = change(bytes(file.sections.get((section_id, block), b"")))
+    sections = {**file.sections, (section_id, block): content}
+    return write_file(
+        file.header,
+        [Section(SectionId(i), b, d) for (i, b), d in sections.items() if d is not None],
+    )
 
 
 def flipped(data: bytes, bit: int) -> bytearray:

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from damage import survive, with_checksums
+from damage import survive, with_checksums, with_section
 from scenes import (
     assert_same_floats,
     edge_scenes,
@@ -35,7 +35,7 @@ from gs_codec.coding.morton import bit_layout
 from gs_codec.coding.sent_tables import encode_tables
 from gs_codec.coding.ycocg import to_ycocg
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import CorruptStream, GsCodecError, InvalidInput, TruncatedStream
 from gs_codec.files.coding import decode_file, encode_file
 from gs_codec.files.scenes import compare_files
@@ -415,17 +415,6 @@ def test_random_changes_under_right_checksums_are_survived(seed):
         decode_part(with_checksums(data), Part((-1.0, -1, -1, 0, 0, 0), 1), max_bytes=1 << 20)
     except GsCodecError:
         return
-
-
-def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> bytes:
-    """The file with the bytes of a section changed; None removes it."""
-    file = read_file(data)
-    content = change(bytes(file.sections.get((section_id, block), b"")))
-    sections = {**file.sections, (section_id, block): content}
-    return write_file(
-        file.header,
-        [Section(SectionId(i), b, d) for (i, b), d in sections.items() if d is not None],
-    )
 
 
 def patched(data: bytes, offset: int, layout: str, *values) -> bytes:

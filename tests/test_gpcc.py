@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damage import with_section
 from scenes import assert_same_floats, edge_scenes, random_scene, shared_scene_path
 from tmc3_stand_in import VERSION
 from typer.testing import CliRunner
@@ -408,17 +409,6 @@ def test_values_that_are_no_symbols_are_refused(value):
 # Streams that lie
 
 
-def changed(data: bytes, section_id: SectionId, content: bytes | None) -> bytes:
-    """The file with a section's content replaced, or without the section."""
-    file = read_file(data)
-    sections = [
-        Section(SectionId(key[0]), key[1], content if key[0] == section_id else part)
-        for key, part in file.sections.items()
-        if content is not None or key[0] != section_id
-    ]
-    return write_file(file.header, sections)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(
     ("section", "content", "kind", "message"),
     [
@@ -432,7 +422,8 @@ def changed(data: bytes, section_id: SectionId, content: bytes | None) -> bytes:
     ],
 )
 def test_sections_that_make_no_sense_are_refused(section, content, kind, message, stand_in):
-    data = changed(encode_scene(random_scene(20, 0, seed=99), config())[0], section, content)
+    data = encode_scene(random_scene(20, 0, seed=99), config())[0]
+    data = with_section(data, section, lambda _: content)
     with pytest.raises(kind, match=message):
         decode_scene(data)
     if section == SectionId.TOOL and content is not None:
@@ -473,7 +464,7 @@ def test_many_small_blocks_are_refused(stand_in):
 
 def test_another_version_is_named(stand_in, monkeypatch):
     data = encode_scene(random_scene(20, 0, seed=101), config())[0]
-    data = changed(data, SectionId.TOOL, b"tmc3 version 99")
+    data = with_section(data, SectionId.TOOL, lambda _: b"tmc3 version 99")
     assert decode_scene(data).count == 20
     monkeypatch.setenv("TMC3_STAND_IN", "decode:segfault")
     with pytest.raises(ToolFailed, match=rf"tmc3 \({VERSION}; written by tmc3 version 99\) was"):

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from damage import with_section
 from reference_decoder import decode as reference_decode
 from scenes import assert_same_floats, edge_scenes, random_scene
 from typer.testing import CliRunner
@@ -22,7 +23,7 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.memory import least_memory
 from gs_codec.codecs.part import Part
 from gs_codec.config import DEPTH_GROUPS, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, TruncatedStream
 from gs_codec.formats.ply import write_ply
 
@@ -187,17 +188,6 @@ def test_memory_for_torch_is_counted():
 # Streams that lie
 
 
-def changed(data: bytes, section_id: SectionId, change) -> bytes:
-    """The file with sections changed, or left out where `change` gives None; checksums fit."""
-    file = read_file(data)
-    sections = [
-        Section(SectionId(key[0]), key[1], content)
-        for key, part in file.sections.items()
-        if (content := change(bytes(part)) if key[0] == section_id else part) is not None
-    ]
-    return write_file(file.header, sections)
-
-
 LIES = {
     "cut": (SectionId.OPACITY, lambda part: part[:-1], TruncatedStream, "bytes left at"),
     "grown": (SectionId.OPACITY, lambda part: part + b"\0", CorruptStream, "other symbols"),
@@ -223,7 +213,8 @@ LIES = {
 @pytest.mark.parametrize("lie", LIES)
 def test_streams_that_lie_are_refused(lie):
     section, change, kind, message = LIES[lie]
-    data = changed(encode_scene(random_scene(900, 1, seed=80), config())[0], section, change)
+    data = encode_scene(random_scene(900, 1, seed=80), config())[0]
+    data = with_section(data, section, change)
     with pytest.raises(kind, match=message):
         decode_scene(data)
     with pytest.raises(ValueError, match="section"):
@@ -232,19 +223,16 @@ def test_streams_that_lie_are_refused(lie):
 
 @needs_torchac
 def test_states_beside_it_are_refused():
-    file = read_file(encode_scene(random_scene(90, 1, seed=81), config())[0])
-    sections = [Section(SectionId(key[0]), key[1], part) for key, part in file.sections.items()]
+    data = encode_scene(random_scene(90, 1, seed=81), config())[0]
     with pytest.raises(CorruptStream, match="section 'states' of block 0: nothing is coded"):
-        decode_scene(write_file(file.header, [*sections, Section(SectionId.STATES, 0, bytes(4))]))
+        decode_scene(with_section(data, SectionId.STATES, lambda _: bytes(4)))
 
 
 @pytest.mark.parametrize("profile", ["paper-m", "m", LOSSLESS])
 def test_a_coder_of_nothing_is_refused(profile):
-    file = read_file(encode_scene(random_scene(0), Config(profile))[0])
-    sections = [Section(SectionId(key[0]), key[1], part) for key, part in file.sections.items()]
-    data = write_file(file.header, [*sections, Section(SectionId.CODER, 0, b"torchac 0.9.3")])
+    data = encode_scene(random_scene(0), Config(profile))[0]
     with pytest.raises(CorruptStream, match="section 'coder' of block 0: nothing is coded"):
-        decode_scene(data)
+        decode_scene(with_section(data, SectionId.CODER, lambda _: b"torchac 0.9.3"))
 
 
 @needs_torchac
@@ -256,7 +244,7 @@ def test_random_bytes_are_refused(seed):
     streams = {SectionId.OPACITY, SectionId.SCALING, SectionId.ROTATION, SectionId.SH1}
     noise = rng.integers(0, 256, 5000, np.uint8).tobytes()
     chosen = SectionId(int(rng.choice(sorted(streams))))
-    broken = changed(data, chosen, lambda part: part[:8] + noise[: len(part) - 8])
+    broken = with_section(data, chosen, lambda part: part[:8] + noise[: len(part) - 8])
     with pytest.raises((CorruptStream, TruncatedStream)):
         decode_scene(broken)
 

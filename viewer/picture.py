@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,11 @@ class Shown:
     pruned: Pruned | None = None
     octree: OctreeChoice = field(default_factory=OctreeChoice)
 
+    @cached_property
+    def cells(self) -> Octree:
+        """The octree of the scenes."""
+        return Octree(self.scenes)
+
     def shows_error(self, scene: Opened) -> bool:
         """Whether the error of each pixel is shown instead of the scene."""
         return "error" in self.layers and scene in self.scenes[1:]
@@ -122,7 +128,7 @@ def draw_scene(
     if "boxes" in shown.layers:
         image = draw_boxes(image, scene.blocks, pose)
     if "octree" in shown.layers:
-        cells = Octree(shown.scenes).cells(scene, shown.octree)
+        cells = shown.cells.cells(scene, shown.octree)
         if isinstance(cells, Cubes):
             canvas = to_pillow(image)
             draw_cubes(canvas, cells, pose)

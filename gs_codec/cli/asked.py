@@ -10,7 +10,14 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
-from gs_codec.config import ADAPTIVE_PROFILES, PROFILES, Config, RateTarget, options_of
+from gs_codec.config import (
+    ADAPTIVE_PROFILES,
+    PAPER_OPTIONS,
+    PROFILES,
+    Config,
+    RateTarget,
+    options_of,
+)
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
@@ -149,7 +156,7 @@ def config_of(asked: Asked) -> Config:
     if profile not in PROFILES:
         asked.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
         why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
-        asked.refuse(("geometry", "tmc3", "verify", "models", "laplace_scales", "coder"), why)
+        asked.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
     return asked.build(Config)
 
 

@@ -6,6 +6,7 @@ import json
 import shlex
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +34,19 @@ def print_codecs(lines: list[dict[str, Any]]) -> None:
         print_table([f"{scene}: codec", *columns[1:]], plain, sys.stderr)
     for reason in results.absent:
         print_status(reason)
+
+
+def _typed() -> str:
+    """The command as it was typed."""
+    return shlex.join(["gs-codec", *sys.argv[1:]])
+
+
+def _written(lines: Iterator[dict[str, Any]], target: Path) -> Iterator[dict[str, Any]]:
+    """The result lines, each once it is in a file as JSON."""
+    with open(target, "w", encoding="utf-8") as file:
+        for line in lines:
+            print(json.dumps(line, allow_nan=False), file=file, flush=True)
+            yield line
 
 
 @takes("threads", "width", "overwrite")
@@ -80,13 +94,9 @@ def measure_suite(
 
     target, lines = make_folder(out) / "suite.jsonl", []
     check_writable(target)
-    measuring = run_suite(options, shlex.join(["gs-codec", *sys.argv[1:]]), tell)
-    with open(target, "w", encoding="utf-8") as file:
-        for line in measuring:
-            text = json.dumps(line, allow_nan=False)
-            print(text, file=file, flush=True)
-            print_text(text)
-            lines.append(line)
+    for line in _written(run_suite(options, _typed(), tell), target):
+        print_text(json.dumps(line))
+        lines.append(line)
     tell("report")
     write_report(lines, out)
     print_codecs(lines)
@@ -119,11 +129,8 @@ def measure_paper(
         measured = open_scenes(scenes)
         target = make_folder(out) / "paper.jsonl"
         check_writable(target)
-        command, lines = shlex.join(["gs-codec", *sys.argv[1:]]), []
-        with open(target, "w", encoding="utf-8") as file:
-            for line in reproduce(measured, asked["refine"], out, command, progress):
-                print(json.dumps(line, allow_nan=False), file=file, flush=True)
-                lines.append(line)
+        measuring = reproduce(measured, asked["refine"], out, _typed(), progress)
+        lines = list(_written(measuring, target))
     page = tables_of(lines)
     write_files(out, {"paper.md": page.encode()})
     print_text(*page.splitlines())

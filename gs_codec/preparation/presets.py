@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gs_codec.config import Config, changed_options
-from gs_codec.errors import InvalidInput
+from gs_codec.config import Config, Option, changed_options
 from gs_codec.preparation.steps import Steps
 
 #: Half range of SH-AC, in Laplace scales. The paper leaves it to a supplement, but at 4 bits its
@@ -82,6 +81,5 @@ def preset(name: str) -> Preset:
     (65.0, 6000, 'paper-m')
     >>> plan = gs_codec.Plan(entropygs.steps, "cameras.json", "images")
     """
-    if name not in PRESETS:
-        raise InvalidInput(f"preset '{name}': expected one of {', '.join(PRESETS)}")
+    Option("", values=tuple(PRESETS)).check("preset", name)
     return PRESETS[name]

@@ -161,7 +161,8 @@ class _Blocks:
     def decode_attributes(self, block: int, start: int, stop: int) -> None:
         """Fill the channels of a block that are modelled."""
         by_coder = self._by_torchac if is_torchac(self.file) else self._by_rans
-        for row, (_, plane, levels) in zip(by_coder(block), self.varying, strict=True):
+        symbols = by_coder(block, stop - start)
+        for row, (_, plane, levels) in zip(symbols, self.varying, strict=True):
             np.take(levels, row, out=plane[start:stop], mode="clip")
 
     def _streams(self, block: int) -> list[tuple[int, memoryview]]:
@@ -173,16 +174,14 @@ class _Blocks:
             if stream in streams
         ]
 
-    def _by_rans(self, block: int) -> NDArray[np.uint16]:
-        start, stop = self.file.header.block_range(block)
+    def _by_rans(self, block: int, count: int) -> NDArray[np.uint16]:
         states = self.file.section(SectionId.STATES, block)
         where, streams = f"block {block}", self._streams(block)
-        return decode_symbols(states, streams, stop - start, self.packed, where, self.whole)
+        return decode_symbols(states, streams, count, self.packed, where, self.whole)
 
-    def _by_torchac(self, block: int) -> list[NDArray[np.uint16]]:
-        start, stop = self.file.header.block_range(block)
+    def _by_torchac(self, block: int, count: int) -> list[NDArray[np.uint16]]:
         rows: list[NDArray[np.uint16]] = []
         for number, data in self._streams(block):
             tables = self.tables[len(rows) : len(rows) + number]
-            rows += decode_stream(data, stop - start, tables, f"block {block}")
+            rows += decode_stream(data, count, tables, f"block {block}")
         return rows

@@ -49,9 +49,10 @@ def _encode_blocks(
     progress: Progress | None,
 ) -> list[Section]:
     """Sections of all blocks, block after block."""
-    attributes = partial(_encode_by_rans, coded, TableSet.pack(coded.tables))
     if config.coder == "torchac":
         attributes = partial(_encode_by_torchac, coded)
+    else:
+        attributes = partial(_encode_by_rans, coded, TableSet.pack(coded.tables))
     stages = [partial(_encode_geometry, ordered), partial(_encode_colour, ordered)]
     if tool is not None:
         stages = [partial(encode_gpcc, tool, config.verify, ordered)]

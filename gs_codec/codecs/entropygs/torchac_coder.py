@@ -112,12 +112,11 @@ def coder_section(config: Config) -> list[Section]:
 
 def encode_stream(symbols: Sequence[NDArray[np.uint16]], tables: Sequence[FrequencyTable]) -> bytes:
     """Code a stream's channels of a block, ``(n,)`` each."""
-    checksum, parts = 0, []
+    parts = [struct.pack("<I", _checksum(symbols))]
     for row, table in zip(symbols, tables, strict=True):
-        checksum = crc32c(row.astype("<u2").tobytes(), checksum)
         for data in _encode(row, table):
             parts += [struct.pack("<I", len(data)), data]
-    return struct.pack("<I", checksum) + b"".join(parts)
+    return b"".join(parts)
 
 
 def decode_stream(
@@ -130,13 +129,19 @@ def decode_stream(
     TruncatedStream, CorruptStream
     """
     reader = ByteReader(data, where)
-    expected, checksum = reader.unpack("I")[0], 0
+    expected = reader.unpack("I")[0]
     channels = [_decode(reader, count, table) for table in tables]
-    for row in channels:
-        checksum = crc32c(row.astype("<u2").tobytes(), checksum)
-    if checksum != expected or len(reader.rest()):
+    if _checksum(channels) != expected or len(reader.rest()):
         raise CorruptStream(f"{where}: torchac gives other symbols than were coded")
     return channels
+
+
+def _checksum(symbols: Sequence[NDArray[np.uint16]]) -> int:
+    """CRC-32C of symbols, channel after channel."""
+    checksum = 0
+    for row in symbols:
+        checksum = crc32c(row.astype("<u2").tobytes(), checksum)
+    return checksum
 
 
 def _encode(symbols: NDArray[np.uint16], table: FrequencyTable) -> Iterator[bytes]:

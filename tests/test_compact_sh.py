@@ -103,10 +103,9 @@ def test_singular_matrix_is_not_solved():
     assert not solve(np.full((2, 2), np.nan), np.ones(2))
 
 
-@pytest.mark.parametrize("bright", [3.0, -1.5], ids=["bright", "at times black"])
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_each_colour_is_solved_as_by_brute_force(degree, bright):
-    scene, cameras = visible_scene(12, 3, degree, bright), orbit(20)
+def test_luma_and_chroma_are_solved_as_by_brute_force(degree):
+    scene, cameras = visible_scene(12, 3, degree, bright=3.0), orbit(20)
     strength, smallest = 1e-5, 0.02
     compacted, _ = compact_sh(scene, cameras, strength, smallest=smallest)
     weights = squared_weights(scene, cameras).astype(np.float64)
@@ -116,23 +115,21 @@ def test_each_colour_is_solved_as_by_brute_force(degree, bright):
     for i in range(scene.count):
         offsets = [scene.positions[:, i].astype(np.float64) - c.position for c in cameras]
         rows = np.array([sh_basis(o / np.linalg.norm(o))[: 1 + ac] for o in offsets])
+        known = rows.T * weights[:, i]
         inertia = 1e-9 * weights[:, i].sum()
         for channel in range(3):
             solution = before[channel, :, i]
-            colours = 0.5 + rows @ solution
-            counted = colours >= 0
-            for turn in range(6):
-                counted |= 0.5 + rows @ solution > 0
-                known = rows.T * (weights[:, i] * counted)
-                right = known @ (np.maximum(colours, 0) - 0.5) + inertia * solution
+            seen = rows @ solution
+            for turn in range(12):
+                used = np.ones(1 + ac, bool) if turn == 0 else (solution != 0)
+                used[0] = True
                 damping = inertia + penalty / (np.abs(solution) + smallest / 2) ** 2
                 damping[0] = inertia
-                used = np.ones(1 + ac, bool) if turn < 5 else (solution != 0)
-                used[0] = True
                 system = (known @ rows + np.diag(damping))[np.ix_(used, used)]
+                right = known @ seen + inertia * solution
                 solution = np.zeros(1 + ac)
                 solution[used] = np.linalg.solve(system, right[used])
-                if turn >= 4:
+                if turn >= 10:
                     solution[1:][np.abs(solution[1:]) < smallest] = 0.0
             np.testing.assert_allclose(after[channel, :, i], solution, rtol=1e-3, atol=1e-5)
 
@@ -155,7 +152,7 @@ def test_error_and_zeros_grow_with_strength(seed):
         compacted, report = compact_sh(scene, cameras, strength)
         errors.append(np.mean((images(compacted, cameras) - images(scene, cameras)) ** 2))
         zeros.append(report["zeros_after"])
-        assert report["zeros_after"] == (compacted.f_rest == 0).sum()
+        assert report["zeros_after"] == (coefficients_of(compacted)[:, 1:] == 0).sum()
         assert errors[-1] < strength
     assert sorted(errors) == errors
     assert sorted(zeros) == zeros
@@ -189,6 +186,20 @@ def test_what_is_clamped_at_black_costs_nothing():
     assert not images(compacted, cameras).any()
 
 
+def test_channels_at_black_follow_the_others():
+    """Then Y alone varies, and nobody sees a difference."""
+    scene, cameras = visible_scene(50, 9, bright=3.0), orbit(12)
+    f_rest = scene.f_rest.reshape(3, 15, -1).copy()
+    f_rest[0], f_rest[2] = f_rest[1], 0.0
+    f_dc = scene.f_dc.copy()
+    f_dc[2] = -2.0
+    scene = replace(scene, f_dc=f_dc, f_rest=f_rest.reshape(45, -1))
+    compacted, _ = compact_sh(scene, cameras, 1e-9, smallest=0.001)
+    assert coefficients_of(compacted)[0, 1:].any()
+    assert not coefficients_of(compacted)[1:, 1:].any()
+    np.testing.assert_allclose(images(compacted, cameras), images(scene, cameras), atol=2e-3)
+
+
 def test_what_is_at_times_black_does_not_light_up():
     scene, cameras = visible_scene(50, 9), orbit(12)
     dark = replace(scene, f_dc=np.full_like(scene.f_dc, -2.2))
@@ -216,7 +227,7 @@ def test_values_that_are_not_finite_stay():
     scene = replace(scene, f_rest=f_rest)
     compacted, report = compact_sh(scene, cameras, 2e-5)
     assert report["unsolved"] == 2
-    np.testing.assert_array_equal(compacted.f_rest[:15, 2], f_rest[:15, 2])
+    np.testing.assert_array_equal(compacted.f_rest[:, [2, 4]], f_rest[:, [2, 4]])
     assert np.isnan(compacted.f_rest).sum() == 1
 
 

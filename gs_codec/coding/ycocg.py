@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.kernels import inlined, kernel
 
 _LUMA = 1.0 / math.sqrt(3.0)
 _ORANGE = 1.0 / math.sqrt(2.0)
@@ -28,6 +28,21 @@ def from_ycocg(values: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.stack([rest + orange, luma + 2.0 * green, rest - orange]).astype(np.float32)
 
 
+@inlined
+def luma_chroma(red, green, blue):
+    """Y, Co, Cg of one colour, as in `to_ycocg`."""
+    luma = (red + green + blue) * _LUMA
+    return luma, (red - blue) * _ORANGE, (2.0 * green - red - blue) * _GREEN
+
+
+@inlined
+def red_green_blue(y, o, g):
+    """R, G, B of one colour, as in `from_ycocg`."""
+    luma, orange, green = y * _LUMA, o * _ORANGE, g * _GREEN
+    rest = luma - green
+    return rest + orange, luma + 2.0 * green, rest - orange
+
+
 @kernel
 def _take(planes, members, units, shifts, limit, out):
     beyond = 0
@@ -37,9 +52,7 @@ def _take(planes, members, units, shifts, limit, out):
             green = np.float64(planes[1, k, members[i]])
             blue = np.float64(planes[2, k, members[i]])
             step = np.float64(units[k] << shifts[i]) / 1048576.0
-            luma = (red + green + blue) * _LUMA
-            orange = (red - blue) * _ORANGE
-            other = (2.0 * green - red - blue) * _GREEN
+            luma, orange, other = luma_chroma(red, green, blue)
             beyond += np.int64(abs(luma) > limit) + (abs(orange) > limit) + (abs(other) > limit)
             out[0, k, i] = min(max(luma, -limit), limit) / step
             out[1, k, i] = min(max(orange, -limit), limit) / step
@@ -72,11 +85,7 @@ def _fill(levels, units, steps, limit, out):
             step = units[k] * steps[i]
             y, o, g = levels[0, k, i] * step, levels[1, k, i] * step, levels[2, k, i] * step
             largest = max(largest, abs(y), abs(o), abs(g))
-            luma, orange, green = y * _LUMA, o * _ORANGE, g * _GREEN
-            rest = luma - green
-            out[0, k, i] = rest + orange
-            out[1, k, i] = luma + 2.0 * green
-            out[2, k, i] = rest - orange
+            out[0, k, i], out[1, k, i], out[2, k, i] = red_green_blue(y, o, g)
     return largest < limit
 
 

@@ -173,6 +173,8 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
     measured, before = seen.views.held_out, float(np.mean(seen.before))
 
     def drop(octaves: float) -> float:
+        # Colours that were refitted for other rounded shapes are worse than none.
+        trials.refit(octaves)
         trials.size(octaves)
         trials.loss = seen.loss(trials.last[0])
         return trials.loss
@@ -181,11 +183,11 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
     at_once = trials.config_at(0.0).adaptive_profile().error
     start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
     interval = (limit - _DROP_TOLERANCE, limit)
-    found = search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+    found = search(drop, *interval, start, _DROP_SLOPE)
     if found is None:
         # Compaction may cost held-out views more than the limit, even at its weakest.
         trials.compacting = False
-        found = search_recoloured(trials.refit, drop, interval, start, _DROP_SLOPE)
+        found = search(drop, *interval, start, _DROP_SLOPE)
     if found is None:
         least, most = (drop(end) for end in (FINEST, COARSEST))
         if most > limit:

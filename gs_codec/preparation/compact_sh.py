@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.ycocg import luma_chroma, red_green_blue
 from gs_codec.preparation.sh_weights import (
     coefficients_of,
     fill_matrix,
@@ -25,8 +26,8 @@ from gs_codec.scene import Scene
 #: Default of `smallest`: half a step of coarse quantisation.
 SMALLEST = 0.018
 
-#: Rounds; each takes its penalties from the solution before. One more solve leaves out zeros.
-_ROUNDS = 5
+#: Rounds; each takes its penalties from the solution before.
+_ROUNDS = 12
 
 #: Weight that holds a solution to the one before it, as a share of the weight of all views.
 _INERTIA = 1e-9
@@ -45,13 +46,13 @@ def compact_sh(
 ) -> tuple[Scene, dict[str, Any]]:
     """Replace SH by sparser ones that give the cameras nearly the same colours.
 
-    For each Gaussian and colour, coefficients a minimise ::
+    For each Gaussian, coefficients a of Y, Co and Cg minimise ::
 
-        sum over views of S_v (colour_v(a) - colour_v)^2  +  L sum over AC of d_k a_k^2
+        sum over views of S_v |colour_v(a) - colour_v|^2  +  L sum over AC of d_k a_k^2
 
     where S_v sums (alpha T)^2 over the pixels of a view, and d_k = 1 / (abs(a_k) + smallest / 2)^2
     is taken from the solution before. At the end each non-zero coefficient costs at most L, so it
-    is kept if it explains more squared error than L. In views where a colour is clamped at black,
+    is kept if it explains more squared error than L. In views where R, G or B is clamped at black,
     any value below black is equally good.
 
     Errors of Gaussians that overlap in a pixel are treated as independent. `refit_colour` includes
@@ -78,7 +79,8 @@ def compact_sh(
         For reports: ``count`` of Gaussians; those that no camera sees, whose SH-AC are 0 now,
         ``unseen``; those left unchanged because of values that are not finite, ``unsolved``; those
         whose SH-AC were all 0 before, as training leaves colours that stay black, ``without_ac``;
-        and SH-AC that are exactly 0, ``zeros_before`` and ``zeros_after``.
+        and SH-AC of Y, Co and Cg that are 0, ``zeros_before`` and
+        ``zeros_after``.
     """
     if weights is None:
         weights = squared_weights(scene, cameras, progress)
@@ -100,14 +102,13 @@ def compact_sh(
         starts = range(0, scene.count, _CHUNK)
         counts = run_all(run, starts, advance=step_counter(progress, "compact", len(starts)))
         unseen, unsolved = (sum(count) for count in zip(*counts, strict=True))
-    result = with_coefficients(scene, after)
-    return result, {
+    return with_coefficients(scene, after), {
         "count": scene.count,
         "unseen": unseen,
         "unsolved": unsolved,
         "without_ac": int((~scene.f_rest.any(axis=0)).sum()),
-        "zeros_before": int((scene.f_rest == 0).sum()),
-        "zeros_after": int((result.f_rest == 0).sum()),
+        "zeros_before": int((before[:, 1:] == 0).sum()),
+        "zeros_after": int((after[:, 1:] == 0).sum()),
     }
 
 
@@ -123,28 +124,26 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
     rows = np.empty((views, size))
     seen = np.empty(views)
     shared = np.empty((size, size))
-    solution = np.empty(size)
+    solution = np.empty((3, size))
     unseen = unsolved = 0
     for i in range(start, stop):
         count = _list_views(positions, i, weights, centres, rows, seen)
         unseen += count == 0
         fill_matrix(rows[:count], seen, shared)
-        failed = False
+        finite, any_ac = True, False
         for channel in range(3):
-            finite, any_ac = True, False
             for k in range(size):
-                solution[k] = before[channel, k, i]
-                finite = finite and abs(solution[k]) < np.inf
-                any_ac = any_ac or (k > 0 and solution[k] != 0.0)
-            if not finite:
-                failed = True
-            elif any_ac and count == 0:
-                after[channel, 1:, i] = 0.0
-            elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest[i], solution):
-                after[channel, :, i] = solution
-            elif any_ac:
-                failed = True
-        unsolved += failed
+                solution[channel, k] = before[channel, k, i]
+                finite = finite and abs(solution[channel, k]) < np.inf
+                any_ac = any_ac or (k > 0 and solution[channel, k] != 0.0)
+        if not finite:
+            unsolved += 1
+        elif any_ac and count == 0:
+            after[:, 1:, i] = 0.0
+        elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest[i], solution):
+            after[:, :, i] = solution
+        else:
+            unsolved += any_ac
     return unseen, unsolved
 
 
@@ -162,62 +161,110 @@ def _list_views(positions, i, weights, centres, rows, seen):
 
 @kernel
 def _sparsify(rows, seen, shared, penalty, smallest, solution):
-    """Solve for one colour channel in place; return whether all solutions were found.
+    """Solve for Y, Co and Cg in place; return whether all solutions were found.
 
-    `shared` is the matrix of all views. A view where the colour is clamped at black does not count
-    until a solution is above black there. From then on it counts, so that solutions do not
-    alternate.
+    `shared` is the matrix of all views. Where R, G or B is clamped at black in a view, each round
+    aims at what the one before it has there, if that is below black too.
     """
     count, size = rows.shape
-    right, sums = np.empty(size), np.empty(size)
-    matrix, evident = np.empty((size, size)), shared
-    targets, evidence = np.empty(count), np.empty(count)
-    dark, inertia = False, 0.0
-    for j in range(count):
-        colour = 0.5 + _dot(rows[j], solution)
-        targets[j] = max(0.0, colour) - 0.5
-        evidence[j] = seen[j] if colour >= 0.0 else 0.0
-        dark = dark or colour < 0.0
-        inertia += _INERTIA * seen[j]
+    matrix, right, used = np.empty((size, size)), np.empty(size), np.empty(size, np.int64)
+    sums, targets = np.empty((3, size)), np.full((count, 3), np.inf)
+    dark, inertia = _sum_up(rows, seen, solution, targets, sums), 0.0
     if dark:
-        evident = np.empty((size, size))
-    for turn in range(_ROUNDS + 1):
-        changed = turn == 0
-        for j in range(count):
-            if evidence[j] == 0.0 and 0.5 + _dot(rows[j], solution) > 0.0:
-                evidence[j] = seen[j]
-                changed = True
-        if changed:
-            if dark:
-                fill_matrix(rows, evidence, evident)
-            sums[:] = 0.0
-            for j in range(count):
-                weight = evidence[j] * targets[j]
-                for k in range(size):
-                    sums[k] += weight * rows[j, k]
-        matrix[:] = evident
-        right[:] = sums
-        _penalise(matrix, right, solution, inertia, penalty, smallest, turn == _ROUNDS)
-        if not solve(matrix, right):
-            return False
-        for k in range(size):
-            small = k > 0 and turn >= _ROUNDS - 1 and abs(right[k]) < smallest
-            solution[k] = 0.0 if small else right[k]
+        _darken(rows, targets, solution)
+    for j in range(count):
+        inertia += _INERTIA * seen[j]
+    for turn in range(_ROUNDS):
+        if dark:
+            _sum_up(rows, seen, solution, targets, sums)
+        least = smallest if turn >= _ROUNDS - 2 else 0.0
+        for channel in range(3):
+            now, number = solution[channel], 0
+            for k in range(size):
+                if k == 0 or turn == 0 or now[k] != 0.0:
+                    used[number] = k
+                    number += 1
+            _set_up(
+                shared, sums[channel], now, used[:number], inertia, penalty, smallest, matrix, right
+            )
+            if not solve(matrix[:number, :number], right[:number]):
+                return False
+            now[1:] = 0.0
+            for n in range(number):
+                if used[n] == 0 or abs(right[n]) >= least:
+                    now[used[n]] = right[n]
     return True
 
 
 @kernel
-def _penalise(matrix, right, solution, inertia, penalty, smallest, settled):
-    """Add penalty and inertia to the system; once `settled`, zero coefficients stay 0."""
-    for k in range(len(solution)):
-        matrix[k, k] += inertia
-        right[k] += inertia * solution[k]
-        if k > 0 and settled and solution[k] == 0.0:
-            right[k] = 0.0
-            for m in range(len(solution)):
-                matrix[k, m] = matrix[m, k] = 1.0 if m == k else 0.0
-        elif k > 0:
-            matrix[k, k] += penalty / max(abs(solution[k]) + 0.5 * smallest, 1e-6) ** 2
+def _sum_up(rows, seen, solution, targets, sums):
+    """Fill right-hand sides ``sums (3, 1 + K)``; return whether a colour is clamped at black.
+
+    ``targets (views, 3)`` are R, G, B; those that are infinite become the solution's colours.
+    """
+    dark = False
+    sums[:] = 0.0
+    aims = np.empty(3)
+    for j in range(len(rows)):
+        colour = red_green_blue(
+            _dot(rows[j], solution[0]), _dot(rows[j], solution[1]), _dot(rows[j], solution[2])
+        )
+        for channel in range(3):
+            if targets[j, channel] == np.inf:
+                targets[j, channel] = max(colour[channel], -0.5)
+                dark = dark or colour[channel] < -0.5
+            aims[channel] = targets[j, channel]
+            if aims[channel] == -0.5:
+                aims[channel] = min(colour[channel], -0.5)
+        aims[0], aims[1], aims[2] = luma_chroma(aims[0], aims[1], aims[2])
+        for channel in range(3):
+            for k in range(len(sums[channel])):
+                sums[channel, k] += seen[j] * aims[channel] * rows[j, k]
+    return dark
+
+
+@kernel
+def _darken(rows, targets, solution):
+    """Let those of R, G and B that no view sees above black vary as the others do, below black.
+
+    A change that all three share takes one coefficient instead of three.
+    """
+    size = len(solution[0])
+    lit, colour, highest = np.zeros(3, np.bool_), np.empty((size, 3)), np.full(3, -np.inf)
+    for channel in range(3):
+        lit[channel] = targets[:, channel].max() > -0.5
+    for k in range(size):
+        colour[k, 0], colour[k, 1], colour[k, 2] = red_green_blue(
+            solution[0, k], solution[1, k], solution[2, k]
+        )
+        mean = (colour[k] * lit).sum() / max(lit.sum(), 1)
+        for channel in range(3):
+            if k > 0 and not lit[channel]:
+                colour[k, channel] = mean
+    for j in range(len(rows)):
+        for channel in range(3):
+            highest[channel] = max(highest[channel], _dot(rows[j, 1:], colour[1:, channel]))
+    for channel in range(3):
+        if not lit[channel]:
+            limit = (-0.5 - highest[channel]) / rows[0, 0]
+            colour[0, channel] = min(colour[0, channel], limit)
+    for k in range(size):
+        values = luma_chroma(colour[k, 0], colour[k, 1], colour[k, 2])
+        for channel in range(3):
+            solution[channel, k] = values[channel]
+
+
+@kernel
+def _set_up(shared, sums, solution, used, inertia, penalty, smallest, matrix, right):
+    """Fill the system of the coefficients in use; `solve` reads the matrix's lower half."""
+    for n in range(len(used)):
+        k = used[n]
+        right[n] = sums[k] + inertia * solution[k]
+        for m in range(n + 1):
+            matrix[n, m] = shared[k, used[m]]
+        matrix[n, n] += inertia
+        if k > 0:
+            matrix[n, n] += penalty / max(abs(solution[k]) + 0.5 * smallest, 1e-6) ** 2
 
 
 @kernel

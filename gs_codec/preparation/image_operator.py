@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.ycocg import luma_chroma, red_green_blue
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.sh_weights import sh_row
 from gs_codec.rendering.traced_view import SQUARED, TraceBuffers, TracedView, trace_view
@@ -58,7 +59,8 @@ class Linear(NamedTuple):
 class ImageOperator:
     """Images of a scene as a function of its SH; its other attributes are fixed.
 
-    Coefficients are ``(3, 1 + K, N)``, DC first, float32 or float64; results have their dtype.
+    Coefficients are those of `coefficients_of`, Y, Co, Cg ``(3, 1 + K, N)``, float32 or float64;
+    results have their dtype.
 
     Parameters
     ----------
@@ -177,16 +179,19 @@ def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
     With `clamp`, bits 0-2 of ``lit (N,)`` are set where a colour is above black. Without it they
     are read, because a change of SH does not change a clamped colour.
     """
-    row = np.empty(coefficients.shape[1])
+    row, values = np.empty(coefficients.shape[1]), np.empty(3)
     for j in range(len(seen)):
         i = seen[j]
         sh_row(positions, i, camera, row)
+        values[:] = 0.0
+        for channel in range(3):
+            for k in range(len(row)):
+                values[channel] += row[k] * coefficients[channel, k, i]
+        values[0], values[1], values[2] = red_green_blue(values[0], values[1], values[2])
         if clamp:
             lit[i] = 0
         for channel in range(3):
-            value = 0.5 if clamp else 0.0
-            for k in range(len(row)):
-                value += row[k] * coefficients[channel, k, i]
+            value = values[channel] + (0.5 if clamp else 0.0)
             if clamp and value > 0.0:
                 lit[i] |= 1 << channel
             colours[j, channel] = value if lit[i] >> channel & 1 else 0.0
@@ -195,15 +200,22 @@ def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
 @kernel
 def _add_gradient(positions, camera, seen, sums, lit, start, stop, gradient, curvature):
     """Add a view's share to ``gradient (3, 1 + K, N)`` and, if it is not empty, `curvature`."""
-    row = np.empty(gradient.shape[1])
+    row, of_colour, of_square = np.empty(gradient.shape[1]), np.empty(3), np.empty(3)
     for j in range(start, stop):
-        if sums[j, SQUARED] == 0.0:
-            continue
+        square = sums[j, SQUARED]
         i = seen[j]
+        if square == 0.0 or lit[i] == 0:
+            continue
         sh_row(positions, i, camera, row)
+        red, green, blue = lit[i] & 1, lit[i] >> 1 & 1, lit[i] >> 2
+        of_colour[0], of_colour[1], of_colour[2] = luma_chroma(
+            sums[j, 0] * red, sums[j, 1] * green, sums[j, 2] * blue
+        )
+        of_square[0] = square * (red + green + blue) / 3.0
+        of_square[1] = square * (red + blue) / 2.0
+        of_square[2] = square * (red + 4.0 * green + blue) / 6.0
         for channel in range(3):
-            if lit[i] >> channel & 1:
-                for k in range(len(row)):
-                    gradient[channel, k, i] += row[k] * sums[j, channel]
-                    if len(curvature):
-                        curvature[channel, k, i] += row[k] * row[k] * sums[j, SQUARED]
+            for k in range(len(row)):
+                gradient[channel, k, i] += row[k] * of_colour[channel]
+                if len(curvature):
+                    curvature[channel, k, i] += row[k] * row[k] * of_square[channel]

@@ -137,11 +137,13 @@ def _descend(
 
 def _total(function: Callable, *arguments: Any) -> float:
     """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, computed in threads."""
-    rows = [
-        x.reshape(x.shape[0] * x.shape[1], x.shape[2]) if isinstance(x, np.ndarray) else repeat(x)
-        for x in arguments
-    ]
+    rows = [_rows(x) if isinstance(x, np.ndarray) else repeat(x) for x in arguments]
     return sum(run_all(lambda row: function(*row), zip(*rows, strict=False)))
+
+
+def _rows(array: NDArray) -> list[NDArray]:
+    """The rows of an array ``(3, 1 + K or 1, N)``."""
+    return [channel[k] for channel in array for k in range(len(channel))]
 
 
 @inlined

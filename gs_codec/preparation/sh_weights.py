@@ -1,4 +1,4 @@
-"""SH as one array of coefficients, their weights in views, and small least squares."""
+"""SH as one array of Y, Co and Cg, their weights in views, and small least squares."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.renderer import render
@@ -16,6 +17,9 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_C0, Scene
+
+#: Rounding of float32, relative to the largest of R, G and B.
+_ROUNDING = 2.0**-22
 
 
 @kernel
@@ -64,16 +68,38 @@ def solve(matrix, right):
 
 
 def coefficients_of(scene: Scene) -> NDArray[np.float32]:
-    """SH of all bands ``(3, 1 + K, N)``, DC first; a copy."""
-    ac = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
-    return np.concatenate([scene.f_dc[:, None], ac], axis=1)
+    """SH of all bands in Y, Co, Cg ``(3, 1 + K, N)``, DC first; a copy.
+
+    What is only the rounding of R, G and B is 0.
+    """
+    planes = _planes_of(scene)
+    coefficients = np.empty(planes.shape, np.float32)
+    for k in range(planes.shape[1]):
+        with np.errstate(invalid="ignore", over="ignore"):
+            found = to_ycocg(planes[:, k])
+            found[np.abs(found) < _ROUNDING * np.abs(planes[:, k]).max(axis=0)] = 0.0
+            coefficients[:, k] = found
+    return coefficients
 
 
 def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
-    """The scene with SH ``(3, 1 + K, N)`` in place of its own."""
-    planes = coefficients.astype(np.float32, copy=False)
+    """The scene with SH in Y, Co, Cg ``(3, 1 + K, N)`` in place of its own.
+
+    Colours that are the same, or not finite, stay as they are in R, G, B.
+    """
+    planes, before = _planes_of(scene), coefficients_of(scene)
+    for k in range(planes.shape[1]):
+        found = coefficients[:, k]
+        changed = (found != before[:, k]).any(axis=0) & np.isfinite(found).all(axis=0)
+        planes[:, k, changed] = from_ycocg(found[:, changed].astype(np.float64))
     f_rest = np.ascontiguousarray(planes[:, 1:]).reshape(len(scene.f_rest), scene.count)
     return replace(scene, f_dc=np.ascontiguousarray(planes[:, 0]), f_rest=f_rest)
+
+
+def _planes_of(scene: Scene) -> NDArray[np.float32]:
+    """SH of all bands in R, G, B ``(3, 1 + K, N)``, DC first; a copy."""
+    ac = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
+    return np.concatenate([scene.f_dc[:, None], ac], axis=1)
 
 
 def squared_weights(

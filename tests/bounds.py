@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.lattice import LARGEST, to_float
+from gs_codec.codecs.adaptive.rotation import LARGEST_STEP, TURNS
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.lossless.lossless import lossless_order
-from gs_codec.coding.axes import sort_axes
+from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.clean import identity_for_zero
 from gs_codec.coding.morton import bit_layout
 from gs_codec.coding.quantise import CentredQuantiser
@@ -119,12 +120,32 @@ def _of_shapes(
         steps = to_float(units[group] << quantiser.shifts[name])
         values = np.clip(values.astype(np.float64), -LARGEST, LARGEST)
         yield name, np.abs(values - result), 0.5 * steps + 2.0**-20 + _ulp(result)
+    rot = nearest_quaternions(quantiser.vectors, decoded.rot).astype(np.float64)
     # Round Gaussians are not turned.
     rounding = to_float(units["scaling"] << quantiser.shifts["scale_0"])
     turned = quantiser.scales[0] - quantiser.scales[2] > 0.5 * rounding
-    steps = to_float(units["rotation"] << quantiser.shifts["rot_1"])
-    apart = np.sqrt(np.sum((quantiser.vectors - decoded.rot[1:]) ** 2, axis=0))
-    yield "rotation", np.where(turned, apart, 0.0), 0.5 * math.sqrt(3) * steps + 2.0**-20
+    apart = np.sqrt(np.sum((rot - decoded.rot) ** 2, axis=0))
+    yield "rotation", np.where(turned, apart, 0.0), _of_turns(quantiser)
+
+
+def _of_turns(quantiser: ShapeQuantiser) -> np.ndarray:
+    """How far apart the ends of a quaternion may be that was rounded in three steps.
+
+    A turn of sine s is rounded by at most half a step d, or not coded; its angle, half of the
+    rotation's, by d / 2 over the least cosine.
+    """
+    unit, total = quantiser.lattice.units["rotation"], 0.0
+    rolls, *tilts = (
+        (quantiser.targets[name], quantiser.levels[name] * to_float(unit << shifts), shifts)
+        for name, shifts in ((name, quantiser.shifts[name]) for name in TURNS)
+    )
+    for turns in ([rolls], tilts):
+        ends = [sum(turn[end] ** 2 for turn in turns) for end in (0, 1)]
+        cosine = np.sqrt(np.maximum(1.0 - np.maximum(*ends), 1e-12))
+        steps = [to_float(unit << shifts) for _, _, shifts in turns]
+        half = [np.where(d > LARGEST_STEP, math.sqrt(0.5), 0.5 * d) for d in steps]
+        total = total + np.sqrt(sum((h + 2.0**-20) ** 2 for h in half)) / cosine
+    return total + 2.0**-20
 
 
 def _of_colours(ordered: Scene, decoded: Scene, arranged: Arranged, shape: Shape) -> Errors:

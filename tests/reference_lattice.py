@@ -32,7 +32,8 @@ BANDS = (range(3), range(3, 8), range(8, 15))
 ONE = 1 << 20
 BOUND = 1600 * ONE
 UNITS = ("opacity", "scaling", "rotation", "sh-dc", "sh1", "sh2", "sh3")
-RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "positions", "colour")
+TURNS = ("turn_0", "turn_1", "turn_2")
+RULES = ("opacity", "scale_0", "scale_1", "scale_2", *TURNS, "positions", "colour")
 
 
 @dataclass
@@ -43,10 +44,10 @@ class Rule:
     limit: int
     weight: int = 1
 
-    def shift(self, k, o=0, s=()):
+    def shift(self, k, o=0, s=(), e=0):
         total = self.a + (self.weight * k << 16) + ((self.b * min(o, 0)) >> 20)
         total += sum((c * value) >> 20 for c, value in zip(self.c, s, strict=False))
-        return max(0, min(self.limit, total >> 16))
+        return max(0, min(self.limit, (total >> 16) + e))
 
 
 @dataclass
@@ -98,7 +99,8 @@ def read_lattice(content, sh_degree):
 
 def check_limits(units, rules):
     limits = dict.fromkeys(UNITS, rules["colour"].limit)
-    limits["opacity"], limits["rotation"] = rules["opacity"].limit, rules["rotation"].limit
+    limits["opacity"] = rules["opacity"].limit
+    limits["rotation"] = max(rules[name].limit for name in TURNS)
     limits["scaling"] = max(rules[f"scale_{i}"].limit for i in range(3))
     for name, unit in units.items():
         check(unit.bit_length() + limits[name] <= 31, f"lattice: {name}: unit and limit")
@@ -260,8 +262,8 @@ def decode_classes(passes, classes, points):
 
 
 def decode_shapes(lattice, passes, sections, block, shape):
-    """Return o, and s and q as three lists each."""
-    o, s, q = [], [], []
+    """Return o; s as three lists; the lists of r, t_0, t_1; and the poles."""
+    o, s = [], []
     passes.open(sections[OPACITY, block], OPACITY)
     passes.start()
     for k in shape:
@@ -281,15 +283,28 @@ def decode_shapes(lattice, passes, sections, block, shape):
         s.append(bounded(column))
     passes.close()
     passes.open(sections[ROTATION, block], ROTATION)
-    for _ in range(3):
+    turns, poles = decode_turns(lattice, passes, shape, o, s)
+    passes.close()
+    return o, s, turns, poles
+
+
+def decode_turns(lattice, passes, shape, o, s):
+    shifts, poles, turns = [], [], []
+    for k, logit, scales in zip(shape, o, zip(*s, strict=True), strict=True):
+        each = []
+        for axis, (one, other) in enumerate(((1, 2), (0, 2), (0, 1))):
+            e = max(20 - abs(scales[one] - scales[other]).bit_length(), 0)
+            each.append(lattice.rules[TURNS[axis]].shift(k, logit, scales, e))
+        shifts.append(each)
+        poles.append(2 if each[2] > each[0] else 0)
+    for which in range(3):
         passes.start()
         column = []
-        for i, k in enumerate(shape):
-            shift = lattice.rules["rotation"].shift(k, o[i], [each[i] for each in s])
+        for each, p in zip(shifts, poles, strict=True):
+            shift = each[(p, 1, 2 - p)[which]]
             column.append(passes.integer(min(shift, 31)) * (lattice.units["rotation"] << shift))
-        q.append(bounded(column))
-    passes.close()
-    return o, s, q
+        turns.append(bounded(column))
+    return turns, poles
 
 
 def decode_f_dc(lattice, passes, places, shifts):
@@ -340,7 +355,7 @@ def decode_block(lattice, sections, block, sh_degree, points):
     passes.open(sections[CLASSES, block], CLASSES)
     shape, colour = decode_classes(passes, lattice.classes, points)
     passes.close()
-    o, s, q = decode_shapes(lattice, passes, sections, block, shape)
+    o, s, turns, poles = decode_shapes(lattice, passes, sections, block, shape)
     scales = list(zip(*s, strict=True))
     shifts = {
         name: [lattice.rules[name].shift(*each) for each in zip(classes, o, scales, strict=True)]
@@ -355,7 +370,7 @@ def decode_block(lattice, sections, block, sh_degree, points):
     passes.finish()
     columns = {"opacity": [v / ONE for v in o]}
     columns |= {f"scale_{i}": [v / ONE for v in s[i]] for i in range(3)}
-    columns |= dict(zip([f"rot_{i}" for i in range(4)], rotations(q), strict=True))
+    columns |= dict(zip([f"rot_{i}" for i in range(4)], rotations(turns, poles), strict=True))
     columns |= dict(zip([f"f_dc_{c}" for c in range(3)], colours(f_dc), strict=True))
     for i, channels in f_rest.items():
         names = [f"f_rest_{c * len(f_rest) + i}" for c in range(3)]
@@ -365,13 +380,18 @@ def decode_block(lattice, sections, block, sh_degree, points):
     return columns, places
 
 
-def rotations(q):
+def rotations(turns, poles):
     rows = []
-    for x, y, z in zip(*q, strict=True):
-        a, b, c = x / ONE, y / ONE, z / ONE
-        total = (a * a + b * b) + c * c
-        n = sqrt(max(total, 1.0))
-        rows.append((sqrt(max(1.0 - total, 0.0)), a / n, b / n, c / n))
+    for *turn, p in zip(*turns, poles, strict=True):
+        r, t_0, t_1 = (value / ONE for value in turn)
+        r = max(-1.0, min(r, 1.0))
+        c, total = sqrt(1.0 - r * r), t_0 * t_0 + t_1 * t_1
+        n, h = sqrt(max(total, 1.0)), sqrt(max(1.0 - total, 0.0))
+        a, b = t_0 / n, t_1 / n
+        if p == 0:
+            rows.append((c * h, r * h, c * a - r * b, c * b + r * a))
+        else:
+            rows.append((c * h, c * b - r * a, c * a + r * b, r * h))
     return zip(*rows, strict=True)
 
 

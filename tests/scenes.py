@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from gs_codec.codecs import encode_scene
+from gs_codec.codecs.adaptive.lattice import LARGEST, to_fixed
+from gs_codec.codecs.adaptive.rotation import likeness
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
@@ -104,7 +106,7 @@ def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sen
     """What views could say of a scene, drawn by chance.
 
     Sensitivities of a Gaussian go up and down together by ``exp(spread)``, so that there are
-    classes.
+    classes. Turns in the plane of two axes are seen less, the more alike these are.
     """
 
     rng = np.random.default_rng(seed)
@@ -114,7 +116,8 @@ def made_up_sensitivity(scene: Scene, seed: int = 0, spread: float = 3.0) -> Sen
         return np.exp(level + rng.normal(0.0, 0.5, (*shape, scene.count)))
 
     colour = 100.0 * np.exp(rng.normal(0.0, spread, scene.count))
-    return Sensitivity(100.0 * draw(), draw(3), draw(), draw(), colour)
+    alike = likeness(to_fixed(scene.log_scale, LARGEST)[0])
+    return Sensitivity(100.0 * draw(), draw(3), draw(3) * 4.0**-alike, draw(), colour)
 
 
 def steps_for(

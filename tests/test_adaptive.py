@@ -29,9 +29,10 @@ from gs_codec.codecs.adaptive.lattice import (
     to_float,
     to_lattice,
 )
+from gs_codec.codecs.adaptive.rotation import likeness
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, features, fit_step_sizes, make_rule
 from gs_codec.codecs.adaptive.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
-from gs_codec.coding.axes import quaternions, sort_axes
+from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.context_rans import PRECISION, PassReader, PassTables, encode_passes
 from gs_codec.coding.count_tree import decode_tree, encode_tree
 from gs_codec.coding.fields import BitReader, BitWriter
@@ -410,12 +411,18 @@ def test_equal_scales_keep_their_order():
         )
 
 
-def test_quaternions_have_norm_1_whatever_was_rounded():
-    vectors = np.array([[0, 0.5, 1.0, 3.0, -2.0], [0, 0.5, 0, 4.0, 0], [0, 0.5, 0, 0, 1.0]])
-    rot = quaternions(vectors)
-    assert rot.dtype == np.float32
-    np.testing.assert_allclose(np.linalg.norm(rot, axis=0), 1, atol=1e-6)
-    assert rot[0].tolist() == [1.0, 0.5, 0.0, 0.0, 0.0]
+def test_nearest_of_the_half_turns_is_the_quaternion_itself_seed11():
+    scene = random_scene(500, 0, seed=11)
+    _, scales, vectors = sort_axes(scene.log_scale, scene.rot)
+    x, y, z = vectors
+    w = whole(vectors)[0]
+    for way in ((w, x, y, z), (-x, w, z, -y), (y, z, -w, -x), (-z, y, -x, w)):
+        turned = np.float32(way)
+        found, expected = (covariance(scales, q) for q in (turned, whole(vectors)))
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+        near = nearest_quaternions(vectors, turned)
+        assert near.dtype == np.float32
+        np.testing.assert_allclose(near, turned, atol=1e-7)
 
 
 # Colours
@@ -611,7 +618,8 @@ def made_up(seed: int, count: int = 3000) -> tuple[Sensitivity, np.ndarray, np.n
     level = rng.normal(0, 3, count)
     draw = lambda *shape: np.exp(level + rng.normal(0, 1, (*shape, count)))  # noqa: E731
     scales = np.sort(rng.normal(-5, 1, (3, count)), axis=0)[::-1]
-    found = Sensitivity(100 * draw(), draw(3), draw(), draw(), draw())
+    turns = draw(3) * 4.0 ** -likeness(to_fixed(scales, LARGEST)[0])
+    found = Sensitivity(100 * draw(), draw(3), turns, draw(), draw())
     return found, rng.normal(0, 3, count), scales
 
 
@@ -640,7 +648,7 @@ def test_steps_add_about_the_error_asked_for():
     steps = octaves(fit_step_sizes(sensitivity, opacity, scales)(1e-3), features(opacity, scales))
     added = {
         "opacity": sensitivity.opacity,
-        "rotation": 4 * sensitivity.rot,
+        "turn_1": 4 * sensitivity.rot[1] * 4.0 ** likeness(to_fixed(scales, LARGEST)[0])[1],
         "position": sensitivity.positions,
         "scale_1": sensitivity.log_scale[1],
     }

@@ -23,12 +23,13 @@ from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
 from gs_codec.codecs.adaptive.lattice import LARGEST, to_float
-from gs_codec.codecs.adaptive.section import UNITS, read_lattice
+from gs_codec.codecs.adaptive.rotation import LARGEST_STEP, TURNS, turned_quaternions
+from gs_codec.codecs.adaptive.section import RULES, UNITS, read_lattice
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.coding.axes import quaternions, sort_axes
+from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.clean import identity_for_zero
 from gs_codec.coding.count_tree import encode_tree
 from gs_codec.coding.morton import bit_layout
@@ -84,20 +85,22 @@ def assert_on_lattices(shaped: Shaped, data: bytes, ac_steps: float) -> None:
         assert np.isfinite(plane).all()
     np.testing.assert_array_equal(decoded.opacity[0], np.float32(to_float(shape.opacity)))
     np.testing.assert_array_equal(decoded.log_scale, np.float32(to_float(shape.scales)))
-    np.testing.assert_array_equal(decoded.rot, quaternions(to_float(shape.vectors)))
+    np.testing.assert_array_equal(
+        decoded.rot, turned_quaternions(to_float(shape.turns), shape.poles)
+    )
     quantiser, units = shaped.quantiser, lattice.units
-    _, scales, vectors = sort_axes(shaped.scene.log_scale, shaped.scene.rot)
+    _, scales, _ = sort_axes(shaped.scene.log_scale, shaped.scene.rot)
     originals = {"opacity": (shaped.scene.opacity[0], to_float(shape.opacity))}
     for k in range(3):
         originals[f"scale_{k}"] = (scales[k], to_float(shape.scales[k]))
-        originals[f"rot_{k + 1}"] = (vectors[k], to_float(shape.vectors[k]))
+        originals[TURNS[k]] = (quantiser.targets[TURNS[k]], to_float(shape.turns[k]))
     for name, (original, values) in originals.items():
-        group = {"o": "opacity", "s": "scaling", "r": "rotation"}[name[0]]
+        group = {"o": "opacity", "s": "scaling", "r": "rotation", "t": "rotation"}[name[0]]
         steps = to_float(units[group] << quantiser.shifts[name].astype(np.int64))
         usual = np.abs(scales).max(axis=0, initial=0) <= LARGEST
         if group == "rotation":
             rounding = to_float(units["scaling"] << quantiser.shifts["scale_0"])
-            usual &= scales[0] - scales[2] > 0.5 * rounding
+            usual &= (steps <= LARGEST_STEP) & (scales[0] - scales[2] > 0.5 * rounding)
         error = np.abs(original.astype(np.float64) - values)
         assert np.all(error[usual] <= 0.5 * steps[usual] + 2.0**-20), name
     assert_in_cells(shaped, decoded, data)
@@ -429,7 +432,7 @@ def patched(data: bytes, offset: int, layout: str, *values) -> bytes:
 
 
 UNIT, RULE = 29, 57
-TABLES = RULE + 7 * 21 + 1 + 2 + 7 * 4 + 36 + 4 + 9 * 2
+TABLES = RULE + len(RULES) * 21 + 1 + 2 + 7 * 4 + 36 + 4 + 9 * 2
 HOSTILE = {
     "origin NaN": (0, "f", np.nan),
     "origin infinite": (8, "f", np.inf),
@@ -446,10 +449,10 @@ HOSTILE = {
     "centre too low": (25, "i", -(1 << 31)),
     **{f"unit of {name} 0": (UNIT + 4 * i, "I", 0) for i, name in enumerate(UNITS)},
     **{f"unit of {name} huge": (UNIT + 4 * i, "I", 2**32 - 1) for i, name in enumerate(UNITS)},
-    **{f"limit {i} of 255": (RULE + 21 * i + 20, "B", 255) for i in range(7)},
-    "limit of positions 94": (RULE + 21 * 5 + 20, "B", 94),
-    "first bit of contexts": (RULE + 7 * 21, "B", 0x80),
-    "padding of contexts": (RULE + 7 * 21, "B", 0x01),
+    **{f"limit {i} of 255": (RULE + 21 * i + 20, "B", 255) for i in range(len(RULES))},
+    "limit of positions 94": (RULE + 21 * RULES.index("position") + 20, "B", 94),
+    "first bit of contexts": (RULE + len(RULES) * 21, "B", 0x80),
+    "padding of contexts": (RULE + len(RULES) * 21, "B", 0x01),
     "no tables": (TABLES, "H", 0),
     "65535 tables": (TABLES, "H", 65535),
     "alphabet 0": (TABLES + 2, "H", 0),
@@ -482,7 +485,7 @@ def test_offsets_of_the_hostile_lattice_are_right():
 def test_hostile_rules_are_survived_seed(seed):
     """Any numbers are rules; only what they make of the stream may be corrupt."""
     rng = np.random.default_rng(seed)
-    for rule in range(7):
+    for rule in range(len(RULES)):
         numbers = rng.choice([-(2**31), 2**31 - 1, 0, -1, 1 << 16, -(1 << 20)], 5).tolist()
         survive(patched(small(bool(seed % 2)), RULE + 21 * rule, "5i", *numbers))
 

@@ -63,7 +63,8 @@ def test_a_constant_group_has_no_step(scene):
 def test_means_move_and_all_else_stays():
     rng = np.random.default_rng(221)
     known = np.concatenate([np.ones((1, 50)), rng.normal(size=(4, 50))])
-    rules = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
+    turns = ("turn_0", "turn_1", "turn_2")
+    rules = ("opacity", "scale_0", "scale_1", "scale_2", *turns, "position", "colour")
     classes = rng.integers(0, 4, (2, 100)).astype(np.uint8)
     steps = StepSizes(
         classes[0], classes[1], {r: rng.normal(size=5) for r in rules}, (0.5, 0.25, 2.0)
@@ -76,7 +77,7 @@ def test_means_move_and_all_else_stays():
 
     asked = {"rotation": -3.5, "scaling": -1.0, "geometry": 4.0, "sh-dc": -2.0, "sh2": -6.0}
     moved = as_deep(steps, some, known, asked)
-    assert octaves(moved, "rotation").mean() == pytest.approx(-3.5)
+    assert np.mean([octaves(moved, turn) for turn in turns]) == pytest.approx(-3.5)
     assert octaves(moved, "position").mean() == pytest.approx(4.0)
     assert octaves(moved, "colour").mean() == pytest.approx(-2.0)
     scales = [octaves(moved, f"scale_{k}") - octaves(steps, f"scale_{k}") for k in range(3)]

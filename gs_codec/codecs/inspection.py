@@ -12,7 +12,9 @@ import numpy as np
 
 from gs_codec.codecs.adaptive.contexts import Pass, passes
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, Lattice, PositionGrid
+from gs_codec.codecs.adaptive.rotation import rules_of
 from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
+from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
@@ -258,10 +260,10 @@ def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> 
 
 def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
     """The finest step size of a pass, and by how many octaves the coarsest is larger."""
-    rules = {"opacity": "opacity", "rotation": "rotation", "scaling": item.name}
     if item.stream == "classes" or item.name == "SH energy":
         return 1.0, 0
-    limit = lattice.rules[rules.get(item.stream, "colour")].limit
+    used = rules_of(item.name) if item.stream in SHAPE_RULES else ("colour",)
+    limit = max(lattice.rules[name].limit for name in used)
     return lattice.units[item.stream] / (1 << FRACTION_BITS), limit
 
 

@@ -15,7 +15,7 @@ from gs_codec.codecs.adaptive.lattice import PositionGrid, grid_codes
 from gs_codec.codecs.entropygs.symbols import order_like
 from gs_codec.codecs.inspection import Info
 from gs_codec.codecs.lossless.lossless import lossless_order
-from gs_codec.coding.axes import quaternions, sort_axes
+from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.clean import identity_for_zero
 from gs_codec.coding.quantise import fit_range
 from gs_codec.errors import InvalidInput
@@ -68,7 +68,7 @@ class GridOrder:
         return f"{_GRID} {numbers} {' '.join(map(str, self.grid.bits))}"
 
     def apply(self, original: Scene, decoded: Scene) -> Scene:
-        """The original in the decoded scene's order, its axes sorted as they were coded."""
+        """The original in the decoded scene's order, its axes as they were coded."""
         codes = grid_codes(original.positions, self.grid)
         order = np.argsort(codes, kind="stable")
         codes, coded = codes[order], grid_codes(decoded.positions, self.grid)
@@ -78,7 +78,8 @@ class GridOrder:
             raise InvalidInput(_UNRELATED)
         ordered, _ = identity_for_zero(original.take(order))
         _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
-        return replace(ordered, log_scale=scales.astype(np.float32), rot=quaternions(vectors))
+        rot = nearest_quaternions(vectors, decoded.rot)
+        return replace(ordered, log_scale=scales.astype(np.float32), rot=rot)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ from itertools import groupby
 
 from gs_codec.codecs.adaptive.contexts import Pass, passes
 from gs_codec.codecs.adaptive.lattice import Lattice
+from gs_codec.codecs.adaptive.rotation import rules_of
 from gs_codec.codecs.adaptive.section import PassModels
+from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.entropygs.section import Channel
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import SH_STREAMS
@@ -113,12 +115,13 @@ def _shared(lattice: Lattice, listed: list[Pass], models: PassModels, zeros: set
 
 
 def _has_contexts(lattice: Lattice, item: Pass) -> bool:
-    """Whether a pass uses several contexts; of opacity, scales and rotation, its rule tells."""
-    if item.stream not in ("opacity", "scaling", "rotation"):
+    """Whether a pass uses several contexts; of opacity, scales and rotation, rules tell."""
+    if item.stream not in SHAPE_RULES:
         return item.contexts > 1
-    rule = lattice.rules["rotation" if item.stream == "rotation" else item.name]
-    varies = lattice.classes[0] > 1 or rule.opacity or any(rule.scales)
-    return bool(rule.limit and varies)
+    used = [lattice.rules[name] for name in rules_of(item.name)]
+    # Turns depend on how alike axes are, too.
+    varies = lattice.classes[0] > 1 or item.stream == "rotation" or any(used[0].numbers[1:])
+    return bool(varies and any(rule.limit for rule in used))
 
 
 def _bands(numbers: Iterable[int]) -> str:

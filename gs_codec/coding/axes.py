@@ -101,9 +101,17 @@ def sort_axes(
     return order, scales, vectors
 
 
-def quaternions(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Unit quaternions wxyz ``(4, N)`` of vector parts ``(3, N)``, real parts not negative."""
-    squares = vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2]
-    norms = np.sqrt(np.maximum(squares, 1.0))
-    real = np.sqrt(np.maximum(1.0 - squares, 0.0))
-    return np.stack([real, *(vectors / norms)]).astype(np.float32)
+def nearest_quaternions(
+    vectors: NDArray[np.float64], rot: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Of the ways to write Gaussians that differ by half turns, the nearest to ``rot (4, N)``.
+
+    ``vectors (3, N)`` are vector parts as `sort_axes` gives them; the result is ``(4, N)``, wxyz.
+    """
+    x, y, z = vectors
+    w = np.sqrt(np.maximum(1.0 - (x * x + y * y + z * z), 0.0))
+    ways = np.array([(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)])
+    dots = np.sum(ways * rot, axis=1)
+    best = np.argmax(np.abs(dots), axis=0)[None]
+    signs = np.where(np.take_along_axis(dots, best, 0) < 0, -1.0, 1.0)
+    return (signs * np.take_along_axis(ways, best[None], 0)[0]).astype(np.float32)

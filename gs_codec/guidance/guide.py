@@ -179,8 +179,11 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
 def steps_adding(scene: Scene, found: Sensitivity) -> Callable[[float], StepSizes]:
     """Step sizes of a scene by the squared error that all parameters together may add."""
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
-    sorted_axes = np.take_along_axis(found.log_scale, axes.astype(np.int64), 0)
-    by_error = fit_step_sizes(found._replace(log_scale=sorted_axes), scene.opacity[0], scales)
+    by_axis = {
+        name: np.take_along_axis(getattr(found, name), axes.astype(np.int64), 0)
+        for name in ("log_scale", "rot")
+    }
+    by_error = fit_step_sizes(found._replace(**by_axis), scene.opacity[0], scales)
     parameters = scene.count * channel_count(len(scene.f_rest) // 3)
     return lambda error: by_error(error / parameters)
 

@@ -40,8 +40,8 @@ from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import available_threads, run_all
 from gs_codec.scene import Scene
 
-#: Columns of the sums over views; log-scale has three.
-_POSITIONS, _LOG_SCALE, _ROT, _OPACITY, _COLOUR, _COLUMNS = 0, 1, 4, 5, 6, 7
+#: Columns of the sums over views; log-scale and rotation have three.
+_POSITIONS, _LOG_SCALE, _ROT, _OPACITY, _COLOUR, _COLUMNS = 0, 1, 4, 7, 8, 9
 
 #: Views drawn, for each thread, before their results are added in order.
 _VIEWS_A_THREAD = 4
@@ -85,7 +85,7 @@ def sensitivity(
     summed = Sensitivity(
         columns[_POSITIONS],
         columns[_LOG_SCALE:_ROT],
-        columns[_ROT],
+        columns[_ROT:_OPACITY],
         columns[_OPACITY],
         columns[_COLOUR],
     )
@@ -95,7 +95,7 @@ def sensitivity(
 def _look(
     scene: Scene, camera: Camera, background: Sequence[float]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The Gaussians ``(V,)`` that a view draws, and what it adds to their sums ``(V, 7)``."""
+    """The Gaussians ``(V,)`` that a view draws, and what it adds to their sums ``(V, 9)``."""
     frame = make_frame(scene, camera)
     fields, gaussians = frame.splats.fields, frame.splats.gaussians
     sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
@@ -122,7 +122,7 @@ def _to_attributes(
     positions, opacity, log_scale, rot, rotation, position, intrinsics, width, height,
     antialiased, fields, gaussians, sums, found,
 ):  # fmt: skip
-    """Fill ``found (V, 7)`` from the sums over the pixels of each splat."""
+    """Fill ``found (V, 9)`` from the sums over the pixels of each splat."""
     fx, fy, cx, cy = intrinsics
     variances, axes = np.empty(3), np.empty((3, 2))
     units, offsets = np.empty((3, 2)), np.empty((3, 2))
@@ -148,13 +148,13 @@ def _to_attributes(
             axes[k, 0], axes[k, 1] = scale * units[k, 0], scale * units[k, 1]
             offsets[k, 0], offsets[k, 1] = _offset(field, units[k, 0], units[k, 1])
             variances[k] = scale * scale
-        row[_ROT] = 0.0
         for k in range(3):
             m = (k + 1) % 3
             stretched = _by_covariance(total, axes, units, offsets, k, k, antialiased)
             turned = _by_covariance(total, axes, units, offsets, k, m, antialiased)
             row[_LOG_SCALE + k] = variances[k] ** 2 * stretched
-            row[_ROT] += (variances[k] - variances[m]) ** 2 * turned / 3.0
+            # In the plane of two axes, so about the third.
+            row[_ROT + (k + 2) % 3] = (variances[k] - variances[m]) ** 2 * turned
         row[_OPACITY] = total[G] / (1.0 + math.exp(np.float64(opacity[0, i]))) ** 2
         row[_COLOUR] = total[SQUARED_WEIGHT]
         for column in range(_COLUMNS):

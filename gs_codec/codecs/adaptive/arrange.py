@@ -34,8 +34,8 @@ from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
-#: Log2 of the coarsest step sizes: of logits, log-scales, quaternion components, colours.
-_COARSEST = {"opacity": 1, "scaling": 1, "rotation": -1, "colour": 2}
+#: Log2 of the coarsest step sizes: of logits, log-scales, sines of half angles, colours.
+_COARSEST = {"opacity": 1, "scaling": 1, "rotation": 1, "colour": 2}
 
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codecs.adaptive.rotation import TURNS
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.scene import sh_bands
 
@@ -46,7 +47,7 @@ def passes(coefficients: int) -> list[Pass]:
         Pass("colour class", "classes", MAX_CLASSES),
         Pass("opacity", "opacity", SHIFT_CONTEXTS),
         *(Pass(f"scale_{k}", "scaling", SHIFT_CONTEXTS) for k in range(3)),
-        *(Pass(f"rot_{k}", "rotation", SHIFT_CONTEXTS) for k in range(1, 4)),
+        *(Pass(name, "rotation", SHIFT_CONTEXTS) for name in TURNS),
         Pass("f_dc", "sh-dc", 3 * COLOUR_SHIFTS * ACTIVITIES),
     ]
     if coefficients:

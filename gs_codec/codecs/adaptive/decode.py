@@ -17,10 +17,10 @@ from gs_codec.codecs.adaptive.lattice import (
     from_grid,
     to_float,
 )
+from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.section import bounds_of, lattice_of
 from gs_codec.codecs.adaptive.shape import Shape, walk_shape
 from gs_codec.codecs.adaptive.tokens import read_pass
-from gs_codec.coding.axes import quaternions
 from gs_codec.coding.context_rans import PassReader, PassTables
 from gs_codec.coding.count_tree import decode_tree
 from gs_codec.coding.fields import BitReader, ByteReader
@@ -98,9 +98,9 @@ class Blocks:
         colour_class = streams.read(shape_class)
         _check_range([colour_class], 0, most_colours, f"{where}: a class")
         shape = walk_shape(
-            self.lattice, shape_class, lambda _, shifts: streams.read(shift_context(shifts))
+            self.lattice, shape_class, lambda _, shifts, __: streams.read(shift_context(shifts))
         )
-        _check_values([shape.opacity, *shape.scales, *shape.vectors], where)
+        _check_values([shape.opacity, *shape.scales, *shape.turns], where)
         grid_positions = self._grid_positions(block, codes, lefts, shape_class, shape)
         rule, unit = self.lattice.rules["colour"], self.lattice.units["sh-dc"]
         shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
@@ -110,7 +110,7 @@ class Blocks:
         self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
         self.groups["opacity"][0, span] = to_float(shape.opacity)
         self.groups["log_scale"][:, span] = to_float(shape.scales)
-        self.groups["rot"][:, span] = quaternions(to_float(shape.vectors))
+        self.groups["rot"][:, span] = turned_quaternions(to_float(shape.turns), shape.poles)
         if self.kept:
             self._decode_ac(streams, shifts, span, where)
         streams.finish(whole=self.kept == self.coded)

@@ -12,10 +12,10 @@ from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
 from gs_codec.codecs.adaptive.contexts import Pass, passes, share_tables
 from gs_codec.codecs.adaptive.lattice import from_grid, to_float
+from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET
-from gs_codec.coding.axes import quaternions
 from gs_codec.coding.context_rans import PRECISION, PassTables, encode_passes
 from gs_codec.coding.fields import BitWriter
 from gs_codec.coding.frequency_table import shannon_bits
@@ -50,7 +50,10 @@ class ShapedScene:
             positions=from_grid(grid_positions, self.arranged.lattice.grid),
             opacity=np.float32(to_float(np.concatenate([s.opacity for s in shapes])))[None],
             log_scale=np.float32(to_float(np.concatenate([s.scales for s in shapes], axis=1))),
-            rot=quaternions(to_float(np.concatenate([s.vectors for s in shapes], axis=1))),
+            rot=turned_quaternions(
+                to_float(np.concatenate([s.turns for s in shapes], axis=1)),
+                np.concatenate([s.poles for s in shapes]),
+            ),
         )
 
     def sh_steps(self) -> NDArray[np.float32]:

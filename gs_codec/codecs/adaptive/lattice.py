@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.morton import bit_layout, decode_morton, encode_morton
-from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.kernels import inlined, kernel
 
 #: Fraction bits of a fixed-point value.
 FRACTION_BITS = 20
@@ -70,6 +70,11 @@ class StepRule:
     scales: tuple[int, int, int] = (0, 0, 0)
     limit: int = MAX_SHIFT
 
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Intercept, and factors of opacity and of the three log-scales."""
+        return (self.intercept, self.opacity, *self.scales)
+
     def shifts(
         self,
         classes: NDArray[np.integer],
@@ -88,19 +93,25 @@ class StepRule:
         opacity, scales : ndarray, shape (n,) and (3, n), int64
             Fixed-point values; those that are not decoded yet have a coefficient of 0.
         """
-        numbers = np.array([self.intercept, self.opacity, *self.scales], np.int64)
         out = np.empty(len(classes), np.int64)
-        _shifts(numbers, self.limit, weight, classes, opacity, scales, out)
+        _shifts(np.array(self.numbers, np.int64), self.limit, weight, classes, opacity, scales, out)
         return out
+
+
+@inlined
+def rule_sum(numbers, weight, classes, opacity, scales, i):
+    """Shift of a Gaussian by a rule's numbers, in 1 / 2**16."""
+    total = numbers[0] + ((weight * np.int64(classes[i])) << RULE_FRACTION_BITS)
+    total += (numbers[1] * min(opacity[i], 0)) >> FRACTION_BITS
+    for k in range(3):
+        total += (numbers[2 + k] * scales[k, i]) >> FRACTION_BITS
+    return total
 
 
 @kernel
 def _shifts(numbers, limit, weight, classes, opacity, scales, out):
     for i in range(len(out)):
-        total = numbers[0] + ((weight * np.int64(classes[i])) << RULE_FRACTION_BITS)
-        total += (numbers[1] * min(opacity[i], 0)) >> FRACTION_BITS
-        for k in range(3):
-            total += (numbers[2 + k] * scales[k, i]) >> FRACTION_BITS
+        total = rule_sum(numbers, weight, classes, opacity, scales, i)
         out[i] = min(max(total >> RULE_FRACTION_BITS, 0), limit)
 
 

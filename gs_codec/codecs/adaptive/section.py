@@ -18,6 +18,7 @@ from gs_codec.codecs.adaptive.lattice import (
     PositionGrid,
     StepRule,
 )
+from gs_codec.codecs.adaptive.rotation import TURN_RULES
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.context_rans import PRECISION
@@ -41,7 +42,7 @@ _STEP_BITS = 31
 _RULE = "5iB"
 
 #: The rules of a scene, in the order of the section.
-RULES = ("opacity", "scale_0", "scale_1", "scale_2", "rotation", "position", "colour")
+RULES = ("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES, "position", "colour")
 
 #: The units of a scene, in the order of the section.
 UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
@@ -71,7 +72,7 @@ def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
     out += struct.pack(f"<{len(UNITS)}I", *(lattice.units[name] for name in UNITS))
     for name in RULES:
         rule = lattice.rules[name]
-        out += struct.pack("<" + _RULE, rule.intercept, rule.opacity, *rule.scales, rule.limit)
+        out += struct.pack("<" + _RULE, *rule.numbers, rule.limit)
     for rows in models.rows:
         # Neighbours may share a table: a bit is 1 where a context begins the next one.
         out += np.packbits(np.diff(rows, prepend=rows[:1]).astype(bool)).tobytes()

@@ -17,18 +17,27 @@ from gs_codec.codecs.adaptive.lattice import (
     to_float,
     to_lattice,
 )
+from gs_codec.codecs.adaptive.rotation import (
+    LARGEST_STEP,
+    TURNS,
+    split_roll,
+    tilts_of,
+    turn_shifts,
+)
 
-#: ``code(name, shifts) -> levels``: a decoder reads them, an encoder rounds to them.
-Coder = Callable[[str, NDArray[np.int64]], NDArray[np.int64]]
+#: ``code(name, shifts, poles) -> levels``: a decoder reads them, an encoder rounds to them. Poles
+#: are those of `turn_shifts`, None before rotation.
+Coder = Callable[[str, NDArray[np.int64], NDArray[np.int8] | None], NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Fixed-point logits ``(n,)``; log-scales, descending, and quaternion vectors ``(3, n)``."""
+    """Fixed-point logits ``(n,)``; log-scales, descending, and turns ``(3, n)``; poles ``(n,)``."""
 
     opacity: NDArray[np.int64]
     scales: NDArray[np.int64]
-    vectors: NDArray[np.int64]
+    turns: NDArray[np.int64]
+    poles: NDArray[np.int8]
 
 
 def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Shape:
@@ -42,25 +51,28 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
     none = np.zeros(count, np.int64)
     shifts = lattice.rules["opacity"].shifts(classes, 1, none, scales)
     unit = lattice.units["opacity"]
-    opacity = from_lattice(code("opacity", shifts), lattice.centres[0], unit, shifts)
+    opacity = from_lattice(code("opacity", shifts, None), lattice.centres[0], unit, shifts)
     unit = lattice.units["scaling"]
     for k in range(3):
         shifts = lattice.rules[f"scale_{k}"].shifts(classes, 1, opacity, scales)
-        levels = code(f"scale_{k}", shifts)
+        levels = code(f"scale_{k}", shifts, None)
         if k == 0:
             scales[k] = from_lattice(levels, lattice.centres[1], unit, shifts)
         else:
             scales[k] = scales[k - 1] - from_lattice(levels, 0, unit, shifts)
     unit = lattice.units["rotation"]
-    shifts = lattice.rules["rotation"].shifts(classes, 1, opacity, scales)
-    vectors = [from_lattice(code(f"rot_{k}", shifts), 0, unit, shifts) for k in (1, 2, 3)]
-    return Shape(opacity, scales, np.array(vectors).reshape(3, count))
+    by_turn, poles = turn_shifts(lattice.rules, classes, opacity, scales)
+    turns = np.empty((3, count), np.int64)
+    for turn, name, shifts in zip(turns, TURNS, by_turn, strict=True):
+        turn[:] = from_lattice(code(name, shifts, poles), 0, unit, shifts)
+    return Shape(opacity, scales, turns, poles)
 
 
 class ShapeQuantiser:
     """The `Coder` of an encoder: rounds the attributes, and keeps levels and shifts.
 
-    Gaussians whose axes differ by at most half a step are rounded to no rotation.
+    Gaussians whose axes differ by at most half a step are rounded to no rotation. `targets` has
+    the turns of the others before rounding, each after the decoded ones before it.
     """
 
     def __init__(
@@ -76,19 +88,24 @@ class ShapeQuantiser:
         self.vectors = vectors
         self.levels: dict[str, NDArray[np.int64]] = {}
         self.shifts: dict[str, NDArray[np.int64]] = {}
+        self.targets: dict[str, NDArray[np.float64]] = {}
         self.clamped = 0
         self._last = np.zeros(0)
+        self._swings = np.zeros((2, 0))
+        self._round = np.zeros(0, bool)
 
-    def __call__(self, name: str, shifts: NDArray[np.int64]) -> NDArray[np.int64]:
+    def __call__(
+        self, name: str, shifts: NDArray[np.int64], poles: NDArray[np.int8] | None
+    ) -> NDArray[np.int64]:
         """Levels of an attribute."""
-        group = {"o": "opacity", "s": "scaling", "r": "rotation"}[name[0]]
+        group = "rotation" if name in TURNS else "opacity" if name == "opacity" else "scaling"
         unit, centre, limit = self.lattice.units[group], 0, LARGEST
         if group == "opacity":
             values, centre = self.opacity, self.lattice.centres[0]
-        elif group == "rotation":
-            step = to_float(self.lattice.units["scaling"] << self.shifts["scale_0"])
-            is_round = self.scales[0] - self.scales[2] <= 0.5 * step
-            values = np.where(is_round, 0.0, self.vectors[int(name[-1]) - 1])
+        elif poles is not None:
+            self._aim(name, poles)
+            uncoded = self._round | (to_float(unit << shifts) > LARGEST_STEP)
+            values = np.where(uncoded, 0.0, self.targets[name])
         elif name == "scale_0":
             values, centre = self.scales[0], self.lattice.centres[1]
         else:
@@ -105,3 +122,14 @@ class ShapeQuantiser:
             coded = to_float(from_lattice(levels, centre, unit, shifts))
             self._last = coded if name == "scale_0" else self._last - coded
         return levels
+
+    def _aim(self, name: str, poles: NDArray[np.int8]) -> None:
+        """Set the turn that is to be rounded; the roll is followed by two tilts."""
+        if name == "roll":
+            step = to_float(self.lattice.units["scaling"] << self.shifts["scale_0"])
+            self._round = self.scales[0] - self.scales[2] <= 0.5 * step
+            self.targets[name], self._swings = split_roll(self.vectors, poles)
+        elif name == "tilt_0":
+            steps = to_float(self.lattice.units["rotation"] << self.shifts["roll"])
+            tilts = tilts_of(self._swings, self.levels["roll"] * steps, poles)
+            self.targets["tilt_0"], self.targets["tilt_1"] = tilts

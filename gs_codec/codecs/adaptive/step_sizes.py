@@ -21,7 +21,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.lattice import RULE_FRACTION_BITS, StepRule
+from gs_codec.codecs.adaptive.lattice import (
+    LARGEST,
+    RULE_FRACTION_BITS,
+    StepRule,
+    to_fixed,
+)
+from gs_codec.codecs.adaptive.rotation import TURN_RULES, likeness
 from gs_codec.coding.linear import combine, fitting
 from gs_codec.scene import SH_C0
 
@@ -44,7 +50,7 @@ _FEATURES = {
     "scale_0": [0, 1],
     "scale_1": [0, 1, 2],
     "scale_2": [0, 1, 2, 3],
-    "rotation": [0, 1, 2, 3, 4],
+    **{turn: [0, 1, 2, 3, 4] for turn in TURN_RULES},
     "position": [0, 1, 2, 3, 4],
     "colour": [0, 1, 2, 3, 4],
 }
@@ -53,7 +59,7 @@ _FEATURES = {
 SHAPE_RULES = {
     "opacity": ("opacity",),
     "scaling": ("scale_0", "scale_1", "scale_2"),
-    "rotation": ("rotation",),
+    "rotation": TURN_RULES,
 }
 
 #: SH-DC for a unit of colour.
@@ -66,7 +72,9 @@ _LEVELS = {
     "scale_0": (-0.45, 0.75),
     "scale_1": (-2.75, 0.75, 0.625),
     "scale_2": (-4.25, 0.75, 0.375, 0.375),
-    "rotation": (-4.0, 0.75, 1.375, -0.375, -0.375),
+    "turn_0": (-3.0, 0.75, 0.0, 1.125, -0.25),
+    "turn_1": (-3.5, 0.75, 1.25, -0.25, -0.25),
+    "turn_2": (-3.75, 0.75, 1.25, -0.5, -0.125),
     "position": (-2.875, 0.75, 0.125, -0.375, -0.25),
     "colour": (-1.0 - _BY_COLOUR, 0.75, 0.5, 0.125, -0.125),
 }
@@ -87,8 +95,8 @@ class Sensitivity(NamedTuple):
         Mean of the three axes, for a scene unit.
     log_scale : ndarray, shape (3, N)
         Natural logarithm.
-    rot : ndarray, shape (N,)
-        Mean of the Gaussian's three axes, turned by a radian.
+    rot : ndarray, shape (3, N)
+        A turn about each of the Gaussian's own axes, radian.
     opacity : ndarray, shape (N,)
         Logit.
     colour : ndarray, shape (N,)
@@ -111,7 +119,8 @@ class StepSizes:
     shape_class, colour_class : ndarray, shape (N,), uint8
         Octaves coarser than the finest.
     coefficients : dict of str to ndarray, shape (5,)
-        ``log2(step) = class + coefficients @ features`` for each rule.
+        ``log2(step) = class + coefficients @ features`` for each rule; to those of turns,
+        `likeness` is added.
     sh_ratios : tuple of three float
         Ratio of the step sizes of each SH-AC band to those of SH-DC.
     """
@@ -145,11 +154,12 @@ def fit_step_sizes(
         Step sizes for the squared error that a parameter may add, summed as sensitivities are.
     """
     known = features(opacity, scales)
+    alike = likeness(to_fixed(scales, LARGEST)[0])
     shape = {
         "opacity": sensitivity.opacity,
         **{f"scale_{k}": sensitivity.log_scale[k] for k in range(3)},
-        # The quaternion's vector has half the angle.
-        "rotation": 4 * sensitivity.rot,
+        # Half angles are coded; what likeness of axes adds to their steps is not to be fitted.
+        **dict(zip(TURN_RULES, sensitivity.rot * 4.0 ** (1 + alike), strict=True)),
         "position": sensitivity.positions,
     }
     # Gaussians that hardly any view sees would distort the fit; any step size suits them.
@@ -259,6 +269,7 @@ def blind_coefficients(
         row[1 : 1 + len(slopes)] = -np.array(slopes) / octave
         row[0] = math.log2(fineness) - constant + middle * sum(slopes[1:])
         coefficients[name] = row
-    coefficients["rotation"][0] -= 1.0  # the quaternion's vector has half the angle
+    for turn in TURN_RULES:
+        coefficients[turn][0] -= 1.0  # half angles are coded
     coefficients["position"][0] += middle
     return coefficients

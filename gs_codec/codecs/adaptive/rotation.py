@@ -1,0 +1,171 @@
+"""Rotation as a roll about one axis of a Gaussian and two tilts of that axis.
+
+A turn in the plane of two axes is seen by how much their lengths differ: a needle needs hardly any
+roll about its longest axis, a disc about its shortest. The *pole* is that one of these two about
+which turns are rounded more coarsely. The quaternion is the product of the least turn that brings
+the pole's axis to where it is and, before it, a roll about it; written in the rolled frame, the two
+components of that least turn are turns about the other axes of the Gaussian itself, so that each
+of the three numbers has a step size of its own. FORMAT.md, section "Lattices".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.lattice import (
+    FRACTION_BITS,
+    RULE_FRACTION_BITS,
+    StepRule,
+    rule_sum,
+)
+from gs_codec.runtime.kernels import inlined, kernel
+
+#: Rules of the turns about the longest, the middle and the shortest axis.
+TURN_RULES = ("turn_0", "turn_1", "turn_2")
+
+#: Passes: the roll about the pole, the tilts about the middle axis and about the third.
+TURNS = ("roll", "tilt_0", "tilt_1")
+
+#: Rules of which each pass uses one; which, the pole tells.
+_RULES_OF = {"roll": ("turn_0", "turn_2"), "tilt_0": ("turn_1",), "tilt_1": ("turn_0", "turn_2")}
+
+#: Sines of half angles are at most about this; with larger steps there is only level 0.
+LARGEST_STEP = 0.75
+
+
+def rules_of(name: str) -> tuple[str, ...]:
+    """Rules that a pass of opacity, scaling or rotation uses."""
+    return _RULES_OF.get(name, (name,))
+
+
+@inlined
+def _alike(first, second):
+    """Octaves by which a turn in the plane of two axes of fixed-point log-scales is coarser."""
+    return max(FRACTION_BITS - math.frexp(np.float64(abs(first - second)))[1], 0)
+
+
+@kernel
+def _likeness(scales, out):
+    for i in range(out.shape[1]):
+        for k in range(3):
+            out[k, i] = _alike(scales[(k + 1) % 3, i], scales[(k + 2) % 3, i])
+
+
+def likeness(scales: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Octaves that likeness of the other two axes adds to a turn about each axis, ``(3, n)``.
+
+    ``scales (3, n)`` are fixed-point log-scales.
+    """
+    out = np.empty(scales.shape, np.int64)
+    _likeness(scales, out)
+    return out
+
+
+@kernel
+def _turn_shifts(numbers, limits, classes, opacity, scales, shifts, poles):
+    for i in range(len(poles)):
+        for k in range(3):
+            total = rule_sum(numbers[k], 1, classes, opacity, scales, i) >> RULE_FRACTION_BITS
+            total += _alike(scales[(k + 1) % 3, i], scales[(k + 2) % 3, i])
+            shifts[k, i] = min(max(total, 0), limits[k])
+        poles[i] = 0
+        if shifts[2, i] > shifts[0, i]:
+            poles[i] = 2
+            shifts[0, i], shifts[2, i] = shifts[2, i], shifts[0, i]
+
+
+def turn_shifts(
+    rules: Mapping[str, StepRule],
+    classes: NDArray[np.integer],
+    opacity: NDArray[np.int64],
+    scales: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int8]]:
+    """Shifts ``(3, n)`` of `TURNS`, and the poles ``(n,)``: 0 the longest axis, 2 the shortest.
+
+    ``opacity (n,)`` and ``scales (3, n)`` are fixed-point values.
+    """
+    used = [rules[name] for name in TURN_RULES]
+    limits = np.array([rule.limit for rule in used], np.int64)
+    numbers = np.array([rule.numbers for rule in used], np.int64)
+    shifts = np.empty((3, len(classes)), np.int64)
+    poles = np.empty(len(classes), np.int8)
+    _turn_shifts(numbers, limits, classes, opacity, scales, shifts, poles)
+    return shifts, poles
+
+
+@kernel
+def _quaternions(turns, poles, rot):
+    for i in range(len(poles)):
+        roll = min(max(turns[0, i], -1.0), 1.0)
+        real = math.sqrt(1.0 - roll * roll)
+        middle, third = turns[1, i], turns[2, i]
+        square = middle * middle + third * third
+        norm = math.sqrt(max(square, 1.0))
+        upright = math.sqrt(max(1.0 - square, 0.0))
+        middle, third = middle / norm, third / norm
+        rot[0, i] = real * upright
+        rot[1 + poles[i], i] = roll * upright
+        # Axes in cyclic order from the pole: the middle one is the next of 0, the last of 2.
+        sign = 1.0 - poles[i]
+        rot[2, i] = real * middle - sign * (roll * third)
+        rot[3 - poles[i], i] = real * third + sign * (roll * middle)
+
+
+def turned_quaternions(turns: NDArray[np.float64], poles: NDArray[np.int8]) -> NDArray[np.float32]:
+    """Unit quaternions wxyz ``(4, n)``, real parts not negative.
+
+    ``turns (3, n)`` are sines of half the angles of `TURNS`; too large ones are cut.
+    """
+    rot = np.empty((4, len(poles)), np.float32)
+    _quaternions(turns, poles, rot)
+    return rot
+
+
+@kernel
+def _split_roll(vectors, poles, rolls, swings):
+    for i in range(len(poles)):
+        p = poles[i]
+        a, b = (p + 1) % 3, (p + 2) % 3
+        x, y, z = vectors[p, i], vectors[a, i], vectors[b, i]
+        w = math.sqrt(max(1.0 - (x * x + y * y + z * z), 0.0))
+        # Half turns about the axes leave the Gaussian as it is.
+        if w * w + x * x < y * y + z * z:
+            w, x, y, z = -y, -z, w, x
+        if abs(x) > abs(w):
+            w, x, y, z = -x, w, z, -y
+        if w < 0.0:
+            w, x, y, z = -w, -x, -y, -z
+        norm = math.sqrt(w * w + x * x)
+        cosine, sine = w / norm, x / norm
+        rolls[i] = sine
+        swings[0, i] = y * cosine - z * sine
+        swings[1, i] = y * sine + z * cosine
+
+
+def split_roll(
+    vectors: NDArray[np.float64], poles: NDArray[np.int8]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rolls ``(n,)`` and swings ``(2, n)`` of quaternions of vector parts ``(3, n)``.
+
+    Sines of half angles, within 45 degrees; a swing has components of the unrolled frame, along
+    the axes that follow the pole in cyclic order.
+    """
+    rolls, swings = np.empty(len(poles)), np.empty((2, len(poles)))
+    _split_roll(vectors, poles, rolls, swings)
+    return rolls, swings
+
+
+def tilts_of(
+    swings: NDArray[np.float64], rolls: NDArray[np.float64], poles: NDArray[np.int8]
+) -> NDArray[np.float64]:
+    """Swings as tilts ``(2, n)`` about the middle axis and the third, after decoded rolls."""
+    sines = np.clip(rolls, -1.0, 1.0)
+    double = 2.0 * sines * np.sqrt(1.0 - sines * sines)
+    cosines = 1.0 - 2.0 * sines * sines
+    first = swings[0] * cosines + swings[1] * double
+    second = swings[1] * cosines - swings[0] * double
+    return np.where(poles == 0, [first, second], [second, first])

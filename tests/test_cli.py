@@ -417,7 +417,7 @@ def test_inspect_says_what_lattices_hold(lattice, profile):
     assert listed.startswith(plain)
     header, *rows = [line.split() for line in listed[len(plain) :].splitlines()]
     assert header == ["symbols", "stream", "tables", "finest", "step", "coarsest", "step"]
-    assert {row[0] for row in rows} >= {"opacity", "scale_2", "rot_3", "f_dc", "SH", "f_rest"}
+    assert {row[0] for row in rows} >= {"opacity", "scale_2", "tilt_1", "f_dc", "SH", "f_rest"}
     tables = {line.split()[0]: line.split()[-2] for line in plain.splitlines() if "tables" in line}
     for stream, number in tables.items():
         listed_tables = [int(p["tables"]) for p in info["passes"] if p["stream"] == stream]

@@ -224,7 +224,7 @@ def seen() -> tuple[Scene, Plan]:
     return generate(1200, 2, 5), Plan(Steps(), cameras(18))
 
 
-@pytest.mark.parametrize("wanted", [0.03, 0.1, 0.5])
+@pytest.mark.parametrize("wanted", [0.03, 0.1, 0.4])
 def test_losses_are_met_from_below(seen, wanted):
     scene, plan = seen
     data, report = encode_to_target(
@@ -341,9 +341,9 @@ def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
 
 def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
     scene, plan = seen
-    target = RateTarget(bits=250, allow_prune=True)
+    target = RateTarget(bits=265, allow_prune=True)
     data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
-    plain, _ = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=250), plan)
+    plain, _ = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=265), plan)
     assert report.rate.pruned == 0
     assert data == plain
 

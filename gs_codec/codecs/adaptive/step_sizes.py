@@ -7,8 +7,9 @@ decoded before. FORMAT.md, section "Notes on our encoder".
 
 Without cameras, log2 of a step size is log2 of the profile's fineness, minus a constant, minus a
 linear function of min(logit, 0) and of the log-scales relative to the scene's median. The numbers
-are rounded from gamma regressions on rendered sensitivities of five scenes (RESULTS.md), with the
-constants moved so that a bit saves about the same error wherever it is spent.
+are rounded from gamma regressions on rendered sensitivities of five scenes, those of turns of six
+(RESULTS.md), with the constants moved so that a bit saves about the same error wherever it is
+spent. What a turn matters less because two axes are alike is not fitted: see `rotation`.
 """
 
 from __future__ import annotations

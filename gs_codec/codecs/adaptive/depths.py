@@ -44,7 +44,8 @@ def as_deep(
 ) -> StepSizes:
     """Scale the step sizes of some groups so that their mean (log2) is the one in `octaves`.
 
-    The mean is taken over `some` of the Gaussians, with features ``known (5, n)``.
+    The mean is taken over `some` of the Gaussians, with features ``known (5, n)``; that of turns is
+    without what likeness of axes adds.
     """
     coefficients = {name: row.copy() for name, row in steps.coefficients.items()}
 

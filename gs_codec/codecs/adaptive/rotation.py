@@ -33,7 +33,7 @@ TURNS = ("roll", "tilt_0", "tilt_1")
 #: Rules of which each pass uses one; which, the pole tells.
 _RULES_OF = {"roll": ("turn_0", "turn_2"), "tilt_0": ("turn_1",), "tilt_1": ("turn_0", "turn_2")}
 
-#: Sines of half angles are at most about this; with larger steps there is only level 0.
+#: Sines of half angles are rounded to at most about this; with larger steps there is only level 0.
 LARGEST_STEP = 0.75
 
 

@@ -464,10 +464,10 @@ def decode_sh_dc(content, depths, positions):
 
 
 def weighted_neighbours(positions, point):
-    """Return (weight, index) of the 4 nearest of the 32 points before."""
+    """Return (weight, index) of the 4 nearest of the 8 points before."""
     x, y, z = positions[point]
     found = []
-    for index in range(point - 1, max(point - 33, -1), -1):
+    for index in range(point - 1, max(point - 9, -1), -1):
         a, b, c = positions[index]
         found.append(((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2, -index))
     found = sorted(found)[:4]

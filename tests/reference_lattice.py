@@ -59,16 +59,24 @@ class Lattice:
     centres: tuple
     units: dict
     rules: dict
-    tables: list = field(default_factory=list)  # of each pass, the table of each context
+    tables: list = field(default_factory=list)  # of each list, the table of each context
 
 
 # The lattice section
 
 
-def pass_contexts(sh_degree):
-    """Number of contexts of each pass."""
-    sizes = [1, 16, *[32] * 7, 288]
-    return sizes + ([32] + [9] * (3 * len(sh_bands(sh_degree))) if sh_degree else [])
+def context_lists(sh_degree):
+    """Number of contexts of each list."""
+    sizes = [31, 16, *[256] * 4, *[32] * 3, 288]
+    for band in range(1, sh_degree + 1):
+        sizes += [256] * (band == 1) + [16] * (band < sh_degree) + [384] * 3
+    return sizes
+
+
+def bucket(n):
+    """What a sum counts as in a context."""
+    k = n.bit_length() - 1
+    return n if n < 2 else min(2 * k + ((n >> (k - 1)) & 1), 15)
 
 
 def sh_bands(sh_degree):
@@ -109,16 +117,19 @@ def check_limits(units, rules):
 
 def read_tables(reader, lattice, sh_degree):
     used, number = [], -1
-    for contexts in pass_contexts(sh_degree):
-        bits = list(bits_of(reader.bytes(-(-contexts // 8))))
-        check(not bits[0] and not any(bits[contexts:]), "lattice: bits of contexts")
-        tables = []
-        for i in range(contexts):
-            number += int(i == 0 or bits[i])
+    size, expected = reader.take("2H")
+    marks = BinaryDecoder(reader.bytes(size), 2, "marks")
+    for contexts in context_lists(sh_degree):
+        begins, tables = 0, [number := number + 1]
+        for _ in range(contexts - 1):
+            begins = marks.decode(begins)
+            number += begins
             tables.append(number)
+        check(number - tables[0] < 64, "lattice: more than 64 tables of a list")
         used.append(tables)
-    check(reader.take("H") == number + 1, f"lattice: expected {number + 1} tables")
-    alphabets = [reader.take("H") for _ in range(number + 1)]
+    marks.finish()
+    check(expected == number + 1, f"lattice: expected {number + 1} tables")
+    alphabets = list(reader.bytes(number + 1))
     check(all(1 <= size <= 240 for size in alphabets), "lattice: alphabet")
     coder, tables = BinaryDecoder(reader.rest(), 94, "weights"), []
     for size in alphabets:
@@ -130,12 +141,6 @@ def read_tables(reader, lattice, sh_degree):
 
 
 # Passes
-
-
-def bits_of(content):
-    for byte in content:
-        for position in range(7, -1, -1):
-            yield (byte >> position) & 1
 
 
 class Bits:
@@ -166,7 +171,7 @@ class Passes:
         check(len(content) == 4 * LANES, f"{place}: {len(content)} bytes of states")
         self.states = list(Reader(content, place).take(f"{LANES}I"))
         check(min(self.states) >= STATE_MIN, f"{place}: a state is below 2^16")
-        self.tables: Iterator = iter(tables)
+        self.lists: Iterator = iter(tables)
         self.place = place
 
     def open(self, content, stream):
@@ -174,8 +179,9 @@ class Passes:
         self.words = Reader(reader.bytes(reader.take("I")), reader.place)
         self.raw = Bits(reader.rest(), reader.place)
 
-    def start(self):
-        self.table, self.symbol = next(self.tables), 0
+    def start(self, shared=None):
+        """Begin a pass, with a list of contexts of its own if none is shared."""
+        self.table, self.symbol = shared or next(self.lists), 0
 
     def close(self):
         check(not self.words.rest(), f"{self.words.place}: words left over")
@@ -253,34 +259,39 @@ def bounded(values):
 
 def decode_classes(passes, classes, points):
     passes.start()
-    shape = [passes.integer(0) for _ in range(points)]
+    shape = []
+    for _ in range(points):
+        shape.append(passes.integer(two_before(shape)))
+        check(0 <= shape[-1] < classes[0], "shape class out of range")
     passes.start()
     colour = [passes.integer(k) for k in shape]
-    for name, values, number in zip(("shape", "colour"), (shape, colour), classes, strict=True):
-        check(all(0 <= k < number for k in values), f"{name} class out of range")
+    check(all(0 <= k < classes[1] for k in colour), "colour class out of range")
     return shape, colour
+
+
+def two_before(values):
+    """Sum of the last two values, as far as there are any."""
+    return sum(values[-2:])
 
 
 def decode_shapes(lattice, passes, sections, block, shape):
     """Return o; s as three lists; the lists of r, t_0, t_1; and the poles."""
-    o, s = [], []
+    s = []
     passes.open(sections[OPACITY, block], OPACITY)
-    passes.start()
-    for k in shape:
-        shift = lattice.rules["opacity"].shift(k)
-        level = passes.integer(min(shift, 31))
-        o.append(lattice.centres[0] + level * (lattice.units["opacity"] << shift))
+    shifts = [lattice.rules["opacity"].shift(k) for k in shape]
+    steps = decode_following(passes, lattice.units["opacity"], shifts, 21, 4)
+    o = [lattice.centres[0] + step for step in steps]
     passes.close()
     bounded(o)
     passes.open(sections[SCALING, block], SCALING)
     for axis in range(3):
-        passes.start()
-        column = []
-        for i, k in enumerate(shape):
-            shift = lattice.rules[f"scale_{axis}"].shift(k, o[i], [each[i] for each in s])
-            step = passes.integer(min(shift, 31)) * (lattice.units["scaling"] << shift)
-            column.append(s[-1][i] - step if axis else lattice.centres[1] + step)
-        s.append(bounded(column))
+        rule = lattice.rules[f"scale_{axis}"]
+        shifts = [rule.shift(k, o[i], [each[i] for each in s]) for i, k in enumerate(shape)]
+        steps = decode_following(passes, lattice.units["scaling"], shifts, 20, 0 if axis else 4)
+        if axis:
+            s.append(bounded([before - step for before, step in zip(s[-1], steps, strict=True)]))
+        else:
+            s.append(bounded([lattice.centres[1] + step for step in steps]))
     passes.close()
     passes.open(sections[ROTATION, block], ROTATION)
     turns, poles = decode_turns(lattice, passes, shape, o, s)
@@ -307,6 +318,16 @@ def decode_turns(lattice, passes, shape, o, s):
     return turns, poles
 
 
+def decode_following(passes, unit, shifts, fraction, centre):
+    """Return L (unit 2^shift) of a pass whose contexts depend on the two Gaussians before."""
+    passes.start()
+    values = []
+    for shift in shifts:
+        b = min(max((two_before(values) >> fraction) + centre, 0), 7)
+        values.append(passes.integer(8 * min(shift, 31) + b) * (unit << shift))
+    return values
+
+
 def decode_f_dc(lattice, passes, places, shifts):
     """Return [Y, Co, Cg] of each Gaussian."""
     passes.start()
@@ -328,25 +349,58 @@ def decode_f_dc(lattice, passes, places, shifts):
     return values
 
 
-def decode_f_rest(lattice, passes, sections, block, sh_degree, shifts):
+def decode_f_rest(lattice, passes, sections, block, sh_degree, shifts, places):
     """Return {coefficient: [Y, Co, Cg], each a list}."""
     found = {}
+    near = [[i for _, i in weighted_neighbours(places, p)[:2]] for p in range(len(places))]
     for band in range(1, sh_degree + 1):
         passes.open(sections[SH1 + band - 1, block], SH1 + band - 1)
         if band == 1:
+            left = decode_sums(passes, shifts)
+        sums = list(left)
+        if band < sh_degree:
             passes.start()
-            energy = [passes.integer(min(shift, 31)) for shift in shifts]
-            check(all(0 <= e <= 8 for e in energy), "energy class out of range")
-        for channel in range(3):
-            for i in BANDS[band - 1]:
-                passes.start()
-                column = [
-                    passes.integer(e) * (lattice.units[f"sh{band}"] << shift) if e else 0
-                    for e, shift in zip(energy, shifts, strict=True)
+            sums = [passes.integer(bucket(each)) if each else 0 for each in left]
+            check(all(0 <= own <= each for own, each in zip(sums, left, strict=True)), "sum_1, 2")
+        left = [each - own for own, each in zip(sums, left, strict=True)]
+        for channel, levels in decode_band(passes, BANDS[band - 1], near, sums):
+            for i, column in levels.items():
+                values = [
+                    level * (lattice.units[f"sh{band}"] << shift)
+                    for level, shift in zip(column, shifts, strict=True)
                 ]
-                found.setdefault(i, [None] * 3)[channel] = bounded(column)
+                found.setdefault(i, [None] * 3)[channel] = bounded(values)
         passes.close()
     return found
+
+
+def decode_sums(passes, shifts):
+    passes.start()
+    sums = []
+    for shift in shifts:
+        sums.append(passes.integer(16 * min(shift, 15) + bucket(two_before(sums))))
+        check(sums[-1] >= 0, "a sum is negative")
+    return sums
+
+
+def decode_band(passes, coefficients, near, left):
+    """Yield a channel and its levels by coefficient; `left` becomes 0."""
+    for channel in range(3):
+        tables, levels = next(passes.lists), {}
+        for j, i in enumerate(coefficients):
+            passes.start(tables[j::8])
+            last = channel == 2 and i == coefficients[-1]
+            column = levels[i] = []
+            for point, r in enumerate(left):
+                t = sum((column[n] > 0) - (column[n] < 0) for n in near[point])
+                level = passes.integer(3 * bucket(r) + abs(t)) if r else 0
+                if last and r:
+                    check(abs(level) == 1, "the last level of a band is not 1 or -1")
+                    level *= r
+                check(abs(level) <= r, "a level is above what is left")
+                left[point] -= abs(level)
+                column.append(-level if t < 0 else level)
+        yield channel, levels
 
 
 def decode_block(lattice, sections, block, sh_degree, points):
@@ -366,7 +420,7 @@ def decode_block(lattice, sections, block, sh_degree, points):
     passes.open(sections[SH_DC, block], SH_DC)
     f_dc = list(zip(*decode_f_dc(lattice, passes, places, shifts["colour"]), strict=True))
     passes.close()
-    f_rest = decode_f_rest(lattice, passes, sections, block, sh_degree, shifts["colour"])
+    f_rest = decode_f_rest(lattice, passes, sections, block, sh_degree, shifts["colour"], places)
     passes.finish()
     columns = {"opacity": [v / ONE for v in o]}
     columns |= {f"scale_{i}": [v / ONE for v in s[i]] for i in range(3)}

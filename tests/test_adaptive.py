@@ -10,12 +10,15 @@ from scenes import random_scene
 
 from gs_codec.codecs.adaptive.colour import code_colours, decode_colours, round_diffusing
 from gs_codec.codecs.adaptive.contexts import (
-    ENERGIES,
-    energy_class,
+    FOLLOWING,
+    MAX_TABLES,
+    SH_CONTEXTS,
+    context_lists,
     passes,
-    sh_channels,
     share_tables,
+    sum_context,
 )
+from gs_codec.codecs.adaptive.following import following_contexts, read_following
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
@@ -30,6 +33,12 @@ from gs_codec.codecs.adaptive.lattice import (
     to_lattice,
 )
 from gs_codec.codecs.adaptive.rotation import likeness
+from gs_codec.codecs.adaptive.sh_ac import (
+    BandSums,
+    code_coefficient,
+    read_coefficient,
+    two_nearest,
+)
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, features, fit_step_sizes, make_rule
 from gs_codec.codecs.adaptive.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
@@ -37,6 +46,7 @@ from gs_codec.coding.context_rans import PRECISION, PassReader, PassTables, enco
 from gs_codec.coding.count_tree import decode_tree, encode_tree
 from gs_codec.coding.fields import BitReader, BitWriter
 from gs_codec.coding.frequency_table import normalise, shannon_bits
+from gs_codec.coding.marks import decode_marks, encode_marks
 from gs_codec.coding.morton import decode_morton
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_all_nearest
 from gs_codec.coding.rans import LANES
@@ -461,7 +471,9 @@ def test_colours_round_trip_seed11(count):
     reader = PassReader(memoryview(states), tables, "test")
     reader.open(memoryview(words["sh-dc"]))
     raw = BitReader(memoryview(bits.finish()), "test")
-    np.testing.assert_array_equal(decode_colours(places, 300, shifts, rows, reader, raw), values)
+    np.testing.assert_array_equal(
+        decode_colours(find_all_nearest(places), 300, shifts, rows, reader, raw), values
+    )
     reader.close()
     reader.finish()
     raw.close()
@@ -473,7 +485,8 @@ def test_colours_beyond_the_largest_stay_there(sign):
     reader, raw = coded(levels)
     places, shifts = np.ones((3, 100), np.int64), np.full(100, 31)
     bits = BitReader(memoryview(raw), "test")
-    values = decode_colours(places, 1, shifts, np.zeros(288, np.int64), reader, bits)
+    nearest = find_all_nearest(places)
+    values = decode_colours(nearest, 1, shifts, np.zeros(288, np.int64), reader, bits)
     assert np.all(values == sign * 4 * int(LARGEST) * ONE)
 
 
@@ -481,10 +494,14 @@ def test_symbols_are_not_read_beyond_their_words():
     # The first slot is of a token with 2 raw bits, and all words are missing.
     weights = np.where(np.arange(ALPHABET) < 32, 0, 1)
     tables = PassTables.pack([normalise(weights, PRECISION)])
-    places, rows = np.ones((3, 700), np.int64), np.zeros(288, np.int64)
+    nearest, rows = find_all_nearest(np.ones((3, 700), np.int64)), np.zeros(288, np.int64)
+    none, ones = np.zeros(700, np.int64), np.ones(700, np.int64)
+    sums = BandSums.of(ones, two_nearest(nearest))
     for read in (
-        lambda *streams: decode_colours(places, 1, np.zeros(700, int), rows, *streams),
+        lambda *streams: decode_colours(nearest, 1, none, rows, *streams),
         lambda *streams: read_all(*streams, 700),
+        lambda *streams: read_following(*streams, rows, none, ones, FOLLOWING["opacity"]),
+        lambda *streams: read_coefficient(*streams, rows, sums, False, none.astype(np.int32)),
     ):
         reader = PassReader(memoryview(encode_passes([], tables)[0]), tables, "test")
         bits = BitReader(memoryview(b""), "test")
@@ -542,23 +559,138 @@ def test_colours_taken_in_steps_are_filled_in_again_seed14():
         assert fill_colours(alone, units, shifts, np.nextafter(largest, np.inf), out)
 
 
-@pytest.mark.parametrize("coefficients", [0, 3, 8, 15])
-def test_every_coefficient_has_a_pass(coefficients):
-    assert len(set(sh_channels(coefficients))) == 3 * coefficients
-    extra = 3 * coefficients + 1 if coefficients else 0
-    assert len(passes(coefficients)) == 10 + extra
-    streams = [item.stream for item in passes(coefficients)]
+@pytest.mark.parametrize(("coefficients", "sums"), [(0, 0), (3, 1), (8, 2), (15, 3)])
+def test_every_coefficient_has_a_pass(coefficients, sums):
+    listed = passes(coefficients)
+    names = [item.name for item in listed]
+    assert len(set(names)) == len(names) == 10 + sums + 3 * coefficients
+    assert sum(name.startswith("SH sum") for name in names) == sums
+    streams = [item.stream for item in listed]
     assert streams == sorted(streams, key=streams.index), "a stream's passes are together"
 
 
-def test_energy_classes():
-    levels = np.zeros((4, 60), np.int64)
-    levels[1], levels[3] = -(np.arange(60) // 2), (np.arange(60) + 1) // 2
+def test_passes_of_a_list_share_no_context():
+    used: dict[str, list[int]] = {}
+    for item in passes(15):
+        name, contexts = item.contexts_listed
+        used.setdefault(name, []).extend(item.rows(np.arange(contexts)).tolist())
+    for name, contexts in context_lists(passes(15)).items():
+        assert len(used[name]) == len(set(used[name])) <= contexts
+
+
+def test_sums_have_a_context_for_each_half_octave():
+    expected = [0, 1, 2, 3, 4, 4, 5, 5, 6, 6, 6, 6, 7, 7, 7, 7, 8]
+    assert sum_context(np.arange(17)).tolist() == expected
+    assert sum_context(np.array([95, 96, 127, 128, 191, 192, 1 << 30])).tolist() == [
+        12, 13, 13, 14, 14, 15, 15,
+    ]  # fmt: skip
+
+
+# Contexts by what came before
+
+
+def opened(tokens, raw_bits, contexts, rows) -> tuple[PassReader, BitReader]:
+    """A pass under tables that favour small or large tokens, and its raw bits, to be read."""
+    weights = np.stack([np.arange(ALPHABET)[::-1] + 1, np.arange(ALPHABET) + 1])
+    tables = PassTables.pack([normalise(row, PRECISION) for row in weights])
+    bits = BitWriter()
+    bits.add(*raw_bits)
+    states, words = encode_passes([("s", tokens, contexts, rows)], tables)
+    reader = PassReader(memoryview(states), tables, "test")
+    reader.open(memoryview(words["s"]))
+    return reader, BitReader(memoryview(bits.finish()), "test")
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_passes_that_follow_round_trip_seed15(name, count):
+    rng = np.random.default_rng(15)
+    rule = FOLLOWING[name]
+    bases, steps = rng.integers(0, 16, count), rng.integers(1, 1 << 18, count)
+    levels = rng.integers(-40, 40, count)
+    contexts = following_contexts(levels * steps, bases, rule)
+    values = [0, 0, *(levels * steps).tolist()]
+    for i, context in enumerate(contexts.tolist()):
+        index = ((values[i] + values[i + 1]) >> rule.fraction) + rule.centre
+        bucket = rule.buckets[min(max(index, 0), len(rule.buckets) - 1)]
+        assert context == bases[i] * rule.contexts + bucket
+    rows = rng.integers(0, 2, 16 * rule.contexts)
+    tokens, *raw = tokenise(levels)
+    reader, bits = opened(tokens, raw, contexts, rows)
+    decoded = read_following(reader, bits, rows, bases, steps, rule)
+    np.testing.assert_array_equal(decoded, levels)
+    reader.close()
+    reader.finish()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
+def test_coefficients_round_trip_seed16(count):
+    rng = np.random.default_rng(16)
+    levels = (rng.laplace(0, 2, (4, count)) * rng.integers(0, 3, count)).astype(np.int32)
+    near = two_nearest(find_all_nearest(rng.integers(0, 50, (3, count))))
+    rows = rng.integers(0, 2, SH_CONTEXTS)
     sums = np.abs(levels).sum(axis=0)
-    for total, found in zip(sums.tolist(), energy_class(levels).tolist(), strict=True):
-        assert ENERGIES[found] <= total
-        assert found == 8 or total < ENERGIES[found + 1]
-    assert set(energy_class(levels).tolist()) == set(range(9))
+    counted, read = BandSums.of(sums, near), BandSums.of(sums, near)
+    for k, row in enumerate(levels):
+        coded_levels, contexts = code_coefficient(row, counted, k == 3)
+        assert len(contexts) == np.count_nonzero(np.abs(levels[k:]).sum(axis=0))
+        assert k < 3 or set(np.abs(coded_levels).tolist()) <= {1}
+        assert contexts.size == 0 or 3 <= contexts.min() <= contexts.max() < SH_CONTEXTS
+        tokens, *raw = tokenise(coded_levels)
+        reader, bits = opened(tokens, raw, contexts, rows)
+        decoded = np.zeros(count, np.int32)
+        read_coefficient(reader, bits, rows, read, k == 3, decoded)
+        np.testing.assert_array_equal(decoded, row)
+        reader.close()
+        reader.finish()
+    assert counted.count == read.count == 0
+    assert not counted.left.any()
+
+
+@pytest.mark.parametrize(
+    ("level", "left", "last"), [(3, 2, False), (-3, 2, False), (2, 2, True), (0, 2, True)]
+)
+def test_levels_beyond_their_sum_are_refused(level, left, last):
+    reader, raw = coded(np.array([level]))
+    near = two_nearest(find_all_nearest(np.zeros((3, 1), np.int64)))
+    rows, levels = np.zeros(SH_CONTEXTS, np.int64), np.zeros(1, np.int32)
+    with pytest.raises(CorruptStream, match="a level of SH-AC beyond its sum"):
+        read_coefficient(
+            reader, BitReader(memoryview(raw), "test"), rows,
+            BandSums.of(np.array([left]), near), last, levels,
+        )  # fmt: skip
+
+
+def test_levels_are_mirrored_where_neighbours_are_negative():
+    near = two_nearest(find_all_nearest(np.zeros((3, 3), np.int64)))
+    assert near.tolist() == [[3, 3], [0, 3], [1, 0]]
+    for sign in (1, -1):
+        levels = sign * np.array([1, 2, 5], np.int32)
+        levels_coded, contexts = code_coefficient(
+            levels, BandSums.of(np.abs(levels) + 1, near), False
+        )
+        assert levels_coded.tolist() == [sign, 2, 5]
+        assert contexts.tolist() == [3 * 2, 3 * 3 + 1, 3 * 5 + 2]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
+def test_marks_round_trip_seed17(share):
+    rng = np.random.default_rng(17)
+    lists = [(rng.random(size) < share).astype(np.int64) for size in (0, 1, 30, 255)]
+    data = encode_marks(lists)
+    decoded = decode_marks(memoryview(data), [0, 1, 30, 255], "test")
+    for marks, found in zip(lists, decoded, strict=True):
+        np.testing.assert_array_equal(found, marks)
+    with pytest.raises(CorruptStream):
+        decode_marks(memoryview(data + b"\0"), [0, 1, 30, 255], "test")
+
+
+def test_there_are_never_more_tables_than_allowed_seed18():
+    histograms = np.zeros((200, 60), np.int64)
+    histograms[np.arange(200), np.random.default_rng(18).integers(0, 60, 200)] = 10**6
+    table_of, shared = share_tables(histograms)
+    assert len(shared) == MAX_TABLES == table_of[-1] + 1
+    assert shared.sum() == histograms.sum()
 
 
 # Places

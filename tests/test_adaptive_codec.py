@@ -21,6 +21,7 @@ from scenes import (
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
+from gs_codec.codecs.adaptive.contexts import context_lists, passes
 from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
 from gs_codec.codecs.adaptive.lattice import LARGEST, to_float
 from gs_codec.codecs.adaptive.rotation import LARGEST_STEP, TURNS, turned_quaternions
@@ -32,6 +33,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.clean import identity_for_zero
 from gs_codec.coding.count_tree import encode_tree
+from gs_codec.coding.marks import encode_marks
 from gs_codec.coding.morton import bit_layout
 from gs_codec.coding.sent_tables import encode_tables
 from gs_codec.coding.ycocg import to_ycocg
@@ -432,7 +434,8 @@ def patched(data: bytes, offset: int, layout: str, *values) -> bytes:
 
 
 UNIT, RULE = 29, 57
-TABLES = RULE + len(RULES) * 21 + 1 + 2 + 7 * 4 + 36 + 4 + 9 * 2
+MARKS = RULE + len(RULES) * 21
+TABLES = MARKS + 2
 HOSTILE = {
     "origin NaN": (0, "f", np.nan),
     "origin infinite": (8, "f", np.inf),
@@ -451,13 +454,11 @@ HOSTILE = {
     **{f"unit of {name} huge": (UNIT + 4 * i, "I", 2**32 - 1) for i, name in enumerate(UNITS)},
     **{f"limit {i} of 255": (RULE + 21 * i + 20, "B", 255) for i in range(len(RULES))},
     "limit of positions 94": (RULE + 21 * RULES.index("position") + 20, "B", 94),
-    "first bit of contexts": (RULE + len(RULES) * 21, "B", 0x80),
-    "padding of contexts": (RULE + len(RULES) * 21, "B", 0x01),
+    "no marks": (MARKS, "H", 0),
+    "65535 bytes of marks": (MARKS, "H", 65535),
+    "other marks": (TABLES + 2, "2B", 0xAA, 0x55),
     "no tables": (TABLES, "H", 0),
     "65535 tables": (TABLES, "H", 65535),
-    "alphabet 0": (TABLES + 2, "H", 0),
-    "alphabet 241": (TABLES + 2, "H", 241),
-    "alphabet 65535": (TABLES + 2, "H", 65535),
 }
 
 
@@ -477,8 +478,9 @@ def test_offsets_of_the_hostile_lattice_are_right():
     lattice, models = read_lattice(content, 3)
     assert struct.unpack_from("<7I", content, UNIT) == tuple(lattice.units[u] for u in UNITS)
     assert content[RULE + 20] == lattice.rules["opacity"].limit
-    assert struct.unpack_from("<H", content, TABLES)[0] == len(models.weights)
-    assert struct.unpack_from("<H", content, TABLES + 2)[0] == len(models.weights[0])
+    size, number = struct.unpack_from("<2H", content, MARKS)
+    assert number == len(models.weights)
+    assert content[TABLES + 2 + size] == len(models.weights[0])
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -499,12 +501,35 @@ def test_far_grid_gives_finite_positions():
 
 def test_table_without_symbols_is_refused():
     def change(content: bytes) -> bytes:
-        number = struct.unpack_from("<H", content, TABLES)[0]
-        sizes = struct.unpack_from(f"<{number}H", content, TABLES + 2)
-        weights = [np.zeros(size, np.int64) for size in sizes]
-        return content[: TABLES + 2 + 2 * number] + encode_tables(weights, [3] * number)
+        size, number = struct.unpack_from("<2H", content, MARKS)
+        end = TABLES + 2 + size + number
+        weights = [np.zeros(alphabet, np.int64) for alphabet in content[end - number : end]]
+        return content[:end] + encode_tables(weights, [3] * number)
 
     with pytest.raises(CorruptStream, match="section 'lattice': a table without symbols"):
+        decode_scene(with_section(small(False), SectionId.LATTICE, change))
+
+
+@pytest.mark.parametrize("alphabet", [0, 241, 255])
+def test_alphabets_out_of_range_are_refused(alphabet):
+    def change(content: bytes) -> bytes:
+        changed = bytearray(content)
+        changed[TABLES + 2 + struct.unpack_from("<H", content, MARKS)[0]] = alphabet
+        return bytes(changed)
+
+    with pytest.raises(CorruptStream, match="section 'lattice': an alphabet out of range"):
+        decode_scene(with_section(small(False), SectionId.LATTICE, change))
+
+
+def test_lists_of_too_many_tables_are_refused():
+    def change(content: bytes) -> bytes:
+        size = struct.unpack_from("<H", content, MARKS)[0]
+        lists = context_lists(passes(3)).values()
+        marks = encode_marks([np.ones(contexts - 1, np.int64) for contexts in lists])
+        start = struct.pack("<2H", len(marks), sum(lists)) + marks
+        return content[:MARKS] + start + content[TABLES + 2 + size :]
+
+    with pytest.raises(CorruptStream, match="section 'lattice': more than 64 tables of 'opacity'"):
         decode_scene(with_section(small(False), SectionId.LATTICE, change))
 
 

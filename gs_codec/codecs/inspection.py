@@ -251,16 +251,16 @@ def _bounds_of(file: EgsFile, grid: PositionGrid) -> Box:
 
 def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[PassInfo]:
     listed = []
-    for item, rows in zip(passes(coefficients), models.rows, strict=True):
+    for item in passes(coefficients):
         unit, limit = _steps(lattice, item)
-        tables = int(rows[-1] - rows[0]) + 1
+        tables = len(np.unique(models.rows(item)))
         listed.append(PassInfo(item.name, item.stream, tables, unit, unit * 2.0**limit))
     return listed
 
 
 def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
     """The finest step size of a pass, and by how many octaves the coarsest is larger."""
-    if item.stream == "classes" or item.name == "SH energy":
+    if item.stream == "classes" or item.name.startswith("SH sum"):
         return 1.0, 0
     used = rules_of(item.name) if item.stream in SHAPE_RULES else ("colour",)
     limit = max(lattice.rules[name].limit for name in used)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import groupby
 
+import numpy as np
+
 from gs_codec.codecs.adaptive.contexts import Pass, passes
 from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.rotation import rules_of
@@ -68,9 +70,9 @@ def skipped_by_passes(lattice: Lattice, models: PassModels, coefficients: int) -
     """Passes of profiles `l`, `m` and `s` that take no bits, and contexts with a single table."""
     listed = passes(coefficients)
     zeros = set()
-    for item, rows in zip(listed, models.rows, strict=True):
+    for item in listed:
         # If no table has a symbol but token 0, all levels are 0.
-        if not any(w[1:].any() for w in models.weights[rows[0] : rows[-1] + 1]):
+        if not any(models.weights[row][1:].any() for row in np.unique(models.rows(item))):
             zeros.add(item.name)
     lines = []
     if flat := [axis for axis, bits in zip("xyz", lattice.grid.bits, strict=True) if not bits]:
@@ -86,7 +88,7 @@ def _zero_passes(listed: list[Pass], zeros: set[str]) -> list[str]:
     lines = []
     zero_bands, zero = [], []
     for stream, group in groupby(listed, lambda item: item.stream):
-        names = [item.name for item in group if item.name != "SH energy"]
+        names = [item.name for item in group if not item.name.startswith("SH sum")]
         found = [name for name in names if name in zeros and stream != "classes"]
         if stream in _BANDS and found == names:
             zero_bands.append(_BANDS[stream])
@@ -104,18 +106,15 @@ def _zero_passes(listed: list[Pass], zeros: set[str]) -> list[str]:
 def _shared(lattice: Lattice, listed: list[Pass], models: PassModels, zeros: set[str]) -> list[str]:
     """Passes of several contexts that have one table."""
     shared: list[str] = []
-    pairs = zip(listed, models.rows, strict=True)
-    for stream, group in groupby(pairs, lambda pair: pair[0].stream):
-        coded = [
-            (p, rows) for p, rows in group if p.name not in zeros and _has_contexts(lattice, p)
-        ]
-        names = [p.name for p, rows in coded if rows[0] == rows[-1]]
+    for stream, group in groupby(listed, lambda item: item.stream):
+        coded = [p for p in group if p.name not in zeros and _has_contexts(lattice, p)]
+        names = [p.name for p in coded if len(np.unique(models.rows(p))) == 1]
         shared += _named(names, stream, len(coded))
     return [f"{', '.join(shared)}: one table for all contexts"] if shared else []
 
 
 def _has_contexts(lattice: Lattice, item: Pass) -> bool:
-    """Whether a pass uses several contexts; of opacity, scales and rotation, rules tell."""
+    """Whether a pass has contexts to tell apart; of opacity, scales and rotation, by its steps."""
     if item.stream not in SHAPE_RULES:
         return item.contexts > 1
     used = [lattice.rules[name] for name in rules_of(item.name)]

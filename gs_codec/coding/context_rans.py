@@ -37,9 +37,18 @@ class PassTables:
         spans = np.zeros((len(tables), alphabet), np.uint32)
         slots = np.zeros((len(tables), 1 << PRECISION), np.uint8)
         for span, slot, table in zip(spans, slots, tables, strict=True):
-            span[: table.frequencies.size] = table.spans
-            slot[:] = table.slots
+            _pack(table.frequencies, span, slot)
         return cls(spans, slots)
+
+
+@kernel
+def _pack(frequencies, spans, slots):
+    start = 0
+    for symbol in range(len(frequencies)):
+        frequency = np.int64(frequencies[symbol])
+        spans[symbol] = (start << 16) | frequency
+        slots[start : start + frequency] = symbol
+        start += frequency
 
 
 @kernel

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import inlined, kernel
 
-WINDOW = 32
+WINDOW = 8
 NEIGHBOURS = 4
 
 _LANES = WINDOW // NEIGHBOURS
-_AGE_BITS = 5
+_AGE_BITS = WINDOW.bit_length() - 1
 
 
 @inlined

@@ -87,15 +87,16 @@ def push(words, position, states, lane, span, precision):
 @inlined
 def pull(words, position, states, lane, spans, slots, precision):
     """Decode a symbol under a table; returns it and the position after the words it reads."""
-    state = states[lane]
+    # Unsigned: a signed index is tested for < 0.
+    state = states[np.uint64(lane)]
     slot = state & ((1 << precision) - 1)
-    symbol = np.int64(slots[slot])
-    span = np.int64(spans[symbol])
+    symbol = np.int64(slots[np.uint64(slot)])
+    span = np.int64(spans[np.uint64(symbol)])
     state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
     short = np.int64(state < LOWEST)
-    # No branch: it would often be mispredicted. Unsigned: a signed index is tested for < 0.
+    # No branch: it would often be mispredicted.
     word = np.int64(words[np.uint64(position)]) & -short
-    states[lane] = (state << (short << 4)) | word
+    states[np.uint64(lane)] = (state << (short << 4)) | word
     return symbol, position + short
 
 

@@ -101,7 +101,7 @@ def _decode(data: bytes) -> None:
     inspect_bytes(bytes(stream))
     scene, _ = decode_part(bytes(stream), part, 1, _MOST)
     for group in GROUPS if data[0] & 1 else ():
-        getattr(scene, group).sum()
+        getattr(scene, group).sum(dtype=np.float64)
 
 
 def _fit_last(stream: bytearray) -> None:

@@ -40,6 +40,10 @@ _COARSEST = {"opacity": 1, "scaling": 1, "rotation": 1, "colour": 2}
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18
 
+#: The finest unit of SH-AC, fixed-point: levels of 45 values of 400 then sum to less than 2**30, as
+#: tokens do not hold more.
+_FINEST_SH = 32
+
 #: Most bits of a step size as a fixed-point integer.
 _STEP_BITS = 31
 
@@ -129,7 +133,7 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: StepS
     units["sh-dc"] = units.pop("colour")
     for band, ratio in enumerate(steps.sh_ratios, 1):
         largest = (1 << (_STEP_BITS - rules["colour"].limit)) - 1
-        units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, 1), largest))
+        units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, _FINEST_SH), largest))
     grid, rules["position"] = _grid(scene, steps, wanted("position"))
     centres = (_median(scene.opacity[0, some]), _median(known[2]))
     classes = (

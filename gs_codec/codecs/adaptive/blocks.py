@@ -9,10 +9,17 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged
 from gs_codec.codecs.adaptive.colour import code_colours, round_diffusing
-from gs_codec.codecs.adaptive.contexts import energy_class, sh_channels, shift_context
+from gs_codec.codecs.adaptive.contexts import (
+    COLOUR_SHIFTS,
+    FOLLOWING,
+    shift_context,
+    sum_context,
+)
+from gs_codec.codecs.adaptive.following import following_contexts
 from gs_codec.codecs.adaptive.lattice import LARGEST, centres, to_fixed
+from gs_codec.codecs.adaptive.sh_ac import BandSums, code_coefficient, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
-from gs_codec.codecs.adaptive.tokens import ALPHABET, tokenise
+from gs_codec.codecs.adaptive.tokens import tokenise
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.count_tree import encode_tree
 from gs_codec.coding.fields import BitWriter
@@ -40,14 +47,18 @@ class PassData:
     def of(cls, levels: NDArray[np.integer], contexts: NDArray[np.integer]) -> PassData:
         """Tokenise levels."""
         tokens, raw_levels, raw_widths = tokenise(levels)
-        # Passes of SH-AC share one array: it is not copied if it has this type already.
-        return cls(tokens, contexts.astype(np.uint16, copy=False), raw_levels, raw_widths)
+        return cls(tokens, contexts.astype(np.uint16), raw_levels, raw_widths)
 
-    def histograms(self, contexts: int) -> NDArray[np.int64]:
-        """Counts of tokens ``(contexts, ALPHABET)``."""
-        counts = np.zeros((contexts, ALPHABET), np.int64)
+    @classmethod
+    def following(
+        cls, name: str, levels: NDArray[np.int64], bases: NDArray, steps: NDArray[np.int64] | int
+    ) -> PassData:
+        """Tokenise levels whose contexts depend on those of the Gaussians before."""
+        return cls.of(levels, following_contexts(levels * steps, bases, FOLLOWING[name]))
+
+    def count(self, counts: NDArray[np.int64]) -> None:
+        """Add the number of times that each token occurs to ``counts (contexts, ALPHABET)``."""
         _count(self.tokens, self.contexts, counts)
-        return counts
 
 
 @kernel
@@ -87,14 +98,7 @@ class Block:
 
     def kept(self) -> Block:
         """The block with its arrays in the storage in use, memory or disk."""
-        storage, done = current(), dict[int, NDArray]()
-
-        def keep(array: NDArray) -> NDArray:
-            # Passes share their contexts.
-            if id(array) not in done:
-                done[id(array)] = storage.keep(array)
-            return done[id(array)]
-
+        keep = current().keep
         kept = [PassData(*map(keep, vars(data).values())) for data in self.passes]
         return replace(self, passes=kept)
 
@@ -106,12 +110,15 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
     _, scales, vectors = sort_axes(source.log_scale[:, members], source.rot[:, members])
     quantiser = ShapeQuantiser(lattice, source.opacity[0, members], scales, vectors)
     shape = walk_shape(lattice, classes[0], quantiser)
+    first = classes[0].astype(np.int64)
     listed = [
-        PassData.of(classes[0], np.zeros_like(classes[0])),
-        PassData.of(classes[1], classes[0]),
+        PassData.following("shape class", first, np.zeros_like(first), 1),
+        PassData.of(classes[1], first),
     ]
-    for name, levels in quantiser.levels.items():
-        listed.append(PassData.of(levels, shift_context(quantiser.shifts[name])))
+    listed += [
+        _shape_pass(name, quantiser.levels[name], quantiser.shifts[name], quantiser.units[name])
+        for name in quantiser.levels
+    ]
     known = (shape.opacity, shape.scales)
     codes = arranged.codes[start:stop]
     tree, lefts = encode_tree(codes, lattice.grid.total_bits)
@@ -124,6 +131,15 @@ def shape_block(arranged: Arranged, start: int, stop: int) -> ShapedBlock:
     return ShapedBlock(
         start, stop, tree, bits.finish(), grid_positions, shape, shifts, listed, quantiser.clamped
     )
+
+
+def _shape_pass(
+    name: str, levels: NDArray[np.int64], shifts: NDArray[np.int64], unit: int
+) -> PassData:
+    """The pass of opacity, a scale or a component of rotation."""
+    if name not in FOLLOWING:
+        return PassData.of(levels, shift_context(shifts))
+    return PassData.following(name, levels, shift_context(shifts), unit << shifts)
 
 
 def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Block:
@@ -143,19 +159,30 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
         ac, beyond = take_colours(planes, members, np.array(finest), shaped.shifts, LARGEST)
         clamped += beyond
         levels = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
-        listed += _ac_passes(levels.reshape(3, coefficients, -1), shaped.shifts)
+        by_colour = levels.reshape(3, coefficients, -1)
+        listed += _ac_passes(by_colour, shaped.shifts, two_nearest(nearest))
     grid = shaped.grid_positions
     box = (*grid.min(axis=1).tolist(), *grid.max(axis=1).tolist())
     return Block(shaped.tree, shaped.low_bits, box, listed, clamped)
 
 
-def _ac_passes(levels: NDArray[np.int32], shifts: NDArray[np.int64]) -> list[PassData]:
-    """Passes of SH-AC ``levels (3, K, n)``: energy class, then coefficients if it is above 0."""
-    coefficients = levels.shape[1]
-    energy = energy_class(levels.reshape(3 * coefficients, -1))
-    listed = [PassData.of(energy, shift_context(shifts))]
-    some = np.flatnonzero(energy)
-    context = energy[some].astype(np.uint16)
-    for _, colour, k in sh_channels(coefficients):
-        listed.append(PassData.of(levels[colour, k, some], context))
+def _ac_passes(
+    levels: NDArray[np.int32], shifts: NDArray[np.int64], near: NDArray[np.uint32]
+) -> list[PassData]:
+    """Passes of SH-AC ``levels (3, K, n)``: sums, then coefficients as far as something is left."""
+    bands = [levels[:, band.start : band.stop] for band in sh_bands(levels.shape[1])]
+    sums = [np.abs(band).sum(axis=(0, 1), dtype=np.int64) for band in bands]
+    left = np.sum(sums, axis=0)
+    base = shift_context(shifts, COLOUR_SHIFTS)
+    listed = [PassData.following("SH sum", left, base, 1)]
+    for number, (band, own) in enumerate(zip(bands, sums, strict=True), 1):
+        if number < len(bands):
+            some = np.flatnonzero(left)
+            listed.append(PassData.of(own[some], sum_context(left[some])))
+            left = left - own
+        counted = BandSums.of(own, near)
+        planes = [plane for colour in band for plane in colour]
+        for k, plane in enumerate(planes, 1):
+            coded = code_coefficient(plane, counted, k == len(planes))
+            listed.append(PassData.of(*coded))
     return listed

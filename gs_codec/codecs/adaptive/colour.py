@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.contexts import ACTIVITIES, COLOUR_SHIFTS
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE
-from gs_codec.codecs.adaptive.tokens import raw_width, value_of
-from gs_codec.coding.binary import code_raw
+from gs_codec.codecs.adaptive.tokens import read_token
 from gs_codec.coding.colour import predict, weigh
-from gs_codec.coding.context_rans import PRECISION, PassReader
+from gs_codec.coding.context_rans import PassReader
 from gs_codec.coding.fields import BitReader
-from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, Nearest, find_nearest
-from gs_codec.coding.rans import LANES, pull
+from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, Nearest
+from gs_codec.coding.rans import LANES
 from gs_codec.runtime.kernels import kernel
 
 #: Values of a valid block are smaller.
@@ -50,35 +49,28 @@ def _code(near, distances, colours, unit, shifts, levels, contexts, values):
 
 @kernel
 def _decode(
-    cells, unit, shifts, rows, words, position, end, states, spans, slots, bits, used, values
+    near, distances, unit, shifts, rows, words, position, end, states, spans, slots, bits, used,
+    values,
 ):  # fmt: skip
     """Decode ``values (3, n)``; returns the positions reached in words (-1: too few) and bits."""
-    near = np.zeros(NEIGHBOURS, np.int64)
-    distances = np.zeros(NEIGHBOURS, np.int64)
     weights = np.zeros(NEIGHBOURS, np.int64)
-    window = np.empty(WINDOW)
     symbol = 0
     for i in range(len(shifts)):
         if position > end:
             return -1, used
-        found = find_nearest(cells, i, near, distances, window)
-        weigh(distances, found, weights)
+        found = min(i, NEIGHBOURS)
+        weigh(distances[i], found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
         for channel in range(3):
-            mean, activity = predict(values[channel], near, weights, found, step, ACTIVITIES)
+            mean, activity = predict(values[channel], near[i], weights, found, step, ACTIVITIES)
             row = rows[channel * COLOUR_SHIFTS * ACTIVITIES + base + activity]
-            token, position = pull(
-                words, position, states, symbol & (LANES - 1), spans[row], slots[row], PRECISION
+            level, position, used = read_token(
+                words, position, states, symbol & (LANES - 1), spans[row], slots[row], bits, used
             )
             symbol += 1
-            rest = 0
-            width = raw_width(token)
-            if width:
-                rest = code_raw(bits, used, width, 0, False)
-                used += width
             # Clamped so that sums cannot overflow; the caller refuses values at the limit.
-            value = mean + value_of(token, rest) * step
+            value = mean + level * step
             values[channel, i] = min(max(value, -_TOO_LARGE), _TOO_LARGE)
     return position, used
 
@@ -105,7 +97,7 @@ def code_colours(
 
 
 def decode_colours(
-    cells: NDArray[np.int64],
+    nearest: Nearest,
     unit: int,
     shifts: NDArray[np.int64],
     rows: NDArray[np.int64],
@@ -122,7 +114,7 @@ def decode_colours(
     values = np.zeros((3, len(shifts)), np.int64)
     tables = (reader.tables.spans, reader.tables.slots)
     position, bits.position = _decode(
-        cells, unit, shifts, rows, reader.words, reader.position, reader.end, reader.states,
+        *nearest, unit, shifts, rows, reader.words, reader.position, reader.end, reader.states,
         *tables, bits.bits, bits.position, values,
     )  # fmt: skip
     reader.advance(position)

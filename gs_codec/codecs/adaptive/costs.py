@@ -6,10 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import code_colours
+from gs_codec.codecs.adaptive.contexts import FOLLOWING
 from gs_codec.codecs.adaptive.decode import Blocks, Streams
+from gs_codec.codecs.adaptive.following import following_contexts
+from gs_codec.codecs.adaptive.sh_ac import BandSums, code_coefficient
 from gs_codec.codecs.adaptive.tokens import raw_width, token_of
 from gs_codec.coding.context_rans import PRECISION
-from gs_codec.coding.nearest import find_all_nearest
+from gs_codec.coding.nearest import Nearest
 from gs_codec.egs.file import EgsFile
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
@@ -71,14 +74,31 @@ class _CostedStreams(Streams):
         super().read_into(contexts, indices, values)
         _add(self.spans, self.rows, contexts, indices, values, self.costs)
 
-    def read_colours(
-        self, grid_positions: NDArray[np.int64], unit: int, shifts: NDArray[np.int64]
+    # Coding what was decoded gives its contexts once more.
+
+    def read_following(
+        self, name: str, bases: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        values = super().read_colours(grid_positions, unit, shifts)
-        # Coding what was decoded gives its levels and contexts once more.
-        nearest = find_all_nearest(grid_positions)
+        levels = super().read_following(name, bases, steps)
+        contexts = following_contexts(levels * steps, bases, FOLLOWING[name])
+        _add(self.spans, self.rows, contexts, np.arange(len(levels)), levels, self.costs)
+        return levels
+
+    def read_colours(
+        self, nearest: Nearest, unit: int, shifts: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        values = super().read_colours(nearest, unit, shifts)
         levels, contexts, _ = code_colours(nearest, values, unit, shifts)
         every = np.arange(len(shifts))
         for level, context in zip(levels.T, contexts.T, strict=True):
             _add(self.spans, self.rows, context.copy(), every, level.copy(), self.costs)
         return values
+
+    def read_coefficient(self, sums: BandSums, last: bool, levels: NDArray[np.int32]) -> None:
+        before = sums.copy()
+        indices = sums.live[: sums.count].copy()
+        super().read_coefficient(sums, last, levels)
+        coded, contexts = code_coefficient(levels, before, last)
+        values = np.zeros(len(levels), np.int64)
+        values[indices] = coded
+        _add(self.spans, self.rows, contexts, indices, values, self.costs)

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import decode_colours
-from gs_codec.codecs.adaptive.contexts import ENERGIES, passes, sh_channels, shift_context
+from gs_codec.codecs.adaptive.contexts import (
+    COLOUR_SHIFTS,
+    FOLLOWING,
+    passes,
+    shift_context,
+    sum_context,
+)
+from gs_codec.codecs.adaptive.following import read_following
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     TOO_LARGE,
@@ -19,17 +26,19 @@ from gs_codec.codecs.adaptive.lattice import (
 )
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.section import bounds_of, lattice_of
+from gs_codec.codecs.adaptive.sh_ac import BandSums, read_coefficient, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, walk_shape
-from gs_codec.codecs.adaptive.tokens import read_pass
+from gs_codec.codecs.adaptive.tokens import MAX_BITS, read_pass
 from gs_codec.coding.context_rans import PassReader, PassTables
 from gs_codec.coding.count_tree import decode_tree
 from gs_codec.coding.fields import BitReader, ByteReader
+from gs_codec.coding.nearest import Nearest, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg
 from gs_codec.egs.file import EgsFile, SectionId
 from gs_codec.errors import CorruptStream
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import SH_COEFFICIENTS, group_rows
+from gs_codec.scene import SH_COEFFICIENTS, group_rows, sh_bands
 
 
 def adaptive_sections(sh_degree: int) -> set[SectionId]:
@@ -93,18 +102,19 @@ class Blocks:
         codes, lefts = decode_tree(tree, count, grid.total_bits, f"geometry of {where}")
         streams = self.streams(block, span)
         most_shapes, most_colours = self.lattice.classes
-        shape_class = streams.read(np.zeros_like(codes))
+        shape_class = streams.read_following(
+            "shape class", np.zeros_like(codes), np.ones_like(codes)
+        )
         _check_range([shape_class], 0, most_shapes, f"{where}: a class")
         colour_class = streams.read(shape_class)
         _check_range([colour_class], 0, most_colours, f"{where}: a class")
-        shape = walk_shape(
-            self.lattice, shape_class, lambda _, shifts, __: streams.read(shift_context(shifts))
-        )
+        shape = walk_shape(self.lattice, shape_class, streams.read_shape)
         _check_values([shape.opacity, *shape.scales, *shape.turns], where)
         grid_positions = self._grid_positions(block, codes, lefts, shape_class, shape)
         rule, unit = self.lattice.rules["colour"], self.lattice.units["sh-dc"]
         shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
-        colours = streams.read_colours(grid_positions, unit, shifts)
+        nearest = find_all_nearest(grid_positions)
+        colours = streams.read_colours(nearest, unit, shifts)
         _check_values(colours, where)
         self.groups["positions"][:, span] = from_grid(grid_positions, grid)
         self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
@@ -112,7 +122,7 @@ class Blocks:
         self.groups["log_scale"][:, span] = to_float(shape.scales)
         self.groups["rot"][:, span] = turned_quaternions(to_float(shape.turns), shape.poles)
         if self.kept:
-            self._decode_ac(streams, shifts, span, where)
+            self._decode_ac(streams, two_nearest(nearest), shifts, span)
         streams.finish(whole=self.kept == self.coded)
 
     def _grid_positions(
@@ -136,17 +146,20 @@ class Blocks:
         return grid_positions
 
     def _decode_ac(
-        self, streams: Streams, shifts: NDArray[np.int64], span: slice, where: str
+        self, streams: Streams, near: NDArray[np.uint32], shifts: NDArray[np.int64], span: slice
     ) -> None:
-        energy = streams.read(shift_context(shifts))
-        _check_range([energy], 0, len(ENERGIES), f"{where}: an SH energy")
-        some = np.flatnonzero(energy)
-        context = energy[some].astype(np.uint8)
-        levels = np.zeros((3, self.kept, len(energy)), np.int32)
+        where = f"block {streams.block}"
+        base = shift_context(shifts, COLOUR_SHIFTS)
+        left = streams.read_following("SH sum", base, np.ones_like(base))
+        _check_range([left], 0, 1 << MAX_BITS, f"{where}: a sum of SH levels")
+        levels = np.zeros((3, self.kept, len(left)), np.int32)
         units = np.empty(self.kept, np.int64)
-        for band, colour, k in sh_channels(self.kept):
-            units[k] = self.lattice.units[f"sh{band}"]
-            streams.read_into(context, some, levels[colour, k])
+        bands = sh_bands(self.coded)
+        for number, band in enumerate(sh_bands(self.kept), 1):
+            sums = left if number == len(bands) else streams.read_share(left, where)
+            left = left - sums
+            units[list(band)] = self.lattice.units[f"sh{number}"]
+            streams.read_band(BandSums.of(sums, near), levels[:, band.start : band.stop])
         rows = self.groups["f_rest"].reshape(3, self.kept, -1)[:, :, span]
         if not fill_colours(levels, units, shifts, TOO_LARGE, rows):
             raise CorruptStream(f"{where}: a value out of range")
@@ -158,7 +171,8 @@ class Streams:
     def __init__(self, blocks: Blocks, block: int) -> None:
         self.file = blocks.file
         self.block = block
-        self.passes = zip(passes(blocks.coded), blocks.models.rows, strict=True)
+        self.models = blocks.models
+        self.passes = iter(passes(blocks.coded))
         self.stream = ""
         where = f"block {block}"
         self.reader = PassReader(self.file.section(SectionId.STATES, block), blocks.tables, where)
@@ -166,11 +180,11 @@ class Streams:
 
     def next_tables(self) -> NDArray[np.int64]:
         """Number of the table of each context of the next pass."""
-        item, tables = next(self.passes)
+        item = next(self.passes)
         if item.stream != self.stream:
             self._close()
             self._open(item.stream)
-        return tables
+        return self.models.rows(item)
 
     def read(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
         """Levels ``(n,)`` of the next pass, under contexts ``(n,)``."""
@@ -188,12 +202,47 @@ class Streams:
         tables = self.next_tables()
         read_pass(self.reader, self.bits, tables, contexts, indices, values)
 
+    def read_following(
+        self, name: str, bases: NDArray[np.int64], steps: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Levels ``(n,)`` of the next pass, by the rule of this name; see `read_following`."""
+        tables = self.next_tables()
+        return read_following(self.reader, self.bits, tables, bases, steps, FOLLOWING[name])
+
+    def read_shape(
+        self, name: str, shifts: NDArray[np.int64], unit: int, _poles: NDArray[np.int8] | None
+    ) -> NDArray[np.int64]:
+        """Levels ``(n,)`` of opacity, a scale or a turn: a `Coder`."""
+        if name not in FOLLOWING:
+            return self.read(shift_context(shifts))
+        return self.read_following(name, shift_context(shifts), unit << shifts)
+
     def read_colours(
-        self, grid_positions: NDArray[np.int64], unit: int, shifts: NDArray[np.int64]
+        self, nearest: Nearest, unit: int, shifts: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """SH-DC ``(3, n)`` of the next pass, fixed-point Y, Co, Cg."""
         tables = self.next_tables()
-        return decode_colours(grid_positions, unit, shifts, tables, self.reader, self.bits)
+        return decode_colours(nearest, unit, shifts, tables, self.reader, self.bits)
+
+    def read_share(self, left: NDArray[np.int64], where: str) -> NDArray[np.int64]:
+        """Sums ``(n,)`` of the next band, of what is left ``(n,)`` for this and the others."""
+        sums = np.zeros_like(left)
+        some = np.flatnonzero(left)
+        self.read_into(sum_context(left[some]), some, sums)
+        if np.any((sums < 0) | (sums > left)):
+            raise CorruptStream(f"{where}: a band's sum of SH levels out of range")
+        return sums
+
+    def read_band(self, sums: BandSums, levels: NDArray[np.int32]) -> None:
+        """Fill ``levels (3, k, n)``, 0 before, of a band."""
+        planes = [plane for colour in levels for plane in colour]
+        for number, plane in enumerate(planes, 1):
+            self.read_coefficient(sums, number == len(planes), plane)
+
+    def read_coefficient(self, sums: BandSums, last: bool, levels: NDArray[np.int32]) -> None:
+        """Read the levels ``(n,)`` of a coefficient, those that are not 0."""
+        tables = self.next_tables()
+        read_coefficient(self.reader, self.bits, tables, sums, last, levels)
 
     def finish(self, whole: bool) -> None:
         """Check that the stream was read to its end; if `whole`, check the final states too."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
-from gs_codec.codecs.adaptive.contexts import Pass, passes, share_tables
+from gs_codec.codecs.adaptive.contexts import Pass, context_lists, passes, share_tables
 from gs_codec.codecs.adaptive.lattice import from_grid, to_float
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
@@ -154,28 +154,49 @@ def _code(
 
 def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[ChannelCost]]:
     """Tables for the passes of all blocks together."""
+    lists = context_lists(listed)
 
-    def share(p: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def count(p: int) -> NDArray[np.int64]:
         counts = np.zeros((listed[p].contexts, ALPHABET), np.int64)
         for block in blocks:
-            counts += block.passes[p].histograms(listed[p].contexts)
-        return share_tables(counts)
+            block.passes[p].count(counts)
+        return counts
 
-    shared = run_all(share, range(len(listed)))
-    rows: list[NDArray[np.int64]] = []
+    counts = run_all(count, range(len(listed)))
+
+    def share(name: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        together = np.zeros((lists[name], ALPHABET), np.int64)
+        for item, own in zip(listed, counts, strict=True):
+            if item.contexts_listed[0] == name:
+                together[item.member :: item.members] += own
+        return share_tables(together)
+
+    rows: dict[str, NDArray[np.int64]] = {}
     weights: list[NDArray[np.int64]] = []
-    costs = []
-    for p, (item, (table_of, histograms)) in enumerate(zip(listed, shared, strict=True)):
-        rows.append(len(weights) + table_of)
-        bits = sum(float(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
-        entropy = bits + sum(map(shannon_bits, histograms))
+    for name, (table_of, histograms) in zip(lists, run_all(share, lists), strict=True):
+        rows[name] = len(weights) + table_of
         for histogram in histograms:
             used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
-            model = SentModel.fit(used, MANTISSA, PRECISION)
-            bits += model.frequencies(used.size).code_length(used)
-            weights.append(model.weights)
+            weights.append(SentModel.fit(used, MANTISSA, PRECISION).weights)
+    models = PassModels(rows, weights)
+    return models, _costs(listed, blocks, counts, models)
+
+
+def _costs(
+    listed: list[Pass], blocks: list[Block], counts: list[NDArray[np.int64]], models: PassModels
+) -> list[ChannelCost]:
+    """Bits of each pass, whose tokens occur ``counts[p] (contexts, ALPHABET)`` times."""
+    tables, costs = models.tables(), []
+    for p, (item, own) in enumerate(zip(listed, counts, strict=True)):
+        bits = sum(float(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
+        entropy = bits
+        rows = models.rows(item)
+        for row in np.unique(rows[own.any(axis=1)]):
+            histogram = own[rows == row].sum(axis=0)
+            entropy += shannon_bits(histogram)
+            bits += tables[row].code_length(histogram[: tables[row].frequencies.size])
         costs.append(ChannelCost(item.name, item.stream, "table", bits, bits, entropy))
-    return PassModels(rows, weights), costs
+    return costs
 
 
 def _sections(
@@ -184,8 +205,8 @@ def _sections(
     """Sections of a block."""
     coded = []
     bits: dict[str, BitWriter] = {}
-    for item, data, rows in zip(listed, block.passes, models.rows, strict=True):
-        coded.append((item.stream, data.tokens, data.contexts, rows))
+    for item, data in zip(listed, block.passes, strict=True):
+        coded.append((item.stream, data.tokens, data.contexts, models.rows(item)))
         bits.setdefault(item.stream, BitWriter()).add(data.raw_levels, data.raw_widths)
     states, words = encode_passes(coded, tables)
     sections = [

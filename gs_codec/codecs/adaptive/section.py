@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.contexts import MAX_CLASSES, passes
+from gs_codec.codecs.adaptive.contexts import MAX_CLASSES, MAX_TABLES, Pass, context_lists, passes
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
@@ -24,6 +24,7 @@ from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.context_rans import PRECISION
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.frequency_table import FrequencyTable
+from gs_codec.coding.marks import decode_marks, encode_marks
 from gs_codec.coding.sent_tables import SentModel, decode_tables, encode_tables
 from gs_codec.config import SH_STREAMS
 from gs_codec.egs.file import EgsFile, SectionId
@@ -52,12 +53,16 @@ UNITS = ("opacity", "scaling", "rotation", "sh-dc", *SH_STREAMS)
 class PassModels:
     """Tables of a scene's passes.
 
-    ``rows[p]`` is the number of the table of each context of pass p; ``weights`` lists the weights
-    of each table.
+    ``listed[name]`` has the number of the table of each context of a list; ``weights`` lists the
+    weights of each table.
     """
 
-    rows: list[NDArray[np.int64]]
+    listed: dict[str, NDArray[np.int64]]
     weights: list[NDArray[np.int64]]
+
+    def rows(self, item: Pass) -> NDArray[np.int64]:
+        """Number of the table of each context of a pass."""
+        return item.rows(self.listed[item.contexts_listed[0]])
 
     def tables(self) -> list[FrequencyTable]:
         """Frequency tables of precision `PRECISION`."""
@@ -73,11 +78,10 @@ def write_lattice(lattice: Lattice, models: PassModels) -> bytes:
     for name in RULES:
         rule = lattice.rules[name]
         out += struct.pack("<" + _RULE, *rule.numbers, rule.limit)
-    for rows in models.rows:
-        # Neighbours may share a table: a bit is 1 where a context begins the next one.
-        out += np.packbits(np.diff(rows, prepend=rows[:1]).astype(bool)).tobytes()
-    out += struct.pack("<H", len(models.weights))
-    out += struct.pack(f"<{len(models.weights)}H", *(len(w) for w in models.weights))
+    # Neighbours may share a table: a mark is 1 where a context begins the next one.
+    marks = encode_marks([np.diff(rows).astype(np.int64) for rows in models.listed.values()])
+    out += struct.pack("<2H", len(marks), len(models.weights)) + marks
+    out += struct.pack(f"<{len(models.weights)}B", *(len(w) for w in models.weights))
     return bytes(out) + encode_tables(models.weights, [MANTISSA] * len(models.weights))
 
 
@@ -138,22 +142,23 @@ def _check_steps(lattice: Lattice) -> None:
 
 
 def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
-    rows, total = [], 0
-    for listed in passes(coefficients):
-        packed = np.frombuffer(reader.take(-(-listed.contexts // 8)), np.uint8)
-        bits = np.unpackbits(packed)
-        if bits[0] or bits[listed.contexts :].any():
-            raise CorruptStream(f"{_WHERE}: tables of '{listed.name}'")
-        rows.append(total + np.cumsum(bits[: listed.contexts], dtype=np.int64))
-        total = int(rows[-1][-1]) + 1
-    number = reader.unpack("H")[0]
+    lists = context_lists(passes(coefficients))
+    size, number = reader.unpack("2H")
+    sizes = [contexts - 1 for contexts in lists.values()]
+    marks = decode_marks(reader.take(size), sizes, f"{_WHERE}: marks")
+    listed, total = {}, 0
+    for name, begins in zip(lists, marks, strict=True):
+        listed[name] = total + np.cumsum([0, *begins])
+        total = int(listed[name][-1]) + 1
+        if begins.sum() >= MAX_TABLES:
+            raise CorruptStream(f"{_WHERE}: more than {MAX_TABLES} tables of '{name}'")
     if number != total:
         raise CorruptStream(f"{_WHERE}: {number} tables, expected {total}")
-    alphabets = list(reader.unpack(f"{number}H"))
+    alphabets = list(reader.take(number))
     if not all(1 <= size <= ALPHABET for size in alphabets):
         raise CorruptStream(f"{_WHERE}: an alphabet out of range")
     weights = decode_tables(reader.rest(), alphabets, [MANTISSA] * number, _WHERE)
-    return PassModels(rows, weights)
+    return PassModels(listed, weights)
 
 
 def write_bounds(boxes: list[tuple[int, ...]]) -> bytes:

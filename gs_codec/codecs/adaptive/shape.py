@@ -25,9 +25,9 @@ from gs_codec.codecs.adaptive.rotation import (
     turn_shifts,
 )
 
-#: ``code(name, shifts, poles) -> levels``: a decoder reads them, an encoder rounds to them. Poles
-#: are those of `turn_shifts`, None before rotation.
-Coder = Callable[[str, NDArray[np.int64], NDArray[np.int8] | None], NDArray[np.int64]]
+#: ``code(name, shifts, unit, poles) -> levels``: a decoder reads them, an encoder rounds to them.
+#: Poles are those of `turn_shifts`, None before rotation.
+Coder = Callable[[str, NDArray[np.int64], int, NDArray[np.int8] | None], NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Shape:
 def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Shape:
     """Go through the attributes in stream order; `code` gives the levels of each.
 
-    It is called with the attribute's name and its shifts ``(n,)``; an encoder passes a
+    It is called with the attribute's name, its shifts ``(n,)`` and its unit; an encoder passes a
     `ShapeQuantiser`.
     """
     count = len(classes)
@@ -51,11 +51,12 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
     none = np.zeros(count, np.int64)
     shifts = lattice.rules["opacity"].shifts(classes, 1, none, scales)
     unit = lattice.units["opacity"]
-    opacity = from_lattice(code("opacity", shifts, None), lattice.centres[0], unit, shifts)
+    levels = code("opacity", shifts, unit, None)
+    opacity = from_lattice(levels, lattice.centres[0], unit, shifts)
     unit = lattice.units["scaling"]
     for k in range(3):
         shifts = lattice.rules[f"scale_{k}"].shifts(classes, 1, opacity, scales)
-        levels = code(f"scale_{k}", shifts, None)
+        levels = code(f"scale_{k}", shifts, unit, None)
         if k == 0:
             scales[k] = from_lattice(levels, lattice.centres[1], unit, shifts)
         else:
@@ -64,12 +65,12 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
     by_turn, poles = turn_shifts(lattice.rules, classes, opacity, scales)
     turns = np.empty((3, count), np.int64)
     for turn, name, shifts in zip(turns, TURNS, by_turn, strict=True):
-        turn[:] = from_lattice(code(name, shifts, poles), 0, unit, shifts)
+        turn[:] = from_lattice(code(name, shifts, unit, poles), 0, unit, shifts)
     return Shape(opacity, scales, turns, poles)
 
 
 class ShapeQuantiser:
-    """The `Coder` of an encoder: rounds the attributes, and keeps levels and shifts.
+    """The `Coder` of an encoder: rounds the attributes, and keeps levels, shifts and units.
 
     Gaussians whose axes differ by at most half a step are rounded to no rotation. `targets` has
     the turns of the others before rounding, each after the decoded ones before it.
@@ -89,17 +90,18 @@ class ShapeQuantiser:
         self.levels: dict[str, NDArray[np.int64]] = {}
         self.shifts: dict[str, NDArray[np.int64]] = {}
         self.targets: dict[str, NDArray[np.float64]] = {}
+        self.units: dict[str, int] = {}
         self.clamped = 0
         self._last = np.zeros(0)
         self._swings = np.zeros((2, 0))
         self._round = np.zeros(0, bool)
 
     def __call__(
-        self, name: str, shifts: NDArray[np.int64], poles: NDArray[np.int8] | None
+        self, name: str, shifts: NDArray[np.int64], unit: int, poles: NDArray[np.int8] | None
     ) -> NDArray[np.int64]:
         """Levels of an attribute."""
         group = "rotation" if name in TURNS else "opacity" if name == "opacity" else "scaling"
-        unit, centre, limit = self.lattice.units[group], 0, LARGEST
+        centre, limit = 0, LARGEST
         if group == "opacity":
             values, centre = self.opacity, self.lattice.centres[0]
         elif poles is not None:
@@ -118,6 +120,7 @@ class ShapeQuantiser:
         levels = to_lattice(fixed, centre, unit, shifts)
         self.levels[name] = levels
         self.shifts[name] = shifts
+        self.units[name] = unit
         if group == "scaling":
             coded = to_float(from_lattice(levels, centre, unit, shifts))
             self._last = coded if name == "scale_0" else self._last - coded

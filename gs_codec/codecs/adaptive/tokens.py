@@ -47,13 +47,36 @@ def raw_width(token):
 
 
 @inlined
+def magnitude_of(size, width, rest):
+    """The magnitude of the token of one, from 16 up, and its raw bits."""
+    return ((4 + ((size - _DIRECT) & 3)) << width) | rest
+
+
+@inlined
+def flipped(value, minus):
+    """The value, or the negative one if `minus` is -1 and not 0, without a branch."""
+    return (value ^ minus) - minus
+
+
+@inlined
 def value_of(token, rest):
     """The integer of a token and its raw bits."""
     size = token >> 1
     if size >= _DIRECT:
-        width = ((size - _DIRECT) >> _KEPT_BITS) + _DIRECT_BITS - _KEPT_BITS
-        size = ((4 + ((size - _DIRECT) & 3)) << width) | rest
-    return -size if token & 1 else size
+        size = magnitude_of(size, raw_width(token), rest)
+    return flipped(size, -(token & 1))
+
+
+@inlined
+def read_token(words, position, states, lane, spans, slots, bits, used):
+    """Decode an integer under a table; returns it and the positions after it in words and bits."""
+    token, position = pull(words, position, states, lane, spans, slots, PRECISION)
+    size = token >> 1
+    if size >= _DIRECT:
+        width = raw_width(token)
+        size = magnitude_of(size, width, code_raw(bits, used, width, 0, False))
+        used += width
+    return flipped(size, -(token & 1)), position, used
 
 
 @kernel

@@ -227,7 +227,7 @@ class Streams:
     def read_share(self, left: NDArray[np.int64], where: str) -> NDArray[np.int64]:
         """Sums ``(n,)`` of the next band, of what is left ``(n,)`` for this and the others."""
         sums = np.zeros_like(left)
-        some = np.flatnonzero(left)
+        some = np.flatnonzero(left > 0)
         self.read_into(sum_context(left[some]), some, sums)
         if np.any((sums < 0) | (sums > left)):
             raise CorruptStream(f"{where}: a band's sum of SH levels out of range")

@@ -40,7 +40,7 @@ class BandSums:
     @classmethod
     def of(cls, sums: NDArray[np.int64], near: NDArray[np.uint32]) -> BandSums:
         """Before the first coefficient."""
-        live = np.flatnonzero(sums).astype(np.uint32)
+        live = np.flatnonzero(sums > 0).astype(np.uint32)
         return cls(sums.astype(np.int32), live, len(live), near)
 
     def copy(self) -> BandSums:

@@ -45,7 +45,10 @@ def rules_of(name: str) -> tuple[str, ...]:
 @inlined
 def _alike(first, second):
     """Octaves by which a turn in the plane of two axes of fixed-point log-scales is coarser."""
-    return max(FRACTION_BITS - math.frexp(np.float64(abs(first - second)))[1], 0)
+    apart = abs(first - second)
+    if apart >= 1 << (FRACTION_BITS - 1):
+        return 0
+    return FRACTION_BITS - math.frexp(np.float64(apart))[1]
 
 
 @kernel
@@ -67,11 +70,13 @@ def likeness(scales: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @kernel
 def _turn_shifts(numbers, limits, classes, opacity, scales, shifts, poles):
+    for k in range(3):
+        rule, limit = numbers[k], limits[k]
+        first, second = scales[(k + 1) % 3], scales[(k + 2) % 3]
+        for i in range(len(poles)):
+            total = rule_sum(rule, 1, classes, opacity, scales, i) >> RULE_FRACTION_BITS
+            shifts[k, i] = min(max(total + _alike(first[i], second[i]), 0), limit)
     for i in range(len(poles)):
-        for k in range(3):
-            total = rule_sum(numbers[k], 1, classes, opacity, scales, i) >> RULE_FRACTION_BITS
-            total += _alike(scales[(k + 1) % 3, i], scales[(k + 2) % 3, i])
-            shifts[k, i] = min(max(total, 0), limits[k])
         poles[i] = 0
         if shifts[2, i] > shifts[0, i]:
             poles[i] = 2

@@ -109,9 +109,8 @@ def _print_channels(info: Info) -> None:
 
 
 def _stream_row(stream, info) -> list[str]:
-    tables = sum(p.tables for p in info.passes if p.stream == stream.name)
-    if tables:
-        models = f"{tables} tables"
+    if stream.tables:
+        models = f"{stream.tables} tables"
         return [stream.name, f"{stream.bytes:,}", f"{stream.bits_per_gaussian:.3f}", "", models]
     names = ("geometry", "sh-dc") if stream.name == "gpcc" else (stream.name,)
     members = [c for c in info.channels if c.stream in names]

@@ -35,11 +35,14 @@ class StreamInfo:
         Size of all sections of that kind.
     bits_per_gaussian : float
         The same size, in bits per Gaussian of the file.
+    tables : int
+        Number of frequency tables of its passes; 0 if it has none.
     """
 
     name: str
     bytes: int
     bits_per_gaussian: float
+    tables: int
 
 
 @dataclass(frozen=True)
@@ -200,7 +203,15 @@ def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
         label = SectionId(section_id).label if section_id in known else f"section {section_id}"
         sizes[label] = sizes.get(label, 0) + size
     count = max(file.header.count, 1)
-    return tuple(StreamInfo(name, size, 8 * size / count) for name, size in sizes.items())
+    tables: dict[str, set[int]] = {}
+    if file.header.profile in ADAPTIVE_PROFILES:
+        models = lattice_of(file)[1]
+        for item in passes(SH_COEFFICIENTS[file.header.sh_degree]):
+            tables.setdefault(item.stream, set()).update(models.rows(item).tolist())
+    return tuple(
+        StreamInfo(name, size, 8 * size / count, len(tables.get(name, ())))
+        for name, size in sizes.items()
+    )
 
 
 def _adaptive_details(file: EgsFile) -> dict[str, Any]:

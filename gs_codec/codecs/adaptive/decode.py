@@ -111,18 +111,15 @@ class Blocks:
         shape = walk_shape(self.lattice, shape_class, streams.read_shape)
         _check_values([shape.opacity, *shape.scales, *shape.turns], where)
         grid_positions = self._grid_positions(block, codes, lefts, shape_class, shape)
-        rule, unit = self.lattice.rules["colour"], self.lattice.units["sh-dc"]
+        rule = self.lattice.rules["colour"]
         shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
-        nearest = find_all_nearest(grid_positions)
-        colours = streams.read_colours(nearest, unit, shifts)
-        _check_values(colours, where)
+        near = self._decode_dc(streams, grid_positions, shifts, span)
         self.groups["positions"][:, span] = from_grid(grid_positions, grid)
-        self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
         self.groups["opacity"][0, span] = to_float(shape.opacity)
         self.groups["log_scale"][:, span] = to_float(shape.scales)
         self.groups["rot"][:, span] = turned_quaternions(to_float(shape.turns), shape.poles)
         if self.kept:
-            self._decode_ac(streams, two_nearest(nearest), shifts, span)
+            self._decode_ac(streams, near, shifts, span)
         streams.finish(whole=self.kept == self.coded)
 
     def _grid_positions(
@@ -144,6 +141,23 @@ class Blocks:
         if np.any(self.boxes[block] != [*grid_positions.min(axis=1), *grid_positions.max(axis=1)]):
             raise CorruptStream(f"section 'bounds': does not match block {block}")
         return grid_positions
+
+    def _decode_dc(
+        self,
+        streams: Streams,
+        grid_positions: NDArray[np.int64],
+        shifts: NDArray[np.int64],
+        span: slice,
+    ) -> NDArray[np.uint32]:
+        """Fill SH-DC; returns the neighbours that SH-AC goes by, and lets go of the others.
+
+        If they were kept, memory that a block has freed would go back to the system each time.
+        """
+        nearest = find_all_nearest(grid_positions)
+        colours = streams.read_colours(nearest, self.lattice.units["sh-dc"], shifts)
+        _check_values(colours, f"block {streams.block}")
+        self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
+        return two_nearest(nearest)
 
     def _decode_ac(
         self, streams: Streams, near: NDArray[np.uint32], shifts: NDArray[np.int64], span: slice

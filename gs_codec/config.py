@@ -170,7 +170,7 @@ class AdaptiveProfile:
         )
 
 
-_M = AdaptiveProfile(error=1.3e-5, compaction=1e-5, fineness=0.0063, of_loss=0.3)
+_M = AdaptiveProfile(error=2e-5, compaction=1.5e-5, fineness=0.0063, of_loss=0.3)
 
 #: Half, once and 2.25 times the step sizes of `m`.
 ADAPTIVE_PROFILES: Mapping[str, AdaptiveProfile] = {

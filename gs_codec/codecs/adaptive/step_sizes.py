@@ -46,7 +46,7 @@ _COARSER = 1e-3
 _FINER = {
     "opacity": -0.4,
     **{f"scale_{k}": 0.25 for k in range(3)},
-    **{turn: 0.25 for turn in TURN_RULES},
+    **dict.fromkeys(TURN_RULES, 0.25),
     "position": 0.1,
 }
 

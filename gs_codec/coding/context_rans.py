@@ -7,12 +7,14 @@ FORMAT.md, section "Passes".
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.fields import BitReader
 from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.coding.rans import LANES, LOWEST, PADDING, check_final, push, read_states, read_words
 from gs_codec.errors import CorruptStream
@@ -99,11 +101,28 @@ class PassReader:
         self.words = np.concatenate([words, PADDING])
         self.end, self.position = len(words), 0
 
-    def advance(self, position: int) -> None:
-        """Set the position that a kernel has reached; -1 or beyond the end is corrupt."""
+    def decode(
+        self, kernel: Callable, rows: NDArray[np.int64], bits: BitReader, *arguments: Any
+    ) -> list[Any]:
+        """Decode a pass, by tables ``rows (contexts,)``; returns what else the kernel returns.
+
+        The kernel is called with the words and where they begin and end, the states, all tables,
+        `rows`, the raw bits and where they begin, and `arguments`. It returns the positions that it
+        has reached in words, -1 if they end too early, and in bits.
+
+        Raises
+        ------
+        CorruptStream
+            If there are fewer words than symbols.
+        """
+        position, bits.position, *found = kernel(
+            self.words, self.position, self.end, self.states, self.tables.spans, self.tables.slots,
+            rows, bits.bits, bits.position, *arguments,
+        )  # fmt: skip
         if not 0 <= position <= self.end:
             raise CorruptStream(f"{self.where}: more symbols than words")
         self.position = position
+        return found
 
     def close(self) -> None:
         """Check that the section's words are all read."""

@@ -76,7 +76,7 @@ def refit_colour(
         Penalty on SH-AC as in `compact_sh`, with the scene's own SH-AC in the denominators.
         Without it, SH-AC that compaction made small would grow again and cost more bits.
     keep_zeros : bool
-        Whether SH-AC that are exactly 0 stay 0: for scenes that `compact_sh` returned.
+        Whether SH-AC of Y, Co and Cg that are 0 stay 0: for scenes that `compact_sh` returned.
     operator : ImageOperator, optional
         Operator of the views and of a scene with the same shapes, if there is one already.
     progress : callable, optional
@@ -137,13 +137,11 @@ def _descend(
 
 def _total(function: Callable, *arguments: Any) -> float:
     """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, computed in threads."""
-    rows = [_rows(x) if isinstance(x, np.ndarray) else repeat(x) for x in arguments]
+    rows = [
+        x.reshape(x.shape[0] * x.shape[1], x.shape[2]) if isinstance(x, np.ndarray) else repeat(x)
+        for x in arguments
+    ]
     return sum(run_all(lambda row: function(*row), zip(*rows, strict=False)))
-
-
-def _rows(array: NDArray) -> list[NDArray]:
-    """The rows of an array ``(3, 1 + K or 1, N)``."""
-    return [channel[k] for channel in array for k in range(len(channel))]
 
 
 @inlined

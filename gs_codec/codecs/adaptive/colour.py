@@ -49,8 +49,8 @@ def _code(near, distances, colours, unit, shifts, levels, contexts, values):
 
 @kernel
 def _decode(
-    near, distances, unit, shifts, rows, words, position, end, states, spans, slots, bits, used,
-    values,
+    words, position, end, states, spans, slots, rows, bits, used,
+    near, distances, unit, shifts, values,
 ):  # fmt: skip
     """Decode ``values (3, n)``; returns the positions reached in words (-1: too few) and bits."""
     weights = np.zeros(NEIGHBOURS, np.int64)
@@ -112,12 +112,7 @@ def decode_colours(
         If there are fewer words than symbols.
     """
     values = np.zeros((3, len(shifts)), np.int64)
-    tables = (reader.tables.spans, reader.tables.slots)
-    position, bits.position = _decode(
-        *nearest, unit, shifts, rows, reader.words, reader.position, reader.end, reader.states,
-        *tables, bits.bits, bits.position, values,
-    )  # fmt: skip
-    reader.advance(position)
+    reader.decode(_decode, rows, bits, *nearest, unit, shifts, values)
     return values
 
 

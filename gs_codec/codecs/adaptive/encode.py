@@ -18,7 +18,7 @@ from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.context_rans import PRECISION, PassTables, encode_passes
 from gs_codec.coding.fields import BitWriter
-from gs_codec.coding.frequency_table import shannon_bits
+from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import Config
 from gs_codec.egs.file import Header, Section, SectionId
@@ -134,12 +134,12 @@ def _code(
     """The file of blocks on their lattices."""
     listed = passes(len(arranged.source.f_rest) // 3)
     with times.stage("model"):
-        models, costs = _models(listed, blocks)
+        models, tables, costs = _models(listed, blocks)
     with times.stage("code"):
-        tables = PassTables.pack(models.tables())
+        packed = PassTables.pack(tables)
         advance = step_counter(progress, "code", len(blocks))
         coded = run_all(
-            lambda item: _sections(*item, listed, models, tables),
+            lambda item: _sections(*item, listed, models, packed),
             enumerate(blocks),
             advance=advance,
         )
@@ -152,8 +152,10 @@ def _code(
     return pack_scene(arranged.source, header, sections, arranged.order, times, costs, rectified)
 
 
-def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[ChannelCost]]:
-    """Tables for the passes of all blocks together."""
+def _models(
+    listed: list[Pass], blocks: list[Block]
+) -> tuple[PassModels, list[FrequencyTable], list[ChannelCost]]:
+    """Models, and their tables, for the passes of all blocks together; bits of each pass."""
     lists = context_lists(listed)
 
     def count(p: int) -> NDArray[np.int64]:
@@ -179,14 +181,19 @@ def _models(listed: list[Pass], blocks: list[Block]) -> tuple[PassModels, list[C
             used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
             weights.append(SentModel.fit(used, MANTISSA, PRECISION).weights)
     models = PassModels(rows, weights)
-    return models, _costs(listed, blocks, counts, models)
+    tables = models.tables()
+    return models, tables, _costs(listed, blocks, counts, models, tables)
 
 
 def _costs(
-    listed: list[Pass], blocks: list[Block], counts: list[NDArray[np.int64]], models: PassModels
+    listed: list[Pass],
+    blocks: list[Block],
+    counts: list[NDArray[np.int64]],
+    models: PassModels,
+    tables: list[FrequencyTable],
 ) -> list[ChannelCost]:
     """Bits of each pass, whose tokens occur ``counts[p] (contexts, ALPHABET)`` times."""
-    tables, costs = models.tables(), []
+    costs = []
     for p, (item, own) in enumerate(zip(listed, counts, strict=True)):
         bits = sum(float(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
         entropy = bits

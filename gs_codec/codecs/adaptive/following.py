@@ -19,8 +19,8 @@ from gs_codec.runtime.kernels import kernel
 
 @kernel
 def _read(
-    words, position, end, states, spans, slots, rows, bases, steps, fraction, centre, buckets,
-    bits, used, levels,
+    words, position, end, states, spans, slots, rows, bits, used,
+    bases, steps, fraction, centre, buckets, levels,
 ):  # fmt: skip
     """Decode `levels`; returns the positions reached in words (-1: too few) and bits."""
     last, before = np.int64(0), np.int64(0)
@@ -67,11 +67,5 @@ def read_following(
         If there are fewer words than symbols.
     """
     levels = np.empty(len(steps), np.int64)
-    tables = (reader.tables.spans, reader.tables.slots)
-    position, bits.position = _read(
-        reader.words, reader.position, reader.end, reader.states, *tables, rows,
-        bases, steps, rule.fraction, rule.centre, rule.buckets,
-        bits.bits, bits.position, levels,
-    )  # fmt: skip
-    reader.advance(position)
+    reader.decode(_read, rows, bits, bases, steps, *rule, levels)
     return levels

@@ -91,8 +91,8 @@ def _code(levels, near, signs, last, left, live, count, coded, contexts):
 
 @kernel
 def _read(
-    words, position, end, states, spans, slots, rows, near, signs, last, left, live, count, bits,
-    used, levels,
+    words, position, end, states, spans, slots, rows, bits, used,
+    near, signs, last, left, live, count, levels,
 ):  # fmt: skip
     """Decode `levels` of the live Gaussians; `signs` are scratch memory.
 
@@ -164,13 +164,9 @@ def read_coefficient(
     CorruptStream
         If there are fewer words than symbols, or a level exceeds what was left of its sum.
     """
-    tables = (reader.tables.spans, reader.tables.slots)
     signs = np.empty(len(levels) + 1, np.int8)
-    position, bits.position, kept = _read(
-        reader.words, reader.position, reader.end, reader.states, *tables, rows,
-        sums.near, signs, last, sums.left, sums.live, sums.count, bits.bits, bits.position, levels,
-    )  # fmt: skip
-    reader.advance(position)
+    remaining = (sums.left, sums.live, sums.count)
+    [kept] = reader.decode(_read, rows, bits, sums.near, signs, last, *remaining, levels)
     if kept < 0:
         raise CorruptStream(f"{reader.where}: a level of SH-AC beyond its sum")
     sums.count = kept

@@ -89,7 +89,7 @@ def _tokenise(values, tokens, widths):
 
 @kernel
 def _read_values(
-    words, position, end, states, spans, slots, rows, contexts, bits, used, indices, values
+    words, position, end, states, spans, slots, rows, bits, used, contexts, indices, values
 ):  # fmt: skip
     """Decode a pass into `values[indices]`; returns the positions reached in words and bits.
 
@@ -144,9 +144,4 @@ def read_pass(
     CorruptStream
         If there are fewer words than symbols.
     """
-    tables = (reader.tables.spans, reader.tables.slots)
-    position, bits.position = _read_values(
-        reader.words, reader.position, reader.end, reader.states, *tables, rows, contexts,
-        bits.bits, bits.position, indices, values,
-    )  # fmt: skip
-    reader.advance(position)
+    reader.decode(_read_values, rows, bits, contexts, indices, values)

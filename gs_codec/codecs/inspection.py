@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gs_codec.codecs.adaptive.contexts import Pass, passes
+from gs_codec.codecs.adaptive.contexts import ContextList, passes
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, Lattice, PositionGrid
 from gs_codec.codecs.adaptive.rotation import rules_of
 from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
@@ -47,14 +47,14 @@ class StreamInfo:
 
 @dataclass(frozen=True)
 class PassInfo:
-    """A pass of profiles `l`, `m` and `s`: its tables and step sizes.
+    """One kind of symbols of profiles `l`, `m` and `s`: its tables and step sizes.
 
     Attributes
     ----------
     name : str
-        What its symbols code.
+        What they code.
     stream : str
-        The stream that it is in.
+        The stream that they are in.
     tables : int
         Number of frequency tables that its contexts choose from.
     finest_step, coarsest_step : float
@@ -105,7 +105,7 @@ class Info:
     channels : tuple of Channel
         Quantiser and model of each channel, of a `paper` profile.
     passes : tuple of PassInfo
-        Passes of profiles `l`, `m` and `s`.
+        Kinds of symbols of profiles `l`, `m` and `s`, in stream order.
     grid : PositionGrid or None
         Grid of positions, of profiles `l`, `m` and `s`.
     coordinates : str or None
@@ -207,7 +207,8 @@ def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
     if file.header.profile in ADAPTIVE_PROFILES:
         models = lattice_of(file)[1]
         for item in passes(SH_COEFFICIENTS[file.header.sh_degree]):
-            tables.setdefault(item.stream, set()).update(models.rows(item).tolist())
+            for own in item.lists:
+                tables.setdefault(own.stream, set()).update(models.listed[own.name].tolist())
     return tuple(
         StreamInfo(name, size, 8 * size / count, len(tables.get(name, ())))
         for name, size in sizes.items()
@@ -262,15 +263,15 @@ def _bounds_of(file: EgsFile, grid: PositionGrid) -> Box:
 
 def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[PassInfo]:
     listed = []
-    for item in passes(coefficients):
+    for item in (own for one in passes(coefficients) for own in one.lists):
         unit, limit = _steps(lattice, item)
-        tables = len(np.unique(models.rows(item)))
+        tables = len(np.unique(models.listed[item.name]))
         listed.append(PassInfo(item.name, item.stream, tables, unit, unit * 2.0**limit))
     return listed
 
 
-def _steps(lattice: Lattice, item: Pass) -> tuple[float, int]:
-    """The finest step size of a pass, and by how many octaves the coarsest is larger."""
+def _steps(lattice: Lattice, item: ContextList) -> tuple[float, int]:
+    """The finest step size of some symbols, and by how many octaves the coarsest is larger."""
     if item.stream == "classes" or item.name.startswith("SH sum"):
         return 1.0, 0
     used = rules_of(item.name) if item.stream in SHAPE_RULES else ("colour",)

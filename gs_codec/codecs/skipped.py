@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from gs_codec.codecs.adaptive.contexts import Pass, passes
+from gs_codec.codecs.adaptive.contexts import ContextList, passes
 from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.adaptive.rotation import rules_of
 from gs_codec.codecs.adaptive.section import PassModels
@@ -67,12 +67,12 @@ def skipped_by_channels(channels: list[Channel]) -> list[str]:
 
 
 def skipped_by_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[str]:
-    """Passes of profiles `l`, `m` and `s` that take no bits, and contexts with a single table."""
-    listed = passes(coefficients)
+    """Symbols of profiles `l`, `m` and `s` that take no bits, and contexts with a single table."""
+    listed = [own for one in passes(coefficients) for own in one.lists]
     zeros = set()
     for item in listed:
         # If no table has a symbol but token 0, all levels are 0.
-        if not any(models.weights[row][1:].any() for row in np.unique(models.rows(item))):
+        if not any(models.weights[row][1:].any() for row in np.unique(models.listed[item.name])):
             zeros.add(item.name)
     lines = []
     if flat := [axis for axis, bits in zip("xyz", lattice.grid.bits, strict=True) if not bits]:
@@ -84,7 +84,7 @@ def skipped_by_passes(lattice: Lattice, models: PassModels, coefficients: int) -
     return lines + _shared(lattice, listed, models, zeros)
 
 
-def _zero_passes(listed: list[Pass], zeros: set[str]) -> list[str]:
+def _zero_passes(listed: list[ContextList], zeros: set[str]) -> list[str]:
     lines = []
     zero_bands, zero = [], []
     for stream, group in groupby(listed, lambda item: item.stream):
@@ -103,17 +103,19 @@ def _zero_passes(listed: list[Pass], zeros: set[str]) -> list[str]:
     return lines
 
 
-def _shared(lattice: Lattice, listed: list[Pass], models: PassModels, zeros: set[str]) -> list[str]:
-    """Passes of several contexts that have one table."""
+def _shared(
+    lattice: Lattice, listed: list[ContextList], models: PassModels, zeros: set[str]
+) -> list[str]:
+    """Symbols of several contexts that have one table."""
     shared: list[str] = []
     for stream, group in groupby(listed, lambda item: item.stream):
         coded = [p for p in group if p.name not in zeros and _has_contexts(lattice, p)]
-        names = [p.name for p in coded if len(np.unique(models.rows(p))) == 1]
+        names = [p.name for p in coded if len(np.unique(models.listed[p.name])) == 1]
         shared += _named(names, stream, len(coded))
     return [f"{', '.join(shared)}: one table for all contexts"] if shared else []
 
 
-def _has_contexts(lattice: Lattice, item: Pass) -> bool:
+def _has_contexts(lattice: Lattice, item: ContextList) -> bool:
     """Whether a pass has contexts to tell apart; of opacity, scales and rotation, by its steps."""
     if item.stream not in SHAPE_RULES:
         return item.contexts > 1

@@ -45,26 +45,32 @@ def _code_residual(state, data, contexts, base, residual):
 
 
 @inlined
-def weigh(distances, found, weights):
-    """Fill `weights` of the nearest points by their squared distances."""
-    for k in range(found):
-        weights[k] = 256 * (distances[0] + 1) // (distances[k] + distances[0] + 1)
+def weigh(distances, row, found, weights):
+    """Fill `weights` of the nearest points by their squared distances, a row of `distances`.
+
+    Those that are not found have none, so that loops have a known number of turns.
+    """
+    # Exact: the dividend is below 2**53, and quotients of floats are faster.
+    wide = np.float64(256 * (distances[row, 0] + 1))
+    for k in range(NEIGHBOURS):
+        apart = np.float64(distances[row, k] + distances[row, 0] + 1)
+        weights[k] = np.int64(wide / apart) * np.int64(k < found)
 
 
 @inlined
-def predict(values, near, weights, found, step, activities):
+def predict(values, channel, near, row, weights, step, activities):
     """Weighted mean of the neighbours' values, and the class of their disagreement in steps."""
-    if found == 0:
-        return 0, 0
-    total = 0
-    mass = 0
-    for k in range(found):
-        total += weights[k] * values[near[k]]
+    total = mass = np.int64(0)
+    for k in range(NEIGHBOURS):
+        total += weights[k] * values[channel, near[row, k]]
         mass += weights[k]
-    mean = (2 * total + mass) // (2 * mass)
-    spread = 0
-    for k in range(found):
-        spread += weights[k] * abs(values[near[k]] - mean)
+    if mass == 0:
+        return 0, 0
+    # Exact: both are below 2**53, so that no quotient is rounded up to an integer.
+    mean = np.int64(np.floor(np.float64(2 * total + mass) / np.float64(2 * mass)))
+    spread = np.int64(0)
+    for k in range(NEIGHBOURS):
+        spread += weights[k] * abs(values[channel, near[row, k]] - mean)
     # The bit length of the spread in quarter steps, without a division or a branch.
     activity = 0
     for length in range(activities - 1):
@@ -75,18 +81,18 @@ def predict(values, near, weights, found, step, activities):
 @kernel
 def _walk(cells, values, coded, state, data, contexts, encoding):
     """Code `values` (G, R - G, B - G) of all points; channels with coded[c] == 0 stay 0."""
-    near = np.zeros(NEIGHBOURS, np.int64)
-    distances = np.zeros(NEIGHBOURS, np.int64)
+    near = np.zeros((1, NEIGHBOURS), np.int64)
+    distances = np.zeros((1, NEIGHBOURS), np.int64)
     weights = np.zeros(NEIGHBOURS, np.int64)
     window = np.empty(WINDOW)
     for i in range(values.shape[1]):
-        found = find_nearest(cells, i, near, distances, window)
-        weigh(distances, found, weights)
+        found = find_nearest(cells, i, near, distances, 0, window)
+        weigh(distances, 0, found, weights)
         previous = 0
         for channel in range(3):
             if coded[channel] == 0:
                 continue
-            mean, activity = predict(values[channel], near, weights, found, 1, _ACTIVITIES)
+            mean, activity = predict(values, channel, near, 0, weights, 1, _ACTIVITIES)
             before = min(bit_length(previous) >> 1, _PREVIOUS - 1)
             base = ((channel * _ACTIVITIES + activity) * _PREVIOUS + before) * _PER_CLASS
             residual = 0

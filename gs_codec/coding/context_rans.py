@@ -1,12 +1,13 @@
 """rANS in which every symbol may have a table of its own, chosen by what is decoded already.
 
-The coder is that of `rans`: 32 lanes, 32-bit states, 16-bit words. A pass is a run of symbols
-whose tables are all known before its first is decoded; symbol i of a pass is of lane i mod 32.
-FORMAT.md, section "Passes".
+The coder is that of `rans`: 32 lanes, 32-bit states, 16-bit words. A pass is a run of symbols;
+symbol i of a pass is of lane i mod 32. Its symbols may be of several streams, each with words and
+raw bits of its own. FORMAT.md, section "Passes".
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.fields import BitReader
+from gs_codec.coding.fields import BitReader, BitWriter, ByteReader
 from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.coding.rans import LANES, LOWEST, PADDING, check_final, push, read_states, read_words
 from gs_codec.errors import CorruptStream
@@ -22,25 +23,32 @@ from gs_codec.runtime.kernels import kernel
 
 PRECISION = 12
 
-Symbols = NDArray[np.unsignedinteger]
+#: Zero bytes that follow the raw bits: a kernel may read those of `LANES` symbols too many.
+MORE_BITS = 8 + 4 * LANES
+
+#: Base-2 logarithm of the number of spans that a table has room for.
+SPAN_BITS = 8
 
 
 @dataclass(frozen=True)
 class PassTables:
-    """Tables of all passes, packed: ``spans (T, A)`` (start << 16 | frequency), ``slots``."""
+    """Tables of all passes, one after another.
+
+    ``spans`` have start << 16 | frequency of each symbol, ``2**SPAN_BITS`` for each table; ``slots``
+    the symbol of each slot, ``2**PRECISION`` for each.
+    """
 
     spans: NDArray[np.uint32]
-    slots: NDArray[np.uint8]  # (T, 2**PRECISION): symbol of each slot
+    slots: NDArray[np.uint8]
 
     @classmethod
     def pack(cls, tables: Sequence[FrequencyTable]) -> PassTables:
         """Pack tables of precision `PRECISION`."""
-        alphabet = max((t.frequencies.size for t in tables), default=1)
-        spans = np.zeros((len(tables), alphabet), np.uint32)
+        spans = np.zeros((len(tables), 1 << SPAN_BITS), np.uint32)
         slots = np.zeros((len(tables), 1 << PRECISION), np.uint8)
         for span, slot, table in zip(spans, slots, tables, strict=True):
             _pack(table.frequencies, span, slot)
-        return cls(spans, slots)
+        return cls(spans.ravel(), slots.ravel())
 
 
 @kernel
@@ -53,82 +61,130 @@ def _pack(frequencies, spans, slots):
         start += frequency
 
 
+@dataclass(frozen=True)
+class CodedPass:
+    """A pass to encode: tokens and the contexts that choose their tables, both ``(n,)``.
+
+    ``rows (contexts,)`` are the tables of its contexts; symbol i is of the stream of number
+    ``cycle[i % len(cycle)]``. ``raw_levels`` and ``raw_widths`` are of the symbols with raw bits,
+    whose numbers are ``raw_symbols``.
+    """
+
+    streams: Sequence[str]
+    cycle: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    tokens: NDArray[np.uint8]
+    contexts: NDArray[np.uint16]
+    raw_symbols: NDArray[np.int64]
+    raw_levels: NDArray[np.int64]
+    raw_widths: NDArray[np.uint8]
+
+
 @kernel
-def _push_all(symbols, contexts, rows, spans, states, words, position):
-    """Code a pass backwards, words before `position`; returns where they begin."""
-    for i in range(len(symbols) - 1, -1, -1):
-        span = np.int64(spans[rows[contexts[i]], symbols[i]])
-        position = push(words, position, states, i & (LANES - 1), span, PRECISION)
-    return position
+def _push_all(tokens, contexts, rows, cycle, spans, states, words, begins):
+    """Code a pass backwards; ``begins`` is moved to where the words of each stream begin."""
+    turn = len(tokens) % len(cycle)
+    for i in range(len(tokens) - 1, -1, -1):
+        turn = (turn if turn > 0 else len(cycle)) - 1
+        stream = cycle[turn]
+        span = np.int64(spans[(rows[contexts[i]] << SPAN_BITS) + tokens[i]])
+        begins[stream] = push(
+            words[stream], begins[stream], states, i & (LANES - 1), span, PRECISION
+        )
 
 
 def encode_passes(
-    passes: Sequence[tuple[str, Symbols, Symbols, NDArray[np.int64]]], tables: PassTables
+    passes: Sequence[CodedPass], tables: PassTables
 ) -> tuple[bytes, dict[str, bytes]]:
-    """Code the passes of a block; returns the initial states, and the words of each section.
+    """Code the passes of a block, each with streams of its own.
 
-    Passes are (section, symbols, contexts, rows), in the order they are decoded. The tables of
-    ``symbols (n,)`` are ``rows[contexts]``.
+    Returns
+    -------
+    states : bytes
+        Initial states of the decoder.
+    sections : dict of str to bytes
+        Bytes of each stream, in order: the size of its words, these, and its raw bits.
     """
     states = np.full(LANES, LOWEST, np.int64)
-    words = np.empty(1 + sum(len(symbols) for _, symbols, *_ in passes), np.uint16)
-    position = words.size
-    begins: dict[str, int] = {}
-    for section, *coded_by in reversed(passes):
-        position = _push_all(*coded_by, tables.spans, states, words, position)
-        begins[section] = position
-    words = words.astype("<u2")
-    coded, end = {}, words.size
-    for section, begin in begins.items():
-        coded[section] = words[begin:end].tobytes()
-        end = begin
-    return states.astype("<u4").tobytes(), coded
+    sections: dict[str, bytes] = {}
+    for item in reversed(passes):
+        words = np.empty((len(item.streams), 1 + len(item.tokens)), np.uint16)
+        begins = np.full(len(words), words.shape[1])
+        coded_by = item.tokens, item.contexts, item.rows, item.cycle
+        _push_all(*coded_by, tables.spans, states, words, begins)
+        of_stream = item.cycle[item.raw_symbols % len(item.cycle)]
+        for number in reversed(range(len(words))):
+            bits, own = BitWriter(), of_stream == number
+            bits.add(item.raw_levels[own], item.raw_widths[own])
+            packed = words[number, begins[number] :].astype("<u2").tobytes()
+            data = struct.pack("<I", len(packed)) + packed + bits.finish()
+            sections[item.streams[number]] = data
+    return states.astype("<u4").tobytes(), dict(reversed(sections.items()))
 
 
 class PassReader:
-    """Decodes the passes of a block, section by section."""
+    """Decodes the passes of a block, one after another."""
 
     def __init__(self, states: memoryview, tables: PassTables, where: str) -> None:
         self.states = read_states(states, LANES, where)
         self.tables = tables
         self.where = where
-        self.words = PADDING
-        self.end = self.position = 0
-
-    def open(self, data: memoryview) -> None:
-        """Continue with the words of the next section."""
-        words = read_words(data, self.where)
-        self.words = np.concatenate([words, PADDING])
-        self.end, self.position = len(words), 0
 
     def decode(
-        self, kernel: Callable, rows: NDArray[np.int64], bits: BitReader, *arguments: Any
-    ) -> list[Any]:
-        """Decode a pass, by tables ``rows (contexts,)``; returns what else the kernel returns.
+        self,
+        sections: Sequence[memoryview],
+        kernel: Callable,
+        rows: NDArray[np.int64],
+        *arguments: Any,
+    ) -> None:
+        """Decode a pass from the sections of its streams, by tables ``rows (contexts,)``.
 
-        The kernel is called with the words and where they begin and end, the states, all tables,
-        `rows`, the raw bits and where they begin, and `arguments`. It returns the positions that it
-        has reached in words, -1 if they end too early, and in bits.
+        The kernel is called with the words of all streams, where those of each end, the states,
+        all tables, `rows`, the raw bits of all streams, where those of each stream begin in words
+        and in bits ``(2, streams)``, which it moves on, and `arguments`. It returns 0 or what is
+        wrong, a number of `FAULTS`. It may read `LANES` words too many before it stops.
 
         Raises
         ------
-        CorruptStream
-            If there are fewer words than symbols.
+        TruncatedStream, CorruptStream
+            If the sections are not exactly what the symbols need, or the kernel returns a fault.
         """
-        position, bits.position, *found = kernel(
-            self.words, self.position, self.end, self.states, self.tables.spans, self.tables.slots,
-            rows, bits.bits, bits.position, *arguments,
+        words, bits = [], []
+        for data in sections:
+            reader = ByteReader(data, self.where)
+            words.append(read_words(reader.take(reader.unpack("I")[0]), self.where))
+            bits.append(BitReader(reader.rest(), self.where))
+        ends = np.cumsum([len(own) + LANES for own in words]) - LANES
+        bytes_before = np.cumsum([0, *(len(own.bits) for own in bits[:-1])])
+        reached = np.array([[0, *(ends[:-1] + LANES)], 8 * bytes_before])
+        begins = reached[1].tolist()
+        fault = kernel(
+            np.concatenate([part for own in words for part in (own, PADDING)]), ends, self.states,
+            self.tables.spans, self.tables.slots, rows,
+            np.concatenate([*(own.bits for own in bits), np.zeros(MORE_BITS, np.uint8)]), reached, *arguments,
         )  # fmt: skip
-        if not 0 <= position <= self.end:
-            raise CorruptStream(f"{self.where}: more symbols than words")
-        self.position = position
-        return found
-
-    def close(self) -> None:
-        """Check that the section's words are all read."""
-        if self.position != self.end:
-            raise CorruptStream(f"{self.where}: {self.end - self.position} words are left")
+        if fault:
+            raise CorruptStream(f"{self.where}: {FAULTS[fault]}")
+        if np.any(reached[0] != ends):
+            more = np.any(reached[0] > ends)
+            raise CorruptStream(
+                f"{self.where}: {FAULTS[OUT_OF_WORDS] if more else 'words are left'}"
+            )
+        for own, begin, used in zip(bits, begins, reached[1].tolist(), strict=True):
+            own.position = used - begin
+            own.close()
 
     def finish(self) -> None:
-        """Check, after the last section, that the states are those the encoder began with."""
+        """Check, after the last pass, that the states are those the encoder began with."""
         check_final(self.states, self.where)
+
+
+#: What a kernel can find wrong.
+FAULTS = (
+    "",
+    "more symbols than words",
+    "a class out of range",
+    "a value out of range",
+    "a level of SH-AC beyond its sum",
+)
+OUT_OF_WORDS, BAD_CLASS, BAD_VALUE, BAD_SUM = 1, 2, 3, 4

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.linear import dot
+from gs_codec.runtime.kernels import inlined, kernel
 
 #: Base-2 logarithm of a table's sum. With states of 16 to 32 bits, 16 would cost rANS 0.1 %.
 MIN_PRECISION, MAX_PRECISION = 8, 15
@@ -58,34 +59,46 @@ def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
     precision : int
         Base-2 logarithm of the sum of the frequencies, 8-15.
     """
-    total = int(weights.sum())
-    scaled = weights << precision
-    shares = scaled // total
-    frequencies = np.where(weights > 0, np.maximum(shares, 1), 0)
-    missing = (1 << precision) - int(frequencies.sum())
-    if missing > 0:
-        remainders = scaled - shares * total
-        remainders[shares == 0] = -1
-        largest = np.argsort(-remainders, kind="stable")[:missing]
-        frequencies[largest] += 1
-    elif missing < 0:
-        _lower(frequencies, -missing)
+    frequencies = np.empty(len(weights), np.int64)
+    _normalise(weights, precision, frequencies)
     return FrequencyTable(frequencies.astype(np.uint32), precision)
 
 
-def _lower(frequencies: NDArray[np.int64], surplus: int) -> None:
+@inlined
+def _lower(frequencies, surplus):
     """Take `surplus` one by one from the largest (ties: the lower symbol), in place."""
     # Find the lowest level that all larger ones can be cut to without exceeding the surplus.
-    low, high = 0, int(frequencies.max())
+    low, high = np.int64(0), np.max(frequencies)
     while low < high:
         level = (low + high) // 2
-        if int(np.maximum(frequencies - level, 0).sum()) <= surplus:
+        if np.sum(np.maximum(frequencies - level, 0)) <= surplus:
             high = level
         else:
             low = level + 1
-    surplus -= int(np.maximum(frequencies - high, 0).sum())
-    np.minimum(frequencies, high, out=frequencies)
-    frequencies[np.flatnonzero(frequencies == high)[:surplus]] -= 1
+    surplus -= np.sum(np.maximum(frequencies - high, 0))
+    for i in range(len(frequencies)):
+        frequencies[i] = min(frequencies[i], high)
+        if frequencies[i] == high and surplus > 0:
+            frequencies[i] -= 1
+            surplus -= 1
+
+
+@kernel
+def _normalise(weights, precision, frequencies):
+    total = np.sum(weights)
+    remainders = np.empty_like(weights)
+    for i in range(len(weights)):
+        scaled = weights[i] << precision
+        share = scaled // total
+        frequencies[i] = max(share, np.int64(weights[i] > 0))
+        remainders[i] = scaled - share * total if share > 0 else -1
+    missing = (1 << precision) - np.sum(frequencies)
+    if missing > 0:
+        largest = np.argsort(-remainders, kind="mergesort")
+        for i in range(missing):
+            frequencies[largest[i]] += 1
+    elif missing < 0:
+        _lower(frequencies, -missing)
 
 
 def shannon_bits(histogram: NDArray[np.int64]) -> float:

@@ -62,8 +62,8 @@ def _merge_lanes(keys):
 
 
 @inlined
-def find_nearest(points, i, near, distances, keys):
-    """Fill `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
+def find_nearest(points, i, near, distances, row, keys):
+    """Fill a row of `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
 
     Ties go to the later point; `distances` are squared, in position steps, and exact while
     ``points (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is scratch memory.
@@ -83,8 +83,8 @@ def find_nearest(points, i, near, distances, keys):
     found = min(known, NEIGHBOURS)
     for k in range(found):
         key = np.int64(keys[k * _LANES])
-        distances[k] = key >> _AGE_BITS
-        near[k] = i - 1 - (key & (WINDOW - 1))
+        distances[row, k] = key >> _AGE_BITS
+        near[row, k] = i - 1 - (key & (WINDOW - 1))
     return found
 
 
@@ -92,7 +92,7 @@ def find_nearest(points, i, near, distances, keys):
 def _find_all(points, near, distances):
     keys = np.empty(WINDOW)
     for i in range(len(near)):
-        find_nearest(points, i, near[i], distances[i], keys)
+        find_nearest(points, i, near, distances, i, keys)
 
 
 class Nearest(NamedTuple):

@@ -85,13 +85,17 @@ def push(words, position, states, lane, span, precision):
 
 
 @inlined
-def pull(words, position, states, lane, spans, slots, precision):
-    """Decode a symbol under a table; returns it and the position after the words it reads."""
+def pull(words, position, states, lane, spans, slots, of_span, of_slot, precision):
+    """Decode a symbol under the table whose spans and slots begin at these places.
+
+    Returns it and the position after the words it reads. Arrays are not sliced for a symbol: their
+    references would be counted.
+    """
     # Unsigned: a signed index is tested for < 0.
     state = states[np.uint64(lane)]
     slot = state & ((1 << precision) - 1)
-    symbol = np.int64(slots[np.uint64(slot)])
-    span = np.int64(spans[np.uint64(symbol)])
+    symbol = np.int64(slots[np.uint64(of_slot + slot)])
+    span = np.int64(spans[np.uint64(of_span + symbol)])
     state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
     short = np.int64(state < LOWEST)
     # No branch: it would often be mispredicted.
@@ -116,18 +120,20 @@ def _encode(symbols, start, stop, precisions, spans, states, words, firsts):
 def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, symbols):
     """Fill `symbols` (C, n); returns the first channel that does not end at its bound, or C."""
     position = 0
-    count = symbols.shape[1]
+    count, alphabet = symbols.shape[1], spans.shape[1]
+    flat = spans.ravel()
     for channel in range(symbols.shape[0]):
-        precision = precisions[channel]
-        slot_of = slots[offsets[channel] :]
-        row = spans[channel]
+        precision, of_slot = precisions[channel], offsets[channel]
+        of_span = channel * alphabet
         out = symbols[channel]
         for first in range(0, count, LANES):
             if position > bounds[channel]:
                 return channel
             for i in range(first, min(first + LANES, count)):
                 lane = i & (LANES - 1)
-                out[i], position = pull(words, position, states, lane, row, slot_of, precision)
+                out[i], position = pull(
+                    words, position, states, lane, flat, slots, of_span, of_slot, precision
+                )
         if position > bounds[channel] or (closed[channel] and position != bounds[channel]):
             return channel
     return symbols.shape[0]

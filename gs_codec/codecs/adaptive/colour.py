@@ -8,21 +8,18 @@ add up; only the encoder does this, and the format does not depend on it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.contexts import ACTIVITIES, COLOUR_SHIFTS
-from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE
+from gs_codec.codecs.adaptive.lattice import FIXED_LIMIT
 from gs_codec.codecs.adaptive.tokens import read_token
 from gs_codec.coding.colour import predict, weigh
-from gs_codec.coding.context_rans import PassReader
-from gs_codec.coding.fields import BitReader
+from gs_codec.coding.context_rans import BAD_VALUE, MORE_BITS, OUT_OF_WORDS, PassReader
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, Nearest
-from gs_codec.coding.rans import LANES
 from gs_codec.runtime.kernels import kernel
-
-#: Values of a valid block are smaller.
-_TOO_LARGE = int(TOO_LARGE) << FRACTION_BITS
 
 #: Share of the neighbours' errors that a Gaussian takes over.
 _SHARE = 0.6
@@ -36,11 +33,11 @@ def _code(near, distances, colours, unit, shifts, levels, contexts, values):
     weights = np.zeros(NEIGHBOURS, np.int64)
     for i in range(len(shifts)):
         found = min(i, NEIGHBOURS)
-        weigh(distances[i], found, weights)
+        weigh(distances, i, found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
         for channel in range(3):
-            mean, activity = predict(values[channel], near[i], weights, found, step, ACTIVITIES)
+            mean, activity = predict(values, channel, near, i, weights, step, ACTIVITIES)
             level = (2 * (colours[channel, i] - mean) + step) // (2 * step)
             levels[i, channel] = level
             contexts[i, channel] = channel * COLOUR_SHIFTS * ACTIVITIES + base + activity
@@ -48,31 +45,33 @@ def _code(near, distances, colours, unit, shifts, levels, contexts, values):
 
 
 @kernel
-def _decode(
-    words, position, end, states, spans, slots, rows, bits, used,
+def _read(
+    words, ends, states, spans, slots, rows, bits, reached,
     near, distances, unit, shifts, values,
 ):  # fmt: skip
-    """Decode ``values (3, n)``; returns the positions reached in words (-1: too few) and bits."""
+    """Decode ``values (3, n)``."""
+    position, used = reached[:, 0]
     weights = np.zeros(NEIGHBOURS, np.int64)
-    symbol = 0
+    symbol, limit = 0, 8 * (len(bits) - MORE_BITS)
     for i in range(len(shifts)):
-        if position > end:
-            return -1, used
+        if position > ends[0] or used > limit:
+            return OUT_OF_WORDS
         found = min(i, NEIGHBOURS)
-        weigh(distances[i], found, weights)
+        weigh(distances, i, found, weights)
         step = unit << shifts[i]
         base = ACTIVITIES * min(shifts[i], COLOUR_SHIFTS - 1)
         for channel in range(3):
-            mean, activity = predict(values[channel], near[i], weights, found, step, ACTIVITIES)
+            mean, activity = predict(values, channel, near, i, weights, step, ACTIVITIES)
             row = rows[channel * COLOUR_SHIFTS * ACTIVITIES + base + activity]
             level, position, used = read_token(
-                words, position, states, symbol & (LANES - 1), spans[row], slots[row], bits, used
+                words, position, states, symbol, spans, slots, row, bits, used, True
             )
             symbol += 1
-            # Clamped so that sums cannot overflow; the caller refuses values at the limit.
-            value = mean + level * step
-            values[channel, i] = min(max(value, -_TOO_LARGE), _TOO_LARGE)
-    return position, used
+            values[channel, i] = mean + level * step
+            if abs(values[channel, i]) >= FIXED_LIMIT:
+                return BAD_VALUE
+    reached[0, 0], reached[1, 0] = position, used
+    return 0
 
 
 def code_colours(
@@ -96,23 +95,22 @@ def code_colours(
     return levels, contexts, values
 
 
-def decode_colours(
+def read_colours(
+    reader: PassReader,
+    sections: Sequence[memoryview],
+    rows: NDArray[np.int64],
     nearest: Nearest,
     unit: int,
     shifts: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    reader: PassReader,
-    bits: BitReader,
 ) -> NDArray[np.int64]:
     """The values ``(3, n)`` that `code_colours` gave; ``rows (contexts,)`` are tables.
 
     Raises
     ------
-    CorruptStream
-        If there are fewer words than symbols.
+    TruncatedStream, CorruptStream
     """
     values = np.zeros((3, len(shifts)), np.int64)
-    reader.decode(_decode, rows, bits, *nearest, unit, shifts, values)
+    reader.decode(sections, _read, rows, *nearest, unit, shifts, values)
     return values
 
 

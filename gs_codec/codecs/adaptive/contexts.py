@@ -1,4 +1,4 @@
-"""Passes of a block: their streams, contexts and tables.
+"""Passes of a block: their streams, and the contexts that choose the tables of their symbols.
 
 FORMAT.md, section "Passes", has the same list.
 """
@@ -6,7 +6,7 @@ FORMAT.md, section "Passes", has the same list.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.rotation import TURNS
 from gs_codec.coding.frequency_table import shannon_bits
+from gs_codec.runtime.kernels import inlined
 from gs_codec.scene import sh_bands
 
 #: Most classes of shape, and of colour.
@@ -22,24 +23,18 @@ MAX_CLASSES = 16
 #: Number of contexts by shift; larger shifts share the last.
 SHIFT_CONTEXTS = 32
 
+#: Buckets of the values of the two Gaussians before.
+BEFORE = 8
+
 #: Contexts of SH-DC: by colour, then shift, then how much the neighbours disagree.
 COLOUR_SHIFTS, ACTIVITIES = 16, 6
 
-#: Bucket of a sum of magnitudes: twice its log2 rounded down, plus its second bit; at most 15.
-SUM_BUCKETS = np.array(
-    [
-        0,
-        1,
-        *(min(2 * n.bit_length() - 2 + (n >> n.bit_length() - 2) % 2, 15) for n in range(2, 193)),
-    ]
-)
+#: Buckets of a sum of magnitudes.
+SUMS = 16
 
-#: Contexts of an SH-AC coefficient: by what is left of its band's sum, then its neighbours' signs.
-SIGNS = 3
-SH_CONTEXTS = (int(SUM_BUCKETS[-1]) + 1) * SIGNS
-
-#: Most coefficients of a band; those of a band and colour share a list of contexts.
-_MEMBERS = 8
+#: Contexts of an SH-AC level: by what is left of its band's sum, then its neighbours' signs, then
+#: the coefficient's place in its band.
+SIGNS, MEMBERS = 3, 8
 
 #: Most tables of a list of contexts.
 MAX_TABLES = 64
@@ -48,101 +43,104 @@ MAX_TABLES = 64
 _TABLE_BITS, _SYMBOL_BITS = 100.0, 7.0
 
 
-class Following(NamedTuple):
-    """How the values v, w of the two Gaussians before choose one of several contexts.
-
-    The context is ``buckets[((v + w) >> fraction) + centre]``, the index clamped to the array.
-    """
-
-    fraction: int
-    centre: int
-    buckets: NDArray[np.int64]
-
-    @property
-    def contexts(self) -> int:
-        """Number of contexts."""
-        return int(self.buckets[-1]) + 1
-
-
-#: Passes whose contexts depend on the Gaussians before. Sums are of two values in units of 2**-20:
-#: contexts are steps of 1 of a logit, of 0.5 of a log-scale.
-FOLLOWING = {
-    "shape class": Following(0, 0, np.arange(2 * MAX_CLASSES - 1)),
-    "opacity": Following(21, 4, np.arange(8)),
-    "scale_0": Following(20, 4, np.arange(8)),
-    "scale_1": Following(20, 0, np.arange(8)),
-    "scale_2": Following(20, 0, np.arange(8)),
-    "SH sum": Following(0, 0, SUM_BUCKETS),
-}
-
-
-@dataclass(frozen=True)
-class Pass:
-    """A run of symbols of one kind.
-
-    Context c of the pass is context ``members * c + member`` of a list of contexts, which several
-    passes may have in common; without the name `listed`, it has one of its own.
-    """
+class ContextList(NamedTuple):
+    """Contexts of one kind of symbol; neighbours in the list may share a table."""
 
     name: str
     stream: str
     contexts: int
-    listed: str = ""
-    member: int = 0
-    members: int = 1
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A run of symbols, Gaussian by Gaussian, whose contexts are of one or several lists.
+
+    Without `turns`, all of its symbols are of one stream; else symbol i is of the stream of list
+    ``i % len(lists)``.
+    """
+
+    lists: tuple[ContextList, ...]
+    turns: bool = False
 
     @property
-    def contexts_listed(self) -> tuple[str, int]:
-        """Name of its list of contexts, and their number."""
-        return self.listed or self.name, self.members * self.contexts
+    def streams(self) -> list[str]:
+        """Its streams, in order."""
+        return list(dict.fromkeys(item.stream for item in self.lists))
 
-    def rows(self, listed: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Tables of its contexts, of those of its list."""
-        return np.ascontiguousarray(listed[self.member :: self.members])
+    @property
+    def cycle(self) -> NDArray[np.int64]:
+        """Number of the stream of each symbol, which repeats."""
+        of_list = [self.streams.index(item.stream) for item in self.lists]
+        return np.array(of_list if self.turns else [0])
+
+
+#: The pass of everything but colours: one symbol from each list for each Gaussian.
+SHAPE_PASS = Pass(
+    (
+        ContextList("shape class", "classes", 2 * MAX_CLASSES - 1),
+        ContextList("colour class", "classes", MAX_CLASSES),
+        ContextList("opacity", "opacity", SHIFT_CONTEXTS * BEFORE),
+        *(ContextList(f"scale_{k}", "scaling", SHIFT_CONTEXTS * BEFORE) for k in range(3)),
+        *(ContextList(name, "rotation", SHIFT_CONTEXTS) for name in TURNS),
+    ),
+    turns=True,
+)
+
+#: First context of each list of the shape pass.
+SHAPE_OFFSETS = np.array([0, *accumulate(item.contexts for item in SHAPE_PASS.lists)])
+
+#: Of opacity and scales: values of the two Gaussians before, added, are shifted down by this, and
+#: moved up by that. Values are in units of 2**-20, so buckets are 1 logit, or 0.5 log-scale, wide.
+_BEFORE_SHIFTS = np.array([21, 20, 20, 20])
+_BEFORE_CENTRES = np.array([4, 4, 0, 0])
+
+
+@inlined
+def before_bucket(attribute, total):
+    """Bucket of the sum of two values of opacity (0) or a scale (1-3)."""
+    place = (total >> _BEFORE_SHIFTS[attribute]) + _BEFORE_CENTRES[attribute]
+    return min(max(place, 0), BEFORE - 1)
+
+
+@inlined
+def sum_bucket(total):
+    """Bucket of a sum of magnitudes: twice its log2 rounded down, plus its second bit."""
+    return np.int64(_SUM_BUCKETS[np.uint64(min(total, len(_SUM_BUCKETS) - 1))])
+
+
+_SUM_BUCKETS = np.array(
+    [
+        0,
+        1,
+        *(
+            min(2 * k + (n >> k - 1) % 2, SUMS - 1)
+            for n in range(2, 193)
+            for k in [n.bit_length() - 1]
+        ),
+    ],
+    np.uint8,
+)
 
 
 def passes(coefficients: int) -> list[Pass]:
-    """The passes of a scene, in stream order, for a number of SH-AC coefficients per colour."""
-    following = {name: rule.contexts for name, rule in FOLLOWING.items()}
+    """The passes of a block, in order, for a number of SH-AC coefficients per colour."""
     listed = [
-        Pass("shape class", "classes", following["shape class"]),
-        Pass("colour class", "classes", MAX_CLASSES),
-        Pass("opacity", "opacity", SHIFT_CONTEXTS * following["opacity"]),
-        *(
-            Pass(f"scale_{k}", "scaling", SHIFT_CONTEXTS * following[f"scale_{k}"])
-            for k in range(3)
-        ),
-        *(Pass(name, "rotation", SHIFT_CONTEXTS) for name in TURNS),
-        Pass("f_dc", "sh-dc", 3 * COLOUR_SHIFTS * ACTIVITIES),
+        SHAPE_PASS,
+        Pass((ContextList("f_dc", "sh-dc", 3 * COLOUR_SHIFTS * ACTIVITIES),)),
     ]
-    bands = sh_bands(coefficients)
-    if bands:
-        listed.append(Pass("SH sum", "sh1", COLOUR_SHIFTS * following["SH sum"]))
-    for band, members in enumerate(bands, 1):
+    bands = len(sh_bands(coefficients))
+    for band in range(1, bands + 1):
         stream = f"sh{band}"
-        if band < len(bands):
-            listed.append(Pass(f"SH sum_{band}", stream, int(SUM_BUCKETS[-1]) + 1))
-        listed += [
-            Pass(f"f_rest {colour}_{k}", stream, SH_CONTEXTS, f"{stream} {colour}", j, _MEMBERS)
+        lists = [
+            ContextList(f"{stream} {colour}", stream, SUMS * SIGNS * MEMBERS)
             for colour in ("Y", "Co", "Cg")
-            for j, k in enumerate(members)
         ]
+        if band < bands:
+            lists.insert(0, ContextList(f"SH sum_{band}", stream, SUMS))
+        if band == 1:
+            lists.insert(0, ContextList("SH sum", stream, COLOUR_SHIFTS * SUMS))
+        listed.append(Pass(tuple(lists)))
     return listed
-
-
-def context_lists(listed: list[Pass]) -> dict[str, int]:
-    """Number of contexts of each list that passes have tables from, by name, in stream order."""
-    return dict(item.contexts_listed for item in listed)
-
-
-def shift_context(shifts: NDArray, contexts: int = SHIFT_CONTEXTS) -> NDArray:
-    """Contexts ``(n,)`` of shifts."""
-    return np.minimum(shifts, contexts - 1)
-
-
-def sum_context(sums: NDArray) -> NDArray:
-    """Contexts ``(n,)`` of sums of magnitudes."""
-    return SUM_BUCKETS[np.minimum(sums, len(SUM_BUCKETS) - 1)]
 
 
 def share_tables(histograms: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

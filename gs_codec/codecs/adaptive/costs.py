@@ -6,26 +6,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import code_colours
-from gs_codec.codecs.adaptive.contexts import FOLLOWING
-from gs_codec.codecs.adaptive.decode import Blocks, Streams
-from gs_codec.codecs.adaptive.following import following_contexts
-from gs_codec.codecs.adaptive.sh_ac import BandSums, code_coefficient
+from gs_codec.codecs.adaptive.decode import Blocks, DecodedBlock
+from gs_codec.codecs.adaptive.rotation import TURNS
+from gs_codec.codecs.adaptive.sh_ac import code_bands, two_nearest
+from gs_codec.codecs.adaptive.shape import shape_pass, walk_shape
 from gs_codec.codecs.adaptive.tokens import raw_width, token_of
-from gs_codec.coding.context_rans import PRECISION
-from gs_codec.coding.nearest import Nearest
+from gs_codec.coding.context_rans import PRECISION, SPAN_BITS
 from gs_codec.egs.file import EgsFile
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 
 
 @kernel
-def _add(spans, rows, contexts, indices, values, costs):
-    """Add the bits of ``values[indices]``: of their tokens by the tables, and raw ones."""
-    for i in range(len(contexts)):
-        index = indices[i]
-        token = token_of(np.int64(values[index]))
-        frequency = np.int64(spans[rows[contexts[i]], token]) & 0xFFFF
-        costs[index] += PRECISION - np.log2(frequency) + raw_width(token)
+def _add(spans, rows, values, contexts, counts, costs):
+    """Add the bits of values, ``counts[i]`` for each: of tokens by the tables, and raw ones."""
+    symbol = 0
+    for i in range(len(costs)):
+        for _ in range(counts[i]):
+            token = token_of(np.int64(values[symbol]))
+            frequency = np.int64(spans[(rows[contexts[symbol]] << SPAN_BITS) + token]) & 0xFFFF
+            costs[i] += PRECISION - np.log2(frequency) + raw_width(token)
+            symbol += 1
 
 
 def symbol_bits(file: EgsFile) -> NDArray[np.float64]:
@@ -35,70 +36,41 @@ def symbol_bits(file: EgsFile) -> NDArray[np.float64]:
     ------
     CorruptStream, TruncatedStream
     """
-    blocks = _CostedBlocks(file, file.header.sh_degree, file.header.count)
-    numbers = range(file.header.block_count)
-    spans = [slice(*file.header.block_range(number)) for number in numbers]
-    run_all(lambda number: blocks.decode(number, spans[number]), numbers)
-    return blocks.costs
+    blocks, costs = Blocks(file, file.header.sh_degree), np.zeros(file.header.count)
+
+    def work(number: int) -> None:
+        own = costs[slice(*file.header.block_range(number))]
+        coded = _coded_again(blocks, blocks.read(number))
+        for rows, (values, contexts, counts) in zip(blocks.rows, coded, strict=True):
+            _add(blocks.tables.spans, rows, values.ravel(), contexts.ravel(), counts, own)
+
+    run_all(work, range(file.header.block_count))
+    return costs
 
 
-class _CostedBlocks(Blocks):
-    """Decodes blocks, and adds up the bits of each Gaussian in `costs`."""
+def _coded_again(
+    blocks: Blocks, found: DecodedBlock
+) -> list[tuple[NDArray[np.integer], NDArray[np.uint16], NDArray[np.uint8]]]:
+    """Integers, contexts and symbols of each Gaussian, of each pass of a decoded block."""
+    lattice, shape = blocks.lattice, found.shape
+    levels: dict[str, NDArray[np.int64]] = {}
+    by_name: dict[str, NDArray[np.int64]] = {}
+    fixed = {
+        "opacity": shape.opacity - lattice.centres[0],
+        "scale_0": shape.scales[0] - lattice.centres[1],
+        "scale_1": shape.scales[0] - shape.scales[1],
+        "scale_2": shape.scales[1] - shape.scales[2],
+        **dict(zip(TURNS, shape.turns, strict=True)),
+    }
 
-    def __init__(self, file: EgsFile, degree: int, count: int) -> None:
-        super().__init__(file, degree, count)
-        self.costs = np.zeros(count)
+    def known(name: str, shifts: NDArray[np.int64], unit: int, _: object) -> NDArray[np.int64]:
+        levels[name], by_name[name] = fixed[name] // (unit << shifts), shifts
+        return levels[name]
 
-    def streams(self, block: int, span: slice) -> Streams:
-        return _CostedStreams(self, block, self.costs[span])
-
-
-class _CostedStreams(Streams):
-    """Reads the passes of a block, and adds the bits of each Gaussian to `costs`."""
-
-    def __init__(self, blocks: Blocks, block: int, costs: NDArray[np.float64]) -> None:
-        super().__init__(blocks, block)
-        self.spans, self.costs = blocks.tables.spans, costs
-        self.rows = np.zeros(0, np.int64)
-
-    def next_tables(self) -> NDArray[np.int64]:
-        self.rows = super().next_tables()
-        return self.rows
-
-    def read_into(
-        self,
-        contexts: NDArray[np.integer],
-        indices: NDArray[np.int64],
-        values: NDArray[np.integer],
-    ) -> None:
-        super().read_into(contexts, indices, values)
-        _add(self.spans, self.rows, contexts, indices, values, self.costs)
-
-    # Coding what was decoded gives its contexts once more.
-
-    def read_following(
-        self, name: str, bases: NDArray[np.int64], steps: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        levels = super().read_following(name, bases, steps)
-        contexts = following_contexts(levels * steps, bases, FOLLOWING[name])
-        _add(self.spans, self.rows, contexts, np.arange(len(levels)), levels, self.costs)
-        return levels
-
-    def read_colours(
-        self, nearest: Nearest, unit: int, shifts: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        values = super().read_colours(nearest, unit, shifts)
-        levels, contexts, _ = code_colours(nearest, values, unit, shifts)
-        every = np.arange(len(shifts))
-        for level, context in zip(levels.T, contexts.T, strict=True):
-            _add(self.spans, self.rows, context.copy(), every, level.copy(), self.costs)
-        return values
-
-    def read_coefficient(self, sums: BandSums, last: bool, levels: NDArray[np.int32]) -> None:
-        before = sums.copy()
-        indices = sums.live[: sums.count].copy()
-        super().read_coefficient(sums, last, levels)
-        coded, contexts = code_coefficient(levels, before, last)
-        values = np.zeros(len(levels), np.int64)
-        values[indices] = coded
-        _add(self.spans, self.rows, contexts, indices, values, self.costs)
+    walk_shape(lattice, found.classes[0], known)
+    shapes = shape_pass(found.classes, levels, by_name, lattice.units)
+    unit = lattice.units["sh-dc"]
+    dc = code_colours(found.nearest, found.colours, unit, found.shifts)[:2]
+    ac = code_bands(found.levels, two_nearest(found.nearest), found.shifts)
+    every = np.ones(len(found.shifts), np.uint8)
+    return [(*shapes, 9 * every), (*dc, 3 * every), *ac]

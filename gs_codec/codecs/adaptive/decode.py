@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.colour import decode_colours
-from gs_codec.codecs.adaptive.contexts import (
-    COLOUR_SHIFTS,
-    FOLLOWING,
-    passes,
-    shift_context,
-    sum_context,
-)
-from gs_codec.codecs.adaptive.following import read_following
-from gs_codec.codecs.adaptive.lattice import (
-    FRACTION_BITS,
-    TOO_LARGE,
-    centres,
-    from_grid,
-    to_float,
-)
+from gs_codec.codecs.adaptive.colour import read_colours
+from gs_codec.codecs.adaptive.contexts import passes
+from gs_codec.codecs.adaptive.lattice import TOO_LARGE, centres, from_grid, to_float
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.section import bounds_of, lattice_of
-from gs_codec.codecs.adaptive.sh_ac import BandSums, read_coefficient, two_nearest
-from gs_codec.codecs.adaptive.shape import Shape, walk_shape
-from gs_codec.codecs.adaptive.tokens import MAX_BITS, read_pass
+from gs_codec.codecs.adaptive.sh_ac import read_bands, two_nearest
+from gs_codec.codecs.adaptive.shape import Shape, read_shapes
 from gs_codec.coding.context_rans import PassReader, PassTables
 from gs_codec.coding.count_tree import decode_tree
-from gs_codec.coding.fields import BitReader, ByteReader
+from gs_codec.coding.fields import BitReader
 from gs_codec.coding.nearest import Nearest, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg
 from gs_codec.egs.file import EgsFile, SectionId
@@ -43,9 +29,9 @@ from gs_codec.scene import SH_COEFFICIENTS, group_rows, sh_bands
 
 def adaptive_sections(sh_degree: int) -> set[SectionId]:
     """Sections that each block has for SH up to a degree."""
-    streams = {item.stream for item in passes(SH_COEFFICIENTS[sh_degree])}
-    listed = {SectionId.of_stream(stream) for stream in streams}
-    return {*listed, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
+    listed = passes(SH_COEFFICIENTS[sh_degree])
+    coded = {SectionId.of_stream(stream) for item in listed for stream in item.streams}
+    return {*coded, SectionId.GEOMETRY, SectionId.STATES, SectionId.LOW_BITS}
 
 
 def decode_adaptive(
@@ -59,10 +45,12 @@ def decode_adaptive(
     `spans` gives each block's range in the result; SH is decoded up to `degree`.
     """
     count = max((span.stop for span in spans.values()), default=0)
-    decoder = Blocks(file, degree, count)
-    jobs = [partial(decoder.decode, block, span) for block, span in spans.items()]
-    run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
-    return decoder.groups
+    rows = group_rows(SH_COEFFICIENTS[degree])
+    groups = {group: np.zeros((number, count), np.float32) for group, number in rows.items()}
+    blocks = Blocks(file, degree)
+    advance = step_counter(progress, "decode", len(spans))
+    run_all(lambda item: blocks.fill(item[0], groups, item[1]), spans.items(), advance=advance)
+    return groups
 
 
 def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -76,215 +64,88 @@ def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return low, high
 
 
-class Blocks:
-    """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree."""
+@dataclass(frozen=True)
+class DecodedBlock:
+    """A block in integers.
 
-    def __init__(self, file: EgsFile, degree: int, count: int) -> None:
+    ``classes (2, n)`` are of shape and colour, ``grid_positions (3, n)`` half steps of the grid,
+    ``shifts (n,)`` of the colours' step sizes, ``colours (3, n)`` SH-DC as fixed-point Y, Co, Cg,
+    ``levels (3, K, n)`` of SH-AC.
+    """
+
+    classes: NDArray[np.int64]
+    shape: Shape
+    grid_positions: NDArray[np.int64]
+    nearest: Nearest
+    shifts: NDArray[np.int64]
+    colours: NDArray[np.int64]
+    levels: NDArray[np.int32]
+
+
+class Blocks:
+    """Decodes single blocks of a file, with SH up to a degree."""
+
+    def __init__(self, file: EgsFile, degree: int) -> None:
         self.file = file
         self.lattice, self.models = lattice_of(file)
         self.tables = PassTables.pack(self.models.tables())
         self.boxes = bounds_of(file)
-        self.coded = SH_COEFFICIENTS[file.header.sh_degree]
-        self.kept = SH_COEFFICIENTS[degree]
-        rows = group_rows(self.kept)
-        self.groups = {group: np.zeros((n, count), np.float32) for group, n in rows.items()}
+        self.passes = passes(SH_COEFFICIENTS[file.header.sh_degree])
+        self.rows = [self.models.rows(item) for item in self.passes]
+        self.bands = sh_bands(SH_COEFFICIENTS[degree])
 
-    def streams(self, block: int, span: slice) -> Streams:
-        """What a block is read from, whose Gaussians are in `span`."""
-        return Streams(self, block)
+    def read(self, block: int) -> DecodedBlock:
+        """Decode a block.
 
-    def decode(self, block: int, span: slice) -> None:
-        """Fill the groups of a block."""
-        where = f"block {block}"
-        grid = self.lattice.grid
-        tree = self.file.section(SectionId.GEOMETRY, block)
-        count = span.stop - span.start
-        codes, lefts = decode_tree(tree, count, grid.total_bits, f"geometry of {where}")
-        streams = self.streams(block, span)
-        most_shapes, most_colours = self.lattice.classes
-        shape_class = streams.read_following(
-            "shape class", np.zeros_like(codes), np.ones_like(codes)
-        )
-        _check_range([shape_class], 0, most_shapes, f"{where}: a class")
-        colour_class = streams.read(shape_class)
-        _check_range([colour_class], 0, most_colours, f"{where}: a class")
-        shape = walk_shape(self.lattice, shape_class, streams.read_shape)
-        _check_values([shape.opacity, *shape.scales, *shape.turns], where)
-        grid_positions = self._grid_positions(block, codes, lefts, shape_class, shape)
-        rule = self.lattice.rules["colour"]
-        shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
-        near = self._decode_dc(streams, grid_positions, shifts, span)
-        self.groups["positions"][:, span] = from_grid(grid_positions, grid)
-        self.groups["opacity"][0, span] = to_float(shape.opacity)
-        self.groups["log_scale"][:, span] = to_float(shape.scales)
-        self.groups["rot"][:, span] = turned_quaternions(to_float(shape.turns), shape.poles)
-        if self.kept:
-            self._decode_ac(streams, near, shifts, span)
-        streams.finish(whole=self.kept == self.coded)
-
-    def _grid_positions(
-        self,
-        block: int,
-        codes: NDArray[np.int64],
-        lefts: NDArray[np.int64],
-        classes: NDArray[np.int64],
-        shape: Shape,
-    ) -> NDArray[np.int64]:
-        """Positions in half steps, from the tree's codes and the low bits that are kept."""
-        rule = self.lattice.rules["position"]
-        dropped = np.minimum(rule.shifts(classes, 3, shape.opacity, shape.scales), lefts)
-        where = f"low bits of block {block}"
-        bits = BitReader(self.file.section(SectionId.LOW_BITS, block), where)
-        codes |= bits.fields(lefts - dropped) << dropped
-        bits.close()
-        grid_positions = centres(codes, dropped, self.lattice.grid)
-        if np.any(self.boxes[block] != [*grid_positions.min(axis=1), *grid_positions.max(axis=1)]):
-            raise CorruptStream(f"section 'bounds': does not match block {block}")
-        return grid_positions
-
-    def _decode_dc(
-        self,
-        streams: Streams,
-        grid_positions: NDArray[np.int64],
-        shifts: NDArray[np.int64],
-        span: slice,
-    ) -> NDArray[np.uint32]:
-        """Fill SH-DC; returns the neighbours that SH-AC goes by, and lets go of the others.
-
-        If they were kept, memory that a block has freed would go back to the system each time.
+        Raises
+        ------
+        TruncatedStream, CorruptStream
         """
-        nearest = find_all_nearest(grid_positions)
-        colours = streams.read_colours(nearest, self.lattice.units["sh-dc"], shifts)
-        _check_values(colours, f"block {streams.block}")
-        self.groups["f_dc"][:, span] = from_ycocg(to_float(colours))
-        return two_nearest(nearest)
-
-    def _decode_ac(
-        self, streams: Streams, near: NDArray[np.uint32], shifts: NDArray[np.int64], span: slice
-    ) -> None:
-        where = f"block {streams.block}"
-        base = shift_context(shifts, COLOUR_SHIFTS)
-        left = streams.read_following("SH sum", base, np.ones_like(base))
-        _check_range([left], 0, 1 << MAX_BITS, f"{where}: a sum of SH levels")
-        levels = np.zeros((3, self.kept, len(left)), np.int32)
-        units = np.empty(self.kept, np.int64)
-        bands = sh_bands(self.coded)
-        for number, band in enumerate(sh_bands(self.kept), 1):
-            sums = left if number == len(bands) else streams.read_share(left, where)
-            left = left - sums
-            units[list(band)] = self.lattice.units[f"sh{number}"]
-            streams.read_band(BandSums.of(sums, near), levels[:, band.start : band.stop])
-        rows = self.groups["f_rest"].reshape(3, self.kept, -1)[:, :, span]
-        if not fill_colours(levels, units, shifts, TOO_LARGE, rows):
-            raise CorruptStream(f"{where}: a value out of range")
-
-
-class Streams:
-    """Reads the passes of a block one after another, and opens the streams that they are in."""
-
-    def __init__(self, blocks: Blocks, block: int) -> None:
-        self.file = blocks.file
-        self.block = block
-        self.models = blocks.models
-        self.passes = iter(passes(blocks.coded))
-        self.stream = ""
         where = f"block {block}"
-        self.reader = PassReader(self.file.section(SectionId.STATES, block), blocks.tables, where)
-        self.bits = BitReader(memoryview(b""), where)
+        lattice, section = self.lattice, partial(self.file.section, block=block)
+        start, stop = self.file.header.block_range(block)
+        tree = section(SectionId.GEOMETRY)
+        bits = lattice.grid.total_bits
+        codes, lefts = decode_tree(tree, stop - start, bits, f"geometry of {where}")
+        reader = PassReader(section(SectionId.STATES), self.tables, where)
+        streams = [
+            [section(SectionId.of_stream(stream)) for stream in item.streams]
+            for item in self.passes[: 2 + len(self.bands)]
+        ]
+        classes, shape = read_shapes(reader, streams[0], self.rows[0], lattice, stop - start)
+        known = (shape.opacity, shape.scales)
+        dropped = np.minimum(lattice.rules["position"].shifts(classes[0], 3, *known), lefts)
+        low_bits = BitReader(section(SectionId.LOW_BITS), f"low bits of {where}")
+        codes |= low_bits.fields(lefts - dropped) << dropped
+        low_bits.close()
+        grid_positions = centres(codes, dropped, lattice.grid)
+        corners = [*grid_positions.min(axis=1), *grid_positions.max(axis=1)]
+        if np.any(self.boxes[block] != corners):
+            raise CorruptStream(f"section 'bounds': does not match {where}")
+        nearest = find_all_nearest(grid_positions)
+        shifts = lattice.rules["colour"].shifts(classes[1], 1, *known)
+        unit = lattice.units["sh-dc"]
+        colours = read_colours(reader, streams[1], self.rows[1], nearest, unit, shifts)
+        kept = self.bands[-1].stop if self.bands else 0
+        levels = np.zeros((3, kept, stop - start), np.int32)
+        ac = [of_band for [of_band] in streams[2:]]
+        read_bands(reader, ac, self.rows[2:], levels, two_nearest(nearest), shifts)
+        if len(streams) == len(self.passes):
+            reader.finish()
+        return DecodedBlock(classes, shape, grid_positions, nearest, shifts, colours, levels)
 
-    def next_tables(self) -> NDArray[np.int64]:
-        """Number of the table of each context of the next pass."""
-        item = next(self.passes)
-        if item.stream != self.stream:
-            self._close()
-            self._open(item.stream)
-        return self.models.rows(item)
-
-    def read(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Levels ``(n,)`` of the next pass, under contexts ``(n,)``."""
-        values = np.empty(len(contexts), np.int64)
-        self.read_into(contexts, np.arange(len(contexts)), values)
-        return values
-
-    def read_into(
-        self,
-        contexts: NDArray[np.integer],
-        indices: NDArray[np.int64],
-        values: NDArray[np.integer],
-    ) -> None:
-        """Read the levels of the next pass into ``values[indices]``."""
-        tables = self.next_tables()
-        read_pass(self.reader, self.bits, tables, contexts, indices, values)
-
-    def read_following(
-        self, name: str, bases: NDArray[np.int64], steps: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """Levels ``(n,)`` of the next pass, by the rule of this name; see `read_following`."""
-        tables = self.next_tables()
-        return read_following(self.reader, self.bits, tables, bases, steps, FOLLOWING[name])
-
-    def read_shape(
-        self, name: str, shifts: NDArray[np.int64], unit: int, _poles: NDArray[np.int8] | None
-    ) -> NDArray[np.int64]:
-        """Levels ``(n,)`` of opacity, a scale or a turn: a `Coder`."""
-        if name not in FOLLOWING:
-            return self.read(shift_context(shifts))
-        return self.read_following(name, shift_context(shifts), unit << shifts)
-
-    def read_colours(
-        self, nearest: Nearest, unit: int, shifts: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """SH-DC ``(3, n)`` of the next pass, fixed-point Y, Co, Cg."""
-        tables = self.next_tables()
-        return decode_colours(nearest, unit, shifts, tables, self.reader, self.bits)
-
-    def read_share(self, left: NDArray[np.int64], where: str) -> NDArray[np.int64]:
-        """Sums ``(n,)`` of the next band, of what is left ``(n,)`` for this and the others."""
-        sums = np.zeros_like(left)
-        some = np.flatnonzero(left > 0)
-        self.read_into(sum_context(left[some]), some, sums)
-        if np.any((sums < 0) | (sums > left)):
-            raise CorruptStream(f"{where}: a band's sum of SH levels out of range")
-        return sums
-
-    def read_band(self, sums: BandSums, levels: NDArray[np.int32]) -> None:
-        """Fill ``levels (3, k, n)``, 0 before, of a band."""
-        planes = [plane for colour in levels for plane in colour]
-        for number, plane in enumerate(planes, 1):
-            self.read_coefficient(sums, number == len(planes), plane)
-
-    def read_coefficient(self, sums: BandSums, last: bool, levels: NDArray[np.int32]) -> None:
-        """Read the levels ``(n,)`` of a coefficient, those that are not 0."""
-        tables = self.next_tables()
-        read_coefficient(self.reader, self.bits, tables, sums, last, levels)
-
-    def finish(self, whole: bool) -> None:
-        """Check that the stream was read to its end; if `whole`, check the final states too."""
-        self._close()
-        if whole:
-            self.reader.finish()
-
-    def _open(self, stream: str) -> None:
-        data = self.file.section(SectionId.of_stream(stream), self.block)
-        where = f"section '{stream}' of block {self.block}"
-        section = ByteReader(data, where)
-        self.reader.open(section.take(section.unpack("I")[0]))
-        self.bits = BitReader(section.rest(), where)
-        self.stream = stream
-
-    def _close(self) -> None:
-        """Check that the stream was read to its end."""
-        self.reader.close()
-        self.bits.close()
-
-
-def _check_values(fixed: Iterable[NDArray[np.int64]], where: str) -> None:
-    limit = int(TOO_LARGE) << FRACTION_BITS
-    _check_range(fixed, 1 - limit, limit, f"{where}: a value")
-
-
-def _check_range(rows: Iterable[NDArray[np.int64]], low: int, end: int, what: str) -> None:
-    """Refuse integers below `low`, or not below `end`."""
-    for row in rows:
-        if row.size and not low <= row.min() <= row.max() < end:
-            raise CorruptStream(f"{what} out of range")
+    def fill(self, block: int, groups: dict[str, NDArray[np.float32]], span: slice) -> None:
+        """Decode a block into a range of groups."""
+        found = self.read(block)
+        shape = found.shape
+        groups["positions"][:, span] = from_grid(found.grid_positions, self.lattice.grid)
+        groups["opacity"][0, span] = to_float(shape.opacity)
+        groups["log_scale"][:, span] = to_float(shape.scales)
+        groups["rot"][:, span] = turned_quaternions(to_float(shape.turns), shape.poles)
+        groups["f_dc"][:, span] = from_ycocg(to_float(found.colours))
+        kept = found.levels.shape[1]
+        if kept:
+            units = [self.lattice.units[f"sh{n}"] for n, b in enumerate(self.bands, 1) for _ in b]
+            rows = groups["f_rest"].reshape(3, kept, -1)[:, :, span]
+            if not fill_colours(found.levels, np.array(units), found.shifts, TOO_LARGE, rows):
+                raise CorruptStream(f"block {block}: a value out of range")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,15 +9,15 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
-from gs_codec.codecs.adaptive.contexts import Pass, context_lists, passes, share_tables
+from gs_codec.codecs.adaptive.contexts import ContextList, Pass, passes, share_tables
 from gs_codec.codecs.adaptive.lattice import from_grid, to_float
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
-from gs_codec.codecs.adaptive.tokens import ALPHABET
-from gs_codec.coding.context_rans import PRECISION, PassTables, encode_passes
-from gs_codec.coding.fields import BitWriter
+from gs_codec.codecs.adaptive.tokens import ALPHABET, raw_width
+from gs_codec.coding.context_rans import PRECISION, CodedPass, PassTables, encode_passes
 from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
+from gs_codec.coding.linear import dot
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import Config
 from gs_codec.egs.file import Header, Section, SectionId
@@ -137,11 +136,10 @@ def _code(
         models, tables, costs = _models(listed, blocks)
     with times.stage("code"):
         packed = PassTables.pack(tables)
+        rows = [models.rows(item) for item in listed]
         advance = step_counter(progress, "code", len(blocks))
         coded = run_all(
-            lambda item: _sections(*item, listed, models, packed),
-            enumerate(blocks),
-            advance=advance,
+            lambda item: _sections(*item, listed, rows, packed), enumerate(blocks), advance=advance
         )
     sections = [Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models))]
     if blocks:
@@ -155,73 +153,66 @@ def _code(
 def _models(
     listed: list[Pass], blocks: list[Block]
 ) -> tuple[PassModels, list[FrequencyTable], list[ChannelCost]]:
-    """Models, and their tables, for the passes of all blocks together; bits of each pass."""
-    lists = context_lists(listed)
+    """Models, and their tables, for the passes of all blocks together; bits of each list."""
 
-    def count(p: int) -> NDArray[np.int64]:
-        counts = np.zeros((listed[p].contexts, ALPHABET), np.int64)
+    def count(number: int) -> list[NDArray[np.int64]]:
+        lists = listed[number].lists
+        counts = np.zeros((sum(item.contexts for item in lists), ALPHABET), np.int64)
         for block in blocks:
-            block.passes[p].count(counts)
-        return counts
+            block.passes[number].count(counts)
+        return np.split(counts, np.cumsum([item.contexts for item in lists])[:-1])
 
-    counts = run_all(count, range(len(listed)))
-
-    def share(name: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        together = np.zeros((lists[name], ALPHABET), np.int64)
-        for item, own in zip(listed, counts, strict=True):
-            if item.contexts_listed[0] == name:
-                together[item.member :: item.members] += own
-        return share_tables(together)
-
+    counted = [own for one in run_all(count, range(len(listed))) for own in one]
+    lists = [item for one in listed for item in one.lists]
     rows: dict[str, NDArray[np.int64]] = {}
     weights: list[NDArray[np.int64]] = []
-    for name, (table_of, histograms) in zip(lists, run_all(share, lists), strict=True):
-        rows[name] = len(weights) + table_of
+    for item, (table_of, histograms) in zip(lists, run_all(share_tables, counted), strict=True):
+        rows[item.name] = len(weights) + table_of
         for histogram in histograms:
             used = np.trim_zeros(histogram, "b") if histogram.any() else np.ones(1, np.int64)
             weights.append(SentModel.fit(used, MANTISSA, PRECISION).weights)
     models = PassModels(rows, weights)
     tables = models.tables()
-    return models, tables, _costs(listed, blocks, counts, models, tables)
+    costs = [
+        _cost(item, own, rows[item.name], tables) for item, own in zip(lists, counted, strict=True)
+    ]
+    return models, tables, costs
 
 
-def _costs(
-    listed: list[Pass],
-    blocks: list[Block],
-    counts: list[NDArray[np.int64]],
-    models: PassModels,
+def _cost(
+    item: ContextList,
+    counts: NDArray[np.int64],
+    rows: NDArray[np.int64],
     tables: list[FrequencyTable],
-) -> list[ChannelCost]:
-    """Bits of each pass, whose tokens occur ``counts[p] (contexts, ALPHABET)`` times."""
-    costs = []
-    for p, (item, own) in enumerate(zip(listed, counts, strict=True)):
-        bits = sum(float(block.passes[p].raw_widths.sum(dtype=np.int64)) for block in blocks)
-        entropy = bits
-        rows = models.rows(item)
-        for row in np.unique(rows[own.any(axis=1)]):
-            histogram = own[rows == row].sum(axis=0)
-            entropy += shannon_bits(histogram)
-            bits += tables[row].code_length(histogram[: tables[row].frequencies.size])
-        costs.append(ChannelCost(item.name, item.stream, "table", bits, bits, entropy))
-    return costs
+) -> ChannelCost:
+    """Bits of a list, whose tokens occur ``counts (contexts, ALPHABET)`` times."""
+    raw = [raw_width(token) for token in range(ALPHABET)]
+    entropy = bits = float(dot(counts.sum(axis=0), np.array(raw)))
+    for row in np.unique(rows[counts.any(axis=1)]):
+        histogram = counts[rows == row].sum(axis=0)
+        entropy += shannon_bits(histogram)
+        bits += tables[row].code_length(histogram[: tables[row].frequencies.size])
+    return ChannelCost(item.name, item.stream, "table", bits, bits, entropy)
 
 
 def _sections(
-    number: int, block: Block, listed: list[Pass], models: PassModels, tables: PassTables
+    number: int,
+    block: Block,
+    listed: list[Pass],
+    rows: list[NDArray[np.int64]],
+    tables: PassTables,
 ) -> list[Section]:
     """Sections of a block."""
-    coded = []
-    bits: dict[str, BitWriter] = {}
-    for item, data in zip(listed, block.passes, strict=True):
-        coded.append((item.stream, data.tokens, data.contexts, models.rows(item)))
-        bits.setdefault(item.stream, BitWriter()).add(data.raw_levels, data.raw_widths)
-    states, words = encode_passes(coded, tables)
+    coded = [
+        CodedPass(item.streams, item.cycle, own, *vars(data).values())
+        for item, own, data in zip(listed, rows, block.passes, strict=True)
+    ]
+    states, streams = encode_passes(coded, tables)
     sections = [
         Section(SectionId.GEOMETRY, number, block.tree),
         Section(SectionId.STATES, number, states),
         Section(SectionId.LOW_BITS, number, block.low_bits),
     ]
-    for stream, low_bits in bits.items():
-        packed = struct.pack("<I", len(words[stream])) + words[stream] + low_bits.finish()
-        sections.append(Section.kept(SectionId.of_stream(stream), number, packed))
+    for stream, data in streams.items():
+        sections.append(Section.kept(SectionId.of_stream(stream), number, data))
     return sections

@@ -6,6 +6,7 @@ differ between machines.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,9 @@ LARGEST = 400.0
 
 #: No encoder writes values of this magnitude or more.
 TOO_LARGE = 4 * LARGEST
+
+#: The same as a fixed-point value.
+FIXED_LIMIT = int(TOO_LARGE) << FRACTION_BITS
 
 #: Fraction bits of a rule's numbers.
 RULE_FRACTION_BITS = 16
@@ -94,25 +98,37 @@ class StepRule:
             Fixed-point values; those that are not decoded yet have a coefficient of 0.
         """
         out = np.empty(len(classes), np.int64)
-        _shifts(np.array(self.numbers, np.int64), self.limit, weight, classes, opacity, scales, out)
+        _shifts(*packed_rules([self]), weight, classes, opacity, scales, out)
         return out
 
 
+def packed_rules(rules: Sequence[StepRule]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Numbers ``(R, 5)`` and limits ``(R,)`` of rules, for kernels."""
+    numbers = np.array([rule.numbers for rule in rules], np.int64)
+    return numbers, np.array([rule.limit for rule in rules], np.int64)
+
+
 @inlined
-def rule_sum(numbers, weight, classes, opacity, scales, i):
-    """Shift of a Gaussian by a rule's numbers, in 1 / 2**16."""
-    total = numbers[0] + ((weight * np.int64(classes[i])) << RULE_FRACTION_BITS)
-    total += (numbers[1] * min(opacity[i], 0)) >> FRACTION_BITS
-    for k in range(3):
-        total += (numbers[2 + k] * scales[k, i]) >> FRACTION_BITS
-    return total
+def rule_shift(numbers, limits, rule, classes, opacity, first, second, third, more):
+    """Shift of a Gaussian by one of several packed rules, and `more` octaves.
+
+    ``classes`` is what its class adds; opacity and scales are fixed-point values.
+    """
+    total = numbers[rule, 0] + (classes << RULE_FRACTION_BITS)
+    total += (numbers[rule, 1] * min(opacity, 0)) >> FRACTION_BITS
+    total += (numbers[rule, 2] * first) >> FRACTION_BITS
+    total += (numbers[rule, 3] * second) >> FRACTION_BITS
+    total += (numbers[rule, 4] * third) >> FRACTION_BITS
+    return min(max((total >> RULE_FRACTION_BITS) + more, 0), limits[rule])
 
 
 @kernel
-def _shifts(numbers, limit, weight, classes, opacity, scales, out):
+def _shifts(numbers, limits, weight, classes, opacity, scales, out):
     for i in range(len(out)):
-        total = rule_sum(numbers, weight, classes, opacity, scales, i)
-        out[i] = min(max(total >> RULE_FRACTION_BITS, 0), limit)
+        octaves = weight * np.int64(classes[i])
+        out[i] = rule_shift(
+            numbers, limits, 0, octaves, opacity[i], scales[0, i], scales[1, i], scales[2, i], 0
+        )
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.lattice import (
-    FRACTION_BITS,
-    RULE_FRACTION_BITS,
-    StepRule,
-    rule_sum,
-)
+from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, StepRule, packed_rules, rule_shift
 from gs_codec.runtime.kernels import inlined, kernel
 
 #: Rules of the turns about the longest, the middle and the shortest axis.
@@ -68,19 +63,30 @@ def likeness(scales: NDArray[np.int64]) -> NDArray[np.int64]:
     return out
 
 
+@inlined
+def turns_of(numbers, limits, rule, octaves, opacity, first, second, third):
+    """Shifts of the roll and of both tilts, and the pole, of a Gaussian.
+
+    Rules of turns begin at number `rule`; the class adds `octaves`.
+    """
+    alike = _alike(second, third)
+    longest = rule_shift(numbers, limits, rule, octaves, opacity, first, second, third, alike)
+    alike = _alike(third, first)
+    middle = rule_shift(numbers, limits, rule + 1, octaves, opacity, first, second, third, alike)
+    alike = _alike(first, second)
+    shortest = rule_shift(numbers, limits, rule + 2, octaves, opacity, first, second, third, alike)
+    if shortest > longest:
+        return shortest, middle, longest, 2
+    return longest, middle, shortest, 0
+
+
 @kernel
 def _turn_shifts(numbers, limits, classes, opacity, scales, shifts, poles):
-    for k in range(3):
-        rule, limit = numbers[k], limits[k]
-        first, second = scales[(k + 1) % 3], scales[(k + 2) % 3]
-        for i in range(len(poles)):
-            total = rule_sum(rule, 1, classes, opacity, scales, i) >> RULE_FRACTION_BITS
-            shifts[k, i] = min(max(total + _alike(first[i], second[i]), 0), limit)
     for i in range(len(poles)):
-        poles[i] = 0
-        if shifts[2, i] > shifts[0, i]:
-            poles[i] = 2
-            shifts[0, i], shifts[2, i] = shifts[2, i], shifts[0, i]
+        shifts[0, i], shifts[1, i], shifts[2, i], poles[i] = turns_of(
+            numbers, limits, 0, np.int64(classes[i]), opacity[i],
+            scales[0, i], scales[1, i], scales[2, i],
+        )  # fmt: skip
 
 
 def turn_shifts(
@@ -93,9 +99,7 @@ def turn_shifts(
 
     ``opacity (n,)`` and ``scales (3, n)`` are fixed-point values.
     """
-    used = [rules[name] for name in TURN_RULES]
-    limits = np.array([rule.limit for rule in used], np.int64)
-    numbers = np.array([rule.numbers for rule in used], np.int64)
+    numbers, limits = packed_rules([rules[name] for name in TURN_RULES])
     shifts = np.empty((3, len(classes)), np.int64)
     poles = np.empty(len(classes), np.int8)
     _turn_shifts(numbers, limits, classes, opacity, scales, shifts, poles)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.contexts import MAX_CLASSES, MAX_TABLES, Pass, context_lists, passes
+from gs_codec.codecs.adaptive.contexts import MAX_CLASSES, MAX_TABLES, Pass, passes
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
@@ -62,7 +62,7 @@ class PassModels:
 
     def rows(self, item: Pass) -> NDArray[np.int64]:
         """Number of the table of each context of a pass."""
-        return item.rows(self.listed[item.contexts_listed[0]])
+        return np.concatenate([self.listed[own.name] for own in item.lists])
 
     def tables(self) -> list[FrequencyTable]:
         """Frequency tables of precision `PRECISION`."""
@@ -142,16 +142,16 @@ def _check_steps(lattice: Lattice) -> None:
 
 
 def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
-    lists = context_lists(passes(coefficients))
+    lists = [item for one in passes(coefficients) for item in one.lists]
     size, number = reader.unpack("2H")
-    sizes = [contexts - 1 for contexts in lists.values()]
+    sizes = [item.contexts - 1 for item in lists]
     marks = decode_marks(reader.take(size), sizes, f"{_WHERE}: marks")
     listed, total = {}, 0
-    for name, begins in zip(lists, marks, strict=True):
-        listed[name] = total + np.cumsum([0, *begins])
-        total = int(listed[name][-1]) + 1
+    for item, begins in zip(lists, marks, strict=True):
+        listed[item.name] = total + np.cumsum([0, *begins])
+        total = int(listed[item.name][-1]) + 1
         if begins.sum() >= MAX_TABLES:
-            raise CorruptStream(f"{_WHERE}: more than {MAX_TABLES} tables of '{name}'")
+            raise CorruptStream(f"{_WHERE}: more than {MAX_TABLES} tables of '{item.name}'")
     if number != total:
         raise CorruptStream(f"{_WHERE}: {number} tables, expected {total}")
     alphabets = list(reader.take(number))

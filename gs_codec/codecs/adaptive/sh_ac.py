@@ -1,51 +1,28 @@
 """Levels of SH-AC, coefficient by coefficient, as what is left of the sum of a band.
 
 A Gaussian has symbols while something is left, under contexts by what is left and by the signs of
-the same coefficient of its two nearest neighbours. FORMAT.md, section "Passes", "SH-AC".
+the same coefficient of its two nearest neighbours. Symbols of one coefficient hardly depend on one
+another, so a processor decodes several at a time. FORMAT.md, section "Passes", "SH-AC".
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.contexts import SIGNS, SUM_BUCKETS
+from gs_codec.codecs.adaptive.contexts import COLOUR_SHIFTS, MEMBERS, SIGNS, SUMS, sum_bucket
 from gs_codec.codecs.adaptive.tokens import flipped, read_token
-from gs_codec.coding.context_rans import PassReader
-from gs_codec.coding.fields import BitReader
+from gs_codec.coding.context_rans import BAD_SUM, MORE_BITS, OUT_OF_WORDS, PassReader
 from gs_codec.coding.nearest import Nearest
 from gs_codec.coding.rans import LANES
-from gs_codec.errors import CorruptStream
 from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.scene import sh_bands
 
-_LAST_BUCKET = len(SUM_BUCKETS) - 1
-_CONTEXTS = (SUM_BUCKETS * SIGNS).astype(np.uint8)
-
-
-@dataclass
-class BandSums:
-    """Sums of the magnitudes of a band's levels, as far as they are not coded yet.
-
-    ``left (n,)`` are of all Gaussians; ``live[:count]`` are those of whom something is left.
-    ``near (n, 2)`` are the nearest neighbours of each; the number of none is n.
-    """
-
-    left: NDArray[np.int32]
-    live: NDArray[np.uint32]
-    count: int
-    near: NDArray[np.uint32]
-
-    @classmethod
-    def of(cls, sums: NDArray[np.int64], near: NDArray[np.uint32]) -> BandSums:
-        """Before the first coefficient."""
-        live = np.flatnonzero(sums > 0).astype(np.uint32)
-        return cls(sums.astype(np.int32), live, len(live), near)
-
-    def copy(self) -> BandSums:
-        """The same, not to change with this one."""
-        return BandSums(self.left.copy(), self.live.copy(), self.count, self.near)
+#: First contexts of a pass: of the sum of all bands, if it is in it, and of the band's share, if it
+#: is not the last.
+_OF_SUM, _OF_SHARE, _OF_COLOUR = COLOUR_SHIFTS * SUMS, SUMS, SUMS * SIGNS * MEMBERS
 
 
 def two_nearest(nearest: Nearest) -> NDArray[np.uint32]:
@@ -63,110 +40,190 @@ def _sign(value):
 
 @inlined
 def _sum_of_signs(signs, near, i):
-    return np.int64(signs[near[i, 0]]) + np.int64(signs[near[i, 1]])
+    first, second = np.uint64(near[i, 0]), np.uint64(near[i, 1])
+    return np.int64(signs[first]) + np.int64(signs[second])
 
 
 @inlined
 def _context(left, sign):
-    return np.int64(_CONTEXTS[np.uint64(min(left, _LAST_BUCKET))]) + abs(sign)
+    """Context of a coefficient, without its place in the band."""
+    return (SIGNS * sum_bucket(left) + abs(sign)) * MEMBERS
 
 
 @kernel
-def _code(levels, near, signs, last, left, live, count, coded, contexts):
-    """Fill `coded` and `contexts`, one for each live Gaussian; returns how many stay so."""
-    kept = 0
-    signs[:] = 0
-    for j in range(count):
-        i = live[j]
-        sign = _sum_of_signs(signs, near, i)
-        contexts[j] = _context(np.int64(left[i]), sign)
-        level = np.int64(levels[i])
-        signs[i] = _sign(level)
-        coded[j] = flipped(_sign(level) if last else level, sign >> 63)
-        left[i] -= abs(level)
-        live[kept] = i
-        kept += np.int64(left[i] > 0)
-    return kept
+def _code(levels, near, shifts, first, last, left, shares, values, contexts, counts):
+    """Fill values, contexts and the symbols of each Gaussian; returns the number of symbols."""
+    count, members = len(left), levels.shape[1]
+    symbol, offset = 0, 0
+    counts[:] = 0
+    if first:
+        before = previous = np.int64(0)
+        for i in range(count):
+            context = SUMS * min(shifts[i], COLOUR_SHIFTS - 1) + sum_bucket(previous + before)
+            values[symbol], contexts[symbol] = left[i], context
+            symbol += 1
+            counts[i] += 1
+            before, previous = previous, left[i]
+        offset = _OF_SUM
+    if not last:
+        for i in range(count):
+            if left[i] > 0:
+                values[symbol], contexts[symbol] = shares[i], offset + sum_bucket(left[i])
+                symbol += 1
+                counts[i] += 1
+            left[i] -= shares[i]
+        offset += _OF_SHARE
+    signs = np.empty(count + 1, np.int8)
+    for k in range(3 * members):
+        colour, place = k // members, k % members
+        signs[:] = 0
+        for i in range(count):
+            rest = shares[i]
+            if rest == 0:
+                continue
+            sign = _sum_of_signs(signs, near, i)
+            level = np.int64(levels[colour, place, i])
+            signs[i] = _sign(level)
+            shares[i] = rest - abs(level)
+            if k == 3 * members - 1:
+                level = _sign(level)
+            values[symbol] = flipped(level, sign >> 63)
+            contexts[symbol] = offset + _OF_COLOUR * colour + _context(rest, sign) + place
+            symbol += 1
+            counts[i] += 1
+    return symbol
 
 
 @kernel
 def _read(
-    words, position, end, states, spans, slots, rows, bits, used,
-    near, signs, last, left, live, count, levels,
+    words, ends, states, spans, slots, rows, bits, reached,
+    near, shifts, first, last, left, levels,
 ):  # fmt: skip
-    """Decode `levels` of the live Gaussians; `signs` are scratch memory.
+    """Decode ``levels (3, k, n)``, 0 before; `left` becomes what is left for further bands."""
+    count, members = len(left), levels.shape[1]
+    position, used = reached[:, 0]
+    end, limit = ends[0], 8 * (len(bits) - MORE_BITS)
+    symbol, offset = 0, 0
+    if first:
+        before = previous = np.int64(0)
+        for i in range(count):
+            if position > end or used > limit:
+                return OUT_OF_WORDS
+            context = SUMS * min(shifts[i], COLOUR_SHIFTS - 1) + sum_bucket(previous + before)
+            row = rows[np.uint64(context)]
+            left[i], position, used = read_token(
+                words, position, states, symbol, spans, slots, row, bits, used, True
+            )
+            symbol += 1
+            if left[i] < 0:
+                return BAD_SUM
+            before, previous = previous, left[i]
+        offset = _OF_SUM
+    live, shares = np.empty(count, np.uint32), np.empty(count, np.int32)
+    lives = 0
+    for i in range(count):
+        share = left[i]
+        if share == 0:
+            continue
+        if not last:
+            if position > end or used > limit:
+                return OUT_OF_WORDS
+            row = rows[np.uint64(offset + sum_bucket(share))]
+            share, position, used = read_token(
+                words, position, states, symbol, spans, slots, row, bits, used, True
+            )
+            symbol += 1
+            if not 0 <= share <= left[i]:
+                return BAD_SUM
+            left[i] -= share
+        shares[i] = share
+        live[np.uint64(lives)] = i
+        lives += np.int64(share > 0)
+    if not last:
+        offset += _OF_SHARE
+    signs = np.empty(count + 1, np.int8)
+    for k in range(3 * members):
+        colour, place = k // members, k % members
+        plane = levels[colour, place]
+        begin = offset + _OF_COLOUR * colour + place
+        ends_band = k == 3 * members - 1
+        signs[:] = 0
+        kept = 0
+        for j in range(lives):
+            if symbol & (LANES - 1) == 0 and (position > end or used > limit):
+                return OUT_OF_WORDS
+            i = np.uint64(live[np.uint64(j)])
+            rest = np.int64(shares[i])
+            sign = _sum_of_signs(signs, near, i)
+            row = rows[np.uint64(begin + _context(rest, sign))]
+            level, position, used = read_token(
+                words, position, states, symbol, spans, slots, row, bits, used, True
+            )
+            symbol += 1
+            if ends_band:
+                if abs(level) != 1:
+                    return BAD_SUM
+                level *= rest
+            rest -= abs(level)
+            if rest < 0:
+                return BAD_SUM
+            level = flipped(level, sign >> 63)
+            plane[i] = level
+            signs[i] = _sign(level)
+            shares[i] = rest
+            live[np.uint64(kept)] = i
+            kept += np.int64(rest > 0)
+        lives = kept
+    reached[0, 0], reached[1, 0] = position, used
+    return 0
 
-    Returns the positions reached in words (-1: too few) and bits, and how many Gaussians stay
-    live; -1 if a level exceeds what was left.
-    """
-    kept = 0
-    signs[:] = 0
-    for j in range(count):
-        if j & (LANES - 1) == 0 and position > end:
-            return -1, used, 0
-        i = np.uint64(live[np.uint64(j)])
-        rest = np.int64(left[i])
-        sign = _sum_of_signs(signs, near, i)
-        row = np.uint64(rows[np.uint64(_context(rest, sign))])
-        level, position, used = read_token(
-            words, position, states, j & (LANES - 1), spans[row], slots[row], bits, used
-        )
-        if last:
-            if abs(level) != 1:
-                return position, used, -1
-            level *= rest
-        rest -= abs(level)
-        if rest < 0:
-            return position, used, -1
-        level = flipped(level, sign >> 63)
-        levels[i] = level
-        signs[i] = _sign(level)
-        left[i] = rest
-        live[np.uint64(kept)] = i
-        kept += np.int64(rest > 0)
-    return position, used, kept
 
-
-def code_coefficient(
-    levels: NDArray[np.int32], sums: BandSums, last: bool
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Integers to code, and their contexts, of levels ``(n,)``; the sums become what is left.
+def code_bands(
+    levels: NDArray[np.int32], near: NDArray[np.uint32], shifts: NDArray[np.int64]
+) -> list[tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint8]]]:
+    """Integers to code and their contexts, ``(symbols,)``, of each band; symbols of each Gaussian.
 
     Parameters
     ----------
-    levels : ndarray, shape (n,)
-    sums : BandSums
-    last : bool
-        Whether it is the last coefficient of its band, which takes all that is left.
+    levels : ndarray, shape (3, K, n)
+    near : ndarray, shape (n, 2)
+        As `two_nearest` gives them.
+    shifts : ndarray, shape (n,)
+        Of the colours' step sizes.
     """
-    coded, contexts = np.empty((2, sums.count), np.int64)
-    signs = np.empty(len(levels) + 1, np.int8)
-    sums.count = _code(
-        levels, sums.near, signs, last, sums.left, sums.live, sums.count, coded, contexts
-    )
-    return coded, contexts
+    bands = [levels[:, band.start : band.stop] for band in sh_bands(levels.shape[1])]
+    shares = [np.abs(band).sum(axis=(0, 1), dtype=np.int64) for band in bands]
+    left = np.sum(shares, axis=0)
+    coded = []
+    for number, (band, share) in enumerate(zip(bands, shares, strict=True), 1):
+        most = len(left) * (2 + band.shape[0] * band.shape[1])
+        values, contexts = np.empty(most, np.int64), np.empty(most, np.uint16)
+        counts = np.empty(len(left), np.uint8)
+        ends = number == 1, number == len(bands)
+        found = _code(band, near, shifts, *ends, left, share, values, contexts, counts)
+        coded.append((values[:found], contexts[:found], counts))
+    return coded
 
 
-def read_coefficient(
+def read_bands(
     reader: PassReader,
-    bits: BitReader,
-    rows: NDArray[np.int64],
-    sums: BandSums,
-    last: bool,
+    sections: Sequence[memoryview],
+    rows: Sequence[NDArray[np.int64]],
     levels: NDArray[np.int32],
+    near: NDArray[np.uint32],
+    shifts: NDArray[np.int64],
 ) -> None:
-    """The inverse of `code_coefficient`, by tables ``rows (contexts,)``, into ``levels (n,)``.
+    """The inverse of `code_bands`, into ``levels (3, K, n)`` that are 0 before.
 
-    Levels must be 0 before.
+    Of each band that the scene has there are tables, ``rows (contexts,)``; K may be that of fewer.
 
     Raises
     ------
-    CorruptStream
-        If there are fewer words than symbols, or a level exceeds what was left of its sum.
+    TruncatedStream, CorruptStream
     """
-    signs = np.empty(len(levels) + 1, np.int8)
-    remaining = (sums.left, sums.live, sums.count)
-    [kept] = reader.decode(_read, rows, bits, sums.near, signs, last, *remaining, levels)
-    if kept < 0:
-        raise CorruptStream(f"{reader.where}: a level of SH-AC beyond its sum")
-    sums.count = kept
+    left = np.zeros(len(shifts), np.int64)
+    for number, band in enumerate(sh_bands(levels.shape[1]), 1):
+        ends = number == 1, number == len(rows)
+        plane = levels[:, band.start : band.stop]
+        arguments = (near, shifts, *ends, left, plane)
+        reader.decode(sections[number - 1 : number], _read, rows[number - 1], *arguments)

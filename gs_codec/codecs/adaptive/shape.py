@@ -1,32 +1,50 @@
-"""Opacity, scale and rotation on their lattices; earlier attributes give the step sizes."""
+"""Classes, opacity, scale and rotation on their lattices; earlier ones give the step sizes.
+
+FORMAT.md, section "Passes", the shape pass.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codecs.adaptive.contexts import (
+    BEFORE,
+    SHAPE_OFFSETS,
+    SHAPE_PASS,
+    SHIFT_CONTEXTS,
+    before_bucket,
+)
 from gs_codec.codecs.adaptive.lattice import (
+    FIXED_LIMIT,
     LARGEST,
     TOO_LARGE,
     Lattice,
     from_lattice,
+    packed_rules,
+    rule_shift,
     to_fixed,
     to_float,
     to_lattice,
 )
 from gs_codec.codecs.adaptive.rotation import (
     LARGEST_STEP,
+    TURN_RULES,
     TURNS,
     split_roll,
     tilts_of,
     turn_shifts,
+    turns_of,
 )
+from gs_codec.codecs.adaptive.tokens import read_token
+from gs_codec.coding.context_rans import BAD_CLASS, BAD_VALUE, MORE_BITS, OUT_OF_WORDS, PassReader
+from gs_codec.runtime.kernels import inlined, kernel
 
-#: ``code(name, shifts, unit, poles) -> levels``: a decoder reads them, an encoder rounds to them.
-#: Poles are those of `turn_shifts`, None before rotation.
+#: ``code(name, shifts, unit, poles) -> levels``: an encoder rounds to them. Poles are those of
+#: `turn_shifts`, None before rotation.
 Coder = Callable[[str, NDArray[np.int64], int, NDArray[np.int8] | None], NDArray[np.int64]]
 
 
@@ -41,10 +59,9 @@ class Shape:
 
 
 def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Shape:
-    """Go through the attributes in stream order; `code` gives the levels of each.
+    """Go through the attributes in the order of the stream; `code` gives the levels of each.
 
-    It is called with the attribute's name, its shifts ``(n,)`` and its unit; an encoder passes a
-    `ShapeQuantiser`.
+    It is called with the attribute's name, its shifts ``(n,)`` and its unit.
     """
     count = len(classes)
     scales = np.zeros((3, count), np.int64)
@@ -69,6 +86,153 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
     return Shape(opacity, scales, turns, poles)
 
 
+@inlined
+def _before_context(attribute, shift, total):
+    """Context of opacity (0) or a scale (1-3), by the sum of the two values before."""
+    context = BEFORE * min(shift, SHIFT_CONTEXTS - 1) + before_bucket(attribute, total)
+    return SHAPE_OFFSETS[2 + attribute] + context
+
+
+@kernel
+def _contexts(levels, shifts, steps, contexts):
+    """Fill ``contexts (n, 9)`` of ``levels (9, n)``; shifts and steps are of the last seven."""
+    for i in range(contexts.shape[0]):
+        last, before = max(i - 1, 0), max(i - 2, 0)
+        some, more = np.int64(i > 0), np.int64(i > 1)
+        contexts[i, 0] = levels[0, last] * some + levels[0, before] * more
+        contexts[i, 1] = SHAPE_OFFSETS[1] + levels[0, i]
+        for k in range(7):
+            if k < 4:
+                total = levels[2 + k, last] * steps[k, last] * some
+                total += levels[2 + k, before] * steps[k, before] * more
+                contexts[i, 2 + k] = _before_context(k, shifts[k, i], total)
+            else:
+                shift = min(shifts[k, i], SHIFT_CONTEXTS - 1)
+                contexts[i, 2 + k] = SHAPE_OFFSETS[2 + k] + shift
+
+
+def shape_pass(
+    classes: NDArray[np.integer],
+    levels: Mapping[str, NDArray[np.int64]],
+    shifts: Mapping[str, NDArray[np.int64]],
+    units: Mapping[str, int],
+) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
+    """Integers to code and their contexts, ``(n, 9)``, of the shape pass.
+
+    Classes ``(2, n)`` are of shape and colour; levels and shifts ``(n,)`` of each attribute.
+    """
+    names = [item.name for item in SHAPE_PASS.lists[2:]]
+    streams = [item.stream for item in SHAPE_PASS.lists[2:]]
+    coded = np.stack([*classes.astype(np.int64), *(levels[name] for name in names)])
+    finer = np.stack([shifts[name] for name in names])
+    steps = np.array([[units[stream]] for stream in streams]) << finer
+    contexts = np.empty(coded.shape[::-1], np.uint16)
+    _contexts(coded, finer, steps, contexts)
+    return coded.T, contexts
+
+
+@kernel
+def _read(
+    words, ends, states, spans, slots, rows, bits, reached,
+    numbers, limits, units, centres, most, classes, opacity, scales, turns, poles,
+):  # fmt: skip
+    """Decode classes ``(2, n)`` and shapes; rules are of opacity, scales and turns."""
+    # Positions in words and bits of the four streams; as variables, they stay in registers.
+    p0, p1, p2, p3 = reached[0]
+    u0, u1, u2, u3 = reached[1]
+    limit, symbol = 8 * (len(bits) - MORE_BITS), 0
+    last, before = np.zeros(5, np.int64), np.zeros(5, np.int64)
+    shifts = np.zeros(3, np.int64)
+    for i in range(len(poles)):
+        if p0 > ends[0] or p1 > ends[1] or p2 > ends[2] or p3 > ends[3]:
+            return OUT_OF_WORDS
+        if max(u0, u1, u2, u3) > limit:
+            return OUT_OF_WORDS
+        row = rows[last[4] + before[4]]
+        first, p0, u0 = read_token(words, p0, states, symbol, spans, slots, row, bits, u0, True)
+        if not 0 <= first < most[0]:
+            return BAD_CLASS
+        before[4], last[4] = last[4], first
+        row = rows[SHAPE_OFFSETS[1] + first]
+        second, p0, u0 = read_token(
+            words, p0, states, symbol + 1, spans, slots, row, bits, u0, True
+        )
+        if not 0 <= second < most[1]:
+            return BAD_CLASS
+        classes[0, i], classes[1, i] = first, second
+
+        shift = rule_shift(numbers, limits, 0, first, 0, 0, 0, 0, 0)
+        row = rows[_before_context(0, shift, last[0] + before[0])]
+        level, p1, u1 = read_token(
+            words, p1, states, symbol + 2, spans, slots, row, bits, u1, False
+        )
+        before[0], last[0] = last[0], level * (units[0] << shift)
+        logit = centres[0] + last[0]
+        if abs(logit) >= FIXED_LIMIT:
+            return BAD_VALUE
+
+        longest = middle = np.int64(0)
+        value = centres[1]
+        for k in range(1, 4):
+            shift = rule_shift(numbers, limits, k, first, logit, longest, middle, 0, 0)
+            row = rows[_before_context(k, shift, last[k] + before[k])]
+            level, p2, u2 = read_token(
+                words, p2, states, symbol + 2 + k, spans, slots, row, bits, u2, False
+            )
+            before[k], last[k] = last[k], level * (units[1] << shift)
+            value += last[k] if k == 1 else -last[k]
+            if abs(value) >= FIXED_LIMIT:
+                return BAD_VALUE
+            if k == 1:
+                longest = value
+            elif k == 2:
+                middle = value
+        opacity[i], scales[0, i], scales[1, i], scales[2, i] = logit, longest, middle, value
+
+        shifts[0], shifts[1], shifts[2], poles[i] = turns_of(
+            numbers, limits, 4, first, logit, longest, middle, value
+        )
+        for k in range(3):
+            row = rows[SHAPE_OFFSETS[6 + k] + min(shifts[k], SHIFT_CONTEXTS - 1)]
+            level, p3, u3 = read_token(
+                words, p3, states, symbol + 6 + k, spans, slots, row, bits, u3, False
+            )
+            turn = level * (units[2] << shifts[k])
+            if abs(turn) >= FIXED_LIMIT:
+                return BAD_VALUE
+            turns[k, i] = turn
+        symbol += 9
+    reached[0, 0], reached[0, 1], reached[0, 2], reached[0, 3] = p0, p1, p2, p3
+    reached[1, 0], reached[1, 1], reached[1, 2], reached[1, 3] = u0, u1, u2, u3
+    return 0
+
+
+def read_shapes(
+    reader: PassReader,
+    sections: Sequence[memoryview],
+    rows: NDArray[np.int64],
+    lattice: Lattice,
+    count: int,
+) -> tuple[NDArray[np.int64], Shape]:
+    """Classes ``(2, n)`` of shape and colour, and shapes, of the shape pass.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    """
+    names = ("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES)
+    units = np.array([lattice.units[name] for name in ("opacity", "scaling", "rotation")])
+    classes, opacity = np.zeros((2, count), np.int64), np.zeros(count, np.int64)
+    shape = Shape(opacity, *np.zeros((2, 3, count), np.int64), np.zeros(count, np.int8))
+    reader.decode(
+        sections, _read, rows,
+        *packed_rules([lattice.rules[name] for name in names]), units,
+        np.array(lattice.centres), np.array(lattice.classes), classes,
+        shape.opacity, shape.scales, shape.turns, shape.poles,
+    )  # fmt: skip
+    return classes, shape
+
+
 class ShapeQuantiser:
     """The `Coder` of an encoder: rounds the attributes, and keeps levels, shifts and units.
 
@@ -90,7 +254,6 @@ class ShapeQuantiser:
         self.levels: dict[str, NDArray[np.int64]] = {}
         self.shifts: dict[str, NDArray[np.int64]] = {}
         self.targets: dict[str, NDArray[np.float64]] = {}
-        self.units: dict[str, int] = {}
         self.clamped = 0
         self._last = np.zeros(0)
         self._swings = np.zeros((2, 0))
@@ -120,7 +283,6 @@ class ShapeQuantiser:
         levels = to_lattice(fixed, centre, unit, shifts)
         self.levels[name] = levels
         self.shifts[name] = shifts
-        self.units[name] = unit
         if group == "scaling":
             coded = to_float(from_lattice(levels, centre, unit, shifts))
             self._last = coded if name == "scale_0" else self._last - coded

@@ -1,4 +1,4 @@
-"""Each module of the lattices by itself: tokens, passes, rules, axes, colours, places, steps."""
+"""Each module of the lattices by itself: tokens, rules, axes, colours, places, steps."""
 
 from __future__ import annotations
 
@@ -8,17 +8,11 @@ import numpy as np
 import pytest
 from scenes import random_scene
 
-from gs_codec.codecs.adaptive.colour import code_colours, decode_colours, round_diffusing
+from gs_codec.codecs.adaptive.colour import round_diffusing
 from gs_codec.codecs.adaptive.contexts import (
-    FOLLOWING,
     MAX_TABLES,
-    SH_CONTEXTS,
-    context_lists,
-    passes,
     share_tables,
-    sum_context,
 )
-from gs_codec.codecs.adaptive.following import following_contexts, read_following
 from gs_codec.codecs.adaptive.lattice import (
     FRACTION_BITS,
     LARGEST,
@@ -33,23 +27,15 @@ from gs_codec.codecs.adaptive.lattice import (
     to_lattice,
 )
 from gs_codec.codecs.adaptive.rotation import likeness
-from gs_codec.codecs.adaptive.sh_ac import (
-    BandSums,
-    code_coefficient,
-    read_coefficient,
-    two_nearest,
-)
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, features, fit_step_sizes, make_rule
-from gs_codec.codecs.adaptive.tokens import ALPHABET, MAX_BITS, read_pass, tokenise
+from gs_codec.codecs.adaptive.tokens import ALPHABET, tokenise
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
-from gs_codec.coding.context_rans import PRECISION, PassReader, PassTables, encode_passes
 from gs_codec.coding.count_tree import decode_tree, encode_tree
 from gs_codec.coding.fields import BitReader, BitWriter
-from gs_codec.coding.frequency_table import normalise, shannon_bits
+from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.marks import decode_marks, encode_marks
 from gs_codec.coding.morton import decode_morton
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_all_nearest
-from gs_codec.coding.rans import LANES
 from gs_codec.coding.ycocg import fill_colours, from_ycocg, take_colours, to_ycocg
 from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.errors import CorruptStream
@@ -57,61 +43,6 @@ from gs_codec.errors import CorruptStream
 ONE = 1 << FRACTION_BITS
 
 # Tokens
-
-EDGES = sorted(
-    {0, 1, 15, 16, 17, 2**MAX_BITS - 1}
-    | {2**k + d for k in range(1, MAX_BITS) for d in (-1, 0, 1)}
-    | {(4 + j << k) + d for k in range(2, MAX_BITS - 2) for j in range(4) for d in (-1, 0)}
-)
-SIGNED = np.array([sign * size for size in EDGES for sign in (1, -1)], np.int64)
-
-
-EVEN = PassTables.pack([normalise(np.ones(ALPHABET, np.int64), PRECISION)])
-
-
-def coded(values: np.ndarray) -> tuple[PassReader, bytes]:
-    """A pass under one table, its section opened, and its raw bits."""
-    tokens, *raw = tokenise(values)
-    bits = BitWriter()
-    bits.add(*raw)
-    made = [("s", tokens, np.zeros(len(values), np.uint16), np.zeros(1, np.int64))]
-    states, words = encode_passes(made, EVEN)
-    reader = PassReader(memoryview(states), EVEN, "test")
-    reader.open(memoryview(words["s"]))
-    return reader, bits.finish()
-
-
-def read_all(reader: PassReader, bits: BitReader, count: int) -> np.ndarray:
-    """Values of what `coded` gave."""
-    return read_symbols(reader, bits, np.zeros(1, np.int64), np.zeros(count, np.int64))
-
-
-def read_symbols(reader, bits, rows: np.ndarray, contexts: np.ndarray) -> np.ndarray:
-    """The integers of a pass, read backwards into their places to see that these are heeded."""
-    values = np.empty(len(contexts), np.int64)
-    read_pass(reader, bits, rows, contexts, np.arange(len(contexts))[::-1].copy(), values)
-    return values[::-1]
-
-
-def round_trip(values: np.ndarray) -> np.ndarray:
-    reader, raw = coded(values)
-    bits = BitReader(memoryview(raw), "test")
-    decoded = read_all(reader, bits, len(values))
-    bits.close()
-    reader.close()
-    reader.finish()
-    return decoded
-
-
-def test_tokens_round_trip_at_every_border():
-    np.testing.assert_array_equal(round_trip(SIGNED), SIGNED)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_tokens_round_trip_seed(seed):
-    rng = np.random.default_rng(seed)
-    values = (2 ** rng.uniform(0, MAX_BITS, 5000)).astype(np.int64) * rng.choice([-1, 1], 5000)
-    np.testing.assert_array_equal(round_trip(values), values)
 
 
 @pytest.mark.parametrize(
@@ -123,22 +54,9 @@ def test_tokens_round_trip_seed(seed):
     ],
 )  # fmt: skip
 def test_token(value, token, width):
-    tokens, raw, widths = tokenise(np.array([value]))
-    assert (tokens.tolist(), raw.tolist(), widths.tolist()) == (
-        [token], [value] if width else [], [width] if width else []
-    )  # fmt: skip
-
-
-def test_raw_bits_too_few_too_many_or_not_padded_are_refused():
-    values = np.array([1000, -77, 5, 123456])
-    data = coded(values)[1]
-    assert tokenise(values)[2].sum() % 8 != 0
-    padded = data[:-1] + bytes([data[-1] | 1])
-    for bad in (data[:-1], b"", data + b"\0", padded):
-        bits = BitReader(memoryview(bad), "test")
-        read_all(coded(values)[0], bits, len(values))
-        with pytest.raises(CorruptStream, match="test: "):
-            bits.close()
+    tokens, *raw = tokenise(np.array([value]))
+    assert tokens.tolist() == [token]
+    assert [row.tolist() for row in raw] == ([[0], [value], [width]] if width else [[], [], []])
 
 
 def test_fields_of_any_width_round_trip_seed4():
@@ -150,95 +68,6 @@ def test_fields_of_any_width_round_trip_seed4():
     reader = BitReader(memoryview(writer.finish()), "test")
     np.testing.assert_array_equal(reader.fields(widths), values)
     reader.close()
-
-
-# Passes
-
-
-def random_tables(rng: np.random.Generator, number: int) -> PassTables:
-    """Tables of 1 to 32 tokens, which have no raw bits; some never occur."""
-    tables = []
-    for _ in range(number):
-        weights = rng.integers(0, 1000, rng.integers(1, 33))
-        weights *= rng.integers(0, 2, weights.size)
-        weights[rng.integers(weights.size)] = 1 + rng.integers(1000)
-        tables.append(normalise(weights.astype(np.int64), PRECISION))
-    return PassTables.pack(tables)
-
-
-def random_passes(seed: int, sizes: list[int]) -> tuple[PassTables, list[tuple]]:
-    """(section, symbols, contexts, rows), every symbol under a table of its own."""
-    rng = np.random.default_rng(seed)
-    tables = random_tables(rng, 50)
-    made = []
-    for i, size in enumerate(sizes):
-        rows = rng.integers(0, 50, size).astype(np.uint16)
-        slots = rng.integers(0, 1 << PRECISION, size)
-        made.append((f"s{i // 2}", tables.slots[rows, slots], rows, np.arange(50)))
-    return tables, made
-
-
-def decode_passes(
-    tables: PassTables, made: list[tuple], states: bytes, words: dict[str, bytes]
-) -> list[np.ndarray]:
-    reader = PassReader(memoryview(states), tables, "test")
-    decoded, last = [], ""
-    none = BitReader(memoryview(b""), "test")
-    for section, _, contexts, rows in made:
-        if section != last:
-            if last:
-                reader.close()
-            reader.open(memoryview(words[section]))
-            last = section
-        decoded.append(read_symbols(reader, none, rows, contexts))
-    reader.close()
-    reader.finish()
-    return decoded
-
-
-@pytest.mark.parametrize(
-    "sizes", [[0], [1], [31], [33, 0, 5], [1000] * 9, [0, 0, 700, 1, 0, 0]], ids=str
-)
-def test_passes_round_trip_seed5(sizes):
-    tables, made = random_passes(5, sizes)
-    states, words = encode_passes(made, tables)
-    assert len(states) == 4 * LANES
-    assert set(words) == {section for section, *_ in made}
-    for (_, symbols, *_), decoded in zip(
-        made, decode_passes(tables, made, states, words), strict=True
-    ):
-        sizes = symbols.astype(np.int64) >> 1
-        np.testing.assert_array_equal(decoded, np.where(symbols & 1, -sizes, sizes))
-
-
-def test_passes_cost_about_their_entropy_seed6():
-    tables, made = random_passes(6, [20_000])
-    _, symbols, rows, _ = made[0]
-    frequencies = (tables.spans[rows, symbols] & 0xFFFF).astype(float)
-    bits = np.sum(PRECISION - np.log2(frequencies))
-    states, words = encode_passes(made, tables)
-    assert 8 * (len(words["s0"]) + len(states)) < 1.001 * bits + 32 * LANES
-
-
-@pytest.mark.parametrize("damage", ["word", "cut", "more", "odd", "state", "low state", "states"])
-def test_corrupted_passes_are_refused(damage):
-    tables, made = random_passes(7, [500, 300, 200])
-    states, words = encode_passes(made, tables)
-    assert len(words["s0"]) > 100
-    if damage == "word":
-        words["s0"] = words["s0"][:50] + bytes([words["s0"][50] ^ 4]) + words["s0"][51:]
-    elif damage in ("cut", "odd"):
-        words["s0"] = words["s0"][: -2 if damage == "cut" else -1]
-    elif damage == "more":
-        words["s1"] += b"\0\0"
-    elif damage == "state":
-        states = bytes([states[0] ^ 1]) + states[1:]
-    elif damage == "low state":
-        states = b"\xff\xff\0\0" + states[4:]
-    else:
-        states = states[:-4]
-    with pytest.raises(CorruptStream, match="test: "):
-        decode_passes(tables, made, states, words)
 
 
 # Tables of contexts
@@ -452,64 +281,6 @@ def test_grey_has_luma_alone():
     np.testing.assert_allclose(values[:, 0], [2 * np.sqrt(3), 0, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize("count", [0, 1, 5, 700])
-def test_colours_round_trip_seed11(count):
-    rng = np.random.default_rng(11)
-    places = np.sort(rng.integers(0, 2**12, (3, count)), axis=1)
-    colours = rng.integers(-2 * ONE, 2 * ONE, (3, count))
-    shifts = rng.integers(0, 18, count)
-    levels, contexts, values = code_colours(find_all_nearest(places), colours, 300, shifts)
-    assert np.all(2 * np.abs(values - colours) <= 300 << shifts)
-    assert contexts.size == 0 or 0 <= contexts.min() <= contexts.max() < 288
-    weights = np.stack([np.ones(ALPHABET, np.int64), np.arange(ALPHABET) + 1])
-    tables = PassTables.pack([normalise(row, PRECISION) for row in weights])
-    tokens, *raw_bits = tokenise(levels.ravel())
-    rows = rng.integers(0, 2, 288)
-    bits = BitWriter()
-    bits.add(*raw_bits)
-    states, words = encode_passes([("sh-dc", tokens, contexts.ravel(), rows)], tables)
-    reader = PassReader(memoryview(states), tables, "test")
-    reader.open(memoryview(words["sh-dc"]))
-    raw = BitReader(memoryview(bits.finish()), "test")
-    np.testing.assert_array_equal(
-        decode_colours(find_all_nearest(places), 300, shifts, rows, reader, raw), values
-    )
-    reader.close()
-    reader.finish()
-    raw.close()
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_colours_beyond_the_largest_stay_there(sign):
-    levels = np.full(300, sign * (2**MAX_BITS - 1))
-    reader, raw = coded(levels)
-    places, shifts = np.ones((3, 100), np.int64), np.full(100, 31)
-    bits = BitReader(memoryview(raw), "test")
-    nearest = find_all_nearest(places)
-    values = decode_colours(nearest, 1, shifts, np.zeros(288, np.int64), reader, bits)
-    assert np.all(values == sign * 4 * int(LARGEST) * ONE)
-
-
-def test_symbols_are_not_read_beyond_their_words():
-    # The first slot is of a token with 2 raw bits, and all words are missing.
-    weights = np.where(np.arange(ALPHABET) < 32, 0, 1)
-    tables = PassTables.pack([normalise(weights, PRECISION)])
-    nearest, rows = find_all_nearest(np.ones((3, 700), np.int64)), np.zeros(288, np.int64)
-    none, ones = np.zeros(700, np.int64), np.ones(700, np.int64)
-    sums = BandSums.of(ones, two_nearest(nearest))
-    for read in (
-        lambda *streams: decode_colours(nearest, 1, none, rows, *streams),
-        lambda *streams: read_all(*streams, 700),
-        lambda *streams: read_following(*streams, rows, none, ones, FOLLOWING["opacity"]),
-        lambda *streams: read_coefficient(*streams, rows, sums, False, none.astype(np.int32)),
-    ):
-        reader = PassReader(memoryview(encode_passes([], tables)[0]), tables, "test")
-        bits = BitReader(memoryview(b""), "test")
-        with pytest.raises(CorruptStream, match="more symbols than words"):
-            read(reader, bits)
-        assert bits.position <= 2 * LANES
-
-
 def test_diffused_rounding_is_near_and_its_errors_cancel_seed12():
     rng = np.random.default_rng(12)
     places = np.sort(rng.integers(0, 2**10, (3, 4000)), axis=1)
@@ -557,120 +328,6 @@ def test_colours_taken_in_steps_are_filled_in_again_seed14():
         largest = np.abs(alone * steps).max()
         assert not fill_colours(alone, units, shifts, largest, out)
         assert fill_colours(alone, units, shifts, np.nextafter(largest, np.inf), out)
-
-
-@pytest.mark.parametrize(("coefficients", "sums"), [(0, 0), (3, 1), (8, 2), (15, 3)])
-def test_every_coefficient_has_a_pass(coefficients, sums):
-    listed = passes(coefficients)
-    names = [item.name for item in listed]
-    assert len(set(names)) == len(names) == 10 + sums + 3 * coefficients
-    assert sum(name.startswith("SH sum") for name in names) == sums
-    streams = [item.stream for item in listed]
-    assert streams == sorted(streams, key=streams.index), "a stream's passes are together"
-
-
-def test_passes_of_a_list_share_no_context():
-    used: dict[str, list[int]] = {}
-    for item in passes(15):
-        name, contexts = item.contexts_listed
-        used.setdefault(name, []).extend(item.rows(np.arange(contexts)).tolist())
-    for name, contexts in context_lists(passes(15)).items():
-        assert len(used[name]) == len(set(used[name])) <= contexts
-
-
-def test_sums_have_a_context_for_each_half_octave():
-    expected = [0, 1, 2, 3, 4, 4, 5, 5, 6, 6, 6, 6, 7, 7, 7, 7, 8]
-    assert sum_context(np.arange(17)).tolist() == expected
-    assert sum_context(np.array([95, 96, 127, 128, 191, 192, 1 << 30])).tolist() == [
-        12, 13, 13, 14, 14, 15, 15,
-    ]  # fmt: skip
-
-
-# Contexts by what came before
-
-
-def opened(tokens, raw_bits, contexts, rows) -> tuple[PassReader, BitReader]:
-    """A pass under tables that favour small or large tokens, and its raw bits, to be read."""
-    weights = np.stack([np.arange(ALPHABET)[::-1] + 1, np.arange(ALPHABET) + 1])
-    tables = PassTables.pack([normalise(row, PRECISION) for row in weights])
-    bits = BitWriter()
-    bits.add(*raw_bits)
-    states, words = encode_passes([("s", tokens, contexts, rows)], tables)
-    reader = PassReader(memoryview(states), tables, "test")
-    reader.open(memoryview(words["s"]))
-    return reader, BitReader(memoryview(bits.finish()), "test")
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
-@pytest.mark.parametrize("name", FOLLOWING)
-def test_passes_that_follow_round_trip_seed15(name, count):
-    rng = np.random.default_rng(15)
-    rule = FOLLOWING[name]
-    bases, steps = rng.integers(0, 16, count), rng.integers(1, 1 << 18, count)
-    levels = rng.integers(-40, 40, count)
-    contexts = following_contexts(levels * steps, bases, rule)
-    values = [0, 0, *(levels * steps).tolist()]
-    for i, context in enumerate(contexts.tolist()):
-        index = ((values[i] + values[i + 1]) >> rule.fraction) + rule.centre
-        bucket = rule.buckets[min(max(index, 0), len(rule.buckets) - 1)]
-        assert context == bases[i] * rule.contexts + bucket
-    rows = rng.integers(0, 2, 16 * rule.contexts)
-    tokens, *raw = tokenise(levels)
-    reader, bits = opened(tokens, raw, contexts, rows)
-    decoded = read_following(reader, bits, rows, bases, steps, rule)
-    np.testing.assert_array_equal(decoded, levels)
-    reader.close()
-    reader.finish()
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
-def test_coefficients_round_trip_seed16(count):
-    rng = np.random.default_rng(16)
-    levels = (rng.laplace(0, 2, (4, count)) * rng.integers(0, 3, count)).astype(np.int32)
-    near = two_nearest(find_all_nearest(rng.integers(0, 50, (3, count))))
-    rows = rng.integers(0, 2, SH_CONTEXTS)
-    sums = np.abs(levels).sum(axis=0)
-    counted, read = BandSums.of(sums, near), BandSums.of(sums, near)
-    for k, row in enumerate(levels):
-        coded_levels, contexts = code_coefficient(row, counted, k == 3)
-        assert len(contexts) == np.count_nonzero(np.abs(levels[k:]).sum(axis=0))
-        assert k < 3 or set(np.abs(coded_levels).tolist()) <= {1}
-        assert contexts.size == 0 or 3 <= contexts.min() <= contexts.max() < SH_CONTEXTS
-        tokens, *raw = tokenise(coded_levels)
-        reader, bits = opened(tokens, raw, contexts, rows)
-        decoded = np.zeros(count, np.int32)
-        read_coefficient(reader, bits, rows, read, k == 3, decoded)
-        np.testing.assert_array_equal(decoded, row)
-        reader.close()
-        reader.finish()
-    assert counted.count == read.count == 0
-    assert not counted.left.any()
-
-
-@pytest.mark.parametrize(
-    ("level", "left", "last"), [(3, 2, False), (-3, 2, False), (2, 2, True), (0, 2, True)]
-)
-def test_levels_beyond_their_sum_are_refused(level, left, last):
-    reader, raw = coded(np.array([level]))
-    near = two_nearest(find_all_nearest(np.zeros((3, 1), np.int64)))
-    rows, levels = np.zeros(SH_CONTEXTS, np.int64), np.zeros(1, np.int32)
-    with pytest.raises(CorruptStream, match="a level of SH-AC beyond its sum"):
-        read_coefficient(
-            reader, BitReader(memoryview(raw), "test"), rows,
-            BandSums.of(np.array([left]), near), last, levels,
-        )  # fmt: skip
-
-
-def test_levels_are_mirrored_where_neighbours_are_negative():
-    near = two_nearest(find_all_nearest(np.zeros((3, 3), np.int64)))
-    assert near.tolist() == [[3, 3], [0, 3], [1, 0]]
-    for sign in (1, -1):
-        levels = sign * np.array([1, 2, 5], np.int32)
-        levels_coded, contexts = code_coefficient(
-            levels, BandSums.of(np.abs(levels) + 1, near), False
-        )
-        assert levels_coded.tolist() == [sign, 2, 5]
-        assert contexts.tolist() == [3 * 2, 3 * 3 + 1, 3 * 5 + 2]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])

@@ -21,7 +21,7 @@ from scenes import (
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
-from gs_codec.codecs.adaptive.contexts import context_lists, passes
+from gs_codec.codecs.adaptive.contexts import passes
 from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
 from gs_codec.codecs.adaptive.lattice import LARGEST, to_float
 from gs_codec.codecs.adaptive.rotation import LARGEST_STEP, TURNS, turned_quaternions
@@ -524,7 +524,7 @@ def test_alphabets_out_of_range_are_refused(alphabet):
 def test_lists_of_too_many_tables_are_refused():
     def change(content: bytes) -> bytes:
         size = struct.unpack_from("<H", content, MARKS)[0]
-        lists = context_lists(passes(3)).values()
+        lists = [item.contexts for one in passes(3) for item in one.lists]
         marks = encode_marks([np.ones(contexts - 1, np.int64) for contexts in lists])
         start = struct.pack("<2H", len(marks), sum(lists)) + marks
         return content[:MARKS] + start + content[TABLES + 2 + size :]

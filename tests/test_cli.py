@@ -380,7 +380,7 @@ def test_encode_to_lattices_reports_as_json(folder):
     report = strict_json(out)
     assert (status, err, report["profile"], report["count"]) == (0, "", "m", 1500)
     assert sum(report["section_bytes"].values()) == report["file_bytes"]
-    assert len(report["costs"]) == 10 + 3 + 45
+    assert len(report["costs"]) == 10 + 3 + 9
     for cost in report["costs"]:
         assert cost["coded_bits"] >= cost["shannon_bits"] * (1 - 1e-12), cost["name"]
 
@@ -403,7 +403,7 @@ def test_inspect_says_what_lattices_hold(lattice, profile):
     assert info["channels"] == []
     assert sum(stream["bytes"] for stream in info["streams"]) == info["file_bytes"]
     assert [p["name"] for p in info["passes"][:3]] == ["shape class", "colour class", "opacity"]
-    assert len(info["passes"]) == 10 + 3 + 45
+    assert len(info["passes"]) == 10 + 3 + 9
     for item in info["passes"]:
         assert 0 < item["finest_step"] <= item["coarsest_step"]
         assert item["tables"] >= 1

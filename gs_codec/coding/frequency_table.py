@@ -65,19 +65,45 @@ def normalise(weights: NDArray[np.int64], precision: int) -> FrequencyTable:
 
 
 @inlined
-def _lower(frequencies, surplus):
-    """Take `surplus` one by one from the largest (ties: the lower symbol), in place."""
-    # Find the lowest level that all larger ones can be cut to without exceeding the surplus.
-    low, high = np.int64(0), np.max(frequencies)
+def _raise(frequencies, remainders, missing):
+    """Give 1 to those of the `missing` largest remainders (ties: the lower symbol), in place."""
+    # Find the lowest level that no more of them are above.
+    low, high = np.int64(0), np.int64(1) << 62
     while low < high:
-        level = (low + high) // 2
-        if np.sum(np.maximum(frequencies - level, 0)) <= surplus:
+        level, above = (low + high) // 2, 0
+        for remainder in remainders:
+            above += np.int64(remainder > level)
+        if above <= missing:
             high = level
         else:
             low = level + 1
-    surplus -= np.sum(np.maximum(frequencies - high, 0))
     for i in range(len(frequencies)):
+        if remainders[i] > high:
+            frequencies[i] += 1
+            missing -= 1
+    for i in range(len(frequencies)):
+        if remainders[i] == high and missing > 0:
+            frequencies[i] += 1
+            missing -= 1
+
+
+@inlined
+def _lower(frequencies, surplus):
+    """Take `surplus` one by one from the largest (ties: the lower symbol), in place."""
+    # Find the lowest level that all larger ones can be cut to without exceeding the surplus.
+    low, high = np.int64(0), np.int64(1) << 62
+    while low < high:
+        level, above = (low + high) // 2, 0
+        for frequency in frequencies:
+            above += max(frequency - level, 0)
+        if above <= surplus:
+            high = level
+        else:
+            low = level + 1
+    for i in range(len(frequencies)):
+        surplus -= max(frequencies[i] - high, 0)
         frequencies[i] = min(frequencies[i], high)
+    for i in range(len(frequencies)):
         if frequencies[i] == high and surplus > 0:
             frequencies[i] -= 1
             surplus -= 1
@@ -85,18 +111,18 @@ def _lower(frequencies, surplus):
 
 @kernel
 def _normalise(weights, precision, frequencies):
-    total = np.sum(weights)
-    remainders = np.empty_like(weights)
+    total = 0
+    for weight in weights:
+        total += weight
+    remainders, missing = np.empty(len(weights), np.int64), np.int64(1) << precision
     for i in range(len(weights)):
         scaled = weights[i] << precision
         share = scaled // total
         frequencies[i] = max(share, np.int64(weights[i] > 0))
         remainders[i] = scaled - share * total if share > 0 else -1
-    missing = (1 << precision) - np.sum(frequencies)
+        missing -= frequencies[i]
     if missing > 0:
-        largest = np.argsort(-remainders, kind="mergesort")
-        for i in range(missing):
-            frequencies[largest[i]] += 1
+        _raise(frequencies, remainders, missing)
     elif missing < 0:
         _lower(frequencies, -missing)
 

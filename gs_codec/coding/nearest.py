@@ -15,6 +15,9 @@ NEIGHBOURS = 4
 _LANES = WINDOW // NEIGHBOURS
 _AGE_BITS = WINDOW.bit_length() - 1
 
+#: Squared distances are cut to this, so that weights are computed within 53 bits.
+_FARTHEST = (1 << 44) - 1
+
 
 @inlined
 def _ordered(first, second):
@@ -65,8 +68,8 @@ def _merge_lanes(keys):
 def find_nearest(points, i, near, distances, keys):
     """Fill `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
 
-    Ties go to the later point; `distances` are squared, in position steps, and exact while
-    ``points (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is scratch memory.
+    Ties go to the later point; `distances` are squared, in position steps, at most 2**44 - 1, and
+    exact while ``points (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is scratch memory.
     """
     known = min(i, WINDOW)
     x, y, z = np.float64(points[0, i]), np.float64(points[1, i]), np.float64(points[2, i])
@@ -83,7 +86,7 @@ def find_nearest(points, i, near, distances, keys):
     found = min(known, NEIGHBOURS)
     for k in range(found):
         key = np.int64(keys[k * _LANES])
-        distances[k] = key >> _AGE_BITS
+        distances[k] = min(key >> _AGE_BITS, _FARTHEST)
         near[k] = i - 1 - (key & (WINDOW - 1))
     return found
 

@@ -16,12 +16,21 @@ from gs_codec.codecs.adaptive.contexts import (
     sum_context,
 )
 from gs_codec.codecs.adaptive.following import following_contexts
-from gs_codec.codecs.adaptive.lattice import LARGEST, centres, to_fixed
+from gs_codec.codecs.adaptive.lattice import (
+    LARGEST,
+    PositionGrid,
+    centres,
+    from_grid,
+    to_fixed,
+    to_float,
+)
+from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.sh_ac import BandSums, code_coefficient, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, walk_shape
 from gs_codec.codecs.adaptive.tokens import tokenise
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.count_tree import encode_tree
+from gs_codec.coding.extent import block_extent
 from gs_codec.coding.fields import BitWriter
 from gs_codec.coding.nearest import find_all_nearest
 from gs_codec.coding.ycocg import take_colours, to_ycocg
@@ -85,14 +94,22 @@ class ShapedBlock:
     passes: list[PassData]
     clamped: int
 
+    def decoded(self, grid: PositionGrid) -> tuple[NDArray[np.float32], ...]:
+        """Decoded positions ``(3, n)``, log-scales ``(3, n)`` and rotations ``(4, n)``."""
+        return (
+            from_grid(self.grid_positions, grid),
+            to_float(self.shape.scales).astype(np.float32),
+            turned_quaternions(to_float(self.shape.turns), self.shape.poles),
+        )
+
 
 @dataclass(frozen=True)
 class Block:
-    """Everything of a block to be coded; ``box (6,)``: lowest and highest x, y, z, half steps."""
+    """Everything of a block to be coded, and where its Gaussians are, as by `block_extent`."""
 
     tree: bytes
     low_bits: bytes
-    box: tuple[int, ...]
+    extent: NDArray[np.float32]
     passes: list[PassData]
     clamped: int
 
@@ -161,9 +178,8 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
         levels = round_diffusing(nearest, ac) if diffusing else np.floor(ac + 0.5).astype(np.int32)
         by_colour = levels.reshape(3, coefficients, -1)
         listed += _ac_passes(by_colour, shaped.shifts, two_nearest(nearest))
-    grid = shaped.grid_positions
-    box = (*grid.min(axis=1).tolist(), *grid.max(axis=1).tolist())
-    return Block(shaped.tree, shaped.low_bits, box, listed, clamped)
+    extent = block_extent(*shaped.decoded(arranged.lattice.grid))
+    return Block(shaped.tree, shaped.low_bits, extent, listed, clamped)
 
 
 def _ac_passes(

@@ -25,7 +25,7 @@ from gs_codec.codecs.adaptive.lattice import (
     to_float,
 )
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
-from gs_codec.codecs.adaptive.section import bounds_of, lattice_of
+from gs_codec.codecs.adaptive.section import lattice_of
 from gs_codec.codecs.adaptive.sh_ac import BandSums, read_coefficient, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, walk_shape
 from gs_codec.codecs.adaptive.tokens import MAX_BITS, read_pass
@@ -35,6 +35,7 @@ from gs_codec.coding.fields import BitReader, ByteReader
 from gs_codec.coding.nearest import Nearest, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg
 from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.index import check_centres
 from gs_codec.errors import CorruptStream
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
@@ -65,17 +66,6 @@ def decode_adaptive(
     return decoder.groups
 
 
-def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest x, y, z of the centres of each block, each ``(blocks, 3)``."""
-    grid = lattice_of(file)[0].grid
-    boxes = bounds_of(file)
-    # Rounded to float32, as decoded positions are.
-    low, high = (
-        from_grid(corners.T, grid).T.astype(np.float64) for corners in (boxes[:, :3], boxes[:, 3:])
-    )
-    return low, high
-
-
 class Blocks:
     """Decodes single blocks into `groups`, the planes of `count` Gaussians of an SH degree."""
 
@@ -83,7 +73,6 @@ class Blocks:
         self.file = file
         self.lattice, self.models = lattice_of(file)
         self.tables = PassTables.pack(self.models.tables())
-        self.boxes = bounds_of(file)
         self.coded = SH_COEFFICIENTS[file.header.sh_degree]
         self.kept = SH_COEFFICIENTS[degree]
         rows = group_rows(self.kept)
@@ -114,7 +103,9 @@ class Blocks:
         rule = self.lattice.rules["colour"]
         shifts = rule.shifts(colour_class, 1, shape.opacity, shape.scales)
         near = self._decode_dc(streams, grid_positions, shifts, span)
-        self.groups["positions"][:, span] = from_grid(grid_positions, grid)
+        positions = from_grid(grid_positions, grid)
+        check_centres(self.file, block, positions)
+        self.groups["positions"][:, span] = positions
         self.groups["opacity"][0, span] = to_float(shape.opacity)
         self.groups["log_scale"][:, span] = to_float(shape.scales)
         self.groups["rot"][:, span] = turned_quaternions(to_float(shape.turns), shape.poles)
@@ -137,10 +128,7 @@ class Blocks:
         bits = BitReader(self.file.section(SectionId.LOW_BITS, block), where)
         codes |= bits.fields(lefts - dropped) << dropped
         bits.close()
-        grid_positions = centres(codes, dropped, self.lattice.grid)
-        if np.any(self.boxes[block] != [*grid_positions.min(axis=1), *grid_positions.max(axis=1)]):
-            raise CorruptStream(f"section 'bounds': does not match block {block}")
-        return grid_positions
+        return centres(codes, dropped, self.lattice.grid)
 
     def _decode_dc(
         self,

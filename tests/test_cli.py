@@ -372,7 +372,7 @@ def test_encode_to_lattices_writes_what_the_library_does(folder, profile):
     assert header == ["stream", "bytes", "bits/Gaussian", "depth", "models"]
     sizes = {row[0]: int(row[1].replace(",", "")) for row in rows}
     assert sum(sizes.values()) == Path("out.egs").stat().st_size
-    assert set(sizes) >= {"lattice", "bounds", "classes", "low-bits", "geometry", "sh3"}
+    assert set(sizes) >= {"lattice", "index", "classes", "low-bits", "geometry", "sh3"}
 
 
 def test_encode_to_lattices_reports_as_json(folder):

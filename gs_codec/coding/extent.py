@@ -109,5 +109,6 @@ def _half_extents(log_scale: NDArray[np.float64], rot: NDArray[np.float64]) -> N
 def _outwards(corner: NDArray[np.float64], towards: float) -> NDArray[np.float32]:
     """A corner in float32, beyond the exact one, but finite."""
     nearest = np.clip(corner, -_LARGEST, _LARGEST).astype(np.float32)
-    beyond = np.nextafter(nearest, np.float32(towards))
+    with np.errstate(over="ignore"):
+        beyond = np.nextafter(nearest, np.float32(towards))
     return np.clip(beyond, np.float32(-_LARGEST), np.float32(_LARGEST))

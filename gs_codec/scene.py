@@ -86,6 +86,12 @@ def coordinates_comment(system: str) -> str:
     return f"CoordinateSystem: {system}"
 
 
+def stated_comments(coordinates: str | None, antialiased: bool) -> tuple[str, ...]:
+    """Comments that state a coordinate system, if any, and antialiasing."""
+    system = () if coordinates is None else (coordinates_comment(coordinates),)
+    return (ANTIALIASED, *system) if antialiased else system
+
+
 def comment_lines(comments: Iterable[str]) -> list[str]:
     """Comments, of which some may have several lines, line by line."""
     return [line for comment in comments for line in comment.split("\n")]

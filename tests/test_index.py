@@ -41,7 +41,7 @@ def directions(number: int, seed: int) -> np.ndarray:
 
 
 def surfaces(scene: Scene, number: int, seed: int) -> np.ndarray:
-    """Points of the ellipsoids at 3 sigma, ``(number, N, 3)``, by `scipy`-free textbook formulas."""
+    """Points of the ellipsoids at 3 sigma, ``(number, N, 3)``, by other formulas than ours."""
     w, x, y, z = scene.rot.astype(np.float64) / np.linalg.norm(scene.rot.astype(np.float64), axis=0)
     rotation = np.array(
         [
@@ -159,7 +159,7 @@ DAMAGE = {
     "short": (lambda good: good[:-4], "44 bytes, expected 48"),
     "twice": (lambda good: good * 2, "96 bytes, expected 48"),
     "empty": (lambda _: b"", "0 bytes, expected 48"),
-    "lowest above highest": (lambda good: good[12:24] + good[:12] + good[24:], "no boxes of block 0"),
+    "turned": (lambda good: good[12:24] + good[:12] + good[24:], "no boxes of block 0"),
     "reach turned": (lambda good: good[:24] + good[36:] + good[24:36], "no boxes of block 0"),
     "reach within": (replaced(6, 0.0), "no boxes of block 0"),
     **{f"NaN {i}": (replaced(i, np.nan), "no boxes of block 0") for i in range(12)},

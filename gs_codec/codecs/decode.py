@@ -25,7 +25,7 @@ from gs_codec.errors import CorruptStream
 from gs_codec.formats.limits import most_bytes
 from gs_codec.report import Progress
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import ANTIALIASED, Scene, coordinates_comment
+from gs_codec.scene import Scene, stated_comments
 
 
 def decode_scene(
@@ -233,8 +233,5 @@ def _carried(file: EgsFile) -> tuple[tuple[str, ...], dict[str, NDArray]]:
     stored = file.sections.get((SectionId.COMMENTS, 0))
     extra = file.sections.get((SectionId.EXTRA, 0))
     comments = () if stored is None else read_comments(stored)
-    if header.antialiased:
-        comments = (*comments, ANTIALIASED)
-    if header.coordinates is not None:
-        comments = (*comments, coordinates_comment(header.coordinates))
+    comments += stated_comments(header.coordinates, header.antialiased)
     return comments, {} if extra is None else read_extra(extra, header.count)

@@ -65,9 +65,9 @@ class Slabs:
             return self.chosen.file.header.count, scenes
         found = list(scenes)
         count = sum(scene.count for scene in found)
-        if self.chosen.file.header.count and not count:
-            corners = bounds_of(self.chosen.file) or ()
-            low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in corners)
+        bounds = bounds_of(self.chosen.file)
+        if bounds is not None and not count:
+            low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in bounds)
             raise InvalidInput(f"{self.path}: no Gaussians in the box, bounds {low} to {high}")
         return count, iter(found)
 

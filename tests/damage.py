@@ -15,14 +15,8 @@ from scenes import random_scene
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import LOSSLESS, Config
-from gs_codec.egs.file import (
-    Feature,
-    Section,
-    SectionId,
-    in_file_order,
-    read_file,
-    write_file,
-)
+from gs_codec.egs.file import Section, SectionId, in_file_order, read_file, write_file
+from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import GROUPS
 

@@ -23,7 +23,8 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.memory import least_memory
 from gs_codec.codecs.part import Part
 from gs_codec.config import DEPTH_GROUPS, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
-from gs_codec.egs.file import Feature, SectionId, read_file
+from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, TruncatedStream
 from gs_codec.formats.ply import write_ply
 

@@ -1,4 +1,4 @@
-"""Header and section table of an `.egs` file. FORMAT.md, section "File"."""
+"""Sections of an `.egs` file, and their table. FORMAT.md, section "File"."""
 
 from __future__ import annotations
 
@@ -6,54 +6,27 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
 from crc32c import crc32c
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.config import LOSSLESS, Config
+from gs_codec.egs.header import FIELDS, TOO_LARGE, Feature, Header, pack_header, unpack_header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.arrays import current
-from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
 
 Parsed = TypeVar("Parsed")
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
 VERSION = 1
 MINOR = 0
-MAX_BLOCK_SIZE = 1 << 16
-_FIXED = "<8sHHIQIHBBB3sII"
+_START = "<8sHHI"
 _ENTRY = "<HHIQI"
-_NORMALS_FLAG = 1
-_ORDER_FLAG = 2
-_ANTIALIASED_FLAG = 4
 _OPTIONAL_FLAG = 1
 
 #: Sections begin at multiples of this from the start of the file.
 _ALIGNMENT = 4
-
-#: Numbers of 64 bits are below this, so that a float64 holds them.
-_TOO_LARGE = 1 << 53
-
-#: Where an axis may point, in the order of their numbers: right, left, up, down, back, forward.
-_DIRECTIONS = "RLUDBF"
-
-
-class Feature(IntFlag):
-    """What a reader has to be able to do beside the profile itself."""
-
-    NONE = 0
-    GPCC = 1
-    TORCHAC = 2
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the features."""
-        return tuple(label for feature, label in _FEATURE_LABELS.items() if feature in self)
-
-
-_FEATURE_LABELS = {Feature.GPCC: "G-PCC", Feature.TORCHAC: "torchac"}
 
 
 class SectionId(IntEnum):
@@ -108,55 +81,6 @@ _LATER = (SectionId.SH1, SectionId.SH2, SectionId.SH3)
 
 #: ``wanted(id, block)`` tells whether to read a section.
 Wanted = Callable[[int, int], bool]
-
-
-@dataclass(frozen=True)
-class Header:
-    """What the header states about a scene.
-
-    ``coordinates`` and ``antialiased`` are those of `Scene`.
-    """
-
-    count: int
-    sh_degree: int
-    profile: str
-    block_size: int
-    has_normals: bool = False
-    keeps_order: bool = False
-    antialiased: bool = False
-    coordinates: str | None = None
-    features: Feature = Feature.NONE
-
-    @classmethod
-    def of(cls, scene: Scene, config: Config) -> Header:
-        """The header of a scene in the fewest blocks that `config` allows, filled evenly."""
-        blocks = max(-(-scene.count // config.block_size), 1)
-        size = max(-(-scene.count // blocks), 1)
-        return cls(
-            scene.count,
-            scene.sh_degree,
-            config.profile,
-            size,
-            scene.has_normals,
-            config.keep_order,
-            scene.antialiased,
-            scene.coordinates,
-        )
-
-    @property
-    def block_count(self) -> int:
-        """Number of independently decodable blocks."""
-        return -(-self.count // self.block_size)
-
-    @property
-    def float_bytes(self) -> int:
-        """Size of the decoded float32 attributes."""
-        return float_bytes(self.count, self.sh_degree)
-
-    def block_range(self, block: int) -> tuple[int, int]:
-        """First Gaussian of a block and the one after its last."""
-        start = block * self.block_size
-        return start, min(start + self.block_size, self.count)
 
 
 @dataclass(frozen=True)
@@ -236,10 +160,6 @@ class EgsFile:
         return replace(self, sections=sections)
 
 
-#: Profile numbers in the header.
-PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
-
-
 def section_sizes(sections: Sequence[Section]) -> dict[str, int]:
     """Bytes of a file by section, with padding; ``header`` includes the section table."""
     sizes = Counter({"header": _header_size(len(sections))})
@@ -272,7 +192,8 @@ def _padded(size: int) -> int:
 
 
 def _header_size(sections: int) -> int:
-    return struct.calcsize(_FIXED) + sections * struct.calcsize(_ENTRY) + 4
+    fixed = struct.calcsize(_START) + struct.calcsize("<" + FIELDS) + 4
+    return fixed + sections * struct.calcsize(_ENTRY) + 4
 
 
 def write_file(header: Header, sections: Iterable[Section]) -> bytes:
@@ -282,24 +203,9 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
 
 def file_parts(header: Header, sections: Sequence[Section]) -> list[bytes | memoryview]:
     """The consecutive pieces of a file: its header, then its sections in the order given."""
-    flags = _NORMALS_FLAG * header.has_normals | _ORDER_FLAG * header.keeps_order
-    head = bytearray()
-    head += struct.pack(
-        _FIXED,
-        MAGIC,
-        VERSION,
-        MINOR,
-        _header_size(len(sections)),
-        header.count,
-        header.features,
-        flags | _ANTIALIASED_FLAG * header.antialiased,
-        _coordinates_number(header.coordinates),
-        PROFILE_NAMES.index(header.profile),
-        header.sh_degree,
-        bytes(3),
-        header.block_size,
-        len(sections),
-    )
+    number = len(sections)
+    head = bytearray(struct.pack(_START, MAGIC, VERSION, MINOR, _header_size(number)))
+    head += pack_header(header) + struct.pack("<I", number)
     for section in sections:
         flags = _OPTIONAL_FLAG if section.optional else 0
         size, checksum = len(section.data), crc32c(section.data)
@@ -310,22 +216,6 @@ def file_parts(header: Header, sections: Sequence[Section]) -> list[bytes | memo
         size = len(section.data)
         parts += [section.data, bytes(_padded(size) - size)]
     return parts
-
-
-def _coordinates_number(system: str | None) -> int:
-    """Number of a coordinate system in the header; 0 if it is not stated."""
-    if system is None:
-        return 0
-    x, y, z = map(_DIRECTIONS.index, system)
-    return 1 + 36 * x + 6 * y + z
-
-
-#: The systems in the header by their number: those that have x to the right or the left.
-_SYSTEMS = {
-    _coordinates_number(x + first + second): x + first + second
-    for x in "RL"
-    for first, second in ("UB", "UF", "DB", "DF", "BU", "FU", "BD", "FD")
-}
 
 
 def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile:
@@ -346,12 +236,12 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     if len(view) >= len(MAGIC) and view[: len(MAGIC)] != MAGIC:
         raise CorruptStream("not an .egs file (it does not begin with the EGS signature)")
     reader = ByteReader(view, "header")
-    fields = reader.unpack(_FIXED[1:])
-    version, header_size, entries = fields[1], fields[3], fields[-1]
+    _, version, _, header_size = reader.unpack(_START[1:])
+    fields = reader.unpack(FIELDS)
+    entries = reader.unpack("I")[0]
     if version > VERSION or version == 0:
         raise UnsupportedVersion(f"version {version} of the format, this reader knows 1")
-    expected = reader.position + entries * struct.calcsize(_ENTRY) + 4
-    if header_size != expected:
+    if header_size != (expected := _header_size(entries)):
         raise CorruptStream(f"header: size {header_size}, expected {expected}")
     needed, left = expected - reader.position, len(view) - reader.position
     if left < needed:
@@ -360,56 +250,17 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     checksum = crc32c(view[: reader.position])
     if reader.unpack("I")[0] != checksum:
         raise CorruptStream("header: checksum does not match")
-    header = _header_of(*fields[4:-1])
+    header = unpack_header(*fields)
     located = _locate(reader.position, len(view), header, table)
     _check_features(header.features, located)
     return EgsFile(header, view, reader.position, located, {}, version).read(wanted)
-
-
-def _header_of(
-    count: int,
-    features: int,
-    flags: int,
-    coordinates: int,
-    profile: int,
-    degree: int,
-    reserved: bytes,
-    block_size: int,
-) -> Header:
-    """The checked header."""
-    if unknown := features & ~sum(Feature):
-        bits = ", ".join(str(bit) for bit in range(32) if unknown >> bit & 1)
-        raise UnsupportedVersion(
-            f"header: needs features {bits}, this reader knows 0 (G-PCC) and 1 (torchac)"
-        )
-    exact = profile == PROFILE_NAMES.index(LOSSLESS)
-    known = _NORMALS_FLAG | _ORDER_FLAG * exact | _ANTIALIASED_FLAG
-    if flags & ~known or any(reserved) or profile >= len(PROFILE_NAMES):
-        raise CorruptStream("header: a reserved field is not 0")
-    if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
-        raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
-    if coordinates and coordinates not in _SYSTEMS:
-        raise CorruptStream(f"header: coordinates {coordinates} are no system")
-    if count >= _TOO_LARGE:
-        raise CorruptStream(f"header: {count} Gaussians, expected fewer than {_TOO_LARGE}")
-    return Header(
-        count,
-        degree,
-        PROFILE_NAMES[profile],
-        block_size,
-        bool(flags & _NORMALS_FLAG),
-        bool(flags & _ORDER_FLAG),
-        bool(flags & _ANTIALIASED_FLAG),
-        _SYSTEMS.get(coordinates),
-        Feature(features),
-    )
 
 
 def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> None:
     """Check that the sections of exactly these features are there."""
     for feature, section in ((Feature.GPCC, SectionId.TOOL), (Feature.TORCHAC, SectionId.CODER)):
         if (feature in features) != ((section, 0) in table):
-            label = _FEATURE_LABELS[feature]
+            label = " and ".join(feature.labels)
             stated = "stated" if feature in features else "not stated"
             raise CorruptStream(
                 f"header: feature {label} is {stated}, unlike section '{section.label}'"
@@ -435,8 +286,8 @@ def _locate(
         blocks = 1 if section_id in SCENE_SECTIONS else header.block_count
         if (section_id, block) in entries or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
-        if size >= _TOO_LARGE:
-            raise CorruptStream(f"{where}: {size} bytes, expected fewer than {_TOO_LARGE}")
+        if size >= TOO_LARGE:
+            raise CorruptStream(f"{where}: {size} bytes, expected fewer than {TOO_LARGE}")
         entries[section_id, block] = Entry(position, size, checksum)
         position += _padded(size)
     _check_order([section_id for section_id, _ in entries])

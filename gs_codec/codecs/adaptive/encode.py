@@ -20,7 +20,8 @@ from gs_codec.coding.fields import BitWriter
 from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import Config
-from gs_codec.egs.file import Header, Section, SectionId
+from gs_codec.egs.file import Section, SectionId
+from gs_codec.egs.header import Header
 from gs_codec.egs.index import index_section
 from gs_codec.egs.sections import pack_scene
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter

@@ -19,7 +19,8 @@ from gs_codec.coding.extent import block_extent
 from gs_codec.coding.quantise import dequantise
 from gs_codec.coding.rans import TableSet, encode_symbols
 from gs_codec.config import Config
-from gs_codec.egs.file import Feature, Header, Section, SectionId
+from gs_codec.egs.file import Section, SectionId
+from gs_codec.egs.header import Feature, Header
 from gs_codec.egs.index import index_section
 from gs_codec.egs.sections import pack_scene
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter

@@ -112,7 +112,8 @@ def _fit_last(stream: bytearray) -> None:
     if HEADER < table <= len(stream) - 4:
         sizes = [struct.unpack_from("<Q", stream, at + 8)[0] for at in range(HEADER, table, ENTRY)]
         left = len(stream) - table - 4 - sum(-(-size // 4) * 4 for size in sizes[:-1])
-        if left >= 0:
+        last = struct.unpack_from("<Q", stream, table - ENTRY + 8)[0]
+        if left >= 0 and -(-last // 4) * 4 != left:
             struct.pack_into("<Q", stream, table - ENTRY + 8, left)
 
 

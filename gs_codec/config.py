@@ -312,7 +312,7 @@ class Config:
         Worker threads, 1-256; None is one for each available processor, but a single one codes
         fewer than 4096 Gaussians. Never changes the bytes.
     block_size : int
-        Most Gaussians in an independently decodable block, 1024-65536. Default 65536.
+        Most Gaussians in an independently decodable block, 1024-65536. Default 16384.
     keep_order : bool
         With ``lossless``, keep the order of the Gaussians too, at some cost. Default False.
     coarseness : float
@@ -375,7 +375,7 @@ class Config:
         None, "Worker threads, 1-256.", kind=int, low=1, high=256, shown="all processors"
     )
     block_size: int = option(
-        1 << 16,
+        1 << 14,
         "Most Gaussians in a block that is decoded alone, 1024-65536.",
         kind=int, low=1 << 10, high=1 << 16,
     )  # fmt: skip

@@ -43,7 +43,7 @@ class TruncatedStream(GsCodecError):
 
 
 class UnsupportedVersion(GsCodecError):
-    """An `.egs` stream of a later version of the format."""
+    """An `.egs` stream of a later version of the format, or with features unknown here."""
 
 
 class MissingTool(GsCodecError):

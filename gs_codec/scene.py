@@ -86,16 +86,35 @@ def coordinates_comment(system: str) -> str:
     return f"CoordinateSystem: {system}"
 
 
+def stated_comments(coordinates: str | None, antialiased: bool) -> tuple[str, ...]:
+    """Comments that state a coordinate system, if any, and antialiasing."""
+    system = () if coordinates is None else (coordinates_comment(coordinates),)
+    return (ANTIALIASED, *system) if antialiased else system
+
+
+def comment_lines(comments: Iterable[str]) -> list[str]:
+    """Comments, of which some may have several lines, line by line."""
+    return [line for comment in comments for line in comment.split("\n")]
+
+
 def coordinates_of(comments: Iterable[str]) -> str | None:
     """The coordinate system that comments name, as `Scene.coordinates`."""
-    found = [m[1].upper() for m in map(_COORDINATES.fullmatch, comments) if m]
+    found = [m[1].upper() for m in map(_COORDINATES.fullmatch, comment_lines(comments)) if m]
     return found[-1] if found else None
 
 
 def antialiased_of(comments: Iterable[str]) -> bool:
     """Whether comments ask for opacity compensation, as `Scene.antialiased`."""
-    found = [m[1].lower() for m in map(_RENDER_MODE.fullmatch, comments) if m]
+    found = [m[1].lower() for m in map(_RENDER_MODE.fullmatch, comment_lines(comments)) if m]
     return bool(found) and found[-1] in ("mip", "1")
+
+
+def other_comments(comments: Iterable[str]) -> tuple[str, ...]:
+    """The comment lines that are neither on the coordinate system nor on antialiasing."""
+    lines = comment_lines(comments)
+    return tuple(
+        line for line in lines if not (_COORDINATES.fullmatch(line) or _RENDER_MODE.fullmatch(line))
+    )
 
 
 def is_extra_name(name: str) -> bool:

@@ -15,12 +15,16 @@ from scenes import random_scene
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.config import LOSSLESS, Config
-from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.file import Section, SectionId, in_file_order, read_file, write_file
+from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 from gs_codec.scene import GROUPS
 
-HEADER = 36
+HEADER = 44
 ENTRY = 20
+
+#: Where the header has the number of Gaussians, of those in a block, and of sections.
+COUNT, BLOCK_SIZE, SECTIONS = 16, 36, 40
 
 #: What a damaged file may be refused with.
 REFUSALS = (CorruptStream, TruncatedStream, UnsupportedVersion)
@@ -42,14 +46,17 @@ def sample(profile: str, count: int = 5, degree: int = 1, block_size: int = 3) -
 
 
 def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> bytes:
-    """The file with the bytes of a section changed; None removes it."""
+    """The file with the bytes of a section changed, in order; None removes it."""
     file = read_file(data)
     content = change(bytes(file.sections.get((section_id, block), b"")))
-    sections = {**file.sections, (section_id, block): content}
-    return write_file(
-        file.header,
-        [Section(SectionId(i), b, d) for (i, b), d in sections.items() if d is not None],
+    changed = {**file.sections, (section_id, block): content}
+    sections = [Section(SectionId(i), b, d) for (i, b), d in changed.items() if d is not None]
+    found = {section.id for section in sections}
+    features = Feature.GPCC * (SectionId.TOOL in found) | Feature.TORCHAC * (
+        SectionId.CODER in found
     )
+    header = replace(file.header, features=Feature(features))
+    return write_file(header, in_file_order(sections))
 
 
 def flipped(data: bytes, bit: int) -> bytearray:
@@ -85,7 +92,7 @@ def changed(data: bytes, rng: np.random.Generator) -> bytearray:
 def with_checksums(data: bytes | bytearray) -> bytes:
     """The stream with every checksum made right again, as a hostile writer would."""
     data = bytearray(data)
-    sections = struct.unpack_from("<I", data, 32)[0]
+    sections = struct.unpack_from("<I", data, SECTIONS)[0]
     size = HEADER + ENTRY * sections
     position = size + 4
     if position > len(data):
@@ -95,7 +102,7 @@ def with_checksums(data: bytes | bytearray) -> bytes:
         if length > len(data):
             return bytes(data)
         struct.pack_into("<I", data, entry + 16, crc32c(bytes(data[position : position + length])))
-        position += length
+        position += -(-length // 4) * 4
     struct.pack_into("<I", data, size, crc32c(bytes(data[:size])))
     return bytes(data)
 

@@ -26,6 +26,7 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES, Config
 from gs_codec.egs.file import SCENE_SECTIONS, Section, SectionId, read_file, write_file
+from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed, TruncatedStream
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.runtime.programs import Limits
@@ -125,7 +126,8 @@ def test_a_reader_that_does_not_know_it_refuses_it(stand_in):
     flags = {
         int.from_bytes(table[i : i + 2], "little"): table[i + 2] for i in range(0, len(table), 20)
     }
-    assert flags[18] == flags[19] == 0, "not optional"
+    assert flags[SectionId.GPCC] == flags[SectionId.TOOL] == 0, "not optional"
+    assert file.header.features == Feature.GPCC
 
 
 def test_inspect_tells_who_coded_the_points(stand_in, tmp_path):
@@ -135,6 +137,8 @@ def test_inspect_tells_who_coded_the_points(stand_in, tmp_path):
     info = inspect_bytes(path.read_bytes())
     assert (info.geometry, info.tool) == ("gpcc", VERSION)
     text = CliRunner().invoke(app, ["inspect", str(path)]).stdout
+    assert "profile paper-m with G-PCC, 300 Gaussians" in text
+    assert info.features == ("G-PCC",)
     assert f"geometry and SH-DC: G-PCC, by '{VERSION}'" in text
     assert "8/16" in text
     coders = [inspect_bytes(encode_scene(scene, Config(p))[0]) for p in ("paper-m", "m", LOSSLESS)]
@@ -433,24 +437,23 @@ def test_sections_that_make_no_sense_are_refused(section, content, kind, message
 
 @pytest.mark.parametrize("profile", ["m", LOSSLESS, "paper-m"])
 def test_a_tool_without_its_points_is_refused(profile, stand_in):
-    file = read_file(encode_scene(random_scene(0), Config(profile))[0])
-    sections = [Section(SectionId(key[0]), key[1], part) for key, part in file.sections.items()]
+    data = encode_scene(random_scene(0), Config(profile))[0]
     with pytest.raises(CorruptStream, match="section 'tool' of block 0: nothing is coded"):
-        decode_scene(write_file(file.header, [*sections, Section(SectionId.TOOL, 0, b"tmc3")]))
+        decode_scene(with_section(data, SectionId.TOOL, lambda _: b"tmc3"))
 
 
 def test_too_deep_points_are_refused(stand_in):
     scene = random_scene(50, 0, seed=100)
-    file = read_file(encode_scene(scene, config(geometry="octree", depths={"geometry": 19}))[0])
-    points = (SectionId.GEOMETRY, SectionId.SH_DC)
-    sections = [
-        Section(SectionId(key[0]), key[1], part)
-        for key, part in file.sections.items()
-        if key[0] not in points
-    ]
-    sections += [Section(SectionId.TOOL, 0, b"tmc3"), Section(SectionId.GPCC, 0, bytes(8))]
+    data = encode_scene(scene, config(geometry="octree", depths={"geometry": 19}))[0]
+    for section, content in (
+        (SectionId.GEOMETRY, None),
+        (SectionId.SH_DC, None),
+        (SectionId.TOOL, b"tmc3"),
+        (SectionId.GPCC, bytes(8)),
+    ):
+        data = with_section(data, section, lambda _, content=content: content)
     with pytest.raises(CorruptStream, match="geometry of 19 bits, expected at most 18"):
-        decode_scene(write_file(file.header, sections))
+        decode_scene(data)
 
 
 def test_many_small_blocks_are_refused(stand_in):
@@ -458,6 +461,7 @@ def test_many_small_blocks_are_refused(stand_in):
     header = replace(file.header, block_size=500)
     sections = [Section(SectionId(key[0]), key[1], part) for key, part in file.sections.items()]
     sections += [replace(s, block=2) for s in sections if s.id not in SCENE_SECTIONS and s.block]
+    sections[0] = replace(sections[0], data=bytes(sections[0].data) + bytes(sections[0].data)[:48])
     with pytest.raises(CorruptStream, match="blocks of 500 Gaussians, expected at least 512"):
         decode_scene(write_file(header, sections))
 

@@ -15,7 +15,7 @@ from test_lossless import any_bits
 
 from gs_codec.codecs import decode_part, decode_scene, encode_scene
 from gs_codec.codecs.part import Part
-from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, PROFILES, Config
+from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.egs.file import SCENE_SECTIONS, SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS
@@ -73,22 +73,18 @@ def test_box_is_the_whole_masked(profile, box, degree):
 
 
 def needed(data: bytes, box: Sequence[float]) -> int:
-    """Bytes of what tells where blocks are, and of the blocks that have something in a box."""
+    """Bytes of what a scene has once, and of the blocks whose centres' box meets another."""
     file, positions = read_file(data), decode_scene(data).positions.T
-    lattices = file.header.profile in ADAPTIVE_PROFILES
     low, high = np.array(box[:3]), np.array(box[3:])
     total = file.header_size
     for (section_id, block), size in file.sizes.items():
-        if section_id in SCENE_SECTIONS or (section_id == SectionId.GEOMETRY and not lattices):
+        if section_id in SCENE_SECTIONS:
             total += size
             continue
         points = positions[slice(*file.header.block_range(block))]
-        if lattices:
-            total += size * bool(
-                (low <= points.max(axis=0)).all() and (points.min(axis=0) <= high).all()
-            )
-        else:
-            total += size * bool(((low <= points) & (points <= high)).all(axis=1).any())
+        points = np.where(np.isfinite(points), points, np.nan)
+        least, most = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+        total += size * bool((low <= most).all() and (least <= high).all())
     return total
 
 

@@ -24,6 +24,7 @@ from gs_codec.codecs.memory import least_memory
 from gs_codec.codecs.part import Part
 from gs_codec.config import DEPTH_GROUPS, LOSSLESS, PROFILE_CHOICES, PROFILES, Config
 from gs_codec.egs.file import SectionId, read_file
+from gs_codec.egs.header import Feature
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, TruncatedStream
 from gs_codec.formats.ply import write_ply
 
@@ -118,6 +119,7 @@ def test_inspect_tells_the_coder(tmp_path):
     told = inspect_bytes(path.read_bytes()).coder
     assert told.startswith("torchac 0.")
     result = CliRunner().invoke(app, ["inspect", str(path)])
+    assert "profile paper-m with torchac, 300 Gaussians" in result.stdout
     assert f"attributes: coded by '{told}'" in result.stdout
     listed = CliRunner().invoke(app, ["inspect", str(path), "--json"])
     assert json.loads(listed.stdout)["coder"] == told
@@ -136,7 +138,8 @@ def test_a_reader_that_does_not_know_it_refuses_it():
     entries = file.header_size - 4 - 20 * len(file.table)
     table = bytes(file.data[entries : file.header_size - 4])
     rows = [struct.unpack("<HH", table[i : i + 4]) for i in range(0, len(table), 20)]
-    assert (20, 0) in rows, "present, and not optional"
+    assert (SectionId.CODER, 0) in rows, "present, and not optional"
+    assert file.header.features == Feature.TORCHAC
 
 
 # Refusals

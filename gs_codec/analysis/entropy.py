@@ -60,7 +60,7 @@ def depths_by_group(config: Config, sh_degree: int) -> dict[str, str]:
 def bits_by_attribute(report: EncodeReport, sh_degree: int) -> dict[str, float]:
     """Bits per Gaussian of each attribute in a file.
 
-    ``the rest`` is everything else: header, checksums, tables, coder states, classes, bounds,
+    ``the rest`` is everything else: header, checksums, tables, coder states, classes, index,
     comments.
     """
     count = max(report.count, 1)

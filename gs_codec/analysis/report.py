@@ -281,7 +281,7 @@ def _bits(analysis: Analysis, pictures: Mapping[str, bytes]) -> Iterator[str]:
     yield heading("Bits by attribute")
     yield paragraph(
         "Bits per Gaussian in a file of each profile, encoded without cameras. The rest: header, "
-        "checksums, tables, coder states, bounds, normals."
+        "checksums, tables, coder states, index, normals."
     )
     yield picture(pictures["bits.png"], "Bits per Gaussian by attribute.")
     bits = analysis.as_dict()["bits_per_gaussian"]

@@ -73,8 +73,9 @@ def _where(info: Info | Overview) -> str:
 
 
 def _print_info(file: Path, info: Info) -> None:
+    needs = f" with {' and '.join(info.features)}" if info.features else ""
     print_text(
-        f"{file}: version {info.version}, profile {info.profile}, {info.count:,} Gaussians, "
+        f"{file}: version {info.version}, profile {info.profile}{needs}, {info.count:,} Gaussians, "
         f"SH degree {info.sh_degree}, {info.blocks} blocks of at most {info.block_size:,}",
         f"{size_text(info.file_bytes)}, {info.ratio:.2f} times smaller than the floats, "
         f"{8 * info.file_bytes / max(info.count, 1):.1f} bits per Gaussian",

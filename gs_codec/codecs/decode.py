@@ -10,27 +10,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.decode import adaptive_sections, block_boxes, decode_adaptive
-from gs_codec.codecs.entropygs.decode import (
-    channel_positions,
-    channel_sections,
-    channels_of,
-    decode_channels,
-    sections_beside,
-)
+from gs_codec.codecs.adaptive.decode import adaptive_sections, decode_adaptive
+from gs_codec.codecs.entropygs.decode import channel_sections, decode_channels, sections_beside
 from gs_codec.codecs.entropygs.gpcc import tool_for
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import require_coder
-from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_positions, lossless_sections
+from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_sections
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, check_threads
 from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, SectionId, read_file
+from gs_codec.egs.index import index_of
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
 from gs_codec.errors import CorruptStream
 from gs_codec.formats.limits import most_bytes
 from gs_codec.report import Progress
-from gs_codec.runtime.threads import run_all, using_threads
-from gs_codec.scene import Scene
+from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import Scene, stated_comments
 
 
 def decode_scene(
@@ -53,8 +48,8 @@ def decode_part(
 ) -> tuple[Scene, EgsFile]:
     """Decode a part of an `.egs` stream.
 
-    SH above the part's degree is not read, nor are blocks without a Gaussian in its box. Only
-    profiles `l`, `m` and `s` store bounds of blocks: of the others, all positions are read.
+    SH above the part's degree is not read, nor are blocks whose centres the index has apart from
+    the part's box.
 
     Parameters
     ----------
@@ -106,36 +101,31 @@ def choose_part(
         raise CorruptStream(
             f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
         )
-    coded = _check_sections(file)
+    _check_sections(file)
+    index = index_of(file)
     tool = tool_for(file, tmc3)
     require_coder(file)
     degree = part.degree_of(header.sh_degree)
-    blocks: Sequence[int] = range(header.block_count)
-    if coded:
-        file, blocks = _choose_blocks(file, part, tool)
-    chosen = blocks if isinstance(blocks, range) else frozenset(blocks)
+    blocks = np.flatnonzero(part.meets(index[:, :3], index[:, 3:6])).tolist()
+    chosen = frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
     file = file.read(
         lambda section, block: (
-            section not in unread and (section in SCENE_SECTIONS or int(block) in chosen)
+            section not in unread and (section in SCENE_SECTIONS or block in chosen)
         ),
     )
     _check_extra(file, limit)
-    return ChosenPart(file, part, degree, blocks, bool(coded), tool)
+    return ChosenPart(file, part, degree, blocks, tool)
 
 
 @dataclass(frozen=True)
 class ChosenPart:
-    """A file whose needed sections are read and checked, and the blocks to decode.
-
-    ``coded`` tells whether blocks have sections. If not, a small file may have any number of them.
-    """
+    """A file whose needed sections are read and checked, and the blocks to decode."""
 
     file: EgsFile
     part: Part
     degree: int
     blocks: Sequence[int]
-    coded: bool
     tool: Tmc3 | None
 
     def slabs(self, size: int, progress: Progress | None = None) -> Iterator[Scene]:
@@ -160,11 +150,6 @@ class ChosenPart:
 
     def _runs(self, size: int) -> Iterator[_Run]:
         header = self.file.header
-        if not self.coded:
-            for start in range(0, max(header.count, 1), max(size, 1)):
-                stop = min(start + size, header.count)
-                yield _Run({0: slice(0, stop - start)}, [slice(start, stop)])
-            return
         run = _Run({}, [])
         for block in self.blocks:
             start, stop = header.block_range(block)
@@ -208,23 +193,6 @@ def _decoder(profile: str, tool: Tmc3 | None) -> Callable[..., dict[str, NDArray
     return decode_adaptive if profile in ADAPTIVE_PROFILES else partial(decode_channels, tool=tool)
 
 
-def _choose_blocks(file: EgsFile, part: Part, tool: Tmc3 | None) -> tuple[EgsFile, Sequence[int]]:
-    """Blocks that may have Gaussians in the part's box, and the file with the sections read."""
-    every = range(file.header.block_count)
-    if part.box is None or not every:
-        return file, every
-    if file.header.profile in ADAPTIVE_PROFILES:
-        return file, np.flatnonzero(part.meets(*block_boxes(file))).tolist()
-    points = SectionId.GEOMETRY if tool is None else SectionId.GPCC
-    file = file.read(lambda section, _: section == points)
-    if file.header.profile == LOSSLESS:
-        positions = partial(lossless_positions, file)
-    else:
-        positions = partial(channel_positions, file, channels_of(file), tool)
-    found = run_all(lambda block: part.contains(positions(block)).any(), every)
-    return file, np.flatnonzero(found).tolist()
-
-
 def _check_extra(file: EgsFile, limit: int) -> None:
     """Refuse extra properties that, with the floats, would exceed the limit."""
     extra = file.sections.get((SectionId.EXTRA, 0))
@@ -235,17 +203,19 @@ def _check_extra(file: EgsFile, limit: int) -> None:
         )
 
 
-def _check_sections(file: EgsFile) -> set[SectionId]:
-    """Check that a file has exactly its profile's sections; returns those of its blocks."""
+def _check_sections(file: EgsFile) -> None:
+    """Check that a file has exactly its profile's sections."""
     header = file.header
+    own: set[SectionId] = set()
     if header.profile == LOSSLESS:
-        own, expected = {SectionId.BOX}, set(lossless_sections(header.sh_degree))
+        expected = set(lossless_sections(header.sh_degree))
     elif header.profile in ADAPTIVE_PROFILES:
-        own = {SectionId.LATTICE, SectionId.BOUNDS} if header.count else {SectionId.LATTICE}
-        expected = adaptive_sections(header.sh_degree)
+        own, expected = {SectionId.LATTICE}, adaptive_sections(header.sh_degree)
     else:
         expected = channel_sections(file)
         own = sections_beside(file, expected)
+    if header.count:
+        own = own | {SectionId.INDEX}
     others = set(SectionId) - own - expected - {SectionId.COMMENTS, SectionId.EXTRA}
     for section_id, block in file.table:
         if section_id in others:
@@ -255,14 +225,13 @@ def _check_sections(file: EgsFile) -> set[SectionId]:
     if found != len(expected) * header.block_count:
         needed = len(expected) * header.block_count
         raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
-    return expected
 
 
 def _carried(file: EgsFile) -> tuple[tuple[str, ...], dict[str, NDArray]]:
-    """Comments, and extra properties of all Gaussians of the stream."""
-    comments = file.sections.get((SectionId.COMMENTS, 0))
+    """Comments with what the header states, and extra properties of all Gaussians."""
+    header = file.header
+    stored = file.sections.get((SectionId.COMMENTS, 0))
     extra = file.sections.get((SectionId.EXTRA, 0))
-    return (
-        () if comments is None else read_comments(comments),
-        {} if extra is None else read_extra(extra, file.header.count),
-    )
+    comments = () if stored is None else read_comments(stored)
+    comments += stated_comments(header.coordinates, header.antialiased)
+    return comments, {} if extra is None else read_extra(extra, header.count)

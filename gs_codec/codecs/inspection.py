@@ -1,6 +1,6 @@
 """Describe a file from its header and the sections that describe its blocks.
 
-Those sections hold channels, lattices, bounds or box, comments, and what else coded the scene.
+Those sections hold the index, channels or lattices, and what else coded the scene.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ import numpy as np
 from gs_codec.codecs.adaptive.contexts import ContextList, passes
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, Lattice, PositionGrid
 from gs_codec.codecs.adaptive.rotation import rules_of
-from gs_codec.codecs.adaptive.section import PassModels, bounds_of, lattice_of
+from gs_codec.codecs.adaptive.section import PassModels, lattice_of
 from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file
-from gs_codec.egs.sections import Box, read_box, read_comments, read_line
-from gs_codec.scene import SH_COEFFICIENTS, antialiased_of, coordinates_of
+from gs_codec.egs.index import Box, bounds_of
+from gs_codec.egs.sections import read_line
+from gs_codec.scene import SH_COEFFICIENTS
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class PassInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """Everything that `inspect` reports, from a file's header, tables and comments alone.
+    """Everything that `inspect` reports, from a file's header, index and tables alone.
 
     Attributes
     ----------
@@ -82,6 +83,8 @@ class Info:
         0-3.
     profile : str
         Profile, as `Config` names it.
+    features : tuple of str
+        What a reader has to be able to do beside the profile: ``G-PCC``, ``torchac``.
     blocks, block_size : int
         Number of independently decodable blocks, and most Gaussians in one.
     has_normals : bool
@@ -94,8 +97,8 @@ class Info:
         With ``gpcc``, the version line of the program that coded them.
     coder : str
         Entropy coder of attributes: ``rans``, ``pcodec`` (`lossless`), or torchac's version line.
-    bounds : tuple of two tuples of float
-        Lowest and highest x, y, z of the centres.
+    bounds : tuple of two tuples of float, or None
+        Lowest and highest x, y, z of the centres; None without Gaussians.
     file_bytes : int
         Size of the file.
     raw_bytes : int
@@ -109,10 +112,10 @@ class Info:
     grid : PositionGrid or None
         Grid of positions, of profiles `l`, `m` and `s`.
     coordinates : str or None
-        Where x, y and z point, if a comment states it: three letters, as in ``RDF`` (right, down,
-        forward) or ``RUB`` (right, up, back).
+        Where x, y and z point, if stated: three letters, as in ``RDF`` (right, down, forward) or
+        ``RUB`` (right, up, back).
     antialiased : bool
-        Whether comments ask for opacity compensation.
+        Whether opacity compensation is asked for.
     skipped : tuple of str
         What takes no bits, in words, as far as header and tables tell.
     """
@@ -121,6 +124,7 @@ class Info:
     count: int
     sh_degree: int
     profile: str
+    features: tuple[str, ...]
     blocks: int
     block_size: int
     has_normals: bool
@@ -128,7 +132,7 @@ class Info:
     geometry: str
     tool: str | None
     coder: str
-    bounds: Box
+    bounds: Box | None
     file_bytes: int
     raw_bytes: int
     streams: tuple[StreamInfo, ...]
@@ -161,8 +165,7 @@ def inspect_bytes(data: bytes | memoryview) -> Info:
     ------
     CorruptStream, TruncatedStream, UnsupportedVersion
     """
-    wanted = {*DESCRIPTIONS, SectionId.COMMENTS}
-    return describe(read_file(data, lambda section, _: section in wanted))
+    return describe(read_file(data, lambda section, _: section in DESCRIPTIONS))
 
 
 def describe(file: EgsFile) -> Info:
@@ -173,14 +176,13 @@ def describe(file: EgsFile) -> Info:
         details = _adaptive_details
     elif header.profile == LOSSLESS:
         details, coder = _lossless_details, "columns"
-    stored = file.sections.get((SectionId.COMMENTS, 0))
-    comments = () if stored is None else read_comments(stored)
     tool, packed = (read_line(file, section) for section in (SectionId.TOOL, SectionId.CODER))
     return Info(
         version=file.version,
         count=header.count,
         sh_degree=header.sh_degree,
         profile=header.profile,
+        features=header.features.labels,
         blocks=header.block_count,
         block_size=header.block_size,
         has_normals=header.has_normals,
@@ -191,8 +193,9 @@ def describe(file: EgsFile) -> Info:
         file_bytes=len(file.data),
         raw_bytes=header.float_bytes,
         streams=_streams(file),
-        coordinates=coordinates_of(comments),
-        antialiased=antialiased_of(comments),
+        coordinates=header.coordinates,
+        antialiased=header.antialiased,
+        bounds=bounds_of(file),
         **details(file),
     )
 
@@ -223,7 +226,6 @@ def _adaptive_details(file: EgsFile) -> dict[str, Any]:
     if file.header.count:
         skipped += skipped_by_passes(lattice, models, coefficients)
     return {
-        "bounds": _bounds_of(file, lattice.grid),
         "passes": tuple(_inspect_passes(lattice, models, coefficients)),
         "grid": lattice.grid,
         "skipped": tuple(skipped),
@@ -236,29 +238,12 @@ def _channel_details(file: EgsFile) -> dict[str, Any]:
     skipped = skipped_by_header(file.header)
     if file.header.count:
         skipped += skipped_by_channels(channels)
-    axes = [channel.quantiser for channel in channels[:3]]
-    top = tuple(axis.origin + axis.step * ((1 << axis.depth) - 1) for axis in axes)
-    return {
-        "bounds": (tuple(axis.origin for axis in axes), top),
-        "channels": tuple(channels),
-        "skipped": tuple(skipped),
-    }
+    return {"channels": tuple(channels), "skipped": tuple(skipped)}
 
 
 def _lossless_details(file: EgsFile) -> dict[str, Any]:
     """Fields of `Info` for profile `lossless`."""
-    box = read_box(file.section(SectionId.BOX))
-    return {"bounds": box, "skipped": tuple(skipped_by_header(file.header))}
-
-
-def _bounds_of(file: EgsFile, grid: PositionGrid) -> Box:
-    """Lowest and highest corner of the centres."""
-    low = high = np.array(grid.origin)
-    if file.header.count:
-        boxes = bounds_of(file)
-        corners = np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
-        low, high = np.array(grid.origin) + corners * (0.5 * grid.step)
-    return tuple(low.tolist()), tuple(high.tolist())
+    return {"skipped": tuple(skipped_by_header(file.header))}
 
 
 def _inspect_passes(lattice: Lattice, models: PassModels, coefficients: int) -> list[PassInfo]:

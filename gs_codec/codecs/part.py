@@ -56,8 +56,9 @@ class Part:
         low, high = np.array(self.box[:3])[:, None], np.array(self.box[3:])[:, None]
         return np.all((low <= positions) & (positions <= high), axis=0)
 
-    def meets(self, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def meets(self, lowest: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Which boxes from ``lowest (B, 3)`` to ``highest (B, 3)`` overlap this one."""
         if self.box is None:
             return np.ones(len(lowest), np.bool_)
-        return np.all((lowest <= self.box[3:]) & (self.box[:3] <= highest), axis=1)
+        low, high = np.array(self.box[:3]), np.array(self.box[3:])
+        return np.all((lowest <= high) & (low <= highest), axis=1)

@@ -15,7 +15,7 @@ from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.entropygs.section import Channel
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import SH_STREAMS
-from gs_codec.egs.file import Header
+from gs_codec.egs.header import Header
 
 #: Longer lists of names are given as a number.
 _NAMED = 4

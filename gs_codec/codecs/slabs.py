@@ -15,6 +15,7 @@ from gs_codec.codecs.matching import order_of_file, with_order
 from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.config import check_threads
+from gs_codec.egs.index import bounds_of
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress
@@ -64,9 +65,9 @@ class Slabs:
             return self.chosen.file.header.count, scenes
         found = list(scenes)
         count = sum(scene.count for scene in found)
-        if self.chosen.file.header.count and not count:
-            corners = describe(self.chosen.file).bounds
-            low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in corners)
+        bounds = bounds_of(self.chosen.file)
+        if bounds is not None and not count:
+            low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in bounds)
             raise InvalidInput(f"{self.path}: no Gaussians in the box, bounds {low} to {high}")
         return count, iter(found)
 

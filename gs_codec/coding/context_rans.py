@@ -34,8 +34,8 @@ SPAN_BITS = 8
 class PassTables:
     """Tables of all passes, one after another.
 
-    ``spans`` have start << 16 | frequency of each symbol, ``2**SPAN_BITS`` for each table; ``slots``
-    the symbol of each slot, ``2**PRECISION`` for each.
+    ``spans`` have start << 16 | frequency of each symbol, ``2**SPAN_BITS`` for each table;
+    ``slots`` the symbol of each slot, ``2**PRECISION`` for each.
     """
 
     spans: NDArray[np.uint32]
@@ -158,11 +158,10 @@ class PassReader:
         bytes_before = np.cumsum([0, *(len(own.bits) for own in bits[:-1])])
         reached = np.array([[0, *(ends[:-1] + LANES)], 8 * bytes_before])
         begins = reached[1].tolist()
-        fault = kernel(
-            np.concatenate([part for own in words for part in (own, PADDING)]), ends, self.states,
-            self.tables.spans, self.tables.slots, rows,
-            np.concatenate([*(own.bits for own in bits), np.zeros(MORE_BITS, np.uint8)]), reached, *arguments,
-        )  # fmt: skip
+        padded = np.concatenate([part for own in words for part in (own, PADDING)])
+        raw = np.concatenate([*(own.bits for own in bits), np.zeros(MORE_BITS, np.uint8)])
+        tables = self.tables.spans, self.tables.slots, rows
+        fault = kernel(padded, ends, self.states, *tables, raw, reached, *arguments)
         if fault:
             raise CorruptStream(f"{self.where}: {FAULTS[fault]}")
         if np.any(reached[0] != ends):

@@ -15,6 +15,9 @@ NEIGHBOURS = 4
 _LANES = WINDOW // NEIGHBOURS
 _AGE_BITS = WINDOW.bit_length() - 1
 
+#: Squared distances are cut to this, so that weights are computed within 53 bits.
+_FARTHEST = (1 << 44) - 1
+
 
 @inlined
 def _ordered(first, second):
@@ -63,10 +66,11 @@ def _merge_lanes(keys):
 
 @inlined
 def find_nearest(points, i, near, distances, row, keys):
-    """Fill a row of `near` with up to `NEIGHBOURS` nearest of the points before `i`; returns how many.
+    """Fill a row of `near` with the numbers of the nearest points before `i`; returns how many.
 
-    Ties go to the later point; `distances` are squared, in position steps, and exact while
-    ``points (3, n)`` are below 2**23. ``keys (WINDOW,)`` float64 is scratch memory.
+    They are at most `NEIGHBOURS`; ties go to the later point. The row of `distances`, squared, in
+    position steps, at most 2**44 - 1, is exact while ``points (3, n)`` are below 2**23.
+    ``keys (WINDOW,)`` float64 is scratch memory.
     """
     known = min(i, WINDOW)
     x, y, z = np.float64(points[0, i]), np.float64(points[1, i]), np.float64(points[2, i])
@@ -83,7 +87,7 @@ def find_nearest(points, i, near, distances, row, keys):
     found = min(known, NEIGHBOURS)
     for k in range(found):
         key = np.int64(keys[k * _LANES])
-        distances[row, k] = key >> _AGE_BITS
+        distances[row, k] = min(key >> _AGE_BITS, _FARTHEST)
         near[row, k] = i - 1 - (key & (WINDOW - 1))
     return found
 

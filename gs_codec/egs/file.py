@@ -1,4 +1,4 @@
-"""Header and section table of an `.egs` file. FORMAT.md, sections "File" and "Sections"."""
+"""Sections of an `.egs` file, and their table. FORMAT.md, section "File"."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from typing import Any, NamedTuple, TypeVar
 from crc32c import crc32c
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.config import LOSSLESS, Config
+from gs_codec.egs.header import FIELDS, TOO_LARGE, Feature, Header, pack_header, unpack_header
 from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
 from gs_codec.runtime.arrays import current
-from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
 
 Parsed = TypeVar("Parsed")
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
 VERSION = 1
-MAX_BLOCK_SIZE = 1 << 16
-_FIXED = "<8sHHIQBBHII"
+MINOR = 0
+_START = "<8sHHI"
 _ENTRY = "<HHIQI"
-_NORMALS_FLAG = 1
-_ORDER_FLAG = 2
 _OPTIONAL_FLAG = 1
+
+#: Sections begin at multiples of this from the start of the file.
+_ALIGNMENT = 4
 
 
 class SectionId(IntEnum):
@@ -47,11 +47,10 @@ class SectionId(IntEnum):
     LATTICE = 13
     CLASSES = 14
     LOW_BITS = 15
-    BOUNDS = 16
-    BOX = 17
-    GPCC = 18
-    TOOL = 19
-    CODER = 20
+    INDEX = 16
+    GPCC = 17
+    TOOL = 18
+    CODER = 19
 
     @property
     def label(self) -> str:
@@ -64,58 +63,24 @@ class SectionId(IntEnum):
         return cls[stream.upper().replace("-", "_")]
 
 
-#: Sections that say how the others are coded.
-DESCRIPTIONS = frozenset(
-    {
-        SectionId.CHANNELS,
-        SectionId.LATTICE,
-        SectionId.BOUNDS,
-        SectionId.BOX,
-        SectionId.TOOL,
-        SectionId.CODER,
-    }
+#: Sections that say where blocks are and how they are coded, in the order of a file, which begins
+#: with them.
+DESCRIPTIONS = (
+    SectionId.INDEX,
+    SectionId.CHANNELS,
+    SectionId.LATTICE,
+    SectionId.TOOL,
+    SectionId.CODER,
 )
 
 #: Sections of the whole scene; the others are of a block.
-SCENE_SECTIONS = DESCRIPTIONS | {SectionId.COMMENTS, SectionId.EXTRA}
+SCENE_SECTIONS = frozenset({*DESCRIPTIONS, SectionId.COMMENTS, SectionId.EXTRA})
+
+#: Sections of a block that come after those of all blocks that are not listed, in this order.
+_LATER = (SectionId.SH1, SectionId.SH2, SectionId.SH3)
 
 #: ``wanted(id, block)`` tells whether to read a section.
 Wanted = Callable[[int, int], bool]
-
-
-@dataclass(frozen=True)
-class Header:
-    """What the header states about a scene."""
-
-    count: int
-    sh_degree: int
-    profile: str
-    block_size: int
-    has_normals: bool = False
-    keeps_order: bool = False
-
-    @classmethod
-    def of(cls, scene: Scene, config: Config) -> Header:
-        """The header of a scene in the fewest blocks that `config` allows, filled evenly."""
-        blocks = max(-(-scene.count // config.block_size), 1)
-        size = max(-(-scene.count // blocks), 1)
-        normals, keeps_order = scene.has_normals, config.keep_order
-        return cls(scene.count, scene.sh_degree, config.profile, size, normals, keeps_order)
-
-    @property
-    def block_count(self) -> int:
-        """Number of independently decodable blocks."""
-        return -(-self.count // self.block_size)
-
-    @property
-    def float_bytes(self) -> int:
-        """Size of the decoded float32 attributes."""
-        return float_bytes(self.count, self.sh_degree)
-
-    def block_range(self, block: int) -> tuple[int, int]:
-        """First Gaussian of a block and the one after its last."""
-        start = block * self.block_size
-        return start, min(start + self.block_size, self.count)
 
 
 @dataclass(frozen=True)
@@ -161,13 +126,13 @@ class EgsFile:
 
     @property
     def sizes(self) -> dict[tuple[int, int], int]:
-        """Bytes of each section, read or not."""
-        return {key: entry.size for key, entry in self.table.items()}
+        """Bytes of each section with its padding, read or not."""
+        return {key: _padded(entry.size) for key, entry in self.table.items()}
 
     @property
     def bytes_read(self) -> int:
-        """Size of the header and of the sections that were read."""
-        return self.header_size + sum(len(content) for content in self.sections.values())
+        """Size of the header and of the sections that were read, with their padding."""
+        return self.header_size + sum(_padded(len(data)) for data in self.sections.values())
 
     def section(self, section_id: SectionId, block: int = 0) -> memoryview:
         """Bytes of a section; it is an error if it is missing."""
@@ -185,28 +150,50 @@ class EgsFile:
             if key in sections or not (wanted is None or wanted(*key)):
                 continue
             content = self.data[position : position + size]
+            where = f"section {section_id} of block {block}"
             if crc32c(content) != checksum:
-                where = f"section {section_id} of block {block}"
                 raise CorruptStream(f"{where}: checksum does not match")
+            if any(self.data[position + size : position + _padded(size)]):
+                raise CorruptStream(f"{where}: padding that is not 0")
             if section_id in known:
                 sections[key] = content
         return replace(self, sections=sections)
 
 
-#: Profile numbers in the header.
-PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
-
-
 def section_sizes(sections: Sequence[Section]) -> dict[str, int]:
-    """Bytes of a file by section; ``header`` includes the section table."""
+    """Bytes of a file by section, with padding; ``header`` includes the section table."""
     sizes = Counter({"header": _header_size(len(sections))})
     for section in sections:
-        sizes[section.id.label] += len(section.data)
+        sizes[section.id.label] += _padded(len(section.data))
     return dict(sizes)
 
 
+def in_file_order(sections: Iterable[Section]) -> list[Section]:
+    """Sections in the order of a file, so that its start is useful without the rest.
+
+    Descriptions and comments; blocks without SH-AC, one after the other; SH-AC, band by band; extra
+    properties. Otherwise they keep their order.
+    """
+    scene = (*DESCRIPTIONS, SectionId.COMMENTS)
+
+    def place(section: Section) -> tuple[int, int]:
+        if section.id in scene:
+            return scene.index(section.id) - len(scene), 0
+        if section.id in _LATER:
+            return 1 + _LATER.index(section.id), section.block
+        return (1 + len(_LATER) if section.id == SectionId.EXTRA else 0), section.block
+
+    return sorted(sections, key=place)
+
+
+def _padded(size: int) -> int:
+    """Size of a section with the zeros that fill it up to where the next one begins."""
+    return -(-size // _ALIGNMENT) * _ALIGNMENT
+
+
 def _header_size(sections: int) -> int:
-    return struct.calcsize(_FIXED) + sections * struct.calcsize(_ENTRY) + 4
+    fixed = struct.calcsize(_START) + struct.calcsize("<" + FIELDS) + 4
+    return fixed + sections * struct.calcsize(_ENTRY) + 4
 
 
 def write_file(header: Header, sections: Iterable[Section]) -> bytes:
@@ -216,27 +203,19 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
 
 def file_parts(header: Header, sections: Sequence[Section]) -> list[bytes | memoryview]:
     """The consecutive pieces of a file: its header, then its sections in the order given."""
-    header_size = _header_size(len(sections))
-    head = bytearray()
-    head += struct.pack(
-        _FIXED,
-        MAGIC,
-        VERSION,
-        _NORMALS_FLAG * header.has_normals | _ORDER_FLAG * header.keeps_order,
-        header_size,
-        header.count,
-        header.sh_degree,
-        PROFILE_NAMES.index(header.profile),
-        0,
-        header.block_size,
-        len(sections),
-    )
+    number = len(sections)
+    head = bytearray(struct.pack(_START, MAGIC, VERSION, MINOR, _header_size(number)))
+    head += pack_header(header) + struct.pack("<I", number)
     for section in sections:
         flags = _OPTIONAL_FLAG if section.optional else 0
         size, checksum = len(section.data), crc32c(section.data)
         head += struct.pack(_ENTRY, section.id, flags, section.block, size, checksum)
     head += struct.pack("<I", crc32c(head))
-    return [bytes(head), *(section.data for section in sections)]
+    parts: list[bytes | memoryview] = [bytes(head)]
+    for section in sections:
+        size = len(section.data)
+        parts += [section.data, bytes(_padded(size) - size)]
+    return parts
 
 
 def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile:
@@ -257,13 +236,12 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     if len(view) >= len(MAGIC) and view[: len(MAGIC)] != MAGIC:
         raise CorruptStream("not an .egs file (it does not begin with the EGS signature)")
     reader = ByteReader(view, "header")
-    _, version, flags, header_size, count, degree, profile, reserved, block_size, entries = (
-        reader.unpack(_FIXED[1:])
-    )
+    _, version, _, header_size = reader.unpack(_START[1:])
+    fields = reader.unpack(FIELDS)
+    entries = reader.unpack("I")[0]
     if version > VERSION or version == 0:
         raise UnsupportedVersion(f"version {version} of the format, this reader knows 1")
-    expected = reader.position + entries * struct.calcsize(_ENTRY) + 4
-    if header_size != expected:
+    if header_size != (expected := _header_size(entries)):
         raise CorruptStream(f"header: size {header_size}, expected {expected}")
     needed, left = expected - reader.position, len(view) - reader.position
     if left < needed:
@@ -272,23 +250,28 @@ def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile
     checksum = crc32c(view[: reader.position])
     if reader.unpack("I")[0] != checksum:
         raise CorruptStream("header: checksum does not match")
-    exact = profile == PROFILE_NAMES.index(LOSSLESS)
-    known = _NORMALS_FLAG | _ORDER_FLAG * exact
-    if flags & ~known or reserved or profile >= len(PROFILE_NAMES):
-        raise CorruptStream("header: a reserved field is not 0")
-    if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
-        raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
-    normals, ordered = bool(flags & _NORMALS_FLAG), bool(flags & _ORDER_FLAG)
-    header = Header(count, degree, PROFILE_NAMES[profile], block_size, normals, ordered)
-    entries = _locate(reader.position, len(view), header, table)
-    return EgsFile(header, view, reader.position, entries, {}, version).read(wanted)
+    header = unpack_header(*fields)
+    located = _locate(reader.position, len(view), header, table)
+    _check_features(header.features, located)
+    return EgsFile(header, view, reader.position, located, {}, version).read(wanted)
+
+
+def _check_features(features: Feature, table: dict[tuple[int, int], Entry]) -> None:
+    """Check that the sections of exactly these features are there."""
+    for feature, section in ((Feature.GPCC, SectionId.TOOL), (Feature.TORCHAC, SectionId.CODER)):
+        if (feature in features) != ((section, 0) in table):
+            label = " and ".join(feature.labels)
+            stated = "stated" if feature in features else "not stated"
+            raise CorruptStream(
+                f"header: feature {label} is {stated}, unlike section '{section.label}'"
+            )
 
 
 def _locate(
     position: int, end: int, header: Header, table: list[tuple]
 ) -> dict[tuple[int, int], Entry]:
     """The checked section table of a file of `end` bytes, whose header ends at `position`."""
-    expected = position + sum(entry[3] for entry in table)
+    expected = position + sum(_padded(entry[3]) for entry in table)
     if end != expected:
         kind = TruncatedStream if end < expected else CorruptStream
         raise kind(f"file: {end} bytes, expected {expected}")
@@ -303,6 +286,17 @@ def _locate(
         blocks = 1 if section_id in SCENE_SECTIONS else header.block_count
         if (section_id, block) in entries or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
+        if size >= TOO_LARGE:
+            raise CorruptStream(f"{where}: {size} bytes, expected fewer than {TOO_LARGE}")
         entries[section_id, block] = Entry(position, size, checksum)
-        position += size
+        position += _padded(size)
+    _check_order([section_id for section_id, _ in entries])
     return entries
+
+
+def _check_order(listed: list[int]) -> None:
+    """Check that descriptions come first, and in their order."""
+    expected = [section for section in DESCRIPTIONS if section in listed]
+    if listed[: len(expected)] != expected:
+        names = ", ".join(section.label for section in expected)
+        raise CorruptStream(f"header: the first sections are not {names}, in this order")

@@ -1,4 +1,4 @@
-"""Sections beside the Gaussians: comments, properties beyond the layout, the box, the tool."""
+"""Sections beside the Gaussians: comments, properties beyond the layout, the tool."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.fields import ByteReader
-from gs_codec.egs.file import EgsFile, Header, Section, SectionId, file_parts, section_sizes
+from gs_codec.egs.file import EgsFile, Section, SectionId, file_parts, in_file_order, section_sizes
+from gs_codec.egs.header import Header
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.report import ChannelCost, EncodeReport, StageTimes
 from gs_codec.runtime.arrays import empty
-from gs_codec.scene import Scene, gather, is_extra_name
+from gs_codec.scene import Scene, gather, is_extra_name, other_comments
 
 _DTYPES = tuple(np.dtype(t) for t in ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8"))
 _LEVEL = 6
 _COMMENT_BYTES = 1 << 20
 _EXTRA = "section 'extra'"
-
-_LAYOUT = "<6f"
-
-Box = tuple[tuple[float, ...], tuple[float, ...]]
 
 #: Most characters of the version line of a program.
 MAX_LENGTH = 200
@@ -40,7 +37,7 @@ def pack_scene(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """The pieces of a file of coded sections, with what a scene carries beside; the report."""
     with times.stage("container"):
-        sections = sections + carried_sections(scene, order)
+        sections = in_file_order([*sections, *carried_sections(scene, order)])
         parts = file_parts(header, sections)
     return parts, EncodeReport(
         count=scene.count,
@@ -53,10 +50,13 @@ def pack_scene(
 
 
 def carried_sections(scene: Scene, order: NDArray[np.integer]) -> list[Section]:
-    """Sections `comments` and `extra` of a scene, with Gaussians in the given order."""
+    """Sections `comments` and `extra` of a scene, with Gaussians in the given order.
+
+    Comments on coordinates and antialiasing are left out: the header has them.
+    """
     sections = []
-    if scene.comments:
-        sections.append(Section(SectionId.COMMENTS, 0, write_comments(scene.comments)))
+    if comments := other_comments(scene.comments):
+        sections.append(Section(SectionId.COMMENTS, 0, write_comments(comments)))
     if scene.extra:
         sections.append(Section(SectionId.EXTRA, 0, write_extra(scene.extra, order)))
     return sections
@@ -77,7 +77,10 @@ def read_comments(data: memoryview) -> tuple[str, ...]:
     text = bytes(data[: _COMMENT_BYTES + 1])
     if len(text) > _COMMENT_BYTES or not _is_text(text):
         raise CorruptStream("section 'comments': too long, or not ASCII text")
-    return tuple(text.decode("ascii").split("\n"))
+    lines = tuple(text.decode("ascii").split("\n"))
+    if other_comments(lines) != lines:
+        raise CorruptStream("section 'comments': coordinates or antialiasing, which the header has")
+    return lines
 
 
 def _is_text(data: bytes) -> bool:
@@ -148,27 +151,6 @@ def _inflate(packed: memoryview, count: int, dtype: np.dtype) -> NDArray:
     if filled < rows.size or surplus or not inflater.eof:
         raise CorruptStream(f"{_EXTRA}: a property is not {rows.size} bytes")
     return rows.reshape(-1).view(dtype)
-
-
-def write_box(positions: NDArray[np.float32]) -> bytes:
-    """Serialise the box of the finite coordinates of ``positions (3, N)``; zeros without any."""
-    finite = [row[np.isfinite(row)] for row in positions]
-    # Adding 0 turns -0 into 0: which of the two is the minimum depends on the machine.
-    low = [row.min() + np.float32(0) if row.size else 0.0 for row in finite]
-    high = [row.max() + np.float32(0) if row.size else 0.0 for row in finite]
-    return struct.pack(_LAYOUT, *low, *high)
-
-
-def read_box(data: memoryview) -> Box:
-    """The inverse of `write_box`: lowest and highest x, y, z."""
-    if len(data) != struct.calcsize(_LAYOUT):
-        size = struct.calcsize(_LAYOUT)
-        raise CorruptStream(f"section 'box': {len(data)} bytes, expected {size}")
-    values = struct.unpack(_LAYOUT, data)
-    low, high = values[:3], values[3:]
-    if not np.isfinite(values).all() or any(a > b for a, b in zip(low, high, strict=True)):
-        raise CorruptStream(f"section 'box': {low} to {high} is no box")
-    return low, high
 
 
 def write_line(version: str) -> bytes:

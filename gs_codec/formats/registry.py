@@ -13,7 +13,7 @@ import numpy as np
 
 from gs_codec.config import Extra
 from gs_codec.egs.file import MAGIC as EGS
-from gs_codec.egs.sections import Box
+from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import packed_ply, sog, splat, spz
 from gs_codec.formats.ply import scene_of

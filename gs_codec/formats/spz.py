@@ -21,7 +21,7 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
 from gs_codec.runtime.mapped import located
-from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene, coordinates_comment
+from gs_codec.scene import SH_COEFFICIENTS, Scene, stated_comments
 
 log = logging.getLogger(__name__)
 
@@ -215,9 +215,6 @@ def _scene_of(path: Path, header: _Header, streams: list[Bytes], system: str) ->
         np.frombuffer(stream, np.uint8).reshape(count, size).T
         for stream, size in zip(streams, header.sizes, strict=True)
     )
-    comments = [coordinates_comment(system)]
-    if header.flags & _ANTIALIASED:
-        comments.append(ANTIALIASED)
     rotate = _first_three if header.version < 3 else _smallest_three
     return Scene(
         planes_of(3, count, lambda some: _positions(positions[:, some], header)),
@@ -226,7 +223,7 @@ def _scene_of(path: Path, header: _Header, streams: list[Bytes], system: str) ->
         opacities_of(path, alphas[0]),
         planes_of(3, count, lambda some: scales[:, some] / np.float32(16) - 10),
         planes_of(4, count, lambda some: rotate(rotations[:, some])),
-        comments=tuple(comments),
+        comments=stated_comments(system, bool(header.flags & _ANTIALIASED)),
     )
 
 

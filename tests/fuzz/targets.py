@@ -16,7 +16,7 @@ from types import SimpleNamespace
 
 import foreign
 import numpy as np
-from damage import ENTRY, HEADER, with_checksums
+from damage import ENTRY, HEADER, SECTIONS, with_checksums
 from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.batch.ledger import Record, open_ledger
@@ -108,11 +108,12 @@ def _fit_last(stream: bytearray) -> None:
     """Let the last section be as long as what is left for it."""
     if len(stream) < HEADER:
         return
-    table = HEADER + ENTRY * struct.unpack_from("<I", stream, 32)[0]
+    table = HEADER + ENTRY * struct.unpack_from("<I", stream, SECTIONS)[0]
     if HEADER < table <= len(stream) - 4:
         sizes = [struct.unpack_from("<Q", stream, at + 8)[0] for at in range(HEADER, table, ENTRY)]
-        left = len(stream) - table - 4 - sum(sizes[:-1])
-        if left >= 0:
+        left = len(stream) - table - 4 - sum(-(-size // 4) * 4 for size in sizes[:-1])
+        last = struct.unpack_from("<Q", stream, table - ENTRY + 8)[0]
+        if left >= 0 and -(-last // 4) * 4 != left:
             struct.pack_into("<Q", stream, table - ENTRY + 8, left)
 
 

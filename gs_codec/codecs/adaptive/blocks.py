@@ -9,12 +9,21 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged
 from gs_codec.codecs.adaptive.colour import code_colours, round_diffusing
-from gs_codec.codecs.adaptive.lattice import LARGEST, centres, to_fixed
+from gs_codec.codecs.adaptive.lattice import (
+    LARGEST,
+    PositionGrid,
+    centres,
+    from_grid,
+    to_fixed,
+    to_float,
+)
+from gs_codec.codecs.adaptive.rotation import turned_quaternions
 from gs_codec.codecs.adaptive.sh_ac import code_bands, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, ShapeQuantiser, shape_pass, walk_shape
 from gs_codec.codecs.adaptive.tokens import tokenise
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.count_tree import encode_tree
+from gs_codec.coding.extent import block_extent
 from gs_codec.coding.fields import BitWriter
 from gs_codec.coding.nearest import find_all_nearest
 from gs_codec.coding.ycocg import take_colours, to_ycocg
@@ -41,8 +50,8 @@ class PassData:
     @classmethod
     def of(cls, levels: NDArray[np.integer], contexts: NDArray[np.uint16]) -> PassData:
         """Tokenise levels."""
-        tokens, *raw = tokenise(levels.ravel())
-        return cls(tokens, contexts.ravel(), *raw)
+        tokens, raw_symbols, raw_levels, raw_widths = tokenise(levels.ravel())
+        return cls(tokens, contexts.ravel(), raw_symbols, raw_levels, raw_widths)
 
     def count(self, counts: NDArray[np.int64]) -> None:
         """Add the number of times that each token occurs to ``counts (contexts, ALPHABET)``."""
@@ -74,14 +83,22 @@ class ShapedBlock:
     coded: PassData
     clamped: int
 
+    def decoded(self, grid: PositionGrid) -> tuple[NDArray[np.float32], ...]:
+        """Decoded positions ``(3, n)``, log-scales ``(3, n)`` and rotations ``(4, n)``."""
+        return (
+            from_grid(self.grid_positions, grid),
+            to_float(self.shape.scales).astype(np.float32),
+            turned_quaternions(to_float(self.shape.turns), self.shape.poles),
+        )
+
 
 @dataclass(frozen=True)
 class Block:
-    """Everything of a block to be coded; ``box (6,)``: lowest and highest x, y, z, half steps."""
+    """Everything of a block to be coded, and where its Gaussians are, as by `block_extent`."""
 
     tree: bytes
     low_bits: bytes
-    box: tuple[int, ...]
+    extent: NDArray[np.float32]
     passes: list[PassData]
     clamped: int
 
@@ -142,6 +159,5 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
         by_colour = levels.reshape(3, coefficients, -1)
         coded = code_bands(by_colour, two_nearest(nearest), shaped.shifts)
         listed += [PassData.of(values, contexts) for values, contexts, _ in coded]
-    grid = shaped.grid_positions
-    box = (*grid.min(axis=1).tolist(), *grid.max(axis=1).tolist())
-    return Block(shaped.tree, shaped.low_bits, box, listed, clamped)
+    extent = block_extent(*shaped.decoded(arranged.lattice.grid))
+    return Block(shaped.tree, shaped.low_bits, extent, listed, clamped)

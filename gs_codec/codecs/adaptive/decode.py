@@ -12,7 +12,7 @@ from gs_codec.codecs.adaptive.colour import read_colours
 from gs_codec.codecs.adaptive.contexts import passes
 from gs_codec.codecs.adaptive.lattice import TOO_LARGE, centres, from_grid, to_float
 from gs_codec.codecs.adaptive.rotation import turned_quaternions
-from gs_codec.codecs.adaptive.section import bounds_of, lattice_of
+from gs_codec.codecs.adaptive.section import lattice_of
 from gs_codec.codecs.adaptive.sh_ac import read_bands, two_nearest
 from gs_codec.codecs.adaptive.shape import Shape, read_shapes
 from gs_codec.coding.context_rans import PassReader, PassTables
@@ -21,6 +21,7 @@ from gs_codec.coding.fields import BitReader
 from gs_codec.coding.nearest import Nearest, find_all_nearest
 from gs_codec.coding.ycocg import fill_colours, from_ycocg
 from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.index import check_centres
 from gs_codec.errors import CorruptStream
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
@@ -53,17 +54,6 @@ def decode_adaptive(
     return groups
 
 
-def block_boxes(file: EgsFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest x, y, z of the centres of each block, each ``(blocks, 3)``."""
-    grid = lattice_of(file)[0].grid
-    boxes = bounds_of(file)
-    # Rounded to float32, as decoded positions are.
-    low, high = (
-        from_grid(corners.T, grid).T.astype(np.float64) for corners in (boxes[:, :3], boxes[:, 3:])
-    )
-    return low, high
-
-
 @dataclass(frozen=True)
 class DecodedBlock:
     """A block in integers.
@@ -89,7 +79,6 @@ class Blocks:
         self.file = file
         self.lattice, self.models = lattice_of(file)
         self.tables = PassTables.pack(self.models.tables())
-        self.boxes = bounds_of(file)
         self.passes = passes(SH_COEFFICIENTS[file.header.sh_degree])
         self.rows = [self.models.rows(item) for item in self.passes]
         self.bands = sh_bands(SH_COEFFICIENTS[degree])
@@ -119,9 +108,6 @@ class Blocks:
         codes |= low_bits.fields(lefts - dropped) << dropped
         low_bits.close()
         grid_positions = centres(codes, dropped, lattice.grid)
-        corners = [*grid_positions.min(axis=1), *grid_positions.max(axis=1)]
-        if np.any(self.boxes[block] != corners):
-            raise CorruptStream(f"section 'bounds': does not match {where}")
         nearest = find_all_nearest(grid_positions)
         shifts = lattice.rules["colour"].shifts(classes[1], 1, *known)
         unit = lattice.units["sh-dc"]
@@ -138,7 +124,9 @@ class Blocks:
         """Decode a block into a range of groups."""
         found = self.read(block)
         shape = found.shape
-        groups["positions"][:, span] = from_grid(found.grid_positions, self.lattice.grid)
+        positions = from_grid(found.grid_positions, self.lattice.grid)
+        check_centres(self.file, block, positions)
+        groups["positions"][:, span] = positions
         groups["opacity"][0, span] = to_float(shape.opacity)
         groups["log_scale"][:, span] = to_float(shape.scales)
         groups["rot"][:, span] = turned_quaternions(to_float(shape.turns), shape.poles)

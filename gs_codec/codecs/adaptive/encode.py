@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.arrange import Arranged, arrange_scene
 from gs_codec.codecs.adaptive.blocks import Block, ShapedBlock, colour_block, shape_block
 from gs_codec.codecs.adaptive.contexts import ContextList, Pass, passes, share_tables
-from gs_codec.codecs.adaptive.lattice import from_grid, to_float
-from gs_codec.codecs.adaptive.rotation import turned_quaternions
-from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_bounds, write_lattice
+from gs_codec.codecs.adaptive.lattice import to_float
+from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_lattice
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.tokens import ALPHABET, raw_width
 from gs_codec.coding.context_rans import PRECISION, CodedPass, PassTables, encode_passes
@@ -20,7 +19,9 @@ from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
 from gs_codec.coding.linear import dot
 from gs_codec.coding.sent_tables import SentModel
 from gs_codec.config import Config
-from gs_codec.egs.file import Header, Section, SectionId
+from gs_codec.egs.file import Section, SectionId
+from gs_codec.egs.header import Header
+from gs_codec.egs.index import index_section
 from gs_codec.egs.sections import pack_scene
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
@@ -42,17 +43,15 @@ class ShapedScene:
 
     def decoded(self) -> Scene:
         """The decoded scene in stream order, except for its SH, which are the source's."""
-        shapes = [block.shape for block in self.blocks]
-        grid_positions = np.concatenate([block.grid_positions for block in self.blocks], axis=1)
+        opacity = np.concatenate([block.shape.opacity for block in self.blocks])
+        decoded = [block.decoded(self.arranged.lattice.grid) for block in self.blocks]
+        positions, log_scale, rot = (np.concatenate(p, axis=1) for p in zip(*decoded, strict=True))
         return replace(
             self.arranged.source.take(self.order),
-            positions=from_grid(grid_positions, self.arranged.lattice.grid),
-            opacity=np.float32(to_float(np.concatenate([s.opacity for s in shapes])))[None],
-            log_scale=np.float32(to_float(np.concatenate([s.scales for s in shapes], axis=1))),
-            rot=turned_quaternions(
-                to_float(np.concatenate([s.turns for s in shapes], axis=1)),
-                np.concatenate([s.poles for s in shapes]),
-            ),
+            positions=positions,
+            opacity=np.float32(to_float(opacity))[None],
+            log_scale=log_scale,
+            rot=rot,
         )
 
     def sh_steps(self) -> NDArray[np.float32]:
@@ -141,10 +140,8 @@ def _code(
         coded = run_all(
             lambda item: _sections(*item, listed, rows, packed), enumerate(blocks), advance=advance
         )
-    sections = [Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models))]
-    if blocks:
-        bounds = write_bounds([block.box for block in blocks])
-        sections.append(Section(SectionId.BOUNDS, 0, bounds))
+    sections = index_section([block.extent for block in blocks])
+    sections.append(Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models)))
     sections += [section for block in coded for section in block]
     rectified = sum(block.clamped for block in blocks)
     return pack_scene(arranged.source, header, sections, arranged.order, times, costs, rectified)

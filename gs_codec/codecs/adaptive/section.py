@@ -19,7 +19,7 @@ from gs_codec.codecs.adaptive.lattice import (
     StepRule,
 )
 from gs_codec.codecs.adaptive.rotation import TURN_RULES
-from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
+from gs_codec.codecs.adaptive.step_sizes import MAX_SLOPE, SHAPE_RULES
 from gs_codec.codecs.adaptive.tokens import ALPHABET
 from gs_codec.coding.context_rans import PRECISION
 from gs_codec.coding.fields import ByteReader
@@ -91,14 +91,6 @@ def lattice_of(file: EgsFile) -> tuple[Lattice, PassModels]:
     return file.parsed(SectionId.LATTICE, lambda data: read_lattice(data, coefficients))
 
 
-def bounds_of(file: EgsFile) -> NDArray[np.int64]:
-    """Bounds of the blocks of a file; see `read_bounds`."""
-    blocks = file.header.block_count
-    if not blocks:
-        return np.zeros((0, 6), np.int64)
-    return file.parsed(SectionId.BOUNDS, lambda data: read_bounds(data, blocks))
-
-
 def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassModels]:
     """The inverse of `write_lattice`.
 
@@ -127,6 +119,8 @@ def read_lattice(data: memoryview, coefficients: int) -> tuple[Lattice, PassMode
 
 def _read_rule(reader: ByteReader) -> StepRule:
     intercept, opacity, *scales, limit = reader.unpack(_RULE)
+    if max(map(abs, (opacity, *scales))) > MAX_SLOPE:
+        raise CorruptStream(f"{_WHERE}: a rule's factor is beyond {MAX_SLOPE}")
     return StepRule(intercept, opacity, (scales[0], scales[1], scales[2]), limit)
 
 
@@ -159,24 +153,3 @@ def _read_models(reader: ByteReader, coefficients: int) -> PassModels:
         raise CorruptStream(f"{_WHERE}: an alphabet out of range")
     weights = decode_tables(reader.rest(), alphabets, [MANTISSA] * number, _WHERE)
     return PassModels(listed, weights)
-
-
-def write_bounds(boxes: list[tuple[int, ...]]) -> bytes:
-    """Serialise the lowest and highest x, y, z of blocks, in half steps of the grid."""
-    return np.array(boxes, "<u4").tobytes()
-
-
-def read_bounds(data: memoryview, blocks: int) -> NDArray[np.int64]:
-    """The inverse of `write_bounds`, ``(blocks, 6)``.
-
-    Raises
-    ------
-    CorruptStream
-        If their number is wrong, or a lowest corner is above its highest.
-    """
-    if len(data) != 24 * blocks:
-        raise CorruptStream(f"section 'bounds': {len(data)} bytes, expected {24 * blocks}")
-    boxes = np.frombuffer(data, "<u4").reshape(blocks, 6).astype(np.int64)
-    if np.any(boxes[:, :3] > boxes[:, 3:]):
-        raise CorruptStream("section 'bounds': a box's lowest corner is above its highest")
-    return boxes

@@ -95,75 +95,97 @@ def _code(levels, near, shifts, first, last, left, shares, values, contexts, cou
 
 
 @kernel
+def _read_sums(
+    words, end, states, spans, slots, rows, bits, limit, shifts, sums
+):  # fmt: skip
+    """Decode the sums of all bands, first of a pass; returns a fault and positions reached."""
+    position = used = before = previous = np.int64(0)
+    for i in range(len(sums)):
+        if position > end or used > limit:
+            return OUT_OF_WORDS, position, used
+        context = SUMS * min(shifts[i], COLOUR_SHIFTS - 1) + sum_bucket(previous + before)
+        row = rows[np.uint64(context)]
+        sums[i], position, used = read_token(
+            words, position, states, i, spans, slots, row, bits, used, True
+        )
+        if sums[i] < 0:
+            return BAD_SUM, position, used
+        before, previous = previous, sums[i]
+    return 0, position, used
+
+
+@kernel
+def _read_shares(
+    words, end, states, spans, slots, rows, bits, limit, symbol, position, used, offset,
+    left, shares,
+):  # fmt: skip
+    """Decode a band's shares of what is left; returns a fault, the next symbol and positions."""
+    for i in range(len(left)):
+        shares[i] = 0
+        if left[i] == 0:
+            continue
+        if position > end or used > limit:
+            return OUT_OF_WORDS, symbol, position, used
+        row = rows[np.uint64(offset + sum_bucket(left[i]))]
+        share, position, used = read_token(
+            words, position, states, symbol, spans, slots, row, bits, used, True
+        )
+        symbol += 1
+        if not 0 <= share <= left[i]:
+            return BAD_SUM, symbol, position, used
+        shares[i] = share
+        left[i] -= share
+    return 0, symbol, position, used
+
+
+@kernel
 def _read(
     words, ends, states, spans, slots, rows, bits, reached,
     near, shifts, first, last, left, levels,
 ):  # fmt: skip
     """Decode ``levels (3, k, n)``, 0 before; `left` becomes what is left for further bands."""
     count, members = len(left), levels.shape[1]
-    position, used = reached[:, 0]
     end, limit = ends[0], 8 * (len(bits) - MORE_BITS)
-    symbol, offset = 0, 0
+    fault, symbol, position, used, offset = 0, 0, np.int64(0), np.int64(0), 0
     if first:
-        before = previous = np.int64(0)
-        for i in range(count):
-            if position > end or used > limit:
-                return OUT_OF_WORDS
-            context = SUMS * min(shifts[i], COLOUR_SHIFTS - 1) + sum_bucket(previous + before)
-            row = rows[np.uint64(context)]
-            left[i], position, used = read_token(
-                words, position, states, symbol, spans, slots, row, bits, used, True
-            )
-            symbol += 1
-            if left[i] < 0:
-                return BAD_SUM
-            before, previous = previous, left[i]
-        offset = _OF_SUM
-    live, shares = np.empty(count, np.uint32), np.empty(count, np.int32)
-    lives = 0
-    for i in range(count):
-        share = left[i]
-        if share == 0:
-            continue
-        if not last:
-            if position > end or used > limit:
-                return OUT_OF_WORDS
-            row = rows[np.uint64(offset + sum_bucket(share))]
-            share, position, used = read_token(
-                words, position, states, symbol, spans, slots, row, bits, used, True
-            )
-            symbol += 1
-            if not 0 <= share <= left[i]:
-                return BAD_SUM
-            left[i] -= share
-        shares[i] = share
-        live[np.uint64(lives)] = i
-        lives += np.int64(share > 0)
-    if not last:
+        fault, position, used = _read_sums(
+            words, end, states, spans, slots, rows, bits, limit, shifts, left
+        )
+        symbol, offset = count, _OF_SUM
+    shares = left.astype(np.int64)
+    if not last and fault == 0:
+        fault, symbol, position, used = _read_shares(
+            words, end, states, spans, slots, rows, bits, limit, symbol, position, used, offset,
+            left, shares,
+        )  # fmt: skip
         offset += _OF_SHARE
+    if fault != 0:
+        return fault
+    live, lives = np.empty(count, np.uint32), 0
+    for i in range(count):
+        live[np.uint64(lives)] = i
+        lives += np.int64(shares[i] > 0)
     signs = np.empty(count + 1, np.int8)
     for k in range(3 * members):
         colour, place = k // members, k % members
         plane = levels[colour, place]
         begin = offset + _OF_COLOUR * colour + place
-        ends_band = k == 3 * members - 1
         signs[:] = 0
         kept = 0
         for j in range(lives):
             if symbol & (LANES - 1) == 0 and (position > end or used > limit):
                 return OUT_OF_WORDS
             i = np.uint64(live[np.uint64(j)])
-            rest = np.int64(shares[i])
+            rest = shares[i]
             sign = _sum_of_signs(signs, near, i)
             row = rows[np.uint64(begin + _context(rest, sign))]
             level, position, used = read_token(
                 words, position, states, symbol, spans, slots, row, bits, used, True
             )
             symbol += 1
-            if ends_band:
-                if abs(level) != 1:
-                    return BAD_SUM
-                level *= rest
+            if k == 3 * members - 1:
+                # A sign; anything else is beyond what is left.
+                level = level * rest if abs(level) == 1 else rest + 1
             rest -= abs(level)
             if rest < 0:
                 return BAD_SUM

@@ -168,8 +168,7 @@ def _read(
         )
         before[0], last[0] = last[0], level * (units[0] << shift)
         logit = centres[0] + last[0]
-        if abs(logit) >= FIXED_LIMIT:
-            return BAD_VALUE
+        largest = abs(logit)
 
         longest = middle = np.int64(0)
         value = centres[1]
@@ -181,8 +180,7 @@ def _read(
             )
             before[k], last[k] = last[k], level * (units[1] << shift)
             value += last[k] if k == 1 else -last[k]
-            if abs(value) >= FIXED_LIMIT:
-                return BAD_VALUE
+            largest = max(largest, abs(value))
             if k == 1:
                 longest = value
             elif k == 2:
@@ -197,10 +195,10 @@ def _read(
             level, p3, u3 = read_token(
                 words, p3, states, symbol + 6 + k, spans, slots, row, bits, u3, False
             )
-            turn = level * (units[2] << shifts[k])
-            if abs(turn) >= FIXED_LIMIT:
-                return BAD_VALUE
-            turns[k, i] = turn
+            turns[k, i] = level * (units[2] << shifts[k])
+            largest = max(largest, abs(turns[k, i]))
+        if largest >= FIXED_LIMIT:
+            return BAD_VALUE
         symbol += 9
     reached[0, 0], reached[0, 1], reached[0, 2], reached[0, 3] = p0, p1, p2, p3
     reached[1, 0], reached[1, 1], reached[1, 2], reached[1, 3] = u0, u1, u2, u3
@@ -222,13 +220,14 @@ def read_shapes(
     """
     names = ("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES)
     units = np.array([lattice.units[name] for name in ("opacity", "scaling", "rotation")])
-    classes, opacity = np.zeros((2, count), np.int64), np.zeros(count, np.int64)
-    shape = Shape(opacity, *np.zeros((2, 3, count), np.int64), np.zeros(count, np.int8))
+    classes, opacity = np.empty((2, count), np.int64), np.empty(count, np.int64)
+    scales, turns = np.empty((2, 3, count), np.int64)
+    shape = Shape(opacity, scales, turns, np.empty(count, np.int8))
     reader.decode(
         sections, _read, rows,
         *packed_rules([lattice.rules[name] for name in names]), units,
         np.array(lattice.centres), np.array(lattice.classes), classes,
-        shape.opacity, shape.scales, shape.turns, shape.poles,
+        opacity, scales, turns, shape.poles,
     )  # fmt: skip
     return classes, shape
 

@@ -54,6 +54,9 @@ _FINER = {
 _SAMPLE = 20_000
 _ROUNDS, _TURNS = 4, 12
 
+#: Largest factor of opacity or of a scale in a rule, in 1 / 2**16; times a value, it has 53 bits.
+MAX_SLOPE = (1 << 22) - 1
+
 #: Which features (1, min(logit, 0), longest, middle, shortest log-scale) a group's rule has.
 _FEATURES = {
     "opacity": [0],
@@ -257,14 +260,14 @@ def make_rule(
     count thirds of octaves.
     """
     factor = 3 if thirds else 1
-    numbers = [_fixed(factor * (coefficients[0] - unit) + 0.5)]
-    numbers += [_fixed(factor * c) for c in coefficients[1:]]
+    numbers = [_fixed(factor * (coefficients[0] - unit) + 0.5, (1 << 31) - 1)]
+    numbers += [_fixed(factor * c, MAX_SLOPE) for c in coefficients[1:]]
     scales = (numbers[2], numbers[3], numbers[4])
     return StepRule(numbers[0], numbers[1], scales, max(math.floor(factor * (coarsest - unit)), 0))
 
 
-def _fixed(number: float) -> int:
-    return min(max(round(number * (1 << RULE_FRACTION_BITS)), -(1 << 31)), (1 << 31) - 1)
+def _fixed(number: float, largest: int) -> int:
+    return min(max(round(number * (1 << RULE_FRACTION_BITS)), -largest), largest)
 
 
 def blind_coefficients(

@@ -20,6 +20,7 @@ from gs_codec.coding.morton import decode_morton
 from gs_codec.coding.quantise import dequantise
 from gs_codec.coding.rans import TableSet, decode_symbols
 from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.index import check_centres
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_COEFFICIENTS, group_rows
@@ -46,19 +47,6 @@ def sections_beside(file: EgsFile, expected: set[SectionId]) -> set[SectionId]:
     if is_torchac(file) and expected & {SectionId.of_stream(stream) for stream in RANS_STREAMS}:
         beside.add(SectionId.CODER)
     return beside
-
-
-def channel_positions(
-    file: EgsFile, channels: list[Channel], tool: Tmc3 | None, block: int
-) -> NDArray[np.float32]:
-    """Positions ``(3, n)`` of a block, from its section `geometry` or `gpcc` alone."""
-    axes = channels[:3]
-    cells = (
-        _decode_cells(file, axes, block)
-        if tool is None
-        else decode_gpcc(file, tool, channels, block)[0]
-    )
-    return np.stack([dequantise(row, c.quantiser) for row, c in zip(cells, axes, strict=True)])
 
 
 def _decode_cells(file: EgsFile, axes: list[Channel], block: int) -> NDArray[np.uint32]:
@@ -131,12 +119,9 @@ class _Blocks:
 
     def stages(self) -> list[Callable[[int, int, int], None]]:
         """The functions that decode a block."""
-        stages: list[Callable[[int, int, int], None]] = []
-        if any(channel.quantiser.depth for channel in self.points):
-            stages.append(self.decode_points)
-        if self.varying:
-            stages.append(self.decode_attributes)
-        return stages
+        return (
+            [self.decode_points, self.decode_attributes] if self.varying else [self.decode_points]
+        )
 
     def decode_points(self, block: int, start: int, stop: int) -> None:
         """Fill positions and f_dc of a block."""
@@ -145,6 +130,7 @@ class _Blocks:
         for channel, plane, row in zip(self.points, planes, symbols, strict=False):
             if channel.quantiser.depth:
                 plane[start:stop] = dequantise(row, channel.quantiser)
+        check_centres(self.file, block, self.groups["positions"][:, start:stop])
 
     def _symbols_of_points(self, block: int) -> list[NDArray]:
         """Symbols of x, y, z and, unless all are constant, of f_dc."""

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gs_codec.codecs.entropygs.gpcc import encode_gpcc, tool_of, tool_section
 from gs_codec.codecs.entropygs.section import write_channels
@@ -11,9 +15,13 @@ from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import coder_section, encode_stream, require_torchac
 from gs_codec.coding.colour import encode_colour
 from gs_codec.coding.count_tree import encode_geometry
+from gs_codec.coding.extent import block_extent
+from gs_codec.coding.quantise import dequantise
 from gs_codec.coding.rans import TableSet, encode_symbols
 from gs_codec.config import Config
-from gs_codec.egs.file import Header, Section, SectionId
+from gs_codec.egs.file import Section, SectionId
+from gs_codec.egs.header import Feature, Header
+from gs_codec.egs.index import index_section
 from gs_codec.egs.sections import pack_scene
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
@@ -34,10 +42,34 @@ def encode_channels(
     with times.stage("code"):
         header = Header.of(scene, config)
         channels = write_channels([*ordered.channels, *coded.channels])
-        sections = [Section(SectionId.CHANNELS, 0, channels), *tool_section(tool, ordered)]
-        sections += coder_section(config) if coded.tables else []
+        by_tool = tool_section(tool, ordered)
+        by_coder = coder_section(config) if coded.tables else []
+        features = Feature.GPCC * bool(by_tool) | Feature.TORCHAC * bool(by_coder)
+        header = replace(header, features=Feature(features))
+        extents = run_all(
+            lambda block: _extent(ordered, coded, *header.block_range(block)),
+            range(header.block_count),
+        )
+        sections = [*index_section(extents), Section(SectionId.CHANNELS, 0, channels)]
+        sections += [*by_tool, *by_coder]
         sections += _encode_blocks(header, ordered, coded, config, tool, progress)
     return pack_scene(scene, header, sections, ordered.order, times, coded.costs, coded.rectified)
+
+
+def _extent(ordered: Ordered, coded: Coded, start: int, stop: int) -> NDArray[np.float32]:
+    """Where the decoded Gaussians of a block are."""
+    planes: dict[str, list[NDArray[np.float32]]] = {"positions": [], "log_scale": [], "rot": []}
+    cells = zip(ordered.cells[:, start:stop], ordered.channels, strict=False)
+    planes["positions"] = [dequantise(row, channel.quantiser) for row, channel in cells]
+    rows = iter(coded.symbols[:, start:stop])
+    for channel in coded.channels:
+        if channel.quantiser.depth:
+            values = dequantise(next(rows), channel.quantiser)
+        else:
+            values = np.full(stop - start, channel.quantiser.origin, np.float32)
+        if channel.group in planes:
+            planes[channel.group].append(values)
+    return block_extent(*map(np.stack, planes.values()))
 
 
 def _encode_blocks(

@@ -20,6 +20,7 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import canonical_order, encode_morton
 from gs_codec.config import GPCC_DEPTHS, Config
 from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, ToolFailed
 from gs_codec.formats.ply_header import read_header
@@ -169,7 +170,7 @@ def encode_gpcc(
 
 def is_gpcc(file: EgsFile) -> bool:
     """Whether a file's points are coded by a program."""
-    return (SectionId.TOOL, 0) in file.table
+    return Feature.GPCC in file.header.features
 
 
 def tool_for(file: EgsFile, path: str | Path | None) -> Tmc3 | None:

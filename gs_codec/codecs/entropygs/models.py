@@ -70,7 +70,7 @@ class LaplaceModel:
         tail = self.decay << 15
         for _ in range(middle + 1):
             tails.append(tail)
-            tail = tail * self.decay * self.decay >> 32
+            tail = (tail * self.decay >> 16) * self.decay >> 16
         below = [tails[middle - symbol] for symbol in range(1, middle + 1)]
         below += [(1 << 32) - tails[symbol - middle - 1] for symbol in range(middle + 1, alphabet)]
         edges = np.array([0, *below, 1 << 32], np.int64)

@@ -24,6 +24,7 @@ from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.frequency_table import FrequencyTable
 from gs_codec.config import Config
 from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, MissingTool, one_line
 
@@ -87,7 +88,7 @@ def _without_output() -> Iterator[None]:
 
 def is_torchac(file: EgsFile) -> bool:
     """Whether torchac codes the attributes of a file."""
-    return (SectionId.CODER, 0) in file.table
+    return Feature.TORCHAC in file.header.features
 
 
 def require_coder(file: EgsFile) -> None:

@@ -19,11 +19,14 @@ from gs_codec.codecs.lossless.columns import (
     write_quaternions,
     write_stack,
 )
+from gs_codec.coding.extent import block_extent
 from gs_codec.coding.fields import ByteReader
 from gs_codec.coding.morton import encode_morton, find_ties, in_stream_order
 from gs_codec.config import SH_STREAMS, Config
-from gs_codec.egs.file import EgsFile, Header, Section, SectionId
-from gs_codec.egs.sections import pack_scene, read_box, write_box
+from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.egs.header import Header
+from gs_codec.egs.index import check_centres, index_section
+from gs_codec.egs.sections import pack_scene
 from gs_codec.errors import CorruptStream
 from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
@@ -64,8 +67,11 @@ def encode_lossless(
             scene, order = in_stream_order(scene, lossless_order(scene))
     header = Header.of(scene, config)
     with times.stage("code"):
-        box = Section(SectionId.BOX, 0, write_box(scene.positions))
-        sections = [box, *_encode_blocks(scene, header, order, progress)]
+        extents = run_all(
+            lambda block: _extent(scene, order[slice(*header.block_range(block))]),
+            range(header.block_count),
+        )
+        sections = [*index_section(extents), *_encode_blocks(scene, header, order, progress)]
     return pack_scene(scene, header, sections, order, times)
 
 
@@ -83,7 +89,6 @@ def decode_lossless(
     ------
     CorruptStream, TruncatedStream
     """
-    read_box(file.section(SectionId.BOX))
     rows = group_rows(SH_COEFFICIENTS[degree])
     count = max((span.stop for span in spans.values()), default=0)
     planes = {group: np.empty((number, count), np.uint32) for group, number in rows.items()}
@@ -94,13 +99,6 @@ def decode_lossless(
     ]
     run_all(lambda job: job(), jobs, advance=step_counter(progress, "decode", len(jobs)))
     return {group: plane.view(np.float32) for group, plane in planes.items()}
-
-
-def lossless_positions(file: EgsFile, block: int) -> NDArray[np.float32]:
-    """Positions ``(3, n)`` of a block, from its section `geometry` alone."""
-    start, stop = file.header.block_range(block)
-    reader = _reader(file, SectionId.GEOMETRY, block)
-    return read_stack(reader, (3, stop - start)).view(np.float32)
 
 
 def lossless_order(scene: Scene) -> NDArray[np.int64]:
@@ -119,6 +117,13 @@ def lossless_order(scene: Scene) -> NDArray[np.int64]:
     rows = [row for plane in others for row in plane[:, ties].view(np.uint32)]
     order[tied] = ties[np.lexsort((*rows, low[ties], high[ties]))]
     return order
+
+
+def _extent(scene: Scene, members: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Where the Gaussians of a block are."""
+    return block_extent(
+        scene.positions[:, members], scene.log_scale[:, members], scene.rot[:, members]
+    )
 
 
 def _encode_blocks(
@@ -188,6 +193,8 @@ def _decode_section(
         target[:] = read_quaternions(reader, count)
     else:
         target[:] = read_stack(reader, target.shape)
+    if section_id == SectionId.GEOMETRY:
+        check_centres(file, block, target.view(np.float32))
     if len(reader.rest()):
         raise CorruptStream(f"{reader.where}: bytes after the last value")
 

@@ -1,0 +1,170 @@
+"""What the header of an `.egs` file says of a scene. FORMAT.md, section "File"."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntFlag
+
+from gs_codec.config import LOSSLESS, Config
+from gs_codec.errors import CorruptStream, UnsupportedVersion
+from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
+
+MAX_BLOCK_SIZE = 1 << 16
+
+#: Layout of the fields, from the number of Gaussians to the size of a block.
+FIELDS = "QIHBBB3sI"
+
+_NORMALS_FLAG = 1
+_ORDER_FLAG = 2
+_ANTIALIASED_FLAG = 4
+
+#: Numbers of 64 bits are below this, so that a float64 holds them.
+TOO_LARGE = 1 << 53
+
+#: Profile numbers in the header.
+PROFILE_NAMES = ("paper-l", "paper-m", "paper-s", "l", "m", "s", LOSSLESS)
+
+#: Where an axis may point, in the order of their numbers: right, left, up, down, back, forward.
+_DIRECTIONS = "RLUDBF"
+
+
+class Feature(IntFlag):
+    """What a reader has to be able to do beside the profile itself."""
+
+    NONE = 0
+    GPCC = 1
+    TORCHAC = 2
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the features."""
+        return tuple(label for feature, label in _FEATURE_LABELS.items() if feature in self)
+
+
+_FEATURE_LABELS = {Feature.GPCC: "G-PCC", Feature.TORCHAC: "torchac"}
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the header states about a scene.
+
+    ``coordinates`` and ``antialiased`` are those of `Scene`.
+    """
+
+    count: int
+    sh_degree: int
+    profile: str
+    block_size: int
+    has_normals: bool = False
+    keeps_order: bool = False
+    antialiased: bool = False
+    coordinates: str | None = None
+    features: Feature = Feature.NONE
+
+    @classmethod
+    def of(cls, scene: Scene, config: Config) -> Header:
+        """The header of a scene in the fewest blocks that `config` allows, filled evenly."""
+        blocks = max(-(-scene.count // config.block_size), 1)
+        size = max(-(-scene.count // blocks), 1)
+        return cls(
+            scene.count,
+            scene.sh_degree,
+            config.profile,
+            size,
+            scene.has_normals,
+            config.keep_order,
+            scene.antialiased,
+            scene.coordinates,
+        )
+
+    @property
+    def block_count(self) -> int:
+        """Number of independently decodable blocks."""
+        return -(-self.count // self.block_size)
+
+    @property
+    def float_bytes(self) -> int:
+        """Size of the decoded float32 attributes."""
+        return float_bytes(self.count, self.sh_degree)
+
+    def block_range(self, block: int) -> tuple[int, int]:
+        """First Gaussian of a block and the one after its last."""
+        start = block * self.block_size
+        return start, min(start + self.block_size, self.count)
+
+
+def pack_header(header: Header) -> bytes:
+    """Serialise the fields."""
+    flags = _NORMALS_FLAG * header.has_normals | _ORDER_FLAG * header.keeps_order
+    return struct.pack(
+        "<" + FIELDS,
+        header.count,
+        header.features,
+        flags | _ANTIALIASED_FLAG * header.antialiased,
+        _coordinates_number(header.coordinates),
+        PROFILE_NAMES.index(header.profile),
+        header.sh_degree,
+        bytes(3),
+        header.block_size,
+    )
+
+
+def _coordinates_number(system: str | None) -> int:
+    """Number of a coordinate system in the header; 0 if it is not stated."""
+    if system is None:
+        return 0
+    x, y, z = map(_DIRECTIONS.index, system)
+    return 1 + 36 * x + 6 * y + z
+
+
+#: The systems in the header by their number: those that have x to the right or the left.
+_SYSTEMS = {
+    _coordinates_number(x + first + second): x + first + second
+    for x in "RL"
+    for first, second in ("UB", "UF", "DB", "DF", "BU", "FU", "BD", "FD")
+}
+
+
+def unpack_header(
+    count: int,
+    features: int,
+    flags: int,
+    coordinates: int,
+    profile: int,
+    degree: int,
+    reserved: bytes,
+    block_size: int,
+) -> Header:
+    """The inverse of `pack_header`.
+
+    Raises
+    ------
+    CorruptStream, UnsupportedVersion
+    """
+    if unknown := features & ~sum(Feature):
+        bits = ", ".join(str(bit) for bit in range(32) if unknown >> bit & 1)
+        raise UnsupportedVersion(
+            f"header: needs features {bits}, this reader knows 0 (G-PCC) and 1 (torchac)"
+        )
+    exact = profile == PROFILE_NAMES.index(LOSSLESS)
+    known = _NORMALS_FLAG | _ORDER_FLAG * exact | _ANTIALIASED_FLAG
+    if flags & ~known or any(reserved) or profile >= len(PROFILE_NAMES):
+        raise CorruptStream("header: a reserved field is not 0")
+    if degree >= len(SH_COEFFICIENTS) or not 1 <= block_size <= MAX_BLOCK_SIZE:
+        raise CorruptStream(f"header: SH degree {degree}, block size {block_size} out of range")
+    if coordinates and coordinates not in _SYSTEMS:
+        raise CorruptStream(f"header: coordinates {coordinates} are no system")
+    if count >= TOO_LARGE:
+        raise CorruptStream(f"header: {count} Gaussians, expected fewer than {TOO_LARGE}")
+    return Header(
+        count,
+        degree,
+        PROFILE_NAMES[profile],
+        block_size,
+        bool(flags & _NORMALS_FLAG),
+        bool(flags & _ORDER_FLAG),
+        bool(flags & _ANTIALIASED_FLAG),
+        _SYSTEMS.get(coordinates),
+        Feature(features),
+    )

@@ -1,0 +1,70 @@
+"""The `index` section: where the Gaussians of each block are. FORMAT.md, section "Index"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.extent import EXTENT, centre_box
+from gs_codec.egs.file import EgsFile, Section, SectionId
+from gs_codec.errors import CorruptStream
+
+Box = tuple[tuple[float, ...], tuple[float, ...]]
+
+_WHERE = "section 'index'"
+
+
+def index_section(extents: Sequence[NDArray[np.float32]]) -> list[Section]:
+    """The section of a scene's blocks, ``(12,)`` each as by `block_extent`; none without blocks."""
+    if not extents:
+        return []
+    return [Section(SectionId.INDEX, 0, np.stack(extents).astype("<f4").tobytes())]
+
+
+def index_of(file: EgsFile) -> NDArray[np.float32]:
+    """Extents of the blocks of a file, ``(blocks, 12)``; see `read_index`."""
+    blocks = file.header.block_count
+    if not blocks:
+        return np.zeros((0, EXTENT), np.float32)
+    return file.parsed(SectionId.INDEX, lambda data: read_index(data, blocks))
+
+
+def bounds_of(file: EgsFile) -> Box | None:
+    """Lowest and highest corner of the finite centres of a file; None without Gaussians."""
+    extents = index_of(file)
+    if not len(extents):
+        return None
+    low, high = extents[:, :3].min(axis=0), extents[:, 3:6].max(axis=0)
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def check_centres(file: EgsFile, block: int, positions: NDArray[np.float32]) -> None:
+    """Check that the index has the box of the decoded centres ``(3, n)`` of a block.
+
+    Raises
+    ------
+    CorruptStream
+    """
+    if centre_box(positions).tobytes() != index_of(file)[block, :6].tobytes():
+        raise CorruptStream(f"{_WHERE}: does not match block {block}")
+
+
+def read_index(data: memoryview, blocks: int) -> NDArray[np.float32]:
+    """Extents of so many blocks, ``(blocks, 12)``, the inverse of `index_section`.
+
+    Raises
+    ------
+    CorruptStream
+        If their number is wrong, or a box is none or reaches less far than the centres in it.
+    """
+    if len(data) != 4 * EXTENT * blocks:
+        raise CorruptStream(f"{_WHERE}: {len(data)} bytes, expected {4 * EXTENT * blocks}")
+    extents = np.frombuffer(data, "<f4").reshape(blocks, EXTENT).astype(np.float32)
+    low, high, least, most = extents.reshape(blocks, 4, 3).transpose(1, 0, 2)
+    sound = np.isfinite(extents).all(axis=1)
+    sound &= np.all((least <= low) & (low <= high) & (high <= most), axis=1)
+    if not sound.all():
+        raise CorruptStream(f"{_WHERE}: no boxes of block {np.argmin(sound)}")
+    return extents

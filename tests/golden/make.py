@@ -34,7 +34,7 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
     carried = replace(
         random_scene(40, 1, seed=101),
         has_normals=True,
-        comments=("a golden file",),
+        comments=("a golden file", "SplatRenderMode: mip", "CoordinateSystem: RUB"),
         extra={"label": np.arange(40, dtype="<i2")},
     )
     flat = random_scene(300, 2, seed=102)

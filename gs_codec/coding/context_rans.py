@@ -72,7 +72,7 @@ class CodedPass:
 
     streams: Sequence[str]
     cycle: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    rows: NDArray[np.uint16]
     tokens: NDArray[np.uint8]
     contexts: NDArray[np.uint16]
     raw_symbols: NDArray[np.int64]
@@ -82,15 +82,13 @@ class CodedPass:
 
 @kernel
 def _push_all(tokens, contexts, rows, cycle, spans, states, words, begins):
-    """Code a pass backwards; ``begins`` is moved to where the words of each stream begin."""
+    """Code a pass backwards; `begins`, where the words of each stream end, moves to their begin."""
     turn = len(tokens) % len(cycle)
     for i in range(len(tokens) - 1, -1, -1):
         turn = (turn if turn > 0 else len(cycle)) - 1
         stream = cycle[turn]
-        span = np.int64(spans[(rows[contexts[i]] << SPAN_BITS) + tokens[i]])
-        begins[stream] = push(
-            words[stream], begins[stream], states, i & (LANES - 1), span, PRECISION
-        )
+        span = np.int64(spans[(np.int64(rows[contexts[i]]) << SPAN_BITS) + tokens[i]])
+        begins[stream] = push(words, begins[stream], states, i & (LANES - 1), span, PRECISION)
 
 
 def encode_passes(
@@ -108,15 +106,16 @@ def encode_passes(
     states = np.full(LANES, LOWEST, np.int64)
     sections: dict[str, bytes] = {}
     for item in reversed(passes):
-        words = np.empty((len(item.streams), 1 + len(item.tokens)), np.uint16)
-        begins = np.full(len(words), words.shape[1])
-        coded_by = item.tokens, item.contexts, item.rows, item.cycle
+        room = 1 + len(item.tokens)
+        words = np.empty(room * len(item.streams), np.uint16)
+        ends = room * np.arange(1, len(item.streams) + 1)
+        begins, coded_by = ends.copy(), (item.tokens, item.contexts, item.rows, item.cycle)
         _push_all(*coded_by, tables.spans, states, words, begins)
         of_stream = item.cycle[item.raw_symbols % len(item.cycle)]
-        for number in reversed(range(len(words))):
-            bits, own = BitWriter(), of_stream == number
-            bits.add(item.raw_levels[own], item.raw_widths[own])
-            packed = words[number, begins[number] :].astype("<u2").tobytes()
+        for number in reversed(range(len(ends))):
+            bits = BitWriter()
+            bits.add(item.raw_levels, item.raw_widths * (of_stream == number))
+            packed = words[begins[number] : ends[number]].astype("<u2").tobytes()
             data = struct.pack("<I", len(packed)) + packed + bits.finish()
             sections[item.streams[number]] = data
     return states.astype("<u4").tobytes(), dict(reversed(sections.items()))
@@ -134,7 +133,7 @@ class PassReader:
         self,
         sections: Sequence[memoryview],
         kernel: Callable,
-        rows: NDArray[np.int64],
+        rows: NDArray[np.uint16],
         *arguments: Any,
     ) -> None:
         """Decode a pass from the sections of its streams, by tables ``rows (contexts,)``.

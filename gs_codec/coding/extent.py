@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.runtime.kernels import inlined, kernel
+
 #: Numbers of an extent.
 EXTENT = 12
 
@@ -17,6 +19,9 @@ _SIGMAS = 3.0
 #: Eighths of an octave in a unit of the natural logarithm: 8 / ln(2).
 _EIGHTHS = 11.541560327111707
 
+#: Eighths of octaves beyond these differ no more once boxes are float32.
+_LEAST, _MOST = -1600, 4000
+
 #: 2**(i / 8), i = 0..7, rounded up.
 _POWERS = np.array(
     [
@@ -25,8 +30,10 @@ _POWERS = np.array(
     ]
 )  # fmt: skip
 
-#: Eighths of octaves beyond these differ no more once boxes are float32.
-_LEAST, _MOST = -1600.0, 4000.0
+#: 2**(i / 8), from `_LEAST` to `_MOST`.
+_SCALES = np.ldexp(
+    _POWERS[np.arange(_LEAST, _MOST + 1) & 7], np.arange(_LEAST, _MOST + 1, dtype=np.int32) >> 3
+)
 
 #: More than the rounding errors of eighths; of the entries of a rotation matrix.
 _SLACK, _TURN_SLACK = 2.0**-20, 2.0**-40
@@ -55,14 +62,10 @@ def block_extent(
         their finite centres only.
     """
     box = centre_box(positions)
-    whole = np.all(
-        [np.isfinite(plane).all(axis=0) for plane in (positions, log_scale, rot)], axis=0
-    )
-    at = positions[:, whole].astype(np.float64)
-    half = _half_extents(log_scale[:, whole].astype(np.float64), rot[:, whole].astype(np.float64))
-    low = np.minimum(box[:3], (at - half).min(axis=1, initial=np.inf))
-    high = np.maximum(box[3:], (at + half).max(axis=1, initial=-np.inf))
-    return np.concatenate([box, _outwards(low, -np.inf), _outwards(high, np.inf)])
+    corners = box.astype(np.float64)
+    _extend(positions, log_scale, rot, corners)
+    low, high = _outwards(corners[:3], -np.inf), _outwards(corners[3:], np.inf)
+    return np.concatenate([box, low, high])
 
 
 def centre_box(positions: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -82,28 +85,49 @@ def centre_box(positions: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate(ends) + np.float32(0)
 
 
-def _half_extents(log_scale: NDArray[np.float64], rot: NDArray[np.float64]) -> NDArray[np.float64]:
-    """At least how far ellipsoids ``(n,)`` reach from their centres on each axis, ``(3, n)``."""
-    eighths = np.ceil(np.clip(log_scale * _EIGHTHS + _SLACK, _LEAST, _MOST)).astype(np.int32)
-    scale = np.ldexp(_POWERS[eighths & 7], eighths >> 3)
-    w, x, y, z = rot
-    ww, xx, yy, zz = rot * rot
-    norm = ww + xx + yy + zz
-    rows = (
-        (ww + xx - yy - zz, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), ww - xx + yy - zz, 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), ww - xx - yy + zz),
-    )
+@inlined
+def _along(entry, norm, size):
+    """Square of how far an axis of this size reaches, by its entry in a rotation matrix."""
     # Without a rotation, an ellipsoid of any.
-    some, norm = norm > 0, np.where(norm > 0, norm, 1.0)
-    half = np.empty(log_scale.shape)
-    for axis, row in enumerate(rows):
-        square = np.zeros(len(norm))
-        for entry, size in zip(row, scale, strict=True):
-            along = (np.where(some, np.abs(entry) / norm, 1.0) + _TURN_SLACK) * size
-            square += along * along
-        half[axis] = _SIGMAS * np.sqrt(square)
-    return half
+    turned = abs(entry) / norm if norm > 0.0 else 1.0
+    reach = (turned + _TURN_SLACK) * size
+    return reach * reach
+
+
+@kernel
+def _extend(positions, log_scale, rot, corners):
+    """Extend a box ``(6,)`` by the ellipsoids around centres."""
+    size = np.empty(3)
+    for i in range(positions.shape[1]):
+        w, x = np.float64(rot[0, i]), np.float64(rot[1, i])
+        y, z = np.float64(rot[2, i]), np.float64(rot[3, i])
+        known = np.isfinite(w + x + y + z)
+        for k in range(3):
+            known = known and np.isfinite(positions[k, i]) and np.isfinite(log_scale[k, i])
+        if not known:
+            continue
+        for k in range(3):
+            eighths = np.float64(log_scale[k, i]) * _EIGHTHS + _SLACK
+            eighths = np.ceil(min(max(eighths, np.float64(_LEAST)), np.float64(_MOST)))
+            size[k] = _SCALES[np.int64(eighths) - _LEAST]
+        ww, xx, yy, zz = w * w, x * x, y * y, z * z
+        norm = ww + xx + yy + zz
+        for axis in range(3):
+            if axis == 0:
+                first = _along(ww + xx - yy - zz, norm, size[0])
+                second = _along(2.0 * (x * y - w * z), norm, size[1])
+                third = _along(2.0 * (x * z + w * y), norm, size[2])
+            elif axis == 1:
+                first = _along(2.0 * (x * y + w * z), norm, size[0])
+                second = _along(ww - xx + yy - zz, norm, size[1])
+                third = _along(2.0 * (y * z - w * x), norm, size[2])
+            else:
+                first = _along(2.0 * (x * z - w * y), norm, size[0])
+                second = _along(2.0 * (y * z + w * x), norm, size[1])
+                third = _along(ww - xx - yy + zz, norm, size[2])
+            half = _SIGMAS * np.sqrt(first + second + third)
+            corners[axis] = min(corners[axis], positions[axis, i] - half)
+            corners[3 + axis] = max(corners[3 + axis], positions[axis, i] + half)
 
 
 def _outwards(corner: NDArray[np.float64], towards: float) -> NDArray[np.float32]:

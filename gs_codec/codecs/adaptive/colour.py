@@ -98,7 +98,7 @@ def code_colours(
 def read_colours(
     reader: PassReader,
     sections: Sequence[memoryview],
-    rows: NDArray[np.int64],
+    rows: NDArray[np.uint16],
     nearest: Nearest,
     unit: int,
     shifts: NDArray[np.int64],

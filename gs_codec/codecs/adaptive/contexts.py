@@ -5,16 +5,16 @@ FORMAT.md, section "Passes", has the same list.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.rotation import TURNS
-from gs_codec.coding.frequency_table import shannon_bits
-from gs_codec.runtime.kernels import inlined
+from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.scene import sh_bands
 
 #: Most classes of shape, and of colour.
@@ -154,32 +154,78 @@ def share_tables(histograms: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDAr
     table_of : ndarray, shape (C,)
         Table that each context uses; rises by 0 or 1 from context to context.
     histograms : ndarray, shape (T, A)
-        Histogram of each table.
+        Histogram of each table, A up to the last token that occurs.
     """
-    used = [int(c) for c in np.flatnonzero(histograms.any(axis=1))]
-    if not used:
+    used = np.flatnonzero(histograms.any(axis=1))
+    if not len(used):
         return np.zeros(len(histograms), np.int64), histograms[:1]
     tokens = int(np.flatnonzero(histograms.any(axis=0))[-1]) + 1
-    groups = [histograms[c, :tokens] for c in used]
-    starts = [0, *used[1:]]
-    costs = [_cost(group) for group in groups]
-    merged = [_cost(a + b) for a, b in pairwise(groups)]
-    gains = np.array([a + b for a, b in pairwise(costs)]) - merged
-    while len(gains):
-        best = int(np.argmax(gains))
-        if gains[best] <= 0 and len(groups) <= MAX_TABLES:
-            break
-        groups[best : best + 2] = [groups[best] + groups[best + 1]]
-        costs[best : best + 2] = [_cost(groups[best])]
-        del starts[best + 1]
-        gains = np.delete(gains, best)
-        for i in range(max(best - 1, 0), min(best + 1, len(gains))):
-            gains[i] = costs[i] + costs[i + 1] - _cost(groups[i] + groups[i + 1])
+    groups = np.ascontiguousarray(histograms[used, :tokens])
+    begins = np.ones(len(used), np.bool_)
+    _merge(groups, begins)
     marks = np.zeros(len(histograms), np.int64)
-    marks[starts[1:]] = 1
-    return np.cumsum(marks), np.array(groups)
+    marks[used[begins][1:]] = 1
+    return np.cumsum(marks), groups[begins]
 
 
-def _cost(histogram: NDArray[np.int64]) -> float:
-    used = np.count_nonzero(histogram)
-    return shannon_bits(histogram) + _TABLE_BITS + _SYMBOL_BITS * used
+@inlined
+def _log2(value):
+    """Base-2 logarithm of a positive number; the same on every machine, to 1e-10."""
+    mantissa, exponent = math.frexp(value)
+    if mantissa < math.sqrt(0.5):
+        mantissa, exponent = 2.0 * mantissa, exponent - 1
+    z = (mantissa - 1.0) / (mantissa + 1.0)
+    square = z * z
+    series = 1.0 / 11.0
+    for odd in (9.0, 7.0, 5.0, 3.0, 1.0):
+        series = series * square + 1.0 / odd
+    return exponent + 2.0 * z * series * 1.4426950408889634
+
+
+@inlined
+def _cost(groups, first, second):
+    """Bits of two histograms under one table, with the table; of one, if it is twice the same."""
+    total, bits = np.int64(0), _TABLE_BITS
+    for a in range(groups.shape[1]):
+        count = groups[first, a]
+        if second != first:
+            count += groups[second, a]
+        if count > 0:
+            total += count
+            bits += _SYMBOL_BITS - count * _log2(np.float64(count))
+    return bits + total * _log2(np.float64(total))
+
+
+@kernel
+def _merge(groups, begins):
+    """Merge groups ``(G, A)`` into ones before; `begins` stays True for those that are left."""
+    count = len(groups)
+    after = np.arange(1, count + 1)
+    costs, gains = np.empty(count), np.full(count, -np.inf)
+    for i in range(count):
+        costs[i] = _cost(groups, i, i)
+    for i in range(count - 1):
+        gains[i] = costs[i] + costs[i + 1] - _cost(groups, i, i + 1)
+    left = count
+    while left > 1:
+        best = 0
+        for i in range(1, count):
+            if gains[i] > gains[best]:
+                best = i
+        if gains[best] <= 0.0 and left <= MAX_TABLES:
+            break
+        gone = after[best]
+        for a in range(groups.shape[1]):
+            groups[best, a] += groups[gone, a]
+        begins[gone], gains[gone], after[best] = False, -np.inf, after[gone]
+        costs[best] = _cost(groups, best, best)
+        left -= 1
+        before = best - 1
+        while before >= 0 and not begins[before]:
+            before -= 1
+        gains[best] = -np.inf
+        if after[best] < count:
+            nxt = after[best]
+            gains[best] = costs[best] + costs[nxt] - _cost(groups, best, nxt)
+        if before >= 0:
+            gains[before] = costs[before] + costs[best] - _cost(groups, before, best)

@@ -24,7 +24,9 @@ def _add(spans, rows, values, contexts, counts, costs):
     for i in range(len(costs)):
         for _ in range(counts[i]):
             token = token_of(np.int64(values[symbol]))
-            frequency = np.int64(spans[(rows[contexts[symbol]] << SPAN_BITS) + token]) & 0xFFFF
+            frequency = (
+                np.int64(spans[(np.int64(rows[contexts[symbol]]) << SPAN_BITS) + token]) & 0xFFFF
+            )
             costs[i] += PRECISION - np.log2(frequency) + raw_width(token)
             symbol += 1
 

@@ -13,7 +13,7 @@ from gs_codec.codecs.adaptive.contexts import ContextList, Pass, passes, share_t
 from gs_codec.codecs.adaptive.lattice import to_float
 from gs_codec.codecs.adaptive.section import MANTISSA, PassModels, write_lattice
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
-from gs_codec.codecs.adaptive.tokens import ALPHABET, raw_width
+from gs_codec.codecs.adaptive.tokens import ALPHABET, RAW_WIDTHS
 from gs_codec.coding.context_rans import PRECISION, CodedPass, PassTables, encode_passes
 from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
 from gs_codec.coding.linear import dot
@@ -183,8 +183,7 @@ def _cost(
     tables: list[FrequencyTable],
 ) -> ChannelCost:
     """Bits of a list, whose tokens occur ``counts (contexts, ALPHABET)`` times."""
-    raw = [raw_width(token) for token in range(ALPHABET)]
-    entropy = bits = float(dot(counts.sum(axis=0), np.array(raw)))
+    entropy = bits = float(dot(counts.sum(axis=0), RAW_WIDTHS))
     for row in np.unique(rows[counts.any(axis=1)]):
         histogram = counts[rows == row].sum(axis=0)
         entropy += shannon_bits(histogram)
@@ -196,7 +195,7 @@ def _sections(
     number: int,
     block: Block,
     listed: list[Pass],
-    rows: list[NDArray[np.int64]],
+    rows: list[NDArray[np.uint16]],
     tables: PassTables,
 ) -> list[Section]:
     """Sections of a block."""

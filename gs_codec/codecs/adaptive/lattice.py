@@ -176,7 +176,9 @@ def centres(
         widths[:, bit + 1] = widths[:, bit]
         widths[axis, bit + 1] += 1
     cells = 2 * decode_morton(codes, grid.bits).astype(np.int64)
-    return cells + (np.int64(1) << widths[:, dropped])
+    # Not widths[:, dropped]: its rows, and those of what follows, would not be contiguous.
+    cells += np.int64(1) << np.take(widths, dropped, axis=1)
+    return cells
 
 
 def from_grid(half_steps: NDArray[np.int64], grid: PositionGrid) -> NDArray[np.float32]:

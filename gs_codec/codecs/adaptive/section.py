@@ -60,9 +60,9 @@ class PassModels:
     listed: dict[str, NDArray[np.int64]]
     weights: list[NDArray[np.int64]]
 
-    def rows(self, item: Pass) -> NDArray[np.int64]:
+    def rows(self, item: Pass) -> NDArray[np.uint16]:
         """Number of the table of each context of a pass."""
-        return np.concatenate([self.listed[own.name] for own in item.lists])
+        return np.concatenate([self.listed[own.name] for own in item.lists]).astype(np.uint16)
 
     def tables(self) -> list[FrequencyTable]:
         """Frequency tables of precision `PRECISION`."""

@@ -25,12 +25,12 @@ from gs_codec.scene import sh_bands
 _OF_SUM, _OF_SHARE, _OF_COLOUR = COLOUR_SHIFTS * SUMS, SUMS, SUMS * SIGNS * MEMBERS
 
 
-def two_nearest(nearest: Nearest) -> NDArray[np.uint32]:
-    """The two nearest neighbours ``(n, 2)``; the number of none is n."""
-    near = nearest.near[:, :2].astype(np.uint32)
-    # The first Gaussian has no neighbour, the second has one.
-    near[:1] = near[1:2, 1] = len(near)
-    return near
+def two_nearest(nearest: Nearest) -> NDArray[np.uint8]:
+    """How many Gaussians before each its two nearest neighbours are, ``(n, 2)``; 0 for none."""
+    ago = (np.arange(len(nearest.near))[:, None] - nearest.near[:, :2]).astype(np.uint8)
+    # The second Gaussian has one neighbour.
+    ago[1:2, 1] = 0
+    return ago
 
 
 @inlined
@@ -40,7 +40,8 @@ def _sign(value):
 
 @inlined
 def _sum_of_signs(signs, near, i):
-    first, second = np.uint64(near[i, 0]), np.uint64(near[i, 1])
+    # That of the Gaussian itself is still 0.
+    first, second = np.uint64(i) - np.uint64(near[i, 0]), np.uint64(i) - np.uint64(near[i, 1])
     return np.int64(signs[first]) + np.int64(signs[second])
 
 
@@ -73,7 +74,7 @@ def _code(levels, near, shifts, first, last, left, shares, values, contexts, cou
                 counts[i] += 1
             left[i] -= shares[i]
         offset += _OF_SHARE
-    signs = np.empty(count + 1, np.int8)
+    signs = np.empty(count, np.int8)
     for k in range(3 * members):
         colour, place = k // members, k % members
         signs[:] = 0
@@ -94,7 +95,7 @@ def _code(levels, near, shifts, first, last, left, shares, values, contexts, cou
     return symbol
 
 
-@kernel
+@inlined
 def _read_sums(
     words, end, states, spans, slots, rows, bits, limit, shifts, sums
 ):  # fmt: skip
@@ -114,7 +115,7 @@ def _read_sums(
     return 0, position, used
 
 
-@kernel
+@inlined
 def _read_shares(
     words, end, states, spans, slots, rows, bits, limit, symbol, position, used, offset,
     left, shares,
@@ -152,7 +153,7 @@ def _read(
             words, end, states, spans, slots, rows, bits, limit, shifts, left
         )
         symbol, offset = count, _OF_SUM
-    shares = left.astype(np.int64)
+    shares = left.astype(np.int32)
     if not last and fault == 0:
         fault, symbol, position, used = _read_shares(
             words, end, states, spans, slots, rows, bits, limit, symbol, position, used, offset,
@@ -161,11 +162,11 @@ def _read(
         offset += _OF_SHARE
     if fault != 0:
         return fault
-    live, lives = np.empty(count, np.uint32), 0
+    live, lives = np.empty(count, np.uint16), 0
     for i in range(count):
         live[np.uint64(lives)] = i
         lives += np.int64(shares[i] > 0)
-    signs = np.empty(count + 1, np.int8)
+    signs = np.empty(count, np.int8)
     for k in range(3 * members):
         colour, place = k // members, k % members
         plane = levels[colour, place]
@@ -176,7 +177,7 @@ def _read(
             if symbol & (LANES - 1) == 0 and (position > end or used > limit):
                 return OUT_OF_WORDS
             i = np.uint64(live[np.uint64(j)])
-            rest = shares[i]
+            rest = np.int64(shares[i])
             sign = _sum_of_signs(signs, near, i)
             row = rows[np.uint64(begin + _context(rest, sign))]
             level, position, used = read_token(
@@ -201,7 +202,7 @@ def _read(
 
 
 def code_bands(
-    levels: NDArray[np.int32], near: NDArray[np.uint32], shifts: NDArray[np.int64]
+    levels: NDArray[np.int32], near: NDArray[np.uint8], shifts: NDArray[np.int64]
 ) -> list[tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint8]]]:
     """Integers to code and their contexts, ``(symbols,)``, of each band; symbols of each Gaussian.
 
@@ -230,9 +231,9 @@ def code_bands(
 def read_bands(
     reader: PassReader,
     sections: Sequence[memoryview],
-    rows: Sequence[NDArray[np.int64]],
+    rows: Sequence[NDArray[np.uint16]],
     levels: NDArray[np.int32],
-    near: NDArray[np.uint32],
+    near: NDArray[np.uint8],
     shifts: NDArray[np.int64],
 ) -> None:
     """The inverse of `code_bands`, into ``levels (3, K, n)`` that are 0 before.

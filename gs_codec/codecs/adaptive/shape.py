@@ -208,7 +208,7 @@ def _read(
 def read_shapes(
     reader: PassReader,
     sections: Sequence[memoryview],
-    rows: NDArray[np.int64],
+    rows: NDArray[np.uint16],
     lattice: Lattice,
     count: int,
 ) -> tuple[NDArray[np.int64], Shape]:

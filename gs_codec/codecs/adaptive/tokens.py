@@ -45,6 +45,10 @@ def raw_width(token):
     return ((size - _DIRECT) >> _KEPT_BITS) + _DIRECT_BITS - _KEPT_BITS
 
 
+#: Of each token.
+RAW_WIDTHS = np.array([raw_width.py_func(token) for token in range(ALPHABET)])
+
+
 @inlined
 def flipped(value, minus):
     """The value, or the negative one if `minus` is -1 and not 0, without a branch."""
@@ -60,7 +64,7 @@ def read_token(words, position, states, symbol, spans, slots, row, bits, used, r
     """
     token, position = pull(
         words, position, states, symbol & (LANES - 1),
-        spans, slots, row << SPAN_BITS, row << PRECISION, PRECISION,
+        spans, slots, np.int64(row) << SPAN_BITS, np.int64(row) << PRECISION, PRECISION,
     )  # fmt: skip
     size = token >> 1
     if not rarely or size >= _DIRECT:

@@ -234,11 +234,12 @@ class Scene:
 def gather(planes: NDArray, index: NDArray) -> NDArray:
     """Columns of ``planes (C, N)`` that `index` (positions or mask) selects, in that order."""
     index = np.asarray(index)
-    indices = np.flatnonzero(index) if index.dtype == bool else index
+    # Converted once, not for each row; indices are in range, so nothing is clipped.
+    indices = np.flatnonzero(index) if index.dtype == bool else index.astype(np.intp, copy=False)
     gathered = empty((len(planes), len(indices)), planes.dtype)
 
     def work(row: int) -> None:
-        gathered[row] = np.take(planes[row], indices)
+        np.take(planes[row], indices, out=gathered[row], mode="clip")
 
     with using_threads(None, len(indices)):
         run_all(work, range(len(planes)))

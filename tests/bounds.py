@@ -84,7 +84,7 @@ def _of_channels(scene: Scene, decoded: Scene, data: bytes) -> Errors:
 
 def _of_lattices(scene: Scene, decoded: Scene, config: Config) -> Errors:
     arranged = arrange_scene(scene, config, None)
-    ordered = scene.take(arranged.order)
+    ordered = arranged.source.take(arranged.order)
     _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
     quantiser = ShapeQuantiser(arranged.lattice, ordered.opacity[0], scales, vectors)
     shape = walk_shape(arranged.lattice, arranged.classes[0], quantiser)

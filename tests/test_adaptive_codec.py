@@ -66,7 +66,7 @@ class Shaped:
         config = Config(profile, depths or {})
         steps = guide(clean, config) if guide is not None and clean.count else None
         arranged = arrange_scene(clean, config, steps)
-        ordered = clean.take(arranged.order)
+        ordered = arranged.source.take(arranged.order)
         _, scales, vectors = sort_axes(ordered.log_scale, ordered.rot)
         quantiser = ShapeQuantiser(arranged.lattice, ordered.opacity[0], scales, vectors)
         shape = walk_shape(arranged.lattice, arranged.classes[0], quantiser)

@@ -118,7 +118,10 @@ def _unpack(data: memoryview) -> dict[str, tuple[np.dtype, memoryview]]:
     """Type and deflated planes of each property."""
     reader = ByteReader(data, _EXTRA)
     packed: dict[str, tuple[np.dtype, memoryview]] = {}
-    for _ in range(reader.unpack("H")[0]):
+    (number,) = reader.unpack("H")
+    if number == 0:
+        raise CorruptStream(f"{_EXTRA}: no properties, expected at least one")
+    for _ in range(number):
         label = bytes(reader.take(reader.unpack("B")[0]))
         kind, size = reader.unpack("BQ")
         name = label.decode("ascii", "replace")

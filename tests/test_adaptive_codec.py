@@ -232,7 +232,7 @@ def test_a_shaped_scene_decodes_as_it_says_with_the_colours_it_is_given():
     told, steps = shaped.decoded(), shaped.sh_steps()
     np.testing.assert_array_equal(told.f_dc, scene.f_dc[:, shaped.order])
     np.testing.assert_array_equal(told.f_rest, scene.f_rest[:, shaped.order])
-    assert steps.shape == (300,)
+    assert steps.shape == (3, 300)
     assert steps.dtype == np.float32
     assert np.all(steps > 0)
     plain, _ = encode_shaped(shaped, StageTimes())

@@ -45,7 +45,9 @@ def compacting(strength: float) -> AdaptiveProfile:
 
 def shaped(decoded: Scene, order: np.ndarray, steps: np.ndarray) -> SimpleNamespace:
     """A scene whose shapes are rounded."""
-    return SimpleNamespace(decoded=lambda: decoded, order=order, sh_steps=lambda: steps)
+    return SimpleNamespace(
+        decoded=lambda: decoded, order=order, sh_steps=lambda: np.stack([steps] * 3)
+    )
 
 
 def recolour(found: Guidance, decoded: Scene, steps: np.ndarray, profile) -> Scene:

@@ -15,6 +15,7 @@ from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import AdaptiveProfile
+from gs_codec.guidance.round_sh import round_sh
 from gs_codec.guidance.sensitivity import sensitivity
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
@@ -76,17 +77,27 @@ class Guidance:
 
     def steps(self, profile: AdaptiveProfile) -> StepSizes:
         """Step sizes that add the error which a profile allows, with whatever colours."""
-        return self.steps_adding((profile.error + profile.of_loss * self.loss) * 3 * self.pixels)
+        return self.steps_adding(self._error(profile))
+
+    def _error(self, profile: AdaptiveProfile) -> float:
+        """Squared error that all parameters together may add."""
+        return (profile.error + profile.of_loss * self.loss) * 3 * self.pixels
 
     def recolour(
         self, shaped: ShapedScene, profile: AdaptiveProfile, compacting: bool = True
     ) -> Scene:
-        """As `compact`, with SH refitted to compensate for rounded shapes and compaction."""
+        """As `compact`, with SH refitted to make up for rounded shapes and compaction, and rounded.
+
+        SH-AC are on their levels.
+        """
         decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
-        operator = self._operator_of(decoded)
-        return refit_colour(decoded, self.views, _REFIT, operator=operator, progress=self.progress)[
-            0
-        ]
+        operator, progress = self._operator_of(decoded), self.progress
+        refitted, _ = refit_colour(
+            decoded, self.views, _REFIT, operator=operator, progress=progress
+        )
+        error = self._error(profile) / (refitted.count * channel_count(len(refitted.f_rest) // 3))
+        weights, cameras = self.weights[:, shaped.order], self.views.cameras
+        return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
 
     def compact(self, shaped: ShapedScene, profile: AdaptiveProfile, decide: bool = True) -> Scene:
         """The decoded scene in stream order, its SH compacted if this pays.
@@ -94,7 +105,7 @@ class Guidance:
         The first call decides whether it pays. Without `decide` it is not measured but taken to pay
         unless already decided: this is quick, to estimate sizes.
         """
-        decoded, steps = shaped.decoded(), shaped.sh_steps()
+        decoded, steps = shaped.decoded(), shaped.sh_steps().min(axis=0)
         if not decoded.sh_degree:
             return decoded
         weights = self.weights[:, shaped.order]

@@ -12,7 +12,7 @@ from gs_codec.coding.ycocg import luma_chroma, red_green_blue
 from gs_codec.preparation.sh_weights import (
     coefficients_of,
     fill_matrix,
-    sh_row,
+    list_views,
     solve,
     squared_weights,
     with_coefficients,
@@ -127,7 +127,7 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
     solution = np.empty((3, size))
     unseen = unsolved = 0
     for i in range(start, stop):
-        count = _list_views(positions, i, weights, centres, rows, seen)
+        count = list_views(positions, i, weights, centres, rows, seen)
         unseen += count == 0
         fill_matrix(rows[:count], seen, shared)
         finite, any_ac = True, False
@@ -145,18 +145,6 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
         else:
             unsolved += any_ac
     return unseen, unsolved
-
-
-@kernel
-def _list_views(positions, i, weights, centres, rows, seen):
-    """List SH basis and weight of the views that see Gaussian i; return how many they are."""
-    count = 0
-    for view in range(len(weights)):
-        if weights[view, i] > 0.0:
-            sh_row(positions, i, centres[view], rows[count])
-            seen[count] = weights[view, i]
-            count += 1
-    return count
 
 
 @kernel

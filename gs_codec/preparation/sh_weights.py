@@ -129,3 +129,15 @@ def sh_row(positions, i, camera, row):
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
     row[0] = SH_C0
     sh_basis(dx / distance, dy / distance, dz / distance, len(row) - 1, row[1:])
+
+
+@kernel
+def list_views(positions, i, weights, centres, rows, seen):
+    """List SH basis and weight of the views that see Gaussian i; return how many they are."""
+    count = 0
+    for view in range(len(weights)):
+        if weights[view, i] > 0.0:
+            sh_row(positions, i, centres[view], rows[count])
+            seen[count] = weights[view, i]
+            count += 1
+    return count

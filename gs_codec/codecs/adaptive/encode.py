@@ -18,7 +18,7 @@ from gs_codec.coding.context_rans import PRECISION, CodedPass, PassTables, encod
 from gs_codec.coding.frequency_table import FrequencyTable, shannon_bits
 from gs_codec.coding.linear import dot
 from gs_codec.coding.sent_tables import SentModel
-from gs_codec.config import Config
+from gs_codec.config import SH_STREAMS, Config
 from gs_codec.egs.file import Section, SectionId
 from gs_codec.egs.header import Header
 from gs_codec.egs.index import index_section
@@ -55,10 +55,10 @@ class ShapedScene:
         )
 
     def sh_steps(self) -> NDArray[np.float32]:
-        """Step sizes of SH-AC, those of the finest band, ``(N,)`` in stream order."""
+        """Step sizes of SH-AC of each band, ``(3, N)`` in stream order."""
         shifts = np.concatenate([block.shifts for block in self.blocks])
-        finest = min(self.arranged.lattice.units[f"sh{band}"] for band in (1, 2, 3))
-        return to_float(finest << shifts).astype(np.float32)
+        units = np.array([[self.arranged.lattice.units[stream]] for stream in SH_STREAMS])
+        return to_float(units << shifts).astype(np.float32)
 
     def with_colours(self, coloured: Scene) -> ShapedScene:
         """The scene with the SH of `coloured`, which is in stream order."""

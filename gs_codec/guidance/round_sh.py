@@ -1,0 +1,159 @@
+"""SH-AC rounded to their levels so that views see the least of it, at the least bits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.binary import bit_length
+from gs_codec.preparation.sh_weights import (
+    coefficients_of,
+    fill_matrix,
+    list_views,
+    with_coefficients,
+)
+from gs_codec.rendering.camera import Camera
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene, sh_bands
+
+#: Weight of all directions alike, as a share of the weight of the views: between few views, errors
+#: would grow without it.
+_ELSEWHERE = 2.0
+
+#: A bit is worth this much of the squared error that it takes away in a finer step.
+_WORTH = 0.5
+
+#: Bits of a level beside 0, about: of 1, and of each octave above.
+_FIRST_BITS, _OCTAVE_BITS = 4.0, 1.5
+
+#: Most times that every coefficient is moved.
+_SWEEPS = 3
+
+_CHUNK = 1 << 12
+
+
+def round_sh(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    weights: NDArray[np.float32],
+    steps: NDArray[np.float32],
+    error: float,
+    progress: Progress | None = None,
+) -> Scene:
+    """Round SH-AC to levels, and let SH-DC make up for what views see of that.
+
+    The squared error of a Gaussian is a form of the rounding errors of all its SH together, by the
+    directions that views look from. From the nearest levels on, each is moved by one where this
+    lowers the form, with the SH-DC that suits it best, plus the worth of the bits. SH-AC that are 0
+    stay 0; so do all of a Gaussian that no camera sees, as they are.
+
+    Parameters
+    ----------
+    scene : Scene
+    cameras : sequence of Camera
+    weights : ndarray, shape (views, N), float32
+        `squared_weights` of the scene.
+    steps : ndarray, shape (bands, N), float32
+        Step sizes of SH-AC.
+    error : float
+        Squared error that a parameter may add, summed over the values of all views.
+    progress : callable, optional
+    """
+    if not scene.sh_degree:
+        return scene
+    sh = coefficients_of(scene)
+    bands = sh_bands(len(scene.f_rest) // 3)
+    band_of = np.array([0, *(number for number, band in enumerate(bands) for _ in band)])
+    centres = np.array([camera.position for camera in cameras])
+    # The bits of uniform errors: their logarithm is to base 4.
+    price = _WORTH * math.log(4.0) * error
+
+    def run(start: int) -> None:
+        stop = min(start + _CHUNK, scene.count)
+        _round(scene.positions, weights, centres, steps, band_of, price, sh, start, stop)
+
+    starts = range(0, scene.count, _CHUNK)
+    run_all(run, starts, advance=step_counter(progress, "round", len(starts)))
+    return with_coefficients(scene, sh)
+
+
+@kernel
+def _round(positions, weights, centres, steps, band_of, price, sh, start, stop):
+    """Round the SH ``(3, 1 + K, N)`` of Gaussians `start` to `stop` in place."""
+    views, size = len(weights), sh.shape[1]
+    rows, seen = np.empty((views, size)), np.empty(views)
+    form, lean, step = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i in range(start, stop):
+        count = list_views(positions, i, weights, centres, rows, seen)
+        if count == 0:
+            continue
+        fill_matrix(rows[:count], seen, form)
+        _leave_out_dc(form, lean)
+        for k in range(1, size):
+            step[k] = steps[band_of[k], i]
+        for channel in range(3):
+            _move_levels(form, lean, step, price, sh[channel, :, i])
+
+
+@kernel
+def _leave_out_dc(form, lean):
+    """Add all directions to a form, and take its best SH-DC for granted.
+
+    ``lean[k]`` becomes what SH-DC gains for a unit that coefficient k loses.
+    """
+    size = len(form)
+    # The basis is orthonormal: over all directions, each function has the mean square of the first.
+    elsewhere = _ELSEWHERE * form[0, 0]
+    for k in range(size):
+        form[k, k] += elsewhere
+    for k in range(size):
+        lean[k] = form[0, k] / form[0, 0]
+    for k in range(1, size):
+        for m in range(1, size):
+            form[k, m] -= lean[k] * form[0, m]
+
+
+@inlined
+def _bits(level):
+    size = abs(level)
+    return 0.0 if size == 0 else _FIRST_BITS + _OCTAVE_BITS * (bit_length(size) - 1)
+
+
+@kernel
+def _move_levels(form, lean, step, price, values):
+    """Round the SH ``(1 + K,)`` of one channel in place."""
+    size = len(values)
+    levels, rest, slope = np.zeros(size, np.int64), np.zeros(size), np.zeros(size)
+    for k in range(1, size):
+        levels[k] = np.int64(np.floor(values[k] / step[k] + 0.5))
+        rest[k] = values[k] - levels[k] * step[k]
+    for k in range(1, size):
+        for m in range(1, size):
+            slope[k] += form[k, m] * rest[m]
+    for _ in range(_SWEEPS):
+        moved = False
+        for k in range(1, size):
+            if values[k] == 0.0:
+                continue
+            best, way = 0.0, 0
+            for d in (-1, 1):
+                gain = step[k] * (2 * d * slope[k] - step[k] * form[k, k])
+                gain -= price * (_bits(levels[k] + d) - _bits(levels[k]))
+                if gain > best:
+                    best, way = gain, d
+            if way != 0:
+                moved = True
+                levels[k] += way
+                rest[k] -= way * step[k]
+                for m in range(1, size):
+                    slope[m] -= way * step[k] * form[m, k]
+        if not moved:
+            break
+    for k in range(1, size):
+        values[0] += lean[k] * rest[k]
+        values[k] = levels[k] * step[k]

@@ -417,7 +417,7 @@ def test_inspect_says_what_lattices_hold(lattice, profile):
     assert listed.startswith(plain)
     header, *rows = [line.split() for line in listed[len(plain) :].splitlines()]
     assert header == ["symbols", "stream", "tables", "finest", "step", "coarsest", "step"]
-    assert {row[0] for row in rows} >= {"opacity", "scale_2", "tilt_1", "f_dc", "SH", "f_rest"}
+    assert {row[0] for row in rows} >= {"opacity", "scale_2", "tilt_1", "f_dc", "SH", "sh1"}
     tables = {line.split()[0]: line.split()[-2] for line in plain.splitlines() if "tables" in line}
     assert tables == {s["name"]: str(s["tables"]) for s in info["streams"] if s["tables"]}
     for stream, number in tables.items():

@@ -124,8 +124,8 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
 def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
     found = guide(scene, draw_reference_views(scene, cameras(count), (0.0, 0.0, 0.0)))
     steps = np.full(scene.count, 0.1, np.float32)
-    coloured = recolour(found, scene, steps, compacting(1e-5))
-    new_zeros = np.count_nonzero((coloured.f_rest == 0) & (scene.f_rest != 0))
+    compact = found.compact(shaped(scene, np.arange(scene.count), steps), compacting(1e-5))
+    new_zeros = np.count_nonzero((compact.f_rest == 0) & (scene.f_rest != 0))
     assert (new_zeros > 0.5 * scene.f_rest.size) == compacted
     assert (new_zeros == 0) == (not compacted)
 
@@ -140,8 +140,9 @@ def test_what_pruning_has_lost_lets_compaction_lose_too(scene, plan):
 
 def test_one_view_is_not_enough_to_compact_by(scene, plan):
     found = guide(scene, draw_reference_views(scene, plan.cameras[:1], (0.0, 0.0, 0.0)))
-    coloured = recolour(found, scene, np.full(scene.count, 0.1, np.float32), compacting(1e3))
-    assert not np.any((coloured.f_rest == 0) & (scene.f_rest != 0))
+    steps = np.full(scene.count, 0.1, np.float32)
+    compact = found.compact(shaped(scene, np.arange(scene.count), steps), compacting(1e3))
+    np.testing.assert_array_equal(compact.f_rest, scene.f_rest)
 
 
 def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):

@@ -29,6 +29,16 @@ MORE_BITS = 8 + 4 * LANES
 #: Base-2 logarithm of the number of spans that a table has room for.
 SPAN_BITS = 8
 
+#: What a kernel can find wrong.
+FAULTS = (
+    "",
+    "more symbols than words",
+    "a class out of range",
+    "a value out of range",
+    "a level of SH-AC beyond its sum",
+)
+OUT_OF_WORDS, BAD_CLASS, BAD_VALUE, BAD_SUM = 1, 2, 3, 4
+
 
 @dataclass(frozen=True)
 class PassTables:
@@ -175,14 +185,3 @@ class PassReader:
     def finish(self) -> None:
         """Check, after the last pass, that the states are those the encoder began with."""
         check_final(self.states, self.where)
-
-
-#: What a kernel can find wrong.
-FAULTS = (
-    "",
-    "more symbols than words",
-    "a class out of range",
-    "a value out of range",
-    "a level of SH-AC beyond its sum",
-)
-OUT_OF_WORDS, BAD_CLASS, BAD_VALUE, BAD_SUM = 1, 2, 3, 4

@@ -10,7 +10,7 @@ from gs_codec.codecs.adaptive.decode import Blocks, DecodedBlock
 from gs_codec.codecs.adaptive.rotation import TURNS
 from gs_codec.codecs.adaptive.sh_ac import code_bands, two_nearest
 from gs_codec.codecs.adaptive.shape import shape_pass, walk_shape
-from gs_codec.codecs.adaptive.tokens import raw_width, token_of
+from gs_codec.codecs.adaptive.tokens import RAW_WIDTHS, token_of
 from gs_codec.coding.context_rans import PRECISION, SPAN_BITS
 from gs_codec.egs.file import EgsFile
 from gs_codec.runtime.kernels import kernel
@@ -27,7 +27,7 @@ def _add(spans, rows, values, contexts, counts, costs):
             frequency = (
                 np.int64(spans[(np.int64(rows[contexts[symbol]]) << SPAN_BITS) + token]) & 0xFFFF
             )
-            costs[i] += PRECISION - np.log2(frequency) + raw_width(token)
+            costs[i] += PRECISION - np.log2(frequency) + RAW_WIDTHS[token]
             symbol += 1
 
 

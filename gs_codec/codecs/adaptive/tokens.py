@@ -24,6 +24,14 @@ MAX_BITS = 30
 #: Number of tokens.
 ALPHABET = 2 * (_DIRECT + ((MAX_BITS - _DIRECT_BITS) << _KEPT_BITS))
 
+#: Number of raw bits that complete each token.
+RAW_WIDTHS = np.array(
+    [
+        0 if size < _DIRECT else ((size - _DIRECT) >> _KEPT_BITS) + _DIRECT_BITS - _KEPT_BITS
+        for size in np.arange(ALPHABET) // 2
+    ]
+)
+
 
 @inlined
 def token_of(value):
@@ -34,19 +42,6 @@ def token_of(value):
         rest = length - 1 - _KEPT_BITS
         size = _DIRECT + ((length - 1 - _DIRECT_BITS) << _KEPT_BITS) + ((size >> rest) & 3)
     return 2 * size + (1 if value < 0 else 0)
-
-
-@inlined
-def raw_width(token):
-    """Number of raw bits that complete a token."""
-    size = token >> 1
-    if size < _DIRECT:
-        return 0
-    return ((size - _DIRECT) >> _KEPT_BITS) + _DIRECT_BITS - _KEPT_BITS
-
-
-#: Of each token.
-RAW_WIDTHS = np.array([raw_width.py_func(token) for token in range(ALPHABET)])
 
 
 @inlined
@@ -86,7 +81,7 @@ def _tokenise(values, tokens, widths):
     for i in range(len(values)):
         token = token_of(np.int64(values[i]))
         tokens[i] = token
-        widths[i] = raw_width(token)
+        widths[i] = RAW_WIDTHS[token]
 
 
 def tokenise(

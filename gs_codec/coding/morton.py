@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.runtime.arrays import current
+from gs_codec.runtime.arrays import Disk, current
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 
@@ -121,8 +121,11 @@ Index = TypeVar("Index", bound=np.integer)
 
 
 def in_stream_order(scene: Scene, order: NDArray[Index]) -> tuple[Scene, NDArray[Index]]:
-    """The scene sorted, and the index in it of each Gaussian of the stream.
+    """The scene, and the index in it of each Gaussian of the stream.
 
-    If each block took its Gaussians from all over the scene, it would wait for memory.
+    A scene on disk is sorted first: otherwise each block would read all over the file.
     """
-    return scene.take(order), current().keep(np.arange(len(order), dtype=order.dtype))
+    storage = current()
+    if not isinstance(storage, Disk):
+        return scene, order
+    return scene.take(order), storage.keep(np.arange(len(order), dtype=order.dtype))

@@ -46,13 +46,15 @@ def red_green_blue(y, o, g):
 @kernel
 def _take(planes, members, units, shifts, limit, out):
     beyond = 0
+    taken = np.empty((3, len(members)))
     for k in range(len(units)):
+        # A loop that does nothing else, as it waits for memory: members are all over a plane.
+        for channel in range(3):
+            for i in range(len(members)):
+                taken[channel, i] = planes[channel, k, members[i]]
         for i in range(len(members)):
-            red = np.float64(planes[0, k, members[i]])
-            green = np.float64(planes[1, k, members[i]])
-            blue = np.float64(planes[2, k, members[i]])
             step = np.float64(units[k] << shifts[i]) / 1048576.0
-            luma, orange, other = luma_chroma(red, green, blue)
+            luma, orange, other = luma_chroma(taken[0, i], taken[1, i], taken[2, i])
             beyond += np.int64(abs(luma) > limit) + (abs(orange) > limit) + (abs(other) > limit)
             out[0, k, i] = min(max(luma, -limit), limit) / step
             out[1, k, i] = min(max(orange, -limit), limit) / step

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO
 
@@ -165,19 +164,11 @@ def write_ply(path: str | Path, scene: Scene) -> None:
 
 def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
     """Write a PLY of `count` Gaussians from slabs of the same layout, one after another."""
-    with ThreadPoolExecutor(1) as writer:
-        written = None
-        for number, slab in enumerate(slabs):
-            if not number:
-                file.write(_header(slab, count).encode("ascii"))
-            for start in range(0, slab.count, _ROWS):
-                rows = vertex_rows(slab.between(start, start + _ROWS))
-                if written is not None:
-                    written.result()
-                # Beside what makes the next rows.
-                written = writer.submit(file.write, rows.data)
-        if written is not None:
-            written.result()
+    for number, slab in enumerate(slabs):
+        if not number:
+            file.write(_header(slab, count).encode("ascii"))
+        for start in range(0, slab.count, _ROWS):
+            file.write(vertex_rows(slab.between(start, start + _ROWS)).data)
 
 
 def _header(scene: Scene, count: int) -> str:

@@ -29,6 +29,9 @@ SMALLEST = 0.018
 #: Rounds; each takes its penalties from the solution before.
 _ROUNDS = 12
 
+#: If nothing moves by this share of `smallest`, only the last two rounds follow.
+_STILL = 0.1
+
 #: Weight that holds a solution to the one before it, as a share of the weight of all views.
 _INERTIA = 1e-9
 
@@ -162,10 +165,11 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
         _darken(rows, targets, solution)
     for j in range(count):
         inertia += _INERTIA * seen[j]
-    for turn in range(_ROUNDS):
+    turn = 0
+    while turn < _ROUNDS:
         if dark:
             _sum_up(rows, seen, solution, targets, sums)
-        least = smallest if turn >= _ROUNDS - 2 else 0.0
+        least, moved = smallest if turn >= _ROUNDS - 2 else 0.0, 0.0
         for channel in range(3):
             now, number = solution[channel], 0
             for k in range(size):
@@ -177,10 +181,14 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
             )
             if not solve(matrix[:number, :number], right[:number]):
                 return False
-            now[1:] = 0.0
             for n in range(number):
-                if used[n] == 0 or abs(right[n]) >= least:
-                    now[used[n]] = right[n]
+                k = used[n]
+                found = right[n] if k == 0 or abs(right[n]) >= least else 0.0
+                moved = max(moved, abs(found - now[k]))
+                now[k] = found
+        turn += 1
+        if moved < _STILL * smallest:
+            turn = max(turn, _ROUNDS - 2)
     return True
 
 

@@ -133,7 +133,7 @@ def test_luma_and_chroma_are_solved_as_by_brute_force(degree):
             if turn >= 10:
                 solutions[:, 1:][np.abs(solutions[:, 1:]) < smallest] = 0.0
             turn += 1
-            if np.abs(solutions - start).max() < 0.1 * smallest:
+            if np.abs(solutions - start).max() < 0.02 * smallest:
                 turn = max(turn, 10)
         np.testing.assert_allclose(after[:, :, i], solutions, rtol=1e-3, atol=1e-5)
 

@@ -30,7 +30,7 @@ SMALLEST = 0.018
 _ROUNDS = 12
 
 #: If nothing moves by this share of `smallest`, only the last two rounds follow.
-_STILL = 0.1
+_STILL = 0.02
 
 #: Weight that holds a solution to the one before it, as a share of the weight of all views.
 _INERTIA = 1e-9

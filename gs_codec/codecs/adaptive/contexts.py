@@ -53,7 +53,7 @@ class ContextList(NamedTuple):
 
 @dataclass(frozen=True)
 class Pass:
-    """A run of symbols, Gaussian by Gaussian, whose contexts are of one or several lists.
+    """A run of symbols whose contexts are of one or several lists.
 
     Without `turns`, all of its symbols are of one stream; else symbol i is of the stream of list
     ``i % len(lists)``.
@@ -102,24 +102,15 @@ def before_bucket(attribute, total):
     return min(max(place, 0), BEFORE - 1)
 
 
+#: Least sums of the buckets from 1 up; and the bucket of each sum that is not larger than the last.
+_LEAST_SUMS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192])
+_SUM_BUCKETS = np.searchsorted(_LEAST_SUMS, np.arange(193), side="right").astype(np.uint8)
+
+
 @inlined
 def sum_bucket(total):
     """Bucket of a sum of magnitudes: twice its log2 rounded down, plus its second bit."""
     return np.int64(_SUM_BUCKETS[np.uint64(min(total, len(_SUM_BUCKETS) - 1))])
-
-
-_SUM_BUCKETS = np.array(
-    [
-        0,
-        1,
-        *(
-            min(2 * k + (n >> k - 1) % 2, SUMS - 1)
-            for n in range(2, 193)
-            for k in [n.bit_length() - 1]
-        ),
-    ],
-    np.uint8,
-)
 
 
 def passes(coefficients: int) -> list[Pass]:

@@ -10,13 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.encode import ShapedScene
-from gs_codec.codecs.adaptive.step_sizes import Sensitivity, StepSizes, fit_step_sizes
+from gs_codec.codecs.adaptive.step_sizes import (
+    Sensitivity,
+    StepSizes,
+    expected_sensitivity,
+    fit_step_sizes,
+)
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import AdaptiveProfile
 from gs_codec.guidance.round_sh import round_sh
 from gs_codec.guidance.sensitivity import sensitivity
+from gs_codec.guidance.trust import blend, blind_share
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
 from gs_codec.preparation.reference_views import ReferenceViews
@@ -54,11 +60,13 @@ class Guidance:
         Step sizes by the squared error that all parameters together may add.
     loss : float
         Mean squared error of an image value before encoding; pruning may have caused it.
-    pixels : int
-        Of all views together.
+    pixels : float
+        Of all views together, those elsewhere too.
     views : ReferenceViews
     weights : ndarray, shape (views, N), float32
         Sums of (alpha T)^2 of the scene that is encoded, in its own order.
+    elsewhere : ndarray, shape (N,), float32
+        What other views are expected to add to the weights, from all directions alike.
     progress : callable, optional
     compacts : bool or None
         Whether compaction of SH pays; None until it is decided.
@@ -68,9 +76,10 @@ class Guidance:
 
     steps_adding: Callable[[float], StepSizes]
     loss: float
-    pixels: int
+    pixels: float
     views: ReferenceViews
     weights: NDArray[np.float32]
+    elsewhere: NDArray[np.float32]
     progress: Progress | None = None
     compacts: bool | None = None
     operator: ImageOperator | None = None
@@ -93,11 +102,17 @@ class Guidance:
         decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
         operator, progress = self._operator_of(decoded), self.progress
         refitted, _ = refit_colour(
-            decoded, self.views, _REFIT, operator=operator, progress=progress
+            decoded,
+            self.views,
+            _REFIT,
+            elsewhere=self.elsewhere[shaped.order],
+            operator=operator,
+            progress=progress,
         )
         error = self._error(profile) / (refitted.count * channel_count(len(refitted.f_rest) // 3))
         weights, cameras = self.weights[:, shaped.order], self.views.cameras
-        return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
+        elsewhere = self.elsewhere[shaped.order]
+        return round_sh(refitted, cameras, weights, elsewhere, shaped.sh_steps(), error, progress)
 
     def compact(self, shaped: ShapedScene, profile: AdaptiveProfile, decide: bool = True) -> Scene:
         """The decoded scene in stream order, its SH compacted if this pays.
@@ -118,6 +133,7 @@ class Guidance:
                 profile.compaction,
                 smallest=0.5 * steps,
                 weights=weights[list(seen)],
+                elsewhere=self.elsewhere[shaped.order],
                 progress=self.progress,
             )[0]
 
@@ -183,18 +199,29 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     """Measure what the encoder needs to know from the views of a scene."""
     loss = views.error(scene, progress)
     found, weights = sensitivity(scene, views, progress)
-    pixels = sum(camera.width * camera.height for camera in views.cameras)
-    return Guidance(steps_adding(scene, found), loss, pixels, views, weights, progress)
-
-
-def steps_adding(scene: Scene, found: Sensitivity) -> Callable[[float], StepSizes]:
-    """Step sizes of a scene by the squared error that all parameters together may add."""
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     by_axis = {
         name: np.take_along_axis(getattr(found, name), axes.astype(np.int64), 0)
         for name in ("log_scale", "rot")
     }
-    by_error = fit_step_sizes(found._replace(**by_axis), scene.opacity[0], scales)
+    expected = expected_sensitivity(scene.opacity[0], scales)
+    share = blind_share(weights, expected.colour, views.cameras)
+    import os; share = float(os.environ.get("SHARE", share)); print("share", share)
+    blended, elsewhere = blend(found._replace(**by_axis), expected, share)
+    # What is expected elsewhere counts as that many more pixels.
+    pixels = sum(camera.width * camera.height for camera in views.cameras) / (1 - share)
+    adding = steps_adding(scene, scales, blended)
+    return Guidance(adding, loss, pixels, views, weights, elsewhere, progress)
+
+
+def steps_adding(
+    scene: Scene, scales: NDArray[np.float64], found: Sensitivity
+) -> Callable[[float], StepSizes]:
+    """Step sizes of a scene by the squared error that all parameters together may add.
+
+    ``scales (3, N)`` are its log-scales, descending, and those of `found` in this order.
+    """
+    by_error = fit_step_sizes(found, scene.opacity[0], scales)
     parameters = scene.count * channel_count(len(scene.f_rest) // 3)
     return lambda error: by_error(error / parameters)
 

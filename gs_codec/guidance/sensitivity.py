@@ -64,12 +64,12 @@ def sensitivity(
         0 for Gaussians that are not drawn in any view, and so for those with values that are
         not finite.
     ndarray, shape (views, N), float32
-        What each view adds to `colour`, as in `squared_weights`; shape (0, N) for SH degree 0.
+        What each view adds to `colour`, as in `squared_weights`.
     """
     cameras = views.cameras
     advance = step_counter(progress, "sensitivity", len(cameras))
     totals = np.zeros((scene.count, _COLUMNS))
-    weights = np.zeros((len(cameras) if scene.sh_degree else 0, scene.count), np.float32)
+    weights = np.zeros((len(cameras), scene.count), np.float32)
     size = _VIEWS_A_THREAD * available_threads()
     for start in range(0, len(cameras), size):
         looks = run_all(
@@ -79,8 +79,7 @@ def sensitivity(
         )
         for view, (gaussians, found) in enumerate(looks, start):
             totals[gaussians] += found
-            if len(weights):
-                weights[view, gaussians] = found[:, _COLOUR]
+            weights[view, gaussians] = found[:, _COLOUR]
     columns = np.ascontiguousarray(totals.T)
     summed = Sensitivity(
         columns[_POSITIONS],

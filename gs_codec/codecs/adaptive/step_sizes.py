@@ -289,3 +289,18 @@ def blind_coefficients(
         coefficients[turn][0] -= 1.0  # half angles are coded
     coefficients["position"][0] += middle
     return coefficients
+
+
+def expected_sensitivity(opacity: NDArray, scales: NDArray) -> Sensitivity:
+    """What the camera-free rules expect, in a common unit; log-scales ``(3, N)`` descending."""
+    known = features(opacity, scales)
+    rules = blind_coefficients(scales.astype(np.float64), 1.0)
+    found = {name: 4.0 ** -combine(row, known) for name, row in rules.items()}
+    alike = likeness(to_fixed(scales, LARGEST)[0])
+    return Sensitivity(
+        found["position"],
+        np.stack([found[f"scale_{k}"] for k in range(3)]),
+        np.stack([found[turn] for turn in TURN_RULES]) * 4.0 ** -(1 + alike),
+        found["opacity"],
+        found["colour"] / SH_C0**2,
+    )

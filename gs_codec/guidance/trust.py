@@ -1,0 +1,94 @@
+"""How far views can be trusted to tell what other views see: cross-validation between regions.
+
+The sensitivity that views sum up is blended with what the camera-free rules expect of a Gaussian of
+this shape and opacity. How much of the blend they are is chosen so that the step sizes of all
+regions but one of camera space suit the views of that region best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.step_sizes import Sensitivity, expected_sensitivity
+from gs_codec.coding.linear import combine, main_axis
+from gs_codec.rendering.camera import Camera
+
+#: Times that the cameras are halved: 8 regions.
+_HALVINGS = 3
+
+#: Shares of the camera-free rules in a blend that are tried.
+_SHARES = (0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+
+#: Gaussians that are compared are about this many.
+_SAMPLE = 20_000
+
+
+def blind_share(
+    weights: NDArray[np.float32], expected: NDArray[np.float64], cameras: Sequence[Camera]
+) -> float:
+    """The share of what is `expected` with which the views of a region suit all others best.
+
+    With step sizes by s, of the same bits, views of sensitivity t lose ``mean(t / s)`` times the
+    geometric mean of s.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (views, N), float32
+        `squared_weights`.
+    expected : ndarray, shape (N,)
+        By the camera-free rules; in any unit.
+    cameras : sequence of Camera
+    """
+    some = slice(None, None, max(1, len(expected) // _SAMPLE))
+    by_view, blind = weights[:, some].astype(np.float64), expected[some]
+    total = by_view.sum(axis=0)
+    losses = np.zeros(len(_SHARES))
+    for region in _regions(cameras):
+        there = by_view[region].sum(axis=0)
+        rest = np.maximum(total - there, 0.0)
+        level = (rest / blind).mean()
+        if not (there.any() and level > 0):
+            continue
+        for k, share in enumerate(_SHARES):
+            blended = (1 - share) * rest + share * level * blind
+            losses[k] += np.log((there / blended).mean()) + np.log(blended).mean()
+    return _SHARES[int(np.argmin(losses))] if losses.any() else _SHARES[-1]
+
+
+def blend(
+    found: Sensitivity, expected: Sensitivity, share: float
+) -> tuple[Sensitivity, NDArray[np.float32]]:
+    """Add to the sensitivities of views what is expected elsewhere: this share of the sum.
+
+    Returns
+    -------
+    Sensitivity
+    ndarray, shape (N,), float32
+        What is added to colours.
+    """
+    odds = share / (1 - share)
+    added = Sensitivity(
+        *(odds * (s / e).mean(axis=-1, keepdims=True) * e for s, e in zip(found, expected, strict=True))
+    )
+    total = Sensitivity(*(s + a for s, a in zip(found, added, strict=True)))
+    return total, added.colour.astype(np.float32)
+
+
+def _regions(cameras: Sequence[Camera]) -> list[NDArray[np.int64]]:
+    """Parts of camera space: the cameras halved along their main axis, and the halves again."""
+    where = np.array([camera.position for camera in cameras])
+    spread = np.sqrt(np.mean((where - where.mean(axis=0)) ** 2))
+    forward = np.array([camera.rotation[2] for camera in cameras])
+    rows = np.concatenate([where / max(spread, 1e-12), forward], axis=1).T
+    regions = [np.arange(len(cameras))]
+    for _ in range(_HALVINGS):
+        halves = []
+        for region in regions:
+            part = rows[:, region] - rows[:, region].mean(axis=1, keepdims=True)
+            order = region[np.argsort(combine(main_axis(part), part), kind="stable")]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        regions = [half for half in halves if len(half)]
+    return regions if len(cameras) > 1 else []

@@ -38,15 +38,19 @@ _TINY = 1e-20
 class Lens:
     """How a photograph was taken: its size, focal lengths, principal point and distortion.
 
-    With ``x`` and ``y`` the coordinates on a pinhole camera's plane at distance 1 (the angle from
-    the axis in place of its tangent if `fisheye`) and ``r2 = x x + y y``, a point is seen at::
+    A point at ``(x, y)`` on a pinhole camera's plane at distance 1, with ``r2 = x x + y y``, is
+    seen from the principal point, in focal lengths, at::
 
         x (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
-            + 2 p1 x y + p2 (r2 + 2 x x)                          else (y alike, p1 and p2 swapped)
-        x (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k4 r2^4)               if fisheye
+            + 2 p1 x y + p2 (r2 + 2 x x)
 
-    times the focal length, from the principal point. These are the models FULL_OPENCV and
-    OPENCV_FISHEYE of COLMAP and OpenCV; others of COLMAP's have fewer coefficients.
+    and alike in y, with p1 and p2 swapped. A fisheye lens sees it, with x and y scaled so that
+    their distance from the middle is the angle from the axis, at::
+
+        x (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k4 r2^4)
+
+    These are the models FULL_OPENCV and OPENCV_FISHEYE of COLMAP and OpenCV; COLMAP's others have
+    fewer coefficients.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def read_photograph(camera: Camera, path: Path) -> tuple[Camera, NDArray[np.floa
     whole = pinhole["width"], pinhole["height"]
     if _divides(size, whole) and not _divides(size, (lens.width, lens.height)):
         return camera.resized(*size), image
-    _check_shape(path, size, (lens.width, lens.height))
+    _check_shape(path, size, (lens.width, lens.height), f", or {whole[0]}x{whole[1]} undistorted")
     scale = size[0] / lens.width, size[1] / lens.height
     camera = camera.resized(
         *(max(1, round(side * by)) for side, by in zip(whole, scale, strict=True))
@@ -63,10 +63,13 @@ def _divides(size: tuple[int, int], whole: tuple[int, int]) -> bool:
     return all(abs(full / by - side) < 1 for full, side in zip(whole, size, strict=True))
 
 
-def _check_shape(path: Path, size: tuple[int, int], expected: tuple[int, int]) -> None:
-    if abs(size[0] * expected[1] / expected[0] - size[1]) > 1:
+def _check_shape(
+    path: Path, size: tuple[int, int], expected: tuple[int, int], others: str = ""
+) -> None:
+    width, height = expected
+    if abs(size[0] * height / width - size[1]) > 1:
         raise InvalidInput(
-            f"{path}: {size[0]}x{size[1]} pixels, expected the shape of {expected[0]}x{expected[1]}"
+            f"{path}: {size[0]}x{size[1]} pixels, expected the shape of {width}x{height}{others}"
         )
 
 

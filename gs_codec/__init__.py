@@ -24,6 +24,8 @@ _PUBLIC = {
     "gs_codec.preparation.presets": ("Preset", "preset"),
     "gs_codec.codecs.part": ("Part",),
     "gs_codec.rendering.camera": ("Camera",),
+    "gs_codec.rendering.lens": ("Lens",),
+    "gs_codec.rendering.cameras": ("read_cameras", "write_cameras"),
     "gs_codec.errors": (
         "GsCodecError",
         "InvalidInput",

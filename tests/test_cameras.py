@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import os
 import struct
@@ -20,7 +19,11 @@ from gs_codec.errors import InvalidInput, printable
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import read_cameras
 
-MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "OPENCV": 4, "EQUIRECTANGULAR": 17}
+MODELS = {
+    "SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4,
+    "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6, "FOV": 7, "SIMPLE_RADIAL_FISHEYE": 8,
+    "RADIAL_FISHEYE": 9, "THIN_PRISM_FISHEYE": 10, "EQUIRECTANGULAR": 17,
+}  # fmt: skip
 
 #: A camera at (1, 2, 3) that looks along x, with z up: right is -y, down is -z.
 RIGHT_DOWN_FORWARD = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
@@ -416,34 +419,6 @@ def test_names_are_kept_whole(suffix, name, tmp_path):
     assert [camera.name for camera in cameras] == sorted([name, "z.jpg"])
 
 
-def radial(*distortions: float) -> list[Intrinsics]:
-    return [
-        Intrinsics(i + 1, "SIMPLE_RADIAL", parameters=(500.0, 200.0, 150.0, k))
-        for i, k in enumerate(distortions)
-    ]
-
-
-@both_forms
-def test_distortion_is_reported_once(suffix, tmp_path, caplog):
-    images = [Image(f"{i}.jpg", camera_id=1 + i % 3) for i in range(9)]
-    write_model(tmp_path, suffix, images, radial(-0.0125, 0, 0.5))
-    with caplog.at_level(logging.WARNING):
-        cameras = read_cameras(tmp_path)
-    assert {camera.fx for camera in cameras} == {camera.fy for camera in cameras} == {500}
-    path = tmp_path / f"cameras{suffix}"
-    assert caplog.messages == [
-        f"{path}: radial distortion k = -0.0125, 0.5 ignored (SIMPLE_RADIAL)"
-    ]
-    assert caplog.records[0].name == "gs_codec.rendering.colmap"
-
-
-@both_forms
-def test_no_distortion_is_read_in_silence(suffix, tmp_path, caplog):
-    images = [Image(f"{i}.jpg", camera_id=1 + i) for i in range(3)]
-    read_cameras(write_model(tmp_path, suffix, images, [*radial(0, -0.0), Intrinsics(3)]))
-    assert caplog.text == ""
-
-
 def test_windows_line_ends_comments_and_a_missing_last_line_are_read(tmp_path):
     write_model(tmp_path, ".txt", [Image("a b.jpg"), Image("c.jpg", points=1), Image("d.jpg")])
     for name in ("cameras.txt", "images.txt"):
@@ -486,11 +461,17 @@ Change = tuple[Sequence[Image], Sequence[Intrinsics], str, str]
 NAN, INF = math.nan, math.inf
 ONE = (Intrinsics(),)
 BAD_MODELS: dict[str, Change] = {
-    "distorted": (
+    "field of view": (
         [Image()],
-        [Intrinsics(31, "OPENCV", parameters=(1.0,) * 8)],
+        [Intrinsics(31, "FOV", parameters=(1.0,) * 5)],
         "cameras",
-        "camera 31: model 'OPENCV', expected SIMPLE_PINHOLE",
+        "camera 31: model 'FOV', expected one of SIMPLE_PINHOLE",
+    ),
+    "thin prism": (
+        [Image()],
+        [Intrinsics(31, "THIN_PRISM_FISHEYE", parameters=(1.0,) * 12)],
+        "cameras",
+        "camera 31: model 'THIN_PRISM_FISHEYE'.*undistort the images with COLMAP",
     ),
     "panorama": (
         [Image()],
@@ -500,9 +481,9 @@ BAD_MODELS: dict[str, Change] = {
     ),
     "distorted and not used": (
         [Image()],
-        [Intrinsics(), Intrinsics(9, "OPENCV", parameters=(1.0,) * 8)],
+        [Intrinsics(), Intrinsics(9, "FOV", parameters=(1.0,) * 5)],
         "cameras",
-        "camera 9: model 'OPENCV'",
+        "camera 9: model 'FOV'",
     ),
     "camera twice": ([Image()], ONE * 2, "cameras", "camera 1 for the second time"),
     "no camera": ([Image()], [], "images", "camera 1, which cameras"),
@@ -670,7 +651,7 @@ def test_points_beyond_the_file_are_refused(count, tmp_path):
     ("model", "name"),
     [
         (-1, "number -1"),
-        (3, "RADIAL"),
+        (7, "FOV"),
         (11, "RAD_TAN_THIN_PRISM_FISHEYE"),
         (17, "EQUIRECTANGULAR"),
         (18, "number 18"),
@@ -806,7 +787,7 @@ def test_half_a_model_is_none(tmp_path):
     (tmp_path / "images.bin").unlink()
     assert kind(tmp_path) == 3
     (tmp_path / "cameras.txt").unlink()
-    assert_refused(tmp_path, "neither cameras.json nor a COLMAP model")
+    assert_refused(tmp_path, "neither a COLMAP model .*nor cameras.json nor transforms.json")
     with pytest.raises(InvalidInput, match=r"both \.bin or \.txt"):
         read_cameras(tmp_path / "cameras.bin")
     write_json(tmp_path / "cameras.json", inria_entry(fx=4.0))

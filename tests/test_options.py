@@ -60,6 +60,7 @@ IGNORED = {
         "images", "gt-images", "lpips", "width", "split", "background", "device", "overwrite",
     ),
     "compare scene.ply scene.egs --cameras auto": ("overwrite",),
+    "render scene.ply --cameras cameras.json --out o.json": ("background", "device"),
     "inspect scene.egs --json": ("channels",),
     "analyze scene.ply --out out": ("width", "error-scale"),
     "bench run scene.ply": ("gt-images", "width"),

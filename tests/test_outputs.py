@@ -46,6 +46,7 @@ WRITING = {
     "prepare scene.ply out.ply --rectify 7 --width 16": "out.ply",
     "prepare scene.ply o.ply --rectify 7 --report out --width 16": "out/report.json",
     f"render scene.ply {VIEWS} --out out": "out/a.png",
+    f"render scene.ply {VIEWS} --out out.json": "out.json",
     f"compare scene.ply scene.egs {VIEWS} --images out": "out/a_a.png",
     "analyze scene.ply --out out": "out/report.html",
     "bench suite scene.ply --out out": "out/suite.jsonl",

@@ -10,6 +10,7 @@ import typer
 
 import gs_codec
 from gs_codec.cli.output import log_to_stderr, print_status, print_text
+from gs_codec.preparation.steps import CAMERAS
 from viewer.choice import CELL_COLOURINGS, DEPTHS, OctreeChoice
 from viewer.layers import COLOURINGS, LAYERS
 from viewer.pose import UPS
@@ -32,9 +33,7 @@ def command(
     ] = None,
     cameras: Annotated[
         str | None,
-        typer.Option(
-            metavar="C", help="Cameras to look from: cameras.json, a COLMAP folder, or auto."
-        ),
+        typer.Option(metavar="C", help=f"Cameras to look from: {CAMERAS}"),
     ] = None,
     gt_images: Annotated[
         Path | None,

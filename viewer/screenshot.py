@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import gs_codec
-from gs_codec.rendering.images import find_image, read_image
+from gs_codec.rendering.images import find_image
+from gs_codec.rendering.photographs import read_photograph
 from viewer.layers import Legend
 from viewer.opened import Opened
 from viewer.picture import (
@@ -74,7 +75,7 @@ def draw_request(request: Request) -> tuple[Image.Image, str]:
         except gs_codec.GsCodecError as error:
             missing = str(error)
         else:
-            photograph = read_image(path)
+            _, photograph = read_photograph(viewpoint.camera, path)
     return compose(viewpoint.pose, shown, request.mode, 0.5, request.size, photograph), missing
 
 

@@ -22,10 +22,13 @@ class Viewpoint:
     name : str
         Name of the camera, or ``overview``.
     pose : Pose
+    camera : Camera or None
+        gs_codec's camera, whose photograph it may have.
     """
 
     name: str
     pose: Pose
+    camera: Any = None
 
 
 #: Name of the up axis that is taken from the cameras of a file.
@@ -50,7 +53,7 @@ def find_viewpoints(
     viewpoints = [Viewpoint("overview", overview(scene.positions, scene.opacities, axis))]
     for camera in cameras:
         pose = of_camera(camera)
-        viewpoints.append(Viewpoint(camera.name, upright(pose, axis) if chosen else pose))
+        viewpoints.append(Viewpoint(camera.name, upright(pose, axis) if chosen else pose, camera))
     return viewpoints
 
 

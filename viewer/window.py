@@ -12,7 +12,8 @@ import numpy as np
 from open3d.visualization import gui
 
 import gs_codec
-from gs_codec.rendering.images import find_image, read_image
+from gs_codec.rendering.images import find_image
+from gs_codec.rendering.photographs import read_photograph
 from viewer import dialogs
 from viewer.choice import MODES, Choice
 from viewer.opened import Opened, Pruned, open_scene, turned
@@ -311,8 +312,9 @@ class Viewer:
         self.photographed = False
         if self.request.images is not None and self.number:
             try:
-                name = self.viewpoints[self.number].name
-                image = read_image(find_image(self.request.images, name))
+                shown = self.viewpoints[self.number]
+                path = find_image(self.request.images, shown.name)
+                _, image = read_photograph(shown.camera, path)
             except gs_codec.GsCodecError as error:
                 self.panel.say(str(error))
             else:

@@ -51,8 +51,8 @@ def render(
     source : open3d.t.geometry.PointCloud, or path of a scene
         The scene; extra properties are ignored.
     cameras : path, "auto", or sequence of Camera or mapping
-        Path of a ``cameras.json`` of the INRIA trainer or of the folder of a COLMAP model;
-        ``auto`` for cameras chosen from the scene; or cameras, or entries of ``cameras.json``.
+        A file or folder that `read_cameras` reads; ``auto`` for cameras chosen from the scene; or
+        cameras, or entries of ``cameras.json``.
     split : {"all", "held-out", "test", "train"}
         Which cameras to use. ``held-out`` is ``test`` if cameras are marked, else ``all``.
     width : int, optional
@@ -123,7 +123,8 @@ def compare(
     cameras, split, width, background, device, progress, max_bytes
         As for `render`; ``auto`` cameras are chosen from the first scene.
     gt_images : path, optional
-        Folder of ground-truth images, named as the cameras; views are rendered at their size.
+        Folder of ground-truth images, named as the cameras; views are rendered at their size. Those
+        of distorted lenses are undistorted (see `Lens`).
     images : path, optional
         Output folder: for each view, both images and their amplified difference.
     lpips : path, optional
@@ -143,7 +144,8 @@ def compare(
         As for `read`; or if images differ in size or are missing, or, without cameras, if the
         numbers of Gaussians differ.
     MissingTool
-        If ``cuda`` or LPIPS is asked for but not available.
+        If ``cuda`` or LPIPS is asked for but not available, or an image has to be undistorted, and
+        OpenCV is not installed.
 
     Examples
     --------

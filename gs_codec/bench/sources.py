@@ -12,12 +12,11 @@ import numpy as np
 from gs_codec.config import Extra
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.ply import read_ply
-from gs_codec.metrics.views import fitted
 from gs_codec.preparation.reference_views import photographed
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.images import read_image
+from gs_codec.rendering.photographs import read_photograph
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import GROUPS, Scene
 
@@ -100,7 +99,7 @@ def open_scene(
         measured, guides = held_out_views(cameras, scene, width)
     if truth is not None:
         pairs = photographed(measured, truth)
-        measured = [fitted(camera, read_image(image), image) for camera, image in pairs]
+        measured = [read_photograph(camera, image)[0] for camera, image in pairs]
     return MeasuredScene(path, scene_name(path), scene, measured, guides, truth)
 
 

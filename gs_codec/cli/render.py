@@ -11,14 +11,19 @@ import typer
 from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import SCENES, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
-from gs_codec.runtime.atomic import check_folder
+from gs_codec.runtime.atomic import check_folder, check_writable
 
 
 @takes("width", "split", "background", "device", "max_bytes", "overwrite", split="all")
 def command(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     cameras: Annotated[str, typer.Option(metavar="C", help=CAMERAS)],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the images, PNG.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder for the images, PNG; or a .json file for the cameras alone."
+        ),
+    ],
     asked: Asked,
     antialiased: Annotated[
         bool | None,
@@ -29,14 +34,24 @@ def command(
         ),
     ] = None,
 ) -> None:
-    """Draw a scene from each camera, as the 3DGS rasteriser does."""
-    check_folder(out, asked["overwrite"])
+    """Draw a scene from each camera as the 3DGS rasteriser does, or write the cameras alone."""
+    only_cameras = out.suffix.lower() == ".json"
+    if only_cameras:
+        drawing = ("background", "device", "antialiased")
+        asked.refuse(drawing, f"has no effect on cameras, which --out {out} asks for")
+        check_writable(out, asked["overwrite"])
+    else:
+        check_folder(out, asked["overwrite"])
     from gs_codec.files.scenes import read_scene
-    from gs_codec.rendering.cameras import find_cameras
+    from gs_codec.rendering.cameras import find_cameras, write_cameras
     from gs_codec.rendering.images import write_views
 
     loaded = read_scene(scene, "drop", max_bytes=asked["max_bytes"])
     views = find_cameras(cameras, loaded, asked["split"], asked["width"])
+    if only_cameras:
+        write_cameras(out, views)
+        print_text(f"{out}: {len(views)} cameras")
+        return
     start = time.perf_counter()
     with progress_bar() as progress:
         write_views(loaded, views, out, asked["background"], antialiased, asked["device"], progress)

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,29 @@ def read_pixels(
     InvalidInput
         If it cannot be opened, or is not a valid image of these formats; or if `check_size` raises.
     """
+    with _opened(source, formats, check_size) as image:
+        return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
+
+
+def read_size(
+    source: str | Path | BinaryIO, formats: Sequence[str], check_size: CheckSize
+) -> tuple[int, int]:
+    """Width and height of an image, without decoding its pixels; arguments as for `read_pixels`.
+
+    Raises
+    ------
+    InvalidInput
+        As for `read_pixels`.
+    """
+    with _opened(source, formats, check_size) as image:
+        return image.size
+
+
+@contextmanager
+def _opened(
+    source: str | Path | BinaryIO, formats: Sequence[str], check_size: CheckSize
+) -> Iterator[Any]:
+    """An image of Pillow; errors of the block are those of the image."""
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -45,7 +68,7 @@ def read_pixels(
         _check_webp(source, check_size)
         with _warnings_ignored(), Image.open(source, formats=tuple(formats)) as image:
             check_size(*image.size)
-            return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
+            yield image
     except GsCodecError:
         raise
     except UnidentifiedImageError:

@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import InvalidInput
 from gs_codec.metrics.attributes import Comparison
 from gs_codec.metrics.images import View, compare_images
 from gs_codec.metrics.lpips import load_lpips
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import find_image, output_names, read_image, write_png
+from gs_codec.rendering.images import find_image, output_names, write_png
+from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import make_folder
@@ -44,7 +44,8 @@ def compare_views(
         They need not have the same number of Gaussians.
     cameras : sequence of Camera
     truth : path, optional
-        Folder of ground-truth images, found by the cameras' names; views take their size.
+        Folder of ground-truth images, found by the cameras' names; views take their size, once
+        they are undistorted.
     images : path, optional
         Folder for ``NAME_a.png``, ``NAME_b.png``, and ``NAME_difference.png``, the absolute
         difference amplified by `DIFFERENCE_GAIN`.
@@ -61,7 +62,7 @@ def compare_views(
     InvalidInput
         If a ground-truth image is missing or of another shape, or an image cannot be written.
     InvalidInput, MissingTool
-        As for `compare_images`.
+        As for `compare_images` and `read_photograph`.
     """
     backbone = None if lpips is None else load_lpips(lpips).backbone
     names = output_names(cameras)
@@ -71,9 +72,9 @@ def compare_views(
 
     def compare_view(i: int) -> View:
         camera = cameras[i]
-        target = read_image(paths[i]) if truth else None
-        if target is not None:
-            camera = fitted(camera, target, paths[i])
+        target = None
+        if truth:
+            camera, target = read_photograph(camera, paths[i])
         a, b = (
             render(scene, camera, background, device=device).colour for scene in (first, second)
         )
@@ -84,16 +85,6 @@ def compare_views(
 
     views = run_all(compare_view, range(len(cameras)), advance=advance)
     return Comparison((first.count, second.count), views=tuple(views), backbone=backbone)
-
-
-def fitted(camera: Camera, target: NDArray, path: Path) -> Camera:
-    """The camera resized to its ground-truth image, which must have its aspect ratio."""
-    height, width = target.shape[:2]
-    if abs(width * camera.height / camera.width - height) > 1:
-        raise InvalidInput(
-            f"{path}: {width}x{height} pixels, expected the shape of {camera.width}x{camera.height}"
-        )
-    return camera.resized(width, height)
 
 
 def _write_images(stem: Path, a: NDArray, b: NDArray) -> None:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
-from gs_codec.metrics.views import fitted
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.images import read_image, seek_image
+from gs_codec.rendering.images import seek_image
+from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.mapped import other_files
@@ -153,18 +153,18 @@ def draw_reference_views(
 def read_photographs(
     found: Sequence[tuple[Camera, Path]], background: tuple[float, float, float]
 ) -> ReferenceViews:
-    """Read photographs, and resize the cameras to them.
+    """Read photographs, undistorted, and resize the cameras to them.
 
     Raises
     ------
     InvalidInput
         If one is broken, or does not have its camera's shape.
+    MissingTool
+        If one has to be undistorted, and OpenCV is not installed.
     """
-    images = run_all(lambda item: read_image(item[1]), found)
-    sized = [
-        fitted(camera, image, path) for (camera, path), image in zip(found, images, strict=True)
-    ]
-    return ReferenceViews(tuple(sized), tuple(images), True, background)
+    read = run_all(lambda item: read_photograph(*item), found)
+    cameras, images = zip(*read, strict=True)
+    return ReferenceViews(cameras, images, True, background)
 
 
 def evenly(items: Sequence[Item], count: int) -> list[Item]:

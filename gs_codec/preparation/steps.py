@@ -31,7 +31,10 @@ _ITERATIONS = {"kind": int, "metavar": "N", "low": 0, "high": 10_000_000}
 #: RGB by the words that stand for it.
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
-CAMERAS = "cameras.json, a COLMAP model's folder, or auto: views chosen from the scene itself."
+CAMERAS = (
+    "cameras.json, transforms.json, a camera path, a COLMAP model's folder, or auto: views chosen "
+    "from the scene itself."
+)
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ class Plan:
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
         measured against them, and `refine` fits to them. By default renders of the input are
-        used.
+        used. Those of distorted lenses are undistorted (see `Lens`).
     width : int, optional
         Width of the views, pixels; not allowed with `gt_images`, whose size is used.
     views : int

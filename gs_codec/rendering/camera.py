@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-
-#: Largest side of an image, pixels.
-MAX_SIDE = 1 << 14
+from gs_codec.rendering.lens import Lens, check_view
 
 #: How far R R^T may be from the identity; files hold rotations to about six digits.
 _ORTHONORMAL_TOLERANCE = 1e-3
+
+#: How far it is from the identity by rounding alone.
+_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +37,14 @@ class Camera:
     cx, cy : float
         Principal point, pixels.
     rotation : ndarray, shape (3, 3), float64
-        World to camera; made exactly orthonormal.
+        World to camera; made orthonormal to rounding.
     position : ndarray, shape (3,), float64
         The camera's centre in the world.
     split : {"train", "test"} or None
         What the image was used for, if known.
+    lens : Lens, optional
+        The distorted lens that this camera stands for (see `Lens.pinhole`). Photographs that are
+        read for the camera are undistorted; what is rendered does not depend on it.
 
     Raises
     ------
@@ -67,21 +71,13 @@ class Camera:
     rotation: NDArray[np.float64]
     position: NDArray[np.float64]
     split: Literal["train", "test"] | None = None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         where = f"camera '{self.name}'"
-        for side in ("width", "height"):
-            value = getattr(self, side)
-            if not 1 <= value <= MAX_SIDE:
-                raise InvalidInput(f"{where}: {side} {value}, expected 1 to {MAX_SIDE} pixels")
-        for axis in ("fx", "fy"):
-            value = getattr(self, axis)
-            if not (np.isfinite(value) and value > 0):
-                raise InvalidInput(f"{where}: {axis} {value}, expected a focal length above 0")
+        check_view(where, self)
         if np.shape(self.position) != (3,) or not np.isfinite(self.position).all():
             raise InvalidInput(f"{where}: position is not three finite numbers")
-        if not np.isfinite([self.cx, self.cy]).all():
-            raise InvalidInput(f"{where}: principal point {self.cx}, {self.cy} is not finite")
         object.__setattr__(self, "rotation", _nearest_rotation(where, self.rotation))
 
     def resized(self, width: int, height: int) -> Camera:
@@ -108,5 +104,8 @@ def _nearest_rotation(where: str, matrix: NDArray) -> NDArray[np.float64]:
         raise InvalidInput(f"{where}: rotation is singular or scaled, expected R R^T = 1")
     if np.linalg.det(matrix) < 0:
         raise InvalidInput(f"{where}: rotation is a reflection (determinant -1)")
+    if error <= _ROUNDING:
+        # Kept to the last bit, so that a camera that is written and read stays the same.
+        return np.array(matrix, np.float64, order="C")
     u, _, v = np.linalg.svd(matrix)
     return u @ v

@@ -1,13 +1,11 @@
 """COLMAP sparse models, binary and text.
 
-Only the cameras and images of a model are read. The poses in the images files are complete; the
-rigs and frames files that COLMAP has written since version 3.12 are not needed.
-Layouts: https://colmap.github.io/format.html.
+Only cameras and images are read; their poses are complete, so that the rigs and frames files of
+COLMAP 3.12 and later are not needed. Layouts: https://colmap.github.io/format.html.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import reprlib
@@ -20,9 +18,8 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.fields import ByteReader
 from gs_codec.errors import InvalidInput, TruncatedStream
+from gs_codec.rendering.lens import BROWN, FISHEYE, lens_fields
 from gs_codec.runtime.mapped import opened
-
-log = logging.getLogger(__name__)
 
 #: Camera models by their number in binary files.
 _MODELS = (
@@ -32,8 +29,18 @@ _MODELS = (
     *("EUCM", "EQUIRECTANGULAR"),
 )
 
-#: Numbers of parameters of the models that are read.
-_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4}
+#: Parameters of the models that are read.
+_PARAMETERS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", *BROWN),
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
+    "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", *FISHEYE),
+}
 
 #: Every `_HOLDOUT`-th image is for testing, as with ``--eval`` of the INRIA trainer.
 _HOLDOUT = 8
@@ -87,7 +94,7 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     Raises
     ------
     InvalidInput
-        If a file is broken, or a camera's model has more than a pinhole and one radial term.
+        If a file is broken, or a camera's model is none of `_PARAMETERS`.
     """
     if _is_model(folder, ".bin"):
         cameras_path, images_path = folder / "cameras.bin", folder / "images.bin"
@@ -116,38 +123,32 @@ def read_colmap(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         )
 
 
-def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, float]]:
+def _views(path: Path, cameras: list[_Intrinsics]) -> dict[int, dict[str, Any]]:
     """The intrinsic fields of a `Camera`, by camera id."""
-    views: dict[int, dict[str, float]] = {}
-    distortions = []
+    views: dict[int, dict[str, Any]] = {}
     for camera in cameras:
         where = f"{path}: camera {camera.camera_id}"
         if camera.camera_id in views:
             raise InvalidInput(f"{where} for the second time")
-        wanted = _parameter_count(where, camera.model)
-        if len(camera.parameters) != wanted:
-            raise InvalidInput(
-                f"{where}: {len(camera.parameters)} parameters, expected {wanted} of {camera.model}"
-            )
+        names = _parameters(where, camera.model)
+        if len(camera.parameters) != len(names):
+            found = f"{len(camera.parameters)} parameters, expected {len(names)}"
+            raise InvalidInput(f"{where}: {found} of {camera.model}")
         if not all(map(math.isfinite, camera.parameters)):
             raise InvalidInput(f"{where}: parameters {camera.parameters}, expected finite numbers")
-        # All but PINHOLE have one focal length, and SIMPLE_RADIAL has k at the end.
-        one = camera.model != "PINHOLE"
-        fx, fy, cx, cy = (camera.parameters[:1] * one + camera.parameters)[:4]
-        if camera.model == "SIMPLE_RADIAL" and camera.parameters[3] != 0:
-            distortions.append(f"{camera.parameters[3]:g}")
-        sides = {"width": camera.width, "height": camera.height}
-        views[camera.camera_id] = {**sides, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
-    if distortions:
-        values = ", ".join(distortions[:4]) + (", ..." if len(distortions) > 4 else "")
-        log.warning("%s: radial distortion k = %s ignored (SIMPLE_RADIAL)", path, values)
+        given = dict(zip(names, camera.parameters, strict=True))
+        fx, fy = (given.pop(name) for name in names[:2]) if "fx" in given else 2 * [given.pop("f")]
+        view = (camera.width, camera.height, fx, fy, given.pop("cx"), given.pop("cy"))
+        fisheye = camera.model.endswith("FISHEYE")
+        views[camera.camera_id] = lens_fields(where, view, fisheye, given)
     return views
 
 
-def _parameter_count(where: str, model: str) -> int:
+def _parameters(where: str, model: str) -> tuple[str, ...]:
+    """Names of a model's parameters."""
     if model not in _PARAMETERS:
-        expected = "SIMPLE_PINHOLE, PINHOLE or SIMPLE_RADIAL (undistort the images with COLMAP)"
-        raise InvalidInput(f"{where}: model {reprlib.repr(model)}, expected {expected}")
+        expected = f"{', '.join(_PARAMETERS)} (undistort the images with COLMAP)"
+        raise InvalidInput(f"{where}: model {reprlib.repr(model)}, expected one of {expected}")
     return _PARAMETERS[model]
 
 
@@ -203,7 +204,7 @@ def _binary_camera(path: Path, _: memoryview, reader: ByteReader) -> _Intrinsics
     camera_id, number, width, height = reader.unpack("IiQQ")
     model = _MODELS[number] if 0 <= number < len(_MODELS) else f"number {number}"
     # The number of parameters is known only for the models that are supported.
-    count = _parameter_count(f"{path}: camera {camera_id}", model)
+    count = len(_parameters(f"{path}: camera {camera_id}", model))
     return _Intrinsics(camera_id, model, width, height, reader.unpack(f"{count}d"))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import Literal
 
@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.images import read_pixels
-from gs_codec.rendering.camera import MAX_SIDE, Camera
+from gs_codec.formats.images import read_pixels, read_size
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.lens import MAX_SIDE
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import atomic_writer, make_folder
@@ -43,6 +44,18 @@ def read_image(path: str | Path) -> NDArray[np.float32]:
     if (pixels[..., 3] < 255).any():
         image *= pixels[..., 3:].astype(np.float32) / np.float32(255)
     return image
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of an image, pixels, from its header.
+
+    Raises
+    ------
+    InvalidInput
+        As for `read_image`, but what follows the header is not read.
+    """
+    with located(path):
+        return read_size(path, _FORMATS, _check_size)
 
 
 def _check_size(width: int, height: int) -> None:
@@ -107,16 +120,28 @@ def seek_image(folder: str | Path, name: str) -> Path | None:
     """As `find_image`, but return None if the folder exists and has no such image."""
     if PurePath(name).anchor or ".." in re.split(r"[/\\]", name):
         raise InvalidInput(f"{folder}: image '{name}', expected a name that stays in the folder")
-    named = Path(folder) / name
-    stem = _stem(name)
-    others = [Path(folder) / f"{stem}{suffix}" for suffix in _SUFFIXES]
-    others += [Path(folder) / f"{stem}{suffix.upper()}" for suffix in _SUFFIXES]
-    for path in [named, *others]:
-        if os.path.isfile(path):
-            return path
+    for inside in _names_inside(folder, name):
+        stem = _stem(inside)
+        others = [f"{stem}{suffix}" for suffix in (*_SUFFIXES, *map(str.upper, _SUFFIXES))]
+        for path in [Path(folder) / other for other in (inside, *others)]:
+            if os.path.isfile(path):
+                return path
     if not os.path.isdir(folder):
         raise InvalidInput(f"{folder}: no such folder, expected images")
     return None
+
+
+def _names_inside(folder: str | Path, name: str) -> Iterator[str]:
+    """A name, and what is left of it within `folder` if its first folder is that.
+
+    Names in transforms.json begin with ``images``, where the photographs are, or may be smaller in
+    ``images_2``.
+    """
+    yield name
+    first, *others = PurePath(name).parts or ("",)
+    rest, own = PurePath(*others), os.path.basename(os.path.abspath(folder))
+    if others and not rest.anchor and re.fullmatch(rf"{re.escape(first)}(_\d+)?", own):
+        yield str(rest)
 
 
 def _stem(name: str) -> str:

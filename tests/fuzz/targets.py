@@ -150,7 +150,31 @@ def _cameras() -> list[bytes]:
         "id": 0, "img_name": "00001", "width": 400, "height": 266, "fx": 350.0, "fy": 350.0,
         "position": [0.0, 1.0, -3.0], "rotation": np.eye(3).tolist(), "split": "test",
     }  # fmt: skip
-    return [json.dumps([entry, {**entry, "img_name": "b", "split": "train"}]).encode()]
+    pose = {"position": [0.0, 1.0, 5.0], "target": [0.0, 0.0, 0.5], "fov": 75}
+    step = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50.0}
+    values = {"position": 2 * pose["position"], "target": 2 * pose["target"], "fov": [50, 60]}
+    frame = {"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}
+    view = {"w": 400, "h": 266, "cx": 200.0, "cy": 133.0, "fl_x": 350.0, "fl_y": 350.0}
+    bent = {
+        "camera_model": "OPENCV",
+        "k1": -0.05,
+        "k2": 0.01,
+        "p1": 0.001,
+        "train_filenames": ["a"],
+    }
+    wide = {"camera_model": "OPENCV_FISHEYE", "camera_angle_x": 1.2, "w": 40, "h": 30, "k1": 0.05}
+    files = (
+        [entry, {**entry, "img_name": "b", "split": "train"}],
+        {**view, **bent, "frames": [frame, {**frame, "file_path": "b", "is_fisheye": True}]},
+        {**wide, "frames": [frame]},
+        {"render_width": 40, "render_height": 30, "camera_path": [step, step]},
+        {"camera": {"fov": 60}, "poseSets": [{"poses": [pose, {**pose, "target": [1, 2, 3]}]}]},
+        {
+            "cameras": [{"initial": pose}],
+            "animTracks": [{"keyframes": {"times": [0, 30], "values": values}}],
+        },
+    )
+    return [json.dumps(each).encode() for each in files]
 
 
 def _images() -> list[bytes]:
@@ -233,11 +257,16 @@ def _colmap(folder: Path, data: bytes) -> None:
 
 
 def _models() -> list[bytes]:
-    """One pinhole camera and an image without points."""
-    camera = struct.pack("<QiiQQ4d", 1, 7, 1, 400, 266, 350.0, 350.0, 200.0, 133.0)
+    """A pinhole camera, or one with distortion, and an image without points."""
+    view = (400, 266, 350.0, 350.0, 200.0, 133.0)
+    cameras = (
+        struct.pack("<QiiQQ4d", 1, 7, 1, *view),
+        struct.pack("<QiiQQ8d", 1, 7, 4, *view, -0.05, 0.01, 0.001, 0.0),
+        struct.pack("<QiiQQ8d", 1, 7, 5, *view, 0.05, 0.01, 0.001, 0.0),
+    )
     image = struct.pack("<Qi7di", 1, 3, 1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 3.0, 7)
     image += b"view.png\0" + struct.pack("<Q", 0)
-    return [struct.pack("<H", len(camera)) + camera + image]
+    return [struct.pack("<H", len(camera)) + camera + image for camera in cameras]
 
 
 def _pruned(folder: Path, data: bytes) -> None:

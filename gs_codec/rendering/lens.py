@@ -1,0 +1,251 @@
+"""Lenses with distortion, and the pinhole cameras that stand for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+
+#: Largest side of an image, pixels.
+MAX_SIDE = 1 << 14
+
+#: Names of the coefficients in OpenCV's order: of a fisheye lens, and of any other.
+FISHEYE = ("k1", "k2", "k3", "k4")
+BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+_VIEW = ("width", "height", "fx", "fy", "cx", "cy")
+
+#: Most pixels of an edge that are undistorted to find where the image is whole.
+_EDGE = 4096
+
+#: Largest growth of an image's sides, as in COLMAP; wide fisheye images would grow without end.
+_MAX_GROWTH = 2.0
+
+#: Newton's method, as in COLMAP: steps are at most 0.1, or 0.1 of the distance from the middle.
+_ITERATIONS, _STEP, _DONE = 100, 0.1, 1e-10
+
+#: Of a complex step, whose derivative is exact.
+_TINY = 1e-20
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How a photograph was taken: its size, focal lengths, principal point and distortion.
+
+    A point at ``(x, y)`` on a pinhole camera's plane at distance 1, with ``r2 = x x + y y``, is
+    seen from the principal point, in focal lengths, at::
+
+        x (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
+            + 2 p1 x y + p2 (r2 + 2 x x)
+
+    and alike in y, with p1 and p2 swapped. A fisheye lens sees it, with x and y scaled so that
+    their distance from the middle is the angle from the axis, at::
+
+        x (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k4 r2^4)
+
+    These are the models FULL_OPENCV and OPENCV_FISHEYE of COLMAP and OpenCV; COLMAP's others have
+    fewer coefficients.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the photograph, pixels.
+    fx, fy : float
+        Focal lengths, pixels.
+    cx, cy : float
+        Principal point, pixels; the first pixel's centre is (0.5, 0.5), as in `Camera`.
+    fisheye : bool
+        Whether it is a fisheye lens.
+    coefficients : tuple of float
+        k1, k2, k3, k4 if `fisheye`, else k1, k2, p1, p2, k3, k4, k5, k6.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is out of range or not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> lens = gs_codec.Lens(640, 480, 500.0, 500.0, 320.0, 240.0, False, (-0.1,) + 7 * (0.0,))
+    >>> pinhole = lens.pinhole()
+    >>> pinhole["width"], pinhole["height"], pinhole["fx"]
+    (668, 490, 500.0)
+    >>> camera = gs_codec.Camera("a.jpg", **pinhole, rotation=np.eye(3), position=np.zeros(3))
+    >>> camera.lens == lens  # photographs are undistorted when they are read for this camera
+    True
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    fisheye: bool
+    coefficients: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        check_view("lens", self)
+        names = FISHEYE if self.fisheye else BROWN
+        if len(self.coefficients) != len(names) or not np.isfinite(self.coefficients).all():
+            raise InvalidInput(
+                f"lens: coefficients {self.coefficients}, expected {len(names)} finite numbers"
+            )
+
+    def pinhole(self) -> dict[str, Any]:
+        """Fields of a `Camera` that stands for the lens, which is one of them.
+
+        This is the camera of COLMAP's image undistorter: the focal lengths stay, and the image's
+        sides become those at which all its pixels are in the photograph; at most they double.
+
+        Raises
+        ------
+        InvalidInput
+            If the distortion cannot be undone at the photograph's edges.
+        """
+        x, y = _growth(self)
+        width, height = max(1, int(x * self.width)), max(1, int(y * self.height))
+        cx, cy = self.cx * width / self.width, self.cy * height / self.height
+        view = (width, height, self.fx, self.fy, cx, cy)
+        return {**dict(zip(_VIEW, view, strict=True)), "lens": self}
+
+    def undistort(self, points: NDArray) -> NDArray[np.float64]:
+        """Where pixels ``(2, n)`` of the photograph are on a pinhole camera's plane at distance 1.
+
+        Infinite where that is behind the camera, NaN where it is nowhere.
+        """
+        with np.errstate(all="ignore"):
+            bent = (np.asarray(points) - [[self.cx], [self.cy]]) / [[self.fx], [self.fy]]
+            straight = _solve(self, bent)
+            if not self.fisheye:
+                return straight
+            angle = np.hypot(*straight)
+            stretch = np.where(angle > 0, np.tan(angle) / angle, 1.0)
+            return np.where(angle < np.pi / 2, stretch, np.inf) * straight
+
+
+def lens_fields(
+    where: str,
+    view: tuple[int, int, float, float, float, float],
+    fisheye: bool,
+    coefficients: Mapping[str, float],
+) -> dict[str, Any]:
+    """Fields of a `Camera` from a file's intrinsics; ranges are checked if they distort.
+
+    Parameters
+    ----------
+    where : str
+        Begins the text of errors.
+    view : tuple
+        Width, height, fx, fy, cx and cy, pixels.
+    fisheye : bool
+    coefficients : mapping
+        By name; those that are missing are 0.
+
+    Raises
+    ------
+    InvalidInput
+        As for `Lens.pinhole`.
+    """
+    if not fisheye and not any(coefficients.values()):
+        return dict(zip(_VIEW, view, strict=True))
+    names = FISHEYE if fisheye else BROWN
+    try:
+        return Lens(*view, fisheye, tuple(coefficients.get(key, 0.0) for key in names)).pinhole()
+    except InvalidInput as error:
+        raise InvalidInput(f"{where}: {error}") from error
+
+
+def check_view(where: str, view: Any) -> None:
+    """Check the size, focal lengths and principal point of a camera or lens.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    for side in ("width", "height"):
+        value = getattr(view, side)
+        if not 1 <= value <= MAX_SIDE:
+            raise InvalidInput(f"{where}: {side} {value}, expected 1 to {MAX_SIDE} pixels")
+    for axis in ("fx", "fy"):
+        value = getattr(view, axis)
+        if not (np.isfinite(value) and value > 0):
+            raise InvalidInput(f"{where}: {axis} {value}, expected a focal length above 0")
+    if not np.isfinite([view.cx, view.cy]).all():
+        raise InvalidInput(f"{where}: principal point {view.cx}, {view.cy} is not finite")
+
+
+def _bend(lens: Lens, x: NDArray, y: NDArray) -> NDArray:
+    """Where points are seen; of a fisheye lens, points by their angle from the axis."""
+    squared = x * x + y * y
+    if lens.fisheye:
+        k1, k2, k3, k4 = lens.coefficients
+        radial = 1 + squared * (k1 + squared * (k2 + squared * (k3 + squared * k4)))
+        return np.stack([x * radial, y * radial])
+    k1, k2, p1, p2, k3, k4, k5, k6 = lens.coefficients
+    radial = 1 + squared * (k1 + squared * (k2 + squared * k3))
+    radial = radial / (1 + squared * (k4 + squared * (k5 + squared * k6)))
+    u = x * radial + 2 * p1 * x * y + p2 * (squared + 2 * x * x)
+    v = y * radial + 2 * p2 * x * y + p1 * (squared + 2 * y * y)
+    return np.stack([u, v])
+
+
+def _solve(lens: Lens, bent: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of `_bend` by Newton's method; NaN where it does not converge."""
+    point = bent.copy()
+    size = np.full(bent.shape[1], np.inf)
+    for _ in range(_ITERATIONS):
+        x, y = point
+        error = _bend(lens, x, y) - bent
+        a, c = _bend(lens, x + 1j * _TINY, y).imag / _TINY
+        b, d = _bend(lens, x, y + 1j * _TINY).imag / _TINY
+        step = np.stack([d * error[0] - b * error[1], a * error[1] - c * error[0]]) / (
+            a * d - b * c
+        )
+        size = np.hypot(*step)
+        allowed = _STEP * np.maximum(1, np.hypot(x, y))
+        point -= step * np.where(size > allowed, allowed / size, 1)
+        if not (size > _DONE).any():
+            break
+    return np.where(size <= _DONE, point, np.nan)
+
+
+@lru_cache(maxsize=1024)
+@np.errstate(all="ignore")
+def _growth(lens: Lens) -> tuple[float, float]:
+    """Factors by which width and height grow, as in COLMAP's UndistortCamera."""
+    growth = []
+    for axis, (side, focal, centre) in enumerate(
+        ((lens.width, lens.fx, lens.cx), (lens.height, lens.fy, lens.cy))
+    ):
+        if not 0.5 < centre < side - 0.5:
+            raise InvalidInput(f"lens: principal point {centre:g}, expected within the image")
+        first, last = (
+            centre + focal * lens.undistort(_edge(lens, axis, at))[axis] for at in (0.5, side - 0.5)
+        )
+        if np.isnan(first).all() and np.isnan(last).all():
+            raise InvalidInput("lens: its distortion cannot be undone at the image's edges")
+        # What lies behind the camera limits nothing.
+        before, after = (
+            np.fmin.reduce(away, initial=np.inf) for away in (centre - first, last - centre)
+        )
+        factor = min(before / centre, after / (side - 0.5 - centre), _MAX_GROWTH)
+        if not factor > 0:
+            raise InvalidInput("lens: its distortion turns the image inside out")
+        growth.append(float(factor))
+    return growth[0], growth[1]
+
+
+def _edge(lens: Lens, axis: int, at: float) -> NDArray[np.float64]:
+    """Centres of pixels ``(2, n)`` along an edge: where `axis` is `at`."""
+    length = (lens.height, lens.width)[axis]
+    along = np.round(np.linspace(0, length - 1, min(length, _EDGE))) + 0.5
+    across = np.full_like(along, at)
+    return np.stack([across, along] if axis == 0 else [along, across])

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Texture = Callable[[Array], Array]
+from samples.shapes import box, corners_of, knot, open3d_shapes
+from samples.textures import Array, Texture, checker, marble, rainbow, stripes, wood
 
 #: Distance from the origin within which every surface lies, in scene units.
 ROOM_RADIUS = 8.0
@@ -44,6 +42,8 @@ class Surface:
         Gaussians per area, relative to the other surfaces.
     gloss : float
         Strength of view-dependent colour, relative to the other surfaces.
+    shines : bool
+        Whether it gives light itself, so that it has neither shade nor gloss.
     """
 
     name: str
@@ -51,6 +51,7 @@ class Surface:
     texture: Texture
     density: float = 5.0
     gloss: float = 1.0
+    shines: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ def still_life() -> StillLife:
 
 def _room() -> list[Surface]:
     # Winding is reversed: the room is seen from inside.
-    faces = _box((0, 0, 0.5), (9, 9, 3))[::-1]
+    faces = box((0, 0, 0.5), (9, 9, 3))[::-1]
     bottom = np.all(faces[:, 2] < -0.99, axis=0)
     top = np.all(faces[:, 2] > 1.99, axis=0)
     tiles = checker(0.75, (0.62, 0.56, 0.50), (0.80, 0.77, 0.72))
@@ -141,8 +142,8 @@ def _room() -> list[Surface]:
 
 
 def _table() -> list[Surface]:
-    top = _box((0, 0, -0.04), (2.7, 1.9, 0.08))
-    legs = [_box((x, y, -0.54), (0.1, 0.1, 0.92)) for x in (-1.2, 1.2) for y in (-0.8, 0.8)]
+    top = box((0, 0, -0.04), (2.7, 1.9, 0.08))
+    legs = [box((x, y, -0.54), (0.1, 0.1, 0.92)) for x in (-1.2, 1.2) for y in (-0.8, 0.8)]
     planks = wood((0.42, 0.26, 0.14), (0.62, 0.42, 0.25))
     return [
         Surface("table", top, planks, density=1.6, gloss=0.8),
@@ -152,13 +153,13 @@ def _table() -> list[Surface]:
 
 def _objects() -> list[Surface]:
     """Make the seven objects; each stands on the table top at z = 0."""
-    shapes = _open3d_shapes()
-    sphere = _corners(shapes.create_sphere(0.28, 40), (-0.85, 0.40, 0.28))
-    torus = _corners(shapes.create_torus(0.28, 0.11, 80, 40), (0.68, -0.42, 0.11))
-    cube = _box((-0.55, -0.40, 0.19), (0.38, 0.38, 0.38), turn=0.4)
-    block = _box((-0.53, -0.42, 0.49), (0.26, 0.20, 0.22), turn=1.1)
-    can = _corners(shapes.create_cylinder(0.15, 0.56, 64, 1), (0.85, 0.42, 0.28))
-    cone = _corners(shapes.create_cone(0.17, 0.40, 64, 1), (0.08, -0.55, 0.0))
+    shapes = open3d_shapes()
+    sphere = corners_of(shapes.create_sphere(0.28, 40), (-0.85, 0.40, 0.28))
+    torus = corners_of(shapes.create_torus(0.28, 0.11, 80, 40), (0.68, -0.42, 0.11))
+    cube = box((-0.55, -0.40, 0.19), (0.38, 0.38, 0.38), turn=0.4)
+    block = box((-0.53, -0.42, 0.49), (0.26, 0.20, 0.22), turn=1.1)
+    can = corners_of(shapes.create_cylinder(0.15, 0.56, 64, 1), (0.85, 0.42, 0.28))
+    cone = corners_of(shapes.create_cone(0.17, 0.40, 64, 1), (0.08, -0.55, 0.0))
     around = stripes(
         lambda p: 0.28 * np.arctan2(p[1] + 0.42, p[0] - 0.68),
         0.16,
@@ -169,127 +170,12 @@ def _objects() -> list[Surface]:
     return [
         Surface("sphere", sphere, marble((0.86, 0.85, 0.82), (0.20, 0.34, 0.36)), gloss=1.8),
         Surface("torus", torus, around, gloss=1.2),
-        Surface("knot", _knot(), rainbow, density=6.5, gloss=2.0),
+        Surface("knot", knot(), rainbow, density=6.5, gloss=2.0),
         Surface("cube", cube, checker(0.127, (0.93, 0.78, 0.22), (0.22, 0.20, 0.24), 0.4)),
         Surface("block", block, wood((0.55, 0.22, 0.10), (0.80, 0.45, 0.22)), gloss=0.7),
         Surface("can", can, label, gloss=1.6),
         Surface("cone", cone, marble((0.90, 0.45, 0.12), (0.60, 0.22, 0.08)), gloss=0.8),
     ]
-
-
-def _open3d_shapes() -> Any:
-    # Imported late: Open3D takes over a second to load.
-    from open3d.geometry import TriangleMesh
-
-    return TriangleMesh
-
-
-def _corners(mesh: Any, centre: tuple[float, float, float]) -> Array:
-    """Triangles ``(3, 3, T)`` of an Open3D mesh moved to `centre`."""
-    vertices = np.asarray(mesh.vertices) + centre
-    return np.ascontiguousarray(vertices[np.asarray(mesh.triangles)].transpose(1, 2, 0))
-
-
-def _box(
-    centre: tuple[float, float, float], size: tuple[float, float, float], turn: float = 0.0
-) -> Array:
-    mesh = _open3d_shapes().create_box(*size)
-    mesh.translate(-np.array(size) / 2)
-    mesh.rotate(mesh.get_rotation_matrix_from_xyz((0, 0, turn)), center=(0, 0, 0))
-    return _corners(mesh, centre)
-
-
-def _knot() -> Array:
-    """Open3D's torus bent along a trefoil, the (2, 3) torus knot, standing upright."""
-    mesh = _open3d_shapes().create_torus(1.0, 0.5, 240, 24)
-    x, y, z = np.asarray(mesh.vertices).T
-    t, out = np.arctan2(y, x), np.hypot(x, y) - 1.0
-    radius = 2 + np.cos(3 * t)
-    curve = np.array([radius * np.cos(2 * t), radius * np.sin(2 * t), np.sin(3 * t)])
-    slope = -3 * np.sin(3 * t)
-    tangent = np.array(
-        [
-            slope * np.cos(2 * t) - 2 * curve[1],
-            slope * np.sin(2 * t) + 2 * curve[0],
-            3 * np.cos(3 * t),
-        ]
-    )
-    tangent /= np.sqrt((tangent**2).sum(axis=0))
-    # The normal of the torus the knot lies on is across the curve, and closes up with it.
-    across = curve - 2 * np.array([np.cos(2 * t), np.sin(2 * t), 0 * t])
-    side = np.cross(tangent, across, axis=0)
-    a, b, c = 0.13 * (curve + 1.1 * (out * across + z * side))
-    # Turned about x, so that the hole faces the cameras, and lifted onto the table.
-    upright = np.array([a, 0.30 - c, b - b.min()])
-    return np.ascontiguousarray(upright.T[np.asarray(mesh.triangles)].transpose(1, 2, 0))
-
-
-def _mix(a: tuple[float, ...], b: tuple[float, ...], share: Array) -> Array:
-    return np.multiply.outer(a, 1 - share) + np.multiply.outer(b, share)
-
-
-def _waves(points: Array, frequency: float) -> Array:
-    """Noise-like sum of sines in [-1, 1], four octaves along skewed directions."""
-    total = np.zeros(points.shape[1])
-    for octave in range(4):
-        x, y, z = points * (frequency * 1.9**octave)
-        warp = 1.7 * octave + np.sin(0.7 * z + 0.3 * y)
-        total += np.sin(x + 0.6 * y + warp) * np.cos(0.8 * y - z + 0.5 * x - warp) / 1.6**octave
-    return total / 2.35
-
-
-def checker(size: float, a: tuple[float, ...], b: tuple[float, ...], turn: float = 0.0) -> Texture:
-    """Cubes of two colours, turned about z."""
-    cos, sin = np.cos(turn), np.sin(turn)
-
-    def texture(p: Array) -> Array:
-        # The offset keeps cell borders away from faces at round coordinates.
-        turned = np.array([cos * p[0] + sin * p[1], cos * p[1] - sin * p[0], p[2]])
-        cell = np.floor(turned / size + 0.137).sum(axis=0) % 2
-        return _mix(a, b, cell) * (1 + 0.06 * _waves(p, 9.0))
-
-    return texture
-
-
-def stripes(
-    along: Callable[[Array], Array], period: float, a: tuple[float, ...], b: tuple[float, ...]
-) -> Texture:
-    """Two colours that alternate, with slightly soft edges, in `along`."""
-
-    def texture(p: Array) -> Array:
-        share = 0.5 + 0.5 * np.tanh(6 * np.sin(2 * np.pi * along(p) / period))
-        return _mix(a, b, share) * (1 + 0.05 * _waves(p, 12.0))
-
-    return texture
-
-
-def marble(base: tuple[float, ...], vein: tuple[float, ...]) -> Texture:
-    """Dark veins where a sine, pushed about by noise, crosses zero."""
-
-    def texture(p: Array) -> Array:
-        phase = 9 * p[0] + 5 * p[2] - 4 * p[1] + 3.5 * _waves(p, 8.0)
-        return _mix(base, vein, np.exp(-5 * np.abs(np.sin(phase))))
-
-    return texture
-
-
-def wood(dark: tuple[float, ...], light: tuple[float, ...]) -> Texture:
-    """Year rings about an axis along x, cut lengthwise, with a fine grain."""
-
-    def texture(p: Array) -> Array:
-        rings = 15 * np.hypot(p[1] + 0.11, p[2] + 0.35) + 1.2 * _waves(p * [[0.4], [2], [2]], 2.0)
-        share = (rings % 1.0) ** 2
-        return _mix(light, dark, share) * (1 + 0.08 * _waves(p * [[1], [12], [12]], 6.0))
-
-    return texture
-
-
-def rainbow(p: Array) -> Array:
-    """Hue that turns with height and azimuth, softly banded."""
-    hue = 5.0 * p[2] + 3.0 * p[0] + 0.6 * _waves(p, 5.0)
-    return (0.55 + 0.33 * np.cos(hue + np.array([[0.0], [2.1], [4.2]]))) * (
-        1 + 0.10 * np.sin(9 * hue)
-    )
 
 
 def _contact_shade(points: Array) -> Array:

@@ -232,7 +232,7 @@ def test_weights_of_views_are_those_of_drawing(opaque):
     np.testing.assert_allclose(weights, squared_weights(scene, CAMERAS), rtol=1e-5)
     np.testing.assert_allclose(weights.sum(axis=0), total.colour, rtol=1e-5)
     assert weights.any()
-    assert sensitivity(plain, references(CAMERAS))[1].shape == (0, 50)
+    assert sensitivity(plain, references(CAMERAS))[1].shape == (3, 50)
 
 
 def test_it_is_as_the_scene_says():

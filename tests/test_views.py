@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from scenes import edge_scenes, random_scene, shared_scene_path
+from scenes import random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
@@ -22,12 +22,10 @@ from gs_codec.formats.ply import write_ply
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.metrics.views import DIFFERENCE_GAIN, View, compare_views
 from gs_codec.preparation.reference_views import photographed
-from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.images import find_image, output_names, read_image, write_png, write_views
 from gs_codec.rendering.renderer import render
-from samples.generate import generate, orbit_cameras
 
 
 def camera(name="view", width=40, height=30, position=(0.0, 0.0, -5.0), split=None) -> Camera:
@@ -218,126 +216,6 @@ def test_width_scales_the_whole_camera():
     for width in (0, -3, 1 << 20):
         with pytest.raises(InvalidInput, match="width"):
             find_cameras([camera()], random_scene(1), width=width)
-
-
-# Virtual cameras
-
-
-@pytest.fixture(scope="module")
-def still_life():
-    return generate(20_000, 1, 3)
-
-
-def test_auto_cameras_are_the_same_every_time(still_life):
-    first, second = auto_cameras(still_life, 6), auto_cameras(still_life, 6)
-    assert [view.name for view in first] == [f"auto_{i:02d}" for i in range(6)]
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a.rotation, b.rotation)
-        np.testing.assert_array_equal(a.position, b.position)
-        assert (a.width, a.height) == (WIDTH, HEIGHT)
-
-
-def test_auto_cameras_are_inside_a_room_and_see_it(still_life):
-    views = auto_cameras(still_life, 12)
-    for view in views:
-        assert np.linalg.norm(view.position) < 4  # walls are 5 away
-        assert render(still_life, view.resized(90, 60)).alpha.mean() > 0.8
-    upright = np.mean([-view.rotation[1, 2] for view in views])
-    assert upright > 0.5
-
-
-def test_auto_cameras_together_see_what_given_ones_see(still_life):
-    def seen(cameras):
-        weights = [
-            render(still_life, view.resized(150, 100), accumulate=True).accumulations.weight
-            for view in cameras
-        ]
-        return np.sum(weights, axis=0) > 0.5
-
-    given = [
-        Camera(
-            f"{i}", 400, 266, c["fx"], c["fy"], 200, 133,
-            np.array(c["rotation"]).T, np.array(c["position"]),
-        )
-        for i, c in enumerate(orbit_cameras(24))
-    ]  # fmt: skip
-    wanted = seen(given)
-    assert (seen(auto_cameras(still_life)) & wanted).sum() > 0.6 * wanted.sum()
-
-
-def test_auto_cameras_in_a_room_go_around_what_its_cameras_looked_at():
-    """Small Gaussians in one place, larger ones on the walls around it."""
-    rng = np.random.default_rng(95)
-    focus = np.array([0.5, 0.2, -0.3])
-    direction = rng.standard_normal((3, 6000))
-    direction /= np.linalg.norm(direction, axis=0)
-    thing = np.arange(6000) < 2000
-    room = replace(
-        random_scene(6000, 0, seed=96),
-        positions=np.where(thing, focus[:, None] + 0.4 * direction, 5 * direction).astype("f4"),
-        log_scale=np.broadcast_to(np.where(thing, -4.0, -1.5), (3, 6000)).astype("f4"),
-        opacity=np.full((1, 6000), 4.0, np.float32),
-    )
-    views = auto_cameras(room, 16)
-    offsets = focus - [view.position for view in views]
-    distances = np.linalg.norm(offsets, axis=1)
-    assert 0.5 < distances.min() < distances.max() < 4.5
-    directions = offsets / distances[:, None]
-    ahead = [view.rotation[2] for view in views]
-    assert (np.sum(directions * ahead, axis=1) > 0.98).all()
-    assert np.linalg.norm(directions.mean(axis=0)) < 0.6  # not all from one side
-
-
-def test_auto_cameras_go_around_an_object():
-    rng = np.random.default_rng(93)
-    normal = rng.standard_normal((3, 5000))
-    normal /= np.linalg.norm(normal, axis=0)
-    ball = replace(
-        random_scene(5000, 0, seed=94),
-        positions=(normal + np.array([[7.0], [0.0], [0.0]])).astype(np.float32),
-        log_scale=np.full((3, 5000), -3.5, np.float32),
-        opacity=np.full((1, 5000), 4.0, np.float32),
-    )
-    views = auto_cameras(ball, 12)
-    offsets = np.array([view.position for view in views]) - [7, 0, 0]
-    outside = np.linalg.norm(offsets, axis=1) > 1.2
-    assert outside.sum() >= 8
-    directions = offsets[outside] / np.linalg.norm(offsets[outside], axis=1)[:, None]
-    assert np.linalg.norm(directions.mean(axis=0)) < 0.6  # not all from one side
-
-
-def test_auto_cameras_fill_the_image_with_what_is_smaller_than_the_near_plane():
-    rng = np.random.default_rng(99)
-    normal = rng.standard_normal((3, 3000))
-    normal /= np.linalg.norm(normal, axis=0)
-    speck = replace(
-        random_scene(3000, 0, seed=99),
-        positions=(0.01 * normal).astype(np.float32),
-        log_scale=np.full((3, 3000), np.log(0.0003), np.float32),
-        opacity=np.full((1, 3000), 4.0, np.float32),
-    )
-    for view in auto_cameras(speck, 4):
-        assert (render(speck, view.resized(120, 80)).alpha > 0.5).mean() > 0.1
-
-
-@pytest.mark.parametrize("name", [name for name in edge_scenes() if name != "empty"])
-def test_auto_cameras_see_something_of_edge_scenes(name):
-    scene = edge_scenes()[name]
-    views = auto_cameras(scene, 4)
-    assert len(views) == 4
-    assert render(scene, views[0].resized(60, 40)).alpha.max() > 0
-
-
-def test_nothing_cannot_be_looked_at():
-    with pytest.raises(InvalidInput, match="cameras 'auto': no view shows anything of the scene"):
-        auto_cameras(random_scene(0))
-
-
-def test_auto_cameras_skip_what_is_not_finite(still_life):
-    positions = still_life.positions.copy()
-    positions[:, ::3] = np.nan
-    views = auto_cameras(replace(still_life, positions=positions), 4)
-    assert len(views) == 4
 
 
 # Images in files

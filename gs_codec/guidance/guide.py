@@ -60,13 +60,11 @@ class Guidance:
         Step sizes by the squared error that all parameters together may add.
     loss : float
         Mean squared error of an image value before encoding; pruning may have caused it.
-    pixels : float
-        Of all views together, those elsewhere too.
+    pixels : int
+        Of all views together.
     views : ReferenceViews
     weights : ndarray, shape (views, N), float32
         Sums of (alpha T)^2 of the scene that is encoded, in its own order.
-    elsewhere : ndarray, shape (N,), float32
-        What other views are expected to add to the weights, from all directions alike.
     progress : callable, optional
     compacts : bool or None
         Whether compaction of SH pays; None until it is decided.
@@ -76,10 +74,9 @@ class Guidance:
 
     steps_adding: Callable[[float], StepSizes]
     loss: float
-    pixels: float
+    pixels: int
     views: ReferenceViews
     weights: NDArray[np.float32]
-    elsewhere: NDArray[np.float32]
     progress: Progress | None = None
     compacts: bool | None = None
     operator: ImageOperator | None = None
@@ -102,17 +99,11 @@ class Guidance:
         decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
         operator, progress = self._operator_of(decoded), self.progress
         refitted, _ = refit_colour(
-            decoded,
-            self.views,
-            _REFIT,
-            elsewhere=self.elsewhere[shaped.order],
-            operator=operator,
-            progress=progress,
+            decoded, self.views, _REFIT, operator=operator, progress=progress
         )
         error = self._error(profile) / (refitted.count * channel_count(len(refitted.f_rest) // 3))
         weights, cameras = self.weights[:, shaped.order], self.views.cameras
-        elsewhere = self.elsewhere[shaped.order]
-        return round_sh(refitted, cameras, weights, elsewhere, shaped.sh_steps(), error, progress)
+        return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
 
     def compact(self, shaped: ShapedScene, profile: AdaptiveProfile, decide: bool = True) -> Scene:
         """The decoded scene in stream order, its SH compacted if this pays.
@@ -133,7 +124,6 @@ class Guidance:
                 profile.compaction,
                 smallest=0.5 * steps,
                 weights=weights[list(seen)],
-                elsewhere=self.elsewhere[shaped.order],
                 progress=self.progress,
             )[0]
 
@@ -199,28 +189,26 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     """Measure what the encoder needs to know from the views of a scene."""
     loss = views.error(scene, progress)
     found, weights = sensitivity(scene, views, progress)
+    adding = steps_adding(scene, found, blind_share(scene, weights, views.cameras))
+    pixels = sum(camera.width * camera.height for camera in views.cameras)
+    return Guidance(adding, loss, pixels, views, weights, progress)
+
+
+def steps_adding(
+    scene: Scene, found: Sensitivity, blind: float = 0.0
+) -> Callable[[float], StepSizes]:
+    """Step sizes of a scene by the squared error that all parameters together may add.
+
+    `blind` is the share of the camera-free rules in the sensitivities that they follow.
+    """
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     by_axis = {
         name: np.take_along_axis(getattr(found, name), axes.astype(np.int64), 0)
         for name in ("log_scale", "rot")
     }
-    expected = expected_sensitivity(scene.opacity[0], scales)
-    share = blind_share(weights, expected.colour, views.cameras)
-    import os; share = float(os.environ.get("SHARE", share)); print("share", share)
-    blended, elsewhere = blend(found._replace(**by_axis), expected, share)
-    # What is expected elsewhere counts as that many more pixels.
-    pixels = sum(camera.width * camera.height for camera in views.cameras) / (1 - share)
-    adding = steps_adding(scene, scales, blended)
-    return Guidance(adding, loss, pixels, views, weights, elsewhere, progress)
-
-
-def steps_adding(
-    scene: Scene, scales: NDArray[np.float64], found: Sensitivity
-) -> Callable[[float], StepSizes]:
-    """Step sizes of a scene by the squared error that all parameters together may add.
-
-    ``scales (3, N)`` are its log-scales, descending, and those of `found` in this order.
-    """
+    found = found._replace(**by_axis)
+    if blind:
+        found = blend(found, expected_sensitivity(scene.opacity[0], scales), blind)
     by_error = fit_step_sizes(found, scene.opacity[0], scales)
     parameters = scene.count * channel_count(len(scene.f_rest) // 3)
     return lambda error: by_error(error / parameters)

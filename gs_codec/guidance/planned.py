@@ -66,6 +66,8 @@ def encode_planned(
     from gs_codec.preparation.pipeline import guiding_views
 
     references = guiding_views(scene, plan, progress, references)
+    if references is None:
+        return encode_scene(scene, config, progress)
     times = StageTimes()
     with using_threads(config.threads):
         with times.stage("check"):

@@ -19,7 +19,7 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import SH_C0, Scene, sh_bands
+from gs_codec.scene import Scene, sh_bands
 
 #: Weight of all directions alike, as a share of the weight of the views: between few views, errors
 #: would grow without it.
@@ -41,7 +41,6 @@ def round_sh(
     scene: Scene,
     cameras: Sequence[Camera],
     weights: NDArray[np.float32],
-    elsewhere: NDArray[np.float32],
     steps: NDArray[np.float32],
     error: float,
     progress: Progress | None = None,
@@ -59,8 +58,6 @@ def round_sh(
     cameras : sequence of Camera
     weights : ndarray, shape (views, N), float32
         `squared_weights` of the scene.
-    elsewhere : ndarray, shape (N,), float32
-        Weight of all directions alike, in the same unit.
     steps : ndarray, shape (bands, N), float32
         Step sizes of SH-AC.
     error : float
@@ -78,9 +75,7 @@ def round_sh(
 
     def run(start: int) -> None:
         stop = min(start + _CHUNK, scene.count)
-        _round(
-            scene.positions, weights, elsewhere, centres, steps, band_of, price, sh, start, stop
-        )
+        _round(scene.positions, weights, centres, steps, band_of, price, sh, start, stop)
 
     starts = range(0, scene.count, _CHUNK)
     run_all(run, starts, advance=step_counter(progress, "round", len(starts)))
@@ -88,20 +83,16 @@ def round_sh(
 
 
 @kernel
-def _round(positions, weights, elsewhere, centres, steps, band_of, price, sh, start, stop):
+def _round(positions, weights, centres, steps, band_of, price, sh, start, stop):
     """Round the SH ``(3, 1 + K, N)`` of Gaussians `start` to `stop` in place."""
     views, size = len(weights), sh.shape[1]
     rows, seen = np.empty((views, size)), np.empty(views)
     form, lean, step = np.empty((size, size)), np.empty(size), np.empty(size)
     for i in range(start, stop):
         count = list_views(positions, i, weights, centres, rows, seen)
-        if count == 0 and elsewhere[i] == 0.0:
+        if count == 0:
             continue
         fill_matrix(rows[:count], seen, form)
-        # The basis is orthonormal: over all directions, each function has the mean square of DC.
-        hold = _ELSEWHERE * form[0, 0] + elsewhere[i] * SH_C0 * SH_C0
-        for k in range(size):
-            form[k, k] += hold
         _leave_out_dc(form, lean)
         for k in range(1, size):
             step[k] = steps[band_of[k], i]
@@ -111,11 +102,15 @@ def _round(positions, weights, elsewhere, centres, steps, band_of, price, sh, st
 
 @kernel
 def _leave_out_dc(form, lean):
-    """Take the best SH-DC of a form for granted.
+    """Add all directions to a form, and take its best SH-DC for granted.
 
     ``lean[k]`` becomes what SH-DC gains for a unit that coefficient k loses.
     """
     size = len(form)
+    # The basis is orthonormal: over all directions, each function has the mean square of the first.
+    elsewhere = _ELSEWHERE * form[0, 0]
+    for k in range(size):
+        form[k, k] += elsewhere
     for k in range(size):
         lean[k] = form[0, k] / form[0, 0]
     for k in range(1, size):

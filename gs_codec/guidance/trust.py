@@ -13,35 +13,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, expected_sensitivity
+from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.linear import combine, main_axis
 from gs_codec.rendering.camera import Camera
+from gs_codec.scene import Scene
 
-#: Times that the cameras are halved: 8 regions.
-_HALVINGS = 3
+#: Times that the cameras are halved: 16 regions.
+_HALVINGS = 4
 
 #: Shares of the camera-free rules in a blend that are tried.
-_SHARES = (0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+_SHARES = (0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 #: Gaussians that are compared are about this many.
 _SAMPLE = 20_000
 
 
-def blind_share(
-    weights: NDArray[np.float32], expected: NDArray[np.float64], cameras: Sequence[Camera]
-) -> float:
-    """The share of what is `expected` with which the views of a region suit all others best.
+def blind_share(scene: Scene, weights: NDArray[np.float32], cameras: Sequence[Camera]) -> float:
+    """The share of the camera-free rules with which views of a region suit all others best.
 
-    With step sizes by s, of the same bits, views of sensitivity t lose ``mean(t / s)`` times the
-    geometric mean of s.
+    With step sizes by sensitivities s, and the same bits, views of sensitivity t lose
+    ``mean(t / s)`` times the geometric mean of s. Views of one place cannot tell, and get the
+    largest share.
 
     Parameters
     ----------
+    scene : Scene
     weights : ndarray, shape (views, N), float32
-        `squared_weights`.
-    expected : ndarray, shape (N,)
-        By the camera-free rules; in any unit.
+        `squared_weights` of the scene.
     cameras : sequence of Camera
     """
+    scales = sort_axes(scene.log_scale, scene.rot)[1]
+    expected = expected_sensitivity(scene.opacity[0], scales).colour
     some = slice(None, None, max(1, len(expected) // _SAMPLE))
     by_view, blind = weights[:, some].astype(np.float64), expected[some]
     total = by_view.sum(axis=0)
@@ -58,23 +60,13 @@ def blind_share(
     return _SHARES[int(np.argmin(losses))] if losses.any() else _SHARES[-1]
 
 
-def blend(
-    found: Sensitivity, expected: Sensitivity, share: float
-) -> tuple[Sensitivity, NDArray[np.float32]]:
-    """Add to the sensitivities of views what is expected elsewhere: this share of the sum.
+def blend(found: Sensitivity, expected: Sensitivity, share: float) -> Sensitivity:
+    """Replace this share of the sensitivities of views by what is expected, at the same level."""
 
-    Returns
-    -------
-    Sensitivity
-    ndarray, shape (N,), float32
-        What is added to colours.
-    """
-    odds = share / (1 - share)
-    added = Sensitivity(
-        *(odds * (s / e).mean(axis=-1, keepdims=True) * e for s, e in zip(found, expected, strict=True))
-    )
-    total = Sensitivity(*(s + a for s, a in zip(found, added, strict=True)))
-    return total, added.colour.astype(np.float32)
+    def mixed(s: NDArray[np.float64], e: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (1 - share) * s + share * (s / e).mean(axis=-1, keepdims=True) * e
+
+    return Sensitivity(*(mixed(s, e) for s, e in zip(found, expected, strict=True)))
 
 
 def _regions(cameras: Sequence[Camera]) -> list[NDArray[np.int64]]:

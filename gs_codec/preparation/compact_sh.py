@@ -21,7 +21,7 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import SH_C0, Scene
+from gs_codec.scene import Scene
 
 #: Default of `smallest`: half a step of coarse quantisation.
 SMALLEST = 0.018
@@ -45,7 +45,6 @@ def compact_sh(
     *,
     smallest: float | NDArray[np.float32] = SMALLEST,
     weights: NDArray[np.float32] | None = None,
-    elsewhere: NDArray[np.float32] | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, dict[str, Any]]:
     """Replace SH by sparser ones that give the cameras nearly the same colours.
@@ -74,8 +73,6 @@ def compact_sh(
         SH-AC nearer to 0 become 0, and the others compensate; usually half a quantisation step.
     weights : ndarray, shape (views, N), float32, optional
         `squared_weights` of the scene, if already computed.
-    elsewhere : ndarray, shape (N,), float32, optional
-        Weight of all directions alike, in the same unit, besides that of the views.
     progress : callable, optional
 
     Returns
@@ -90,8 +87,6 @@ def compact_sh(
     """
     if weights is None:
         weights = squared_weights(scene, cameras, progress)
-    if elsewhere is None:
-        elsewhere = np.zeros(scene.count, np.float32)
     least = np.full(scene.count, smallest, np.float32)
     before = coefficients_of(scene)
     after = before.copy()
@@ -104,9 +99,8 @@ def compact_sh(
         def run(start: int) -> tuple[int, int]:
             stop = min(start + _CHUNK, scene.count)
             return _compact(
-                scene.positions, before, weights, elsewhere, centres, penalty, least, after,
-                start, stop,
-            )  # fmt: skip
+                scene.positions, before, weights, centres, penalty, least, after, start, stop
+            )
 
         starts = range(0, scene.count, _CHUNK)
         counts = run_all(run, starts, advance=step_counter(progress, "compact", len(starts)))
@@ -127,9 +121,7 @@ def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
 
 
 @kernel
-def _compact(
-    positions, before, weights, elsewhere, centres, penalty, smallest, after, start, stop
-):
+def _compact(positions, before, weights, centres, penalty, smallest, after, start, stop):
     """Solve for Gaussians `start` to `stop`; return how many are unseen, and unsolved."""
     views, size = len(weights), before.shape[1]
     rows = np.empty((views, size))
@@ -141,10 +133,6 @@ def _compact(
         count = list_views(positions, i, weights, centres, rows, seen)
         unseen += count == 0
         fill_matrix(rows[:count], seen, shared)
-        # The basis is orthonormal: over all directions, each function has the mean square of DC.
-        hold = elsewhere[i] * SH_C0 * SH_C0
-        for k in range(size):
-            shared[k, k] += hold
         finite, any_ac = True, False
         for channel in range(3):
             for k in range(size):
@@ -153,9 +141,9 @@ def _compact(
                 any_ac = any_ac or (k > 0 and solution[channel, k] != 0.0)
         if not finite:
             unsolved += 1
-        elif any_ac and count == 0 and hold == 0.0:
+        elif any_ac and count == 0:
             after[:, 1:, i] = 0.0
-        elif any_ac and _sparsify(rows[:count], seen, shared, hold, penalty, smallest[i], solution):
+        elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest[i], solution):
             after[:, :, i] = solution
         else:
             unsolved += any_ac
@@ -163,17 +151,16 @@ def _compact(
 
 
 @kernel
-def _sparsify(rows, seen, shared, hold, penalty, smallest, solution):
+def _sparsify(rows, seen, shared, penalty, smallest, solution):
     """Solve for Y, Co and Cg in place; return whether all solutions were found.
 
-    `shared` is the matrix of all views and directions; the latter hold to the solution's first
-    values with a weight of `hold`. Where R, G or B is clamped at black in a view, each round
+    `shared` is the matrix of all views. Where R, G or B is clamped at black in a view, each round
     aims at what the one before it has there, if that is below black too.
     """
     count, size = rows.shape
     matrix, right, used = np.empty((size, size)), np.empty(size), np.empty(size, np.int64)
-    held, sums, targets = hold * solution, np.empty((3, size)), np.full((count, 3), np.inf)
-    dark, inertia = _sum_up(rows, seen, held, solution, targets, sums), 0.0
+    sums, targets = np.empty((3, size)), np.full((count, 3), np.inf)
+    dark, inertia = _sum_up(rows, seen, solution, targets, sums), 0.0
     if dark:
         _darken(rows, targets, solution)
     for j in range(count):
@@ -181,7 +168,7 @@ def _sparsify(rows, seen, shared, hold, penalty, smallest, solution):
     turn = 0
     while turn < _ROUNDS:
         if dark:
-            _sum_up(rows, seen, held, solution, targets, sums)
+            _sum_up(rows, seen, solution, targets, sums)
         least, moved = smallest if turn >= _ROUNDS - 2 else 0.0, 0.0
         for channel in range(3):
             now, number = solution[channel], 0
@@ -206,13 +193,13 @@ def _sparsify(rows, seen, shared, hold, penalty, smallest, solution):
 
 
 @kernel
-def _sum_up(rows, seen, held, solution, targets, sums):
+def _sum_up(rows, seen, solution, targets, sums):
     """Fill right-hand sides ``sums (3, 1 + K)``; return whether a colour is clamped at black.
 
     ``targets (views, 3)`` are R, G, B; those that are infinite become the solution's colours.
     """
     dark = False
-    sums[:] = held
+    sums[:] = 0.0
     aims = np.empty(3)
     for j in range(len(rows)):
         colour = red_green_blue(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,8 +34,11 @@ from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.evidence import tells_cameras
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
+
+log = logging.getLogger(__name__)
 
 #: What a step returns: the indices of the Gaussians that stay (None: all), the new scene, and
 #: details for the report.
@@ -107,12 +111,16 @@ def guiding_views(
     plan: Plan,
     progress: Progress | None = None,
     references: ReferenceViews | None = None,
-) -> ReferenceViews:
+) -> ReferenceViews | None:
     """The reference views of a plan that guide the encoder.
 
     If the scene was optimised, they are its own renders; else `references`, by default the renders
-    of `choose_views`.
+    of `choose_views`. There are none for a scene that does not tell where its cameras were and
+    comes without: guessed ones would mislead.
     """
+    if str(plan.cameras) == "auto" and not tells_cameras(scene):
+        log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
+        return None
     if references is None:
         cameras = evenly(_split(scene, plan)[0], plan.views)
     elif plan.steps.refine:

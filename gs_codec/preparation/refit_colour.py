@@ -17,7 +17,7 @@ from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import SH_C0, Scene
+from gs_codec.scene import Scene
 
 #: Weight of the squared change of SH, in pixels: a Gaussian whose sum of (alpha T)^2 over all views
 #: equals it makes about half of the change that its views ask for. A larger value lowers the gain
@@ -54,7 +54,6 @@ def refit_colour(
     *,
     strength: float = 0.0,
     keep_zeros: bool = True,
-    elsewhere: NDArray[np.float32] | None = None,
     operator: ImageOperator | None = None,
     progress: Progress | None = None,
 ) -> tuple[Scene, RefitReport]:
@@ -78,8 +77,6 @@ def refit_colour(
         Without it, SH-AC that compaction made small would grow again and cost more bits.
     keep_zeros : bool
         Whether SH-AC of Y, Co and Cg that are 0 stay 0: for scenes that `compact_sh` returned.
-    elsewhere : ndarray, shape (N,), float32, optional
-        Weight of all directions alike, in which SH shall not change, in pixels.
     operator : ImageOperator, optional
         Operator of the views and of a scene with the same shapes, if there is one already.
     progress : callable, optional
@@ -92,12 +89,9 @@ def refit_colour(
     pixels = sum(camera.width * camera.height for camera in cameras)
     penalty = np.full((*start.shape[:2], 1), penalty_of(scene, pixels, strength))
     penalty[:, 0] = 0.0
-    ridge = np.full(scene.count, _RIDGE)
-    if elsewhere is not None:
-        ridge += SH_C0**2 * elsewhere
     if keep_zeros:
         near.curvature[:, 1:][start[:, 1:] == 0] = 0
-    change, errors, objectives = _descend(operator, near, (start, penalty, ridge), iterations, advance)
+    change, errors, objectives = _descend(operator, near, (start, penalty), iterations, advance)
     refitted = np.add(start, change, out=change)
     rendered = float(operator.errors(refitted, range(len(cameras)), advance).sum())
     kept = not rendered + (objectives[-1] - errors[-1]) < objectives[0]
@@ -112,15 +106,15 @@ def _psnr(error: float) -> float:
 def _descend(
     operator: ImageOperator,
     near: Linear,
-    damping: tuple[NDArray, NDArray, NDArray],
+    damping: tuple[NDArray, NDArray],
     iterations: int,
     advance: Callable[[], None],
 ) -> tuple[NDArray, list[float], list[float]]:
     """Conjugate gradients; return the change of SH, and squared errors and objectives.
 
     Coefficients with zero curvature do not change. Overwrites `near.gradient` and `near.curvature`.
-    `damping` are SH x at the start, a factor p and ridges r; to the squared error it adds
-    ``r change^2 + p / (abs(x) + _HALF)^2 (x + change)^2``.
+    `damping` are SH x at the start and a factor p; to the squared error it adds
+    ``_RIDGE change^2 + p / (abs(x) + _HALF)^2 (x + change)^2``.
     """
     residual = near.gradient
     change, direction = np.zeros_like(residual), np.zeros_like(residual)
@@ -142,12 +136,9 @@ def _descend(
 
 
 def _total(function: Callable, *arguments: Any) -> float:
-    """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, computed in threads.
-
-    Arrays ``(N,)`` and numbers are the same for all rows.
-    """
+    """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, computed in threads."""
     rows = [
-        x.reshape(x.shape[0] * x.shape[1], x.shape[2]) if np.ndim(x) == 3 else repeat(x)
+        x.reshape(x.shape[0] * x.shape[1], x.shape[2]) if isinstance(x, np.ndarray) else repeat(x)
         for x in arguments
     ]
     return sum(run_all(lambda row: function(*row), zip(*rows, strict=False)))
@@ -159,7 +150,7 @@ def _pull(start, penalty):
 
 
 @kernel
-def _prepare(residual, curvature, start, penalty, ridge):
+def _prepare(residual, curvature, start, penalty):
     """Turn gradient and curvature into residual and preconditioner; return its squared norm."""
     total = 0.0
     for i in range(len(residual)):
@@ -168,19 +159,19 @@ def _prepare(residual, curvature, start, penalty, ridge):
             continue
         pull = _pull(start[i], penalty)
         residual[i] -= pull * start[i]
-        curvature[i] = 1.0 / (curvature[i] + ridge[i] + pull)
+        curvature[i] = 1.0 / (curvature[i] + _RIDGE + pull)
         total += np.float64(residual[i]) ** 2 * curvature[i]
     return total
 
 
 @kernel
-def _cost(change, inverse, start, penalty, ridge):
+def _cost(change, inverse, start, penalty):
     """Damping terms of the objective, over the coefficients that may change."""
     total = 0.0
     for i in range(len(change)):
         if inverse[i] > 0.0:
             step = np.float64(change[i])
-            total += ridge[i] * step**2 + _pull(start[i], penalty) * (start[i] + step) ** 2
+            total += _RIDGE * step**2 + _pull(start[i], penalty) * (start[i] + step) ** 2
     return total
 
 
@@ -193,12 +184,12 @@ def _turn(direction, residual, inverse, share):
 
 
 @kernel
-def _damp(product, direction, start, penalty, ridge):
+def _damp(product, direction, start, penalty):
     """Add the damping to a product; return the curvature of the objective along the direction."""
     total = 0.0
     for i in range(len(product)):
         if direction[i] != 0.0:
-            product[i] += (ridge[i] + _pull(start[i], penalty)) * direction[i]
+            product[i] += (_RIDGE + _pull(start[i], penalty)) * direction[i]
             total += np.float64(product[i]) * direction[i]
     return total
 

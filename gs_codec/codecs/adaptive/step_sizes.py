@@ -295,7 +295,7 @@ def expected_sensitivity(opacity: NDArray, scales: NDArray) -> Sensitivity:
     """What the camera-free rules expect, in a common unit; log-scales ``(3, N)`` descending."""
     known = features(opacity, scales)
     rules = blind_coefficients(scales.astype(np.float64), 1.0)
-    found = {name: 4.0 ** -combine(row, known) for name, row in rules.items()}
+    found = {name: 4.0 ** np.clip(-combine(row, known), -99, 99) for name, row in rules.items()}
     alike = likeness(to_fixed(scales, LARGEST)[0])
     return Sensitivity(
         found["position"],

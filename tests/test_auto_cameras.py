@@ -1,0 +1,156 @@
+"""Cameras that are chosen for a scene: where its own were, by what training left in it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference_renderer import sh_basis
+from scenes import edge_scenes, random_scene
+
+from gs_codec.codecs.encode import encode_scene
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.guidance.planned import encode_planned
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras
+from gs_codec.rendering.evidence import tells_cameras
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import Scene
+from samples.generate import generate
+
+
+@pytest.fixture(scope="module")
+def still_life():
+    return generate(20_000, 1, 3)
+
+
+def test_auto_cameras_are_the_same_every_time(still_life):
+    first, second = auto_cameras(still_life, 6), auto_cameras(still_life, 6)
+    assert [view.name for view in first] == [f"auto_{i:02d}" for i in range(6)]
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+        np.testing.assert_array_equal(a.position, b.position)
+        assert (a.width, a.height) == (WIDTH, HEIGHT)
+
+
+def trained(count: int, positions: np.ndarray, places: np.ndarray, seed: int) -> Scene:
+    """Gaussians whose SH-AC hold signal only in the directions from which places see them."""
+    rng = np.random.default_rng(seed)
+    f_rest = np.zeros((3, 15, count))
+    for place in places:
+        towards = positions - place[:, None]
+        towards /= np.linalg.norm(towards, axis=0)
+        basis = np.array([sh_basis(direction)[1:] for direction in towards.T])
+        f_rest += rng.normal(0.0, 0.1, (3, 1, count)) * basis.T
+    return replace(
+        random_scene(count, 3, seed=seed),
+        positions=positions.astype(np.float32),
+        log_scale=np.full((3, count), -3.0, np.float32),
+        opacity=np.full((1, count), 4.0, np.float32),
+        f_rest=f_rest.reshape(45, count).astype(np.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def table():
+    """A ball on a floor, x up, seen from above and from one side only, that of y."""
+    rng = np.random.default_rng(51)
+    ball = rng.standard_normal((3, 2500))
+    ball = ball / np.linalg.norm(ball, axis=0) + np.array([[1.0], [0.0], [0.0]])
+    floor = np.stack([np.zeros(1500), *rng.uniform(-3, 3, (2, 1500))])
+    angle = rng.uniform(-0.6, 0.6, 40)
+    places = np.stack([rng.uniform(2, 3, 40), 5 * np.cos(angle), 5 * np.sin(angle)], axis=1)
+    scene = trained(4000, np.concatenate([ball, floor], axis=1), places, 52)
+    flat = np.arange(4000) >= 2500
+    scene.log_scale[0, flat] = -6.0
+    scene.rot[:, flat] = np.array([[1.0], [0.0], [0.0], [0.0]])
+    scene.log_scale[:, ~flat] = -3.2
+    return scene
+
+
+def test_auto_cameras_are_where_gaussians_were_seen_from(table):
+    assert tells_cameras(table)
+    positions = np.array([view.position for view in auto_cameras(table, 24)])
+    sides = positions / np.linalg.norm(positions, axis=1)[:, None]
+    assert (sides[:, 1] > 0.3).mean() > 0.8
+    assert (positions[:, 0] > 0).mean() > 0.8
+
+
+def test_auto_cameras_are_upright(table):
+    ups = np.array([-view.rotation[1] for view in auto_cameras(table, 24)])
+    assert np.median(ups[:, 0]) > 0.7
+    rights = np.array([view.rotation[0] for view in auto_cameras(table, 24)])
+    assert np.abs(rights[:, 0]).max() < 0.2
+
+
+def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):
+    [view] = auto_cameras(table, 1)
+    x, y, z = view.rotation @ (table.positions[:, :2500] - view.position[:, None])
+    assert (z > 0).all()
+    inside = (np.abs(view.fx * x / z) < view.cx) & (np.abs(view.fy * y / z) < view.cy)
+    assert inside.mean() > 0.9
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_noise_does_not_tell_where_cameras_were(degree, caplog):
+    scene = random_scene(3000, degree, seed=9)
+    assert not tells_cameras(scene)
+    plan = Plan(Steps(), "auto")
+    assert encode_planned(scene, Config("m"), plan)[0] == encode_scene(scene, Config("m"))[0]
+    assert [record.getMessage() for record in caplog.records] == [
+        "cameras 'auto': the scene does not tell where they were, encoded without"
+    ]
+
+
+def test_auto_cameras_go_around_an_object():
+    rng = np.random.default_rng(93)
+    normal = rng.standard_normal((3, 5000))
+    normal /= np.linalg.norm(normal, axis=0)
+    ball = replace(
+        random_scene(5000, 0, seed=94),
+        positions=(normal + np.array([[7.0], [0.0], [0.0]])).astype(np.float32),
+        log_scale=np.full((3, 5000), -3.5, np.float32),
+        opacity=np.full((1, 5000), 4.0, np.float32),
+    )
+    views = auto_cameras(ball, 12)
+    offsets = np.array([view.position for view in views]) - [7, 0, 0]
+    outside = np.linalg.norm(offsets, axis=1) > 1.2
+    assert outside.sum() >= 8
+    directions = offsets[outside] / np.linalg.norm(offsets[outside], axis=1)[:, None]
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.6  # not all from one side
+
+
+def test_auto_cameras_fill_the_image_with_what_is_smaller_than_the_near_plane():
+    rng = np.random.default_rng(99)
+    normal = rng.standard_normal((3, 3000))
+    normal /= np.linalg.norm(normal, axis=0)
+    speck = replace(
+        random_scene(3000, 0, seed=99),
+        positions=(0.01 * normal).astype(np.float32),
+        log_scale=np.full((3, 3000), np.log(0.0003), np.float32),
+        opacity=np.full((1, 3000), 4.0, np.float32),
+    )
+    for view in auto_cameras(speck, 4):
+        assert (render(speck, view.resized(120, 80)).alpha > 0.5).mean() > 0.1
+
+
+@pytest.mark.parametrize("name", [name for name in edge_scenes() if name != "empty"])
+def test_auto_cameras_see_something_of_edge_scenes(name):
+    scene = edge_scenes()[name]
+    views = auto_cameras(scene, 4)
+    assert len(views) == 4
+    assert render(scene, views[0].resized(60, 40)).alpha.max() > 0
+
+
+def test_nothing_cannot_be_looked_at():
+    with pytest.raises(InvalidInput, match="cameras 'auto': no view shows anything of the scene"):
+        auto_cameras(random_scene(0))
+
+
+def test_auto_cameras_skip_what_is_not_finite(still_life):
+    positions = still_life.positions.copy()
+    positions[:, ::3] = np.nan
+    views = auto_cameras(replace(still_life, positions=positions), 4)
+    assert len(views) == 4

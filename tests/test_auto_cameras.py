@@ -108,9 +108,10 @@ def test_auto_cameras_go_around_an_object():
     rng = np.random.default_rng(93)
     normal = rng.standard_normal((3, 5000))
     normal /= np.linalg.norm(normal, axis=0)
+    depth = rng.random(5000) ** 0.3
     ball = replace(
         random_scene(5000, 0, seed=94),
-        positions=(normal + np.array([[7.0], [0.0], [0.0]])).astype(np.float32),
+        positions=(normal * depth + np.array([[7.0], [0.0], [0.0]])).astype(np.float32),
         log_scale=np.full((3, 5000), -3.5, np.float32),
         opacity=np.full((1, 5000), 4.0, np.float32),
     )

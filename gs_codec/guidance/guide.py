@@ -22,7 +22,7 @@ from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import AdaptiveProfile
 from gs_codec.guidance.round_sh import round_sh
 from gs_codec.guidance.sensitivity import sensitivity
-from gs_codec.guidance.trust import blend, blind_share
+from gs_codec.guidance.trust import blend, blind_share, regions
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
 from gs_codec.preparation.reference_views import ReferenceViews
@@ -34,8 +34,9 @@ from gs_codec.scene import Scene, channel_count
 #: Conjugate-gradient iterations of the refit.
 _REFIT = 10
 
-#: Folds of the cross-validation over views that decides whether compaction pays.
-_FOLDS = 4
+#: Folds of the cross-validation over views that decides whether compaction pays; for regions, the
+#: times that the views are halved.
+_FOLDS, _HALVINGS = 4, 2
 
 #: Most by which compaction may multiply the largest error of the left-out views.
 _WORST = 16.0
@@ -149,8 +150,7 @@ class Guidance:
             return False
         operator = self._operator_of(decoded)
         plain, plain_bits, levels = _rounded(decoded, steps)
-        for first in range(min(_FOLDS, count)):
-            others = range(first, count, _FOLDS)
+        for others in self._folds():
             most = sorted(set(range(count)) - set(others))
             sparse, sparse_bits, _ = _rounded(compacted(most), steps)
             lost, before = (self._errors(coded, operator, others) for coded in (sparse, plain))
@@ -161,6 +161,17 @@ class Guidance:
             if lost.max() > _WORST * before.max():
                 return False
         return True
+
+    def _folds(self) -> list[list[int]]:
+        """Views that are left out together: a part of the space of estimated cameras.
+
+        Others see what held-out views see: every fourth is left out.
+        """
+        cameras = self.views.cameras
+        if self.views.estimated:
+            return [[int(i) for i in region] for region in regions(cameras, _HALVINGS)]
+        folds = range(min(_FOLDS, len(cameras)))
+        return [list(range(first, len(cameras), _FOLDS)) for first in folds]
 
     def _errors(
         self, scene: Scene, operator: ImageOperator, seen: Sequence[int]

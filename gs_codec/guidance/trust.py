@@ -48,7 +48,7 @@ def blind_share(scene: Scene, weights: NDArray[np.float32], cameras: Sequence[Ca
     by_view, blind = weights[:, some].astype(np.float64), expected[some]
     total = by_view.sum(axis=0)
     losses = np.zeros(len(_SHARES))
-    for region in _regions(cameras):
+    for region in regions(cameras, _HALVINGS):
         there = by_view[region].sum(axis=0)
         rest = np.maximum(total - there, 0.0)
         level = (rest / blind).mean()
@@ -69,18 +69,21 @@ def blend(found: Sensitivity, expected: Sensitivity, share: float) -> Sensitivit
     return Sensitivity(*(mixed(s, e) for s, e in zip(found, expected, strict=True)))
 
 
-def _regions(cameras: Sequence[Camera]) -> list[NDArray[np.int64]]:
-    """Parts of camera space: the cameras halved along their main axis, and the halves again."""
+def regions(cameras: Sequence[Camera], halvings: int) -> list[NDArray[np.int64]]:
+    """Parts of camera space: the cameras halved along their main axis, and the halves again.
+
+    A single camera has no regions.
+    """
     where = np.array([camera.position for camera in cameras])
     spread = np.sqrt(np.mean((where - where.mean(axis=0)) ** 2))
     forward = np.array([camera.rotation[2] for camera in cameras])
     rows = np.concatenate([where / max(spread, 1e-12), forward], axis=1).T
-    regions = [np.arange(len(cameras))]
-    for _ in range(_HALVINGS):
+    found = [np.arange(len(cameras))]
+    for _ in range(halvings):
         halves = []
-        for region in regions:
+        for region in found:
             part = rows[:, region] - rows[:, region].mean(axis=1, keepdims=True)
             order = region[np.argsort(combine(main_axis(part), part), kind="stable")]
             halves += [order[: len(order) // 2], order[len(order) // 2 :]]
-        regions = [half for half in halves if len(half)]
-    return regions if len(cameras) > 1 else []
+        found = [half for half in halves if len(half)]
+    return found if len(cameras) > 1 else []

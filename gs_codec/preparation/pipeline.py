@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,16 +119,17 @@ def guiding_views(
     of `choose_views`. There are none for a scene that does not tell where its cameras were and
     comes without: guessed ones would mislead.
     """
-    if str(plan.cameras) == "auto" and not tells_cameras(scene):
+    estimated = isinstance(plan.cameras, str | Path) and str(plan.cameras) == "auto"
+    if estimated and not tells_cameras(scene):
         log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
         return None
     if references is None:
-        cameras = evenly(_split(scene, plan)[0], plan.views)
+        cameras: Sequence[Camera] = evenly(_split(scene, plan)[0], plan.views)
+        references = draw_reference_views(scene, cameras, plan.background, progress)
     elif plan.steps.refine:
-        cameras = list(references.cameras)
-    else:
-        return references
-    return draw_reference_views(scene, cameras, plan.background, progress)
+        cameras = references.cameras
+        references = draw_reference_views(scene, cameras, plan.background, progress)
+    return replace(references, estimated=estimated)
 
 
 def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:

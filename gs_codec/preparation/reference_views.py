@@ -33,7 +33,7 @@ class ReferenceViews:
     """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter.
 
     `photographs` tells whether the images are photographs or renders of the scene to be prepared;
-    `source` is that scene, if it is known.
+    `source` is that scene, if it is known; `estimated`, whether the cameras were guessed from it.
     """
 
     cameras: tuple[Camera, ...]
@@ -41,6 +41,7 @@ class ReferenceViews:
     photographs: bool
     background: tuple[float, float, float]
     source: Scene | None = None
+    estimated: bool = False
 
     def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
         """Quality of a scene's images against these, mean over the views."""

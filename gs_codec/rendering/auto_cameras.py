@@ -74,7 +74,7 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
         # What fog or walls hide is not shown.
         shown = own / (own + np.median(weight[weight > 0])) if weight.any() else own
         level = 1 - abs(float(np.sum(view.rotation[2] * seen.up)))
-        shares = inside.mean(), shown.mean(), level
+        shares = inside.mean() ** 2, shown.mean(), level
         return score + 3 * sum(math.log(share + 0.01) for share in shares)
 
     scores = run_all(judge, views)

@@ -1,0 +1,65 @@
+"""How far views are trusted to tell what other views see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import random_scene
+
+from gs_codec.codecs.adaptive.step_sizes import Sensitivity, expected_sensitivity
+from gs_codec.coding.axes import sort_axes
+from gs_codec.guidance.trust import blend, blind_share
+from gs_codec.rendering.camera import Camera
+
+COUNT, VIEWS = 2000, 32
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return random_scene(COUNT, 0, seed=171)
+
+
+def around(views: int) -> list[Camera]:
+    angles = 2 * np.pi * np.arange(views) / views
+    sides = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    return [Camera(f"{i}", 9, 9, 9, 9, 4, 4, np.eye(3), 5 * side) for i, side in enumerate(sides)]
+
+
+def test_views_that_agree_are_trusted(scene):
+    rng = np.random.default_rng(1)
+    level = np.exp(rng.normal(0, 3, COUNT))
+    weights = np.tile(level, (VIEWS, 1)).astype(np.float32)
+    assert blind_share(scene, weights, around(VIEWS)) == 0.05
+
+
+def test_views_are_trusted_less_the_less_regions_tell_of_one_another(scene):
+    """A Gaussian is seen from one side; what others see of it is chance."""
+    expected = expected_of(scene).colour
+    shares = []
+    for width in (VIEWS, VIEWS // 4, 2):
+        seen = np.zeros((VIEWS, COUNT), np.float32)
+        first = np.random.default_rng(2).integers(VIEWS, size=COUNT)
+        for k in range(width):
+            seen[(first + k) % VIEWS, np.arange(COUNT)] = expected
+        shares.append(blind_share(scene, seen, around(VIEWS)))
+    assert shares == sorted(shares)
+    assert shares[0] < 0.5 < shares[2]
+
+
+def test_a_single_view_is_not_trusted(scene):
+    weights = np.ones((1, COUNT), np.float32)
+    assert blind_share(scene, weights, around(1)) == 0.95
+
+
+def test_a_blend_keeps_the_level_of_what_is_measured(scene):
+    rng = np.random.default_rng(4)
+    expected = expected_of(scene)
+    found = Sensitivity(*(np.exp(rng.normal(0, 1, np.shape(e))) * e for e in expected))
+    for share in (0.05, 0.5):
+        for mixed, s, e in zip(blend(found, expected, share), found, expected, strict=True):
+            np.testing.assert_allclose((mixed / e).mean(axis=-1), (s / e).mean(axis=-1))
+            assert np.std(np.log(mixed / e)) < np.std(np.log(s / e))
+
+
+def expected_of(scene) -> Sensitivity:
+    return expected_sensitivity(scene.opacity[0], sort_axes(scene.log_scale, scene.rot)[1])

@@ -32,6 +32,7 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import write_scene
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH
 from gs_codec.runtime.atomic import atomic_writer, leftovers
 
 NAMES = ("a.ply", "sub/b.ply", "sub/deeper/c.ply")
@@ -688,8 +689,8 @@ def test_views_are_counted(tmp_path):
     file = str(write_json(tmp_path / "cameras.json", inria_entry(width=90, height=60)))
     assert Options(Config()).pixels() == 0
     assert Options(Config(), rate=RateTarget(ratio=9)).pixels() == 0
-    assert Options(Config(), rate=RateTarget(psnr_drop=1)).pixels() == 64 * 600 * 400
-    assert Options(Config(), Plan(Steps(), views=3)).pixels() == 3 * 600 * 400
+    assert Options(Config(), rate=RateTarget(psnr_drop=1)).pixels() == 64 * WIDTH * HEIGHT
+    assert Options(Config(), Plan(Steps(), views=3)).pixels() == 3 * WIDTH * HEIGHT
     assert Options(Config(), Plan(Steps(), views=3, width=300)).pixels() == 3 * 300 * 200
     assert Options(Config(), Plan(Steps(), file, views=2)).pixels() == 2 * 90 * 60
     with pytest.raises(InvalidInput, match="missing"):

@@ -29,7 +29,7 @@ def test_views_that_agree_are_trusted(scene):
     rng = np.random.default_rng(1)
     level = np.exp(rng.normal(0, 3, COUNT))
     weights = np.tile(level, (VIEWS, 1)).astype(np.float32)
-    assert blind_share(scene, weights, around(VIEWS)) == 0.05
+    assert blind_share(scene, weights, around(VIEWS)) == 0.003
 
 
 def test_views_are_trusted_less_the_less_regions_tell_of_one_another(scene):

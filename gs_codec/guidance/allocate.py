@@ -173,8 +173,9 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
     measured, before = seen.views.held_out, float(np.mean(seen.before))
 
     def drop(octaves: float) -> float:
-        # Colours that were refitted for other rounded shapes are worse than none.
-        trials.refit(octaves)
+        if trials.guidance is not None:
+            # Colours that were refitted for other rounded shapes are worse than none.
+            trials.refit(octaves)
         trials.size(octaves)
         trials.loss = seen.loss(trials.last[0])
         return trials.loss
@@ -184,7 +185,7 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
     start = min(max(0.5 * math.log2(allowed / at_once), FINEST), COARSEST)
     interval = (limit - _DROP_TOLERANCE, limit)
     found = search(drop, *interval, start, _DROP_SLOPE)
-    if found is None:
+    if found is None and trials.guidance is not None:
         # Compaction may cost held-out views more than the limit, even at its weakest.
         trials.compacting = False
         found = search(drop, *interval, start, _DROP_SLOPE)

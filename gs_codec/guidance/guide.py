@@ -200,7 +200,8 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     """Measure what the encoder needs to know from the views of a scene."""
     loss = views.error(scene, progress)
     found, weights = sensitivity(scene, views, progress)
-    adding = steps_adding(scene, found, blind_share(scene, weights, views.cameras))
+    share = blind_share(scene, weights, views.cameras, views.estimated)
+    adding = steps_adding(scene, found, share)
     pixels = sum(camera.width * camera.height for camera in views.cameras)
     return Guidance(adding, loss, pixels, views, weights, progress)
 

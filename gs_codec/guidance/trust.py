@@ -22,13 +22,37 @@ from gs_codec.scene import Scene
 _HALVINGS = 4
 
 #: Shares of the camera-free rules in a blend that are tried.
-_SHARES = (0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+_SHARES = (
+    0.003,
+    0.005,
+    0.01,
+    0.02,
+    0.03,
+    0.05,
+    0.07,
+    0.1,
+    0.15,
+    0.2,
+    0.3,
+    0.4,
+    0.5,
+    0.6,
+    0.7,
+    0.8,
+    0.9,
+    0.95,
+)
+
+#: The least share with estimated cameras: others may have been where none is.
+_ESTIMATED = 0.15
 
 #: Gaussians that are compared are about this many.
 _SAMPLE = 20_000
 
 
-def blind_share(scene: Scene, weights: NDArray[np.float32], cameras: Sequence[Camera]) -> float:
+def blind_share(
+    scene: Scene, weights: NDArray[np.float32], cameras: Sequence[Camera], estimated: bool = False
+) -> float:
     """The share of the camera-free rules with which views of a region suit all others best.
 
     With step sizes by sensitivities s, and the same bits, views of sensitivity t lose
@@ -41,6 +65,8 @@ def blind_share(scene: Scene, weights: NDArray[np.float32], cameras: Sequence[Ca
     weights : ndarray, shape (views, N), float32
         `squared_weights` of the scene.
     cameras : sequence of Camera
+    estimated : bool
+        Whether cameras were guessed from the scene.
     """
     scales = sort_axes(scene.log_scale, scene.rot)[1]
     expected = expected_sensitivity(scene.opacity[0], scales).colour
@@ -57,7 +83,8 @@ def blind_share(scene: Scene, weights: NDArray[np.float32], cameras: Sequence[Ca
         for k, share in enumerate(_SHARES):
             blended = (1 - share) * rest + share * level * blind
             losses[k] += np.log((there / blended).mean()) + np.log(blended).mean()
-    return _SHARES[int(np.argmin(losses))] if losses.any() else _SHARES[-1]
+    share = _SHARES[int(np.argmin(losses))] if losses.any() else _SHARES[-1]
+    return max(share, _ESTIMATED) if estimated else share
 
 
 def blend(found: Sensitivity, expected: Sensitivity, share: float) -> Sensitivity:

@@ -85,7 +85,8 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
 def _others(seen: Evidence, count: int, rng: np.random.Generator) -> list[Camera]:
     """Views of random Gaussians; of the better ones, those that together see most."""
     tried = max(_TRIED * count, _LEAST_TRIED)
-    some = seen.places[rng.integers(len(seen.places), size=tried)]
+    number = len(seen.places)
+    some = seen.places[rng.choice(number, tried, replace=tried > number)]
     thumb = seen.thumb
     aims = thumb.positions.T[rng.integers(thumb.count, size=tried)].astype(np.float64)
     views = [_look(place, aim, seen) for place, aim in zip(some, aims, strict=True)]

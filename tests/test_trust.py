@@ -8,7 +8,7 @@ from scenes import random_scene
 
 from gs_codec.codecs.adaptive.step_sizes import Sensitivity, expected_sensitivity
 from gs_codec.coding.axes import sort_axes
-from gs_codec.guidance.trust import blend, blind_share
+from gs_codec.guidance.trust import blend, blind_share, regions
 from gs_codec.rendering.camera import Camera
 
 COUNT, VIEWS = 2000, 32
@@ -63,3 +63,19 @@ def test_a_blend_keeps_the_level_of_what_is_measured(scene):
 
 def expected_of(scene) -> Sensitivity:
     return expected_sensitivity(scene.opacity[0], sort_axes(scene.log_scale, scene.rot)[1])
+
+
+def test_regions_are_arcs_of_an_orbit():
+    found = regions(around(VIEWS), 2)
+    assert sorted(np.concatenate(found)) == list(range(VIEWS))
+    for region in found:
+        assert len(region) == VIEWS // 4
+        gaps = np.diff(np.sort(region), append=np.sort(region)[0] + VIEWS)
+        assert sorted(gaps)[:-1] == [1] * (len(region) - 1)
+    assert regions(around(1), 2) == []
+
+
+def test_estimated_views_are_not_trusted_fully(scene):
+    rng = np.random.default_rng(5)
+    weights = np.tile(np.exp(rng.normal(0, 3, COUNT)), (VIEWS, 1)).astype(np.float32)
+    assert blind_share(scene, weights, around(VIEWS), estimated=True) == 0.15

@@ -292,8 +292,8 @@ def test_cameras_of_a_file_say_what_is_up(files):
     cameras = [replace(look_at(np.zeros(3), look, up), frame=(60, 40)) for look in looks]
     np.testing.assert_allclose(up_of([camera.rotation for camera in cameras]), up, atol=1e-6)
     given = gs_codec.render(files / "a.ply", [camera.camera(60, 40) for camera in cameras]).cameras
-    assert known_ups(given, chosen=False)[0] == "cameras"
-    assert known_ups(given, chosen=True)[0] == "-y"
+    assert known_ups(given)[0] == "cameras"
+    assert known_ups([])[0] == "-y"
     viewpoints = find_viewpoints(open_scene(files / "a.ply"), given, False, "cameras")
     assert viewpoints[0].pose.rotation[1] @ up < -0.5
     np.testing.assert_array_equal(viewpoints[3].pose.rotation, given[2].rotation)

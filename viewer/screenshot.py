@@ -63,7 +63,7 @@ def draw_request(request: Request) -> tuple[Image.Image, str]:
     if not scenes:
         raise gs_codec.GsCodecError("screenshot: no scene to draw")
     cameras = find_views(request, scenes[0])
-    up = request.up or known_ups(cameras, request.chosen)[0]
+    up = request.up or known_ups(cameras)[0]
     viewpoints = find_viewpoints(scenes[0], cameras, request.chosen, up)
     viewpoint = viewpoints[first_view(request, cameras)]
     pruned = find_pruned(request, scenes[0])

@@ -31,7 +31,7 @@ class Viewpoint:
     camera: Any = None
 
 
-#: Name of the up axis that is taken from the cameras of a file.
+#: Name of the up axis that is taken from the cameras.
 BY_CAMERAS = "cameras"
 
 
@@ -57,9 +57,9 @@ def find_viewpoints(
     return viewpoints
 
 
-def known_ups(cameras: Sequence[Any], chosen: bool) -> list[str]:
+def known_ups(cameras: Sequence[Any]) -> list[str]:
     """Names of the possible up axes; the first is the default."""
-    return [*UPS] if chosen or not cameras else [BY_CAMERAS, *UPS]
+    return [BY_CAMERAS, *UPS] if cameras else [*UPS]
 
 
 def up_axis(up: str, cameras: Sequence[Any]) -> NDArray[np.float64]:

@@ -156,7 +156,7 @@ class Viewer:
     @property
     def ups(self) -> list[str]:
         """Names of the possible up axes."""
-        return known_ups(self.cameras, self.request.chosen)
+        return known_ups(self.cameras)
 
     def _find_viewpoints(self) -> None:
         scene, chosen = self.stage.scenes[0], self.request.chosen
@@ -181,6 +181,7 @@ class Viewer:
             self.panel.say("")
             here = self.viewpoints[0]
             self.cameras = cameras
+            self.choice.up = self.request.up or self.ups[0]
             self._find_viewpoints()
             self.viewpoints[0] = here
             self.panel.refresh()

@@ -107,6 +107,7 @@ def tells_cameras(scene: Scene) -> bool:
 
 
 def _thinned(scene: Scene) -> Scene:
+    """See `Evidence.thumb`."""
     finite = np.all([np.isfinite(getattr(scene, group)).all(axis=0) for group in GROUPS], axis=0)
     usable = finite & scene.rot.any(axis=0)
     solid = usable & (scene.opacity[0] > _SOLID)
@@ -214,8 +215,8 @@ def _vertical(
     best, up = -np.inf, axes[0]
     left = np.ones(len(axes), bool)
     for _ in range(_MODES):
-        axis = axes[int(np.argmax(np.where(left, found, -1.0)))]
-        score = float(likely[np.argmax(np.where(left, found, -1.0))])
+        mode = int(np.argmax(np.where(left, found, -1.0)))
+        axis, score = axes[mode], float(likely[mode])
         left &= np.abs(combine(axis, axes.T)) < 0.8
         flat = np.abs(combine(axis, normals.T)) > _ALIKE - 0.04
         if telling:

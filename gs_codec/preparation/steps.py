@@ -32,7 +32,7 @@ _ITERATIONS = {"kind": int, "metavar": "N", "low": 0, "high": 10_000_000}
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
 CAMERAS = (
-    "cameras.json, transforms.json, a camera path, a COLMAP model's folder, or auto: views chosen "
+    "cameras.json, transforms.json, a camera path, a COLMAP model's folder, or auto: estimated "
     "from the scene itself."
 )
 

@@ -68,10 +68,10 @@ def blind_share(
     estimated : bool
         Whether cameras were guessed from the scene.
     """
-    scales = sort_axes(scene.log_scale, scene.rot)[1]
-    expected = expected_sensitivity(scene.opacity[0], scales).colour
-    some = slice(None, None, max(1, len(expected) // _SAMPLE))
-    by_view, blind = weights[:, some].astype(np.float64), expected[some]
+    some = np.arange(0, scene.count, max(1, scene.count // _SAMPLE))
+    sample, by_view = scene.take(some), weights[:, some].astype(np.float64)
+    scales = sort_axes(sample.log_scale, sample.rot)[1]
+    blind = expected_sensitivity(sample.opacity[0], scales).colour
     total = by_view.sum(axis=0)
     losses = np.zeros(len(_SHARES))
     for region in regions(cameras, _HALVINGS):

@@ -77,13 +77,13 @@ def optimise(
         digest = digest_of(_inputs(values, views, repr(settings)))
         run = read_checkpoint(Path(checkpoint), digest, run.state) or run
         save = partial(write_checkpoint, Path(checkpoint), digest)
-    fitted = _with_values(scene, run.state.values)
+    fitted = with_values(scene, run.state.values)
     sizes = step_sizes(scene, views.cameras)
 
     def step(iteration: int) -> float:
-        view = _view(iteration, len(views.cameras))
+        view = view_of(iteration, len(views.cameras))
         result = differentiate(fitted, views.cameras[view], views.images[view], views.background)
-        _update(run.state, result, iteration + 1, sizes * LAST ** (iteration / iterations))
+        take_step(run.state, result, iteration + 1, sizes * LAST ** (iteration / iterations))
         return result.squared_error
 
     run = _iterate(run, iterations, step, save, step_counter(progress, "optimise", iterations))
@@ -127,20 +127,20 @@ def _inputs(
         yield from (camera.rotation, camera.position, image)
 
 
-def _with_values(scene: Scene, values: NDArray[np.float32]) -> Scene:
+def with_values(scene: Scene, values: NDArray[np.float32]) -> Scene:
     """The scene with views of ``values (C, N)`` as attributes: it follows their changes."""
     ends = np.cumsum([len(getattr(scene, group)) for group in GROUPS])
     planes: dict[str, Any] = dict(zip(GROUPS, np.split(values, ends[:-1]), strict=True))
     return replace(scene, **planes)
 
 
-def _view(iteration: int, views: int) -> int:
+def view_of(iteration: int, views: int) -> int:
     """Index of an iteration's view; checkpoints need not store a generator's state."""
     epoch, index = divmod(iteration, views)
     return int(np.random.default_rng([0, epoch]).permutation(views)[index])
 
 
-def _update(
+def take_step(
     state: AdamState, result: Differentiated, step: int, sizes: NDArray[np.float64]
 ) -> None:
     """A step of Adam, number `step` from 1."""

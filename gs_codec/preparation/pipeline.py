@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -123,11 +123,9 @@ def guiding_views(
     if estimated and not tells_cameras(scene):
         log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
         return None
-    if references is None:
-        cameras: Sequence[Camera] = evenly(_split(scene, plan)[0], plan.views)
-        references = draw_reference_views(scene, cameras, plan.background, progress)
-    elif plan.steps.refine:
-        cameras = references.cameras
+    if references is None or plan.steps.refine:
+        known = None if references is None else references.cameras
+        cameras = known or evenly(_split(scene, plan)[0], plan.views)
         references = draw_reference_views(scene, cameras, plan.background, progress)
     return replace(references, estimated=estimated)
 

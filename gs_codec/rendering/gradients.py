@@ -8,11 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.rendering.backward import MOMENT_YY, differentiate_gaussians, differentiate_tiles
+from gs_codec.rendering.backward import differentiate_gaussians
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.image_loss import differentiate_loss
-from gs_codec.rendering.project import camera_arguments
+from gs_codec.rendering.project import TILE, camera_arguments
+from gs_codec.rendering.rows import MOMENT_YY, draw_rows, take_back_rows
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene, channel_count
 
@@ -67,11 +68,18 @@ def differentiate(
         RGB behind everything.
     """
     frame = make_frame(scene, camera)
-    # In float64: light behind a splat is the image minus the light in front.
-    colour, _, _ = frame.draw(background, np.float64, np.zeros((0, 4)))
+    behind = np.array(background, np.float64)
+    tiles = frame.columns * frame.rows
+    state = (
+        np.empty((tiles, TILE * TILE), np.float32),
+        np.empty((tiles, TILE * TILE), np.int32),
+        np.empty(tiles, np.int64),
+    )
+    colour = np.empty((camera.height, camera.width, 3), np.float32)
+    frame.over_tiles(draw_rows, behind, colour, *state)
     by_colour, squared_error = differentiate_loss(colour, target)
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
-    frame.over_tiles(differentiate_tiles, colour, by_colour, pairs)
+    frame.over_tiles(take_back_rows, behind, by_colour, *state, pairs)
     sums = frame.sum_pairs(scene.count, pairs)
     chosen = np.empty(len(frame.splats.gaussians), np.int64)
     count = _choose(sums, chosen)

@@ -74,14 +74,14 @@ def trace_down_to(least, field, x0, x1, y0, y1, left, pixels, alphas, before):
     reach = field[REACH] + 1e-9
     count = done = 0
     high = math.sqrt(reach) / fyy
-    for y in range(max(y0, _whole(v - high)), min(y1, _whole(v + high) + 1)):
+    for y in range(max(y0, whole(v - high)), min(y1, whole(v + high) + 1)):
         dy = y - v
         across = (fyy * dy) ** 2
         half = math.sqrt(max(0.0, reach - across)) / fxx
         middle = u - fxy / fxx * dy
         offset = fxy * dy - fxx * u
         row = (y - y0) * TILE - x0
-        for x in range(max(x0, _whole(middle - half)), min(x1, _whole(middle + half) + 1)):
+        for x in range(max(x0, whole(middle - half)), min(x1, whole(middle + half) + 1)):
             pixel = row + x
             transmittance = left[pixel]
             if transmittance <= 0.0:
@@ -106,7 +106,7 @@ def trace_down_to(least, field, x0, x1, y0, y1, left, pixels, alphas, before):
 
 
 @inlined
-def _whole(value):
+def whole(value):
     """Floor as an integer; values far outside the image are clamped."""
     return np.int64(math.floor(min(1e6, max(-1e6, value))))
 

@@ -1,0 +1,240 @@
+"""Tiles drawn and taken back in float32, a row of 16 pixels at once: for steps of optimisation.
+
+Whatever is measured goes through `trace`, in float64; this is several times faster. What happens to
+a pixel depends on no other one, and sums are kept by column until a splat is done, so that
+processors with any width of vectors give the same floats.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gs_codec.rendering.project import (
+    BLUE,
+    CENTRE_X,
+    CENTRE_Y,
+    FACTOR_XX,
+    FACTOR_XY,
+    FACTOR_YY,
+    GREEN,
+    MIN_ALPHA,
+    OPACITY,
+    REACH,
+    RED,
+    TILE,
+)
+from gs_codec.rendering.trace import MAX_ALPHA, MIN_TRANSMITTANCE, tile_bounds, whole
+from gs_codec.runtime.kernels import inlined, kernel
+
+#: Columns of the sums over a splat's pixels: the derivative by its colour, then moments of
+#: s = alpha dL/dalpha: s, s dx, s dy, s dx^2, s dx dy, s dy^2, with (dx, dy) from the splat's
+#: centre to the pixel. They suffice: alpha = opacity exp(-q / 2), and q is quadratic in (dx, dy).
+BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
+
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_LEAST_ALPHA, _MOST_ALPHA = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
+_LEAST_LEFT = np.float32(MIN_TRANSMITTANCE)
+
+#: Planes of a tile, one after another in one array, so that the compiler sees that they differ:
+#: transmittance, negative where a pixel is done; red, green and blue, or derivatives by them; and the
+#: light behind the splats that are still to be taken back, times these derivatives.
+_PIXELS = TILE * TILE
+_RED, _GREEN, _BLUE, _BEHIND, _PLANES = (k * _PIXELS for k in range(1, 6))
+
+#: Sums by column of the tile: by red, green, blue; s, s dy, s dy^2.
+_BY_COLUMN = 6 * TILE
+
+_NEVER = np.int32(2**31 - 1)
+
+#: exp(-x / 16), and its Taylor series in x / 16; it is then squared three times.
+_EIGHTH = np.float32(1 / 16)
+_SERIES = tuple(np.float32((-1) ** k / math.factorial(k)) for k in range(1, 6))
+
+
+@inlined
+def _exp_minus_half(q):
+    """exp(-q / 2) for 0 <= q < 12, to 1e-6."""
+    x = _EIGHTH * q
+    c1, c2, c3, c4, c5 = _SERIES
+    root = _ONE + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
+    root *= root
+    root *= root
+    return root * root
+
+
+@inlined
+def _alpha(x, slope, offset, across, reach, opacity):
+    """Alpha of a splat in column `x` of a row, and whether the splat is drawn there."""
+    along = slope * np.float32(x) + offset
+    q = along * along + across
+    alpha = min(_MOST_ALPHA, opacity * _exp_minus_half(min(q, reach)))
+    return alpha, (q <= reach) & (alpha >= _LEAST_ALPHA)
+
+
+@inlined
+def _rows(field, x0, y0, height):
+    """First and end row of a splat in a tile, and its centre there."""
+    v = field[CENTRE_Y] - y0
+    high = math.sqrt(field[REACH]) / field[FACTOR_YY]
+    rows = min(height - y0, TILE)
+    return max(0, whole(v - high)), min(rows, whole(v + high) + 1), field[CENTRE_X] - x0, v
+
+
+@inlined
+def _row(field, u, v, y):
+    """What `_alpha` needs of a row: offset and q across, from float64, where they would cancel."""
+    dy = y - v
+    across = (field[FACTOR_YY] * dy) ** 2
+    return np.float32(field[FACTOR_XY] * dy - field[FACTOR_XX] * u), np.float32(across)
+
+
+@kernel
+def _draw(fields, splats, start, end, x0, y0, height, light, ends):
+    """Draw a tile front to back; return the end of the pairs that its pixels need.
+
+    ``ends (256,)`` receives the number of the pair that each pixel is done at.
+    """
+    still_open = 0
+    for pair in range(start, end):
+        field = fields[splats[pair]]
+        slope, reach = np.float32(field[FACTOR_XX]), np.float32(field[REACH])
+        opacity = np.float32(field[OPACITY])
+        red, green = np.float32(field[RED]), np.float32(field[GREEN])
+        blue, number = np.float32(field[BLUE]), np.int32(pair - start)
+        top, bottom, u, v = _rows(field, x0, y0, height)
+        for y in range(top, bottom):
+            offset, across = _row(field, u, v, y)
+            row = light[y * TILE : y * TILE + _BEHIND]
+            done = ends[y * TILE : y * TILE + TILE]
+            for x in range(TILE):
+                alpha, drawn = _alpha(x, slope, offset, across, reach, opacity)
+                left = row[x]
+                after = left * (_ONE - alpha)
+                drawn &= left > _ZERO
+                last = drawn & (after < _LEAST_LEFT)
+                drawn &= after >= _LEAST_LEFT
+                weight = alpha * left if drawn else _ZERO
+                row[x] = -left if last else (after if drawn else left)
+                row[x + _RED] += weight * red
+                row[x + _GREEN] += weight * green
+                row[x + _BLUE] += weight * blue
+                done[x] = number if last else done[x]
+        while still_open < _PIXELS and light[still_open] <= _ZERO:
+            still_open += 1
+        if still_open == _PIXELS:
+            return pair + 1
+    return end
+
+
+@kernel
+def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
+    """Sums of the pairs of a tile, back to front."""
+    for pair in range(end - 1, start - 1, -1):
+        field = fields[splats[pair]]
+        slope, reach = np.float32(field[FACTOR_XX]), np.float32(field[REACH])
+        opacity = np.float32(field[OPACITY])
+        red, green = np.float32(field[RED]), np.float32(field[GREEN])
+        blue, number = np.float32(field[BLUE]), np.int32(pair - start)
+        top, bottom, u, v = _rows(field, x0, y0, height)
+        columns[:] = _ZERO
+        for y in range(top, bottom):
+            offset, across = _row(field, u, v, y)
+            dy = np.float32(y - v)
+            row = light[y * TILE : y * TILE + _BEHIND + TILE]
+            done = ends[y * TILE : y * TILE + TILE]
+            for x in range(TILE):
+                alpha, drawn = _alpha(x, slope, offset, across, reach, opacity)
+                alpha = alpha if drawn & (done[x] > number) else _ZERO
+                over = _ONE / (_ONE - alpha)
+                left = row[x] * over
+                weight = alpha * left
+                own = weight * (row[x + _RED] * red + row[x + _GREEN] * green + row[x + _BLUE] * blue)
+                behind = row[x + _BEHIND]
+                change = own - behind * (alpha * over)
+                # An alpha at its limit does not change.
+                change = change if alpha < _MOST_ALPHA else _ZERO
+                row[x] = left
+                row[x + _BEHIND] = behind + own
+                columns[x] += weight * row[x + _RED]
+                columns[x + TILE] += weight * row[x + _GREEN]
+                columns[x + 2 * TILE] += weight * row[x + _BLUE]
+                columns[x + 3 * TILE] += change
+                columns[x + 4 * TILE] += change * dy
+                columns[x + 5 * TILE] += change * dy * dy
+        total = sums[pair]
+        total[:] = 0.0
+        for x in range(TILE):
+            dx = x - u
+            total[BY_RED] += columns[x]
+            total[BY_GREEN] += columns[x + TILE]
+            total[BY_BLUE] += columns[x + 2 * TILE]
+            moment, moment_y = np.float64(columns[x + 3 * TILE]), np.float64(columns[x + 4 * TILE])
+            total[MOMENT] += moment
+            total[MOMENT_X] += moment * dx
+            total[MOMENT_Y] += moment_y
+            total[MOMENT_XX] += moment * dx * dx
+            total[MOMENT_XY] += moment_y * dx
+            total[MOMENT_YY] += columns[x + 5 * TILE]
+
+
+@kernel
+def draw_rows(fields, splats, starts, first, end, columns, background, colour, left, ends, reached):
+    """Draw tiles `first` to `end` into an image ``(H, W, 3)``, float32.
+
+    ``left (tiles, 256)`` and ``ends (tiles, 256)`` receive the transmittance behind all splats, and
+    the number of the pair at which a pixel is done; ``reached (tiles,)`` the end of the pairs that
+    were drawn.
+    """
+    height, width, _ = colour.shape
+    light = np.empty(_PLANES, np.float32)
+    for tile in range(first, end):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        light[:] = _ZERO
+        ends[tile] = np.int32(-1)
+        for y in range(y1 - y0):
+            light[y * TILE : y * TILE + x1 - x0] = _ONE
+            ends[tile, y * TILE : y * TILE + x1 - x0] = _NEVER
+        reached[tile] = _draw(
+            fields, splats, starts[tile], starts[tile + 1], x0, y0, height, light, ends[tile]
+        )
+        for pixel in range(_PIXELS):
+            left[tile, pixel] = abs(light[pixel])
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                pixel = (y - y0) * TILE + x - x0
+                for channel in range(3):
+                    behind = left[tile, pixel] * np.float32(background[channel])
+                    colour[y, x, channel] = light[pixel + (channel + 1) * _PIXELS] + behind
+
+
+@kernel
+def take_back_rows(
+    fields, splats, starts, first, end, columns, background, by_colour, left, ends, reached, sums
+):  # fmt: skip
+    """Fill ``sums (pairs, 9)`` for tiles `first` to `end`, with what `draw_rows` gave.
+
+    ``by_colour (H, W, 3)`` is the derivative of the loss by the image.
+    """
+    height, width, _ = by_colour.shape
+    light = np.empty(_PLANES, np.float32)
+    by_column = np.empty(_BY_COLUMN, np.float32)
+    for tile in range(first, end):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        light[:] = _ZERO
+        light[:_PIXELS] = left[tile]
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                pixel = (y - y0) * TILE + x - x0
+                behind = 0.0
+                for channel in range(3):
+                    slope = by_colour[y, x, channel]
+                    light[pixel + (channel + 1) * _PIXELS] = slope
+                    behind += slope * background[channel]
+                light[pixel + _BEHIND] = left[tile, pixel] * behind
+        start, stop = starts[tile], reached[tile]
+        sums[stop : starts[tile + 1]] = 0.0
+        _take_back(
+            fields, splats, start, stop, x0, y0, height, light, ends[tile], by_column, sums
+        )

@@ -48,17 +48,20 @@ _BY_COLUMN = 6 * TILE
 
 _NEVER = np.int32(2**31 - 1)
 
-#: exp(-x / 16), and its Taylor series in x / 16; it is then squared three times.
-_EIGHTH = np.float32(1 / 16)
-_SERIES = tuple(np.float32((-1) ** k / math.factorial(k)) for k in range(1, 6))
+#: Coefficients of exp(-x) for 0 <= x < 0.7, after the constant 1.
+_SERIES = tuple(
+    np.float32(c) for c in (-0.99999999, 0.49999909, -0.16665146, 0.041572763, -0.0080679527, 0.0010332433)
+)
+
+_SIXTEENTH = np.float32(1 / 16)
 
 
 @inlined
 def _exp_minus_half(q):
-    """exp(-q / 2) for 0 <= q < 12, to 1e-6."""
-    x = _EIGHTH * q
-    c1, c2, c3, c4, c5 = _SERIES
-    root = _ONE + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
+    """exp(-q / 2) for 0 <= q < 11.1, to 2e-6."""
+    x = _SIXTEENTH * q
+    c1, c2, c3, c4, c5, c6 = _SERIES
+    root = _ONE + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * (c5 + x * c6)))))
     root *= root
     root *= root
     return root * root

@@ -147,6 +147,31 @@ def test_photographs_are_the_targets_of_cameras_that_have_one(scene, tmp_path):
         prepare_scene(scene, chosen)
 
 
+def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp_path):
+    for name in ("b", "c"):
+        write_png(tmp_path / f"{name}.png", np.full((16, 24, 3), 0.4))
+    chosen = Plan(Steps(refine=1), CAMERAS, gt_images=tmp_path, views=1)
+    _, report = prepare_scene(scene, chosen)
+    targets = report.views.targets
+    assert [c.name for c in targets.cameras] == ["c", "a", "d"]
+    np.testing.assert_array_equal(targets.images[0], read_image(tmp_path / "c.png"))
+    expected = render(scene, CAMERAS[3].resized(24, 16)).colour
+    np.testing.assert_array_equal(targets.images[2], expected)
+    _, report = prepare_scene(scene, replace(chosen, gt_images=None))
+    assert [c.name for c in report.views.targets.cameras] == ["a", "c", "d"]
+    assert len(report.views.renders.cameras) == 1
+
+
+def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog):
+    unmarked = [camera(f"{i}", 0.1 * i) for i in range(10)]
+    _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked))
+    assert "every 8th is kept out" in caplog.text
+    assert [c.name for c in report.views.held_out.cameras] == ["0", "8"]
+    assert [c.name for c in report.views.targets.cameras] == [*"1234567", "9"]
+    _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked[:1]))
+    assert report.views.targets.cameras == report.views.held_out.cameras
+
+
 def test_views_are_evenly_spaced():
     assert evenly(CAMERAS, 2) == [CAMERAS[0], CAMERAS[3]]
     assert evenly(CAMERAS, 9) == CAMERAS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,6 +40,13 @@ from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
+
+#: How many times more views refinement fits than other steps work by: its time does not depend on
+#: their number.
+_TARGETS = 4
+
+#: Of cameras that are not marked, refinement keeps each of this number out, as 3DGS does.
+_EVERY = 8
 
 #: What a step returns: the indices of the Gaussians that stay (None: all), the new scene, and
 #: details for the report.
@@ -94,17 +101,51 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     """
     rest, test = _split(scene, plan)
     renders = draw_reference_views(scene, evenly(rest, plan.views), plan.background, progress)
-    photographs = None
+    photographs = targets = None
+    most = plan.views * (_TARGETS if plan.steps.refine else 1)
     if plan.gt_images is not None:
-        found = evenly(photographed(rest, plan.gt_images), plan.views)
+        found = evenly(photographed(rest, plan.gt_images), most)
         photographs = read_photographs(found, plan.background)
+    if plan.steps.refine:
+        targets = _targets(scene, rest, photographs, most, plan, progress)
     if test == rest:
         held_out = photographs or renders
     elif plan.gt_images is not None:
         held_out = read_photographs(photographed(test, plan.gt_images), plan.background)
     else:
         held_out = draw_reference_views(scene, test, plan.background, progress)
-    return ViewSplit(renders, photographs, held_out)
+    return ViewSplit(renders, photographs, held_out, targets)
+
+
+def _targets(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    photographs: ReferenceViews | None,
+    most: int,
+    plan: Plan,
+    progress: Progress | None,
+) -> ReferenceViews:
+    """Photographs, and renders of the scene from cameras without one, at most `most` together.
+
+    A scene with few photographs fits them better than what lies between; on bonsai, renders from
+    its other cameras keep a third of the loss away.
+    """
+    if photographs is None:
+        return draw_reference_views(scene, evenly(cameras, most), plan.background, progress)
+    taken = {camera.name: camera for camera in photographs.cameras}
+    scale = max(taken[c.name].width / c.width for c in cameras if c.name in taken)
+    others = [
+        c.resized(max(1, round(scale * c.width)), max(1, round(scale * c.height)))
+        for c in cameras
+        if c.name not in taken
+    ]
+    chosen = evenly(others, most - len(taken))
+    renders = draw_reference_views(scene, chosen, plan.background, progress)
+    return replace(
+        photographs,
+        cameras=photographs.cameras + renders.cameras,
+        images=photographs.images + renders.images,
+    )
 
 
 def guiding_views(
@@ -131,11 +172,23 @@ def guiding_views(
 
 
 def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
-    """Cameras that guide the steps, and held-out ones; the same if one list would be empty."""
+    """Cameras that guide the steps, and held-out ones.
+
+    If none or all are marked, they are the same, but refinement, which would fit what it is
+    measured by, keeps every 8th out.
+    """
     cameras = find_cameras(plan.cameras, scene, "all", plan.width, plan.views)
     test = [camera for camera in cameras if camera.split == "test"]
     rest = [camera for camera in cameras if camera.split != "test"]
-    return rest or test, test or rest
+    if rest and test:
+        return rest, test
+    if plan.steps.refine and len(cameras) > 1:
+        log.warning(
+            "cameras: none or all are marked 'test', so every 8th is kept out of refinement"
+        )
+        test = cameras[::_EVERY]
+        return [camera for i, camera in enumerate(cameras) if i % _EVERY], test
+    return cameras, cameras
 
 
 def _report(
@@ -163,10 +216,9 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _optimise(scene: Scene, context: _Context) -> _Outcome:
-    plan, references = context.plan, context.views.references
-    fitted, details = optimise(
-        scene, references, plan.steps.refine, plan.checkpoint, context.progress
-    )
+    plan, targets = context.plan, context.views.targets
+    assert targets is not None
+    fitted, details = optimise(scene, targets, plan.steps.refine, plan.checkpoint, context.progress)
     return None, fitted, details
 
 

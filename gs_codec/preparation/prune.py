@@ -23,18 +23,13 @@ from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.preparation.steps import GeometryRule, Steps
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
-from gs_codec.rendering.project import RED, TILE
 from gs_codec.rendering.renderer import render
-from gs_codec.rendering.trace import tile_bounds, tile_buffers, trace_down_to
+from gs_codec.rendering.rows import leave_out_rows
 from gs_codec.report import Progress, step_counter
-from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 
 #: Exponent of a Gaussian's volume in LightGaussian's score, and the quantile it is divided by.
 _VOLUME_POWER, _VOLUME_QUANTILE = 0.1, 0.9
-
-#: Transmittance where a pixel ends; low, as the removal of an opaque splat shows what it hid.
-_LEAST = 1e-6
 
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.2
@@ -115,45 +110,10 @@ def leave_one_out(
     for camera in views.cameras:
         frame = make_frame(scene, camera)
         errors = np.zeros((frame.pairs, 1))
-        frame.over_tiles(_leave_out, camera.width, camera.height, behind, errors)
+        frame.over_tiles(leave_out_rows, camera.width, camera.height, behind, errors)
         scores += frame.sum_pairs(scene.count, errors)[:, 0]
         advance()
     return scores
-
-
-@kernel
-def _leave_out(fields, splats, starts, first, end, columns, width, height, background, errors):
-    """Fill ``errors (pairs, 1)``."""
-    left, pixels, alphas, before = tile_buffers()
-    behind = np.empty((TILE * TILE, 3))
-    for tile in range(first, end):
-        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        # First sum all light of each pixel; then go front to back and subtract what is passed.
-        behind[:] = 0.0
-        left[:] = 1.0
-        for pair in range(starts[tile], starts[tile + 1]):
-            field = fields[splats[pair]]
-            count, _ = trace_down_to(_LEAST, field, x0, x1, y0, y1, left, pixels, alphas, before)
-            for i in range(count):
-                for channel in range(3):
-                    behind[pixels[i], channel] += alphas[i] * before[i] * field[RED + channel]
-        for pixel in range(TILE * TILE):
-            for channel in range(3):
-                behind[pixel, channel] += abs(left[pixel]) * background[channel]
-        left[:] = 1.0
-        for pair in range(starts[tile], starts[tile + 1]):
-            field = fields[splats[pair]]
-            count, _ = trace_down_to(_LEAST, field, x0, x1, y0, y1, left, pixels, alphas, before)
-            added = 0.0
-            for i in range(count):
-                pixel = pixels[i]
-                uncovered = alphas[i] / (1.0 - alphas[i])
-                for channel in range(3):
-                    own = alphas[i] * before[i] * field[RED + channel]
-                    behind[pixel, channel] -= own
-                    change = behind[pixel, channel] * uncovered - own
-                    added += change * change
-            errors[pair, 0] = added
 
 
 def prune_leave_one_out(

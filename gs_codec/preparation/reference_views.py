@@ -104,11 +104,14 @@ class ViewSplit(NamedTuple):
         Photographs of such cameras, where there are any.
     held_out : ReferenceViews
         The views that measure quality.
+    targets : ReferenceViews or None
+        What refinement fits, if there is any: photographs, and renders where there are none.
     """
 
     renders: ReferenceViews
     photographs: ReferenceViews | None
     held_out: ReferenceViews
+    targets: ReferenceViews | None = None
 
     @property
     def references(self) -> ReferenceViews:

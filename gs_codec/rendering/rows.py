@@ -1,4 +1,4 @@
-"""Tiles drawn and taken back in float32, a row of 16 pixels at once: for steps of optimisation.
+"""Tiles drawn in float32, a row of 16 pixels at once: for steps of optimisation and for pruning.
 
 Whatever is measured goes through `trace`, in float64; this is several times faster. What happens to
 a pixel depends on no other one, and sums are kept by column until a splat is done, so that
@@ -37,9 +37,12 @@ _ZERO, _ONE = np.float32(0), np.float32(1)
 _LEAST_ALPHA, _MOST_ALPHA = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
 _LEAST_LEFT = np.float32(MIN_TRANSMITTANCE)
 
+#: The same where splats are left out: an opaque splat's removal shows what it hid.
+_LEAST_HIDDEN = np.float32(1e-6)
+
 #: Planes of a tile, one after another in one array, so that the compiler sees that they differ:
-#: transmittance, negative where a pixel is done; red, green and blue, or derivatives by them; and the
-#: light behind the splats that are still to be taken back, times these derivatives.
+#: transmittance, negative where a pixel is done; red, green and blue, or derivatives by them; and
+#: the light behind the splats that are still to be taken back, times these derivatives.
 _PIXELS = TILE * TILE
 _RED, _GREEN, _BLUE, _BEHIND, _PLANES = (k * _PIXELS for k in range(1, 6))
 
@@ -50,7 +53,8 @@ _NEVER = np.int32(2**31 - 1)
 
 #: Coefficients of exp(-x) for 0 <= x < 0.7, after the constant 1.
 _SERIES = tuple(
-    np.float32(c) for c in (-0.99999999, 0.49999909, -0.16665146, 0.041572763, -0.0080679527, 0.0010332433)
+    np.float32(c)
+    for c in (-0.99999999, 0.49999909, -0.16665146, 0.041572763, -0.0080679527, 0.0010332433)
 )
 
 _SIXTEENTH = np.float32(1 / 16)
@@ -94,10 +98,11 @@ def _row(field, u, v, y):
 
 
 @kernel
-def _draw(fields, splats, start, end, x0, y0, height, light, ends):
+def _draw(fields, splats, start, end, x0, y0, height, least, light, ends):
     """Draw a tile front to back; return the end of the pairs that its pixels need.
 
-    ``ends (256,)`` receives the number of the pair that each pixel is done at.
+    A pixel is done before its transmittance falls below `least`; ``ends (256,)`` receives the
+    number of the pair that each is done at.
     """
     still_open = 0
     for pair in range(start, end):
@@ -116,8 +121,8 @@ def _draw(fields, splats, start, end, x0, y0, height, light, ends):
                 left = row[x]
                 after = left * (_ONE - alpha)
                 drawn &= left > _ZERO
-                last = drawn & (after < _LEAST_LEFT)
-                drawn &= after >= _LEAST_LEFT
+                last = drawn & (after < least)
+                drawn &= after >= least
                 weight = alpha * left if drawn else _ZERO
                 row[x] = -left if last else (after if drawn else left)
                 row[x + _RED] += weight * red
@@ -153,7 +158,9 @@ def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns,
                 over = _ONE / (_ONE - alpha)
                 left = row[x] * over
                 weight = alpha * left
-                own = weight * (row[x + _RED] * red + row[x + _GREEN] * green + row[x + _BLUE] * blue)
+                own = weight * (
+                    row[x + _RED] * red + row[x + _GREEN] * green + row[x + _BLUE] * blue
+                )
                 behind = row[x + _BEHIND]
                 change = own - behind * (alpha * over)
                 # An alpha at its limit does not change.
@@ -182,6 +189,16 @@ def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns,
             total[MOMENT_YY] += columns[x + 5 * TILE]
 
 
+@inlined
+def _open_tile(x0, x1, y0, y1, light, ends):
+    """Prepare the planes of a tile for `_draw`; pixels outside the image are done."""
+    light[:] = _ZERO
+    ends[:] = np.int32(-1)
+    for y in range(y1 - y0):
+        light[y * TILE : y * TILE + x1 - x0] = _ONE
+        ends[y * TILE : y * TILE + x1 - x0] = _NEVER
+
+
 @kernel
 def draw_rows(fields, splats, starts, first, end, columns, background, colour, left, ends, reached):
     """Draw tiles `first` to `end` into an image ``(H, W, 3)``, float32.
@@ -194,16 +211,12 @@ def draw_rows(fields, splats, starts, first, end, columns, background, colour, l
     light = np.empty(_PLANES, np.float32)
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        light[:] = _ZERO
-        ends[tile] = np.int32(-1)
-        for y in range(y1 - y0):
-            light[y * TILE : y * TILE + x1 - x0] = _ONE
-            ends[tile, y * TILE : y * TILE + x1 - x0] = _NEVER
+        _open_tile(x0, x1, y0, y1, light, ends[tile])
+        start, stop = starts[tile], starts[tile + 1]
         reached[tile] = _draw(
-            fields, splats, starts[tile], starts[tile + 1], x0, y0, height, light, ends[tile]
+            fields, splats, start, stop, x0, y0, height, _LEAST_LEFT, light, ends[tile]
         )
-        for pixel in range(_PIXELS):
-            left[tile, pixel] = abs(light[pixel])
+        left[tile] = np.abs(light[:_PIXELS])
         for y in range(y0, y1):
             for x in range(x0, x1):
                 pixel = (y - y0) * TILE + x - x0
@@ -238,6 +251,58 @@ def take_back_rows(
                 light[pixel + _BEHIND] = left[tile, pixel] * behind
         start, stop = starts[tile], reached[tile]
         sums[stop : starts[tile + 1]] = 0.0
-        _take_back(
-            fields, splats, start, stop, x0, y0, height, light, ends[tile], by_column, sums
-        )
+        _take_back(fields, splats, start, stop, x0, y0, height, light, ends[tile], by_column, sums)
+
+
+@kernel
+def leave_out_rows(fields, splats, starts, first, end, columns, width, height, background, errors):
+    """Squared error of tiles `first` to `end` without each single splat: ``errors (pairs, 1)``."""
+    light, ends = np.empty(_PLANES, np.float32), np.empty(_PIXELS, np.int32)
+    by_column = np.empty(TILE, np.float32)
+    for tile in range(first, end):
+        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
+        _open_tile(x0, x1, y0, y1, light, ends)
+        start, stop = starts[tile], starts[tile + 1]
+        reached = _draw(fields, splats, start, stop, x0, y0, height, _LEAST_HIDDEN, light, ends)
+        for pixel in range(_PIXELS):
+            light[pixel] = abs(light[pixel])
+            for channel in range(3):
+                behind = light[pixel] * np.float32(background[channel])
+                light[pixel + (channel + 1) * _PIXELS] = behind
+        errors[reached:stop] = 0.0
+        _leave_out(fields, splats, start, reached, x0, y0, height, light, ends, by_column, errors)
+
+
+@kernel
+def _leave_out(fields, splats, start, end, x0, y0, height, light, ends, columns, errors):
+    """Errors of the pairs of a tile, back to front; red, green and blue are the light behind."""
+    for pair in range(end - 1, start - 1, -1):
+        field = fields[splats[pair]]
+        slope, reach = np.float32(field[FACTOR_XX]), np.float32(field[REACH])
+        opacity = np.float32(field[OPACITY])
+        red, green = np.float32(field[RED]), np.float32(field[GREEN])
+        blue, number = np.float32(field[BLUE]), np.int32(pair - start)
+        top, bottom, u, v = _rows(field, x0, y0, height)
+        columns[:] = _ZERO
+        for y in range(top, bottom):
+            offset, across = _row(field, u, v, y)
+            row = light[y * TILE : y * TILE + _BEHIND]
+            done = ends[y * TILE : y * TILE + TILE]
+            for x in range(TILE):
+                alpha, drawn = _alpha(x, slope, offset, across, reach, opacity)
+                alpha = alpha if drawn & (done[x] > number) else _ZERO
+                over = _ONE / (_ONE - alpha)
+                left = row[x] * over
+                weight, uncovered = alpha * left, alpha * over
+                by_red = row[x + _RED] * uncovered - weight * red
+                by_green = row[x + _GREEN] * uncovered - weight * green
+                by_blue = row[x + _BLUE] * uncovered - weight * blue
+                row[x] = left
+                row[x + _RED] += weight * red
+                row[x + _GREEN] += weight * green
+                row[x + _BLUE] += weight * blue
+                columns[x] += by_red * by_red + by_green * by_green + by_blue * by_blue
+        added = 0.0
+        for x in range(TILE):
+            added += columns[x]
+        errors[pair, 0] = added

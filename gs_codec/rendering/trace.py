@@ -62,12 +62,6 @@ def trace_splat(field, x0, x1, y0, y1, left, pixels, alphas, before):
 
     Returns how many were listed, and how many pixels are done because of it.
     """
-    return trace_down_to(MIN_TRANSMITTANCE, field, x0, x1, y0, y1, left, pixels, alphas, before)
-
-
-@inlined
-def trace_down_to(least, field, x0, x1, y0, y1, left, pixels, alphas, before):
-    """`trace_splat` that ends a pixel before its transmittance falls below `least`."""
     u, v = field[CENTRE_X], field[CENTRE_Y]
     fxx, fxy, fyy = field[FACTOR_XX], field[FACTOR_XY], field[FACTOR_YY]
     opacity = field[OPACITY]
@@ -93,7 +87,7 @@ def trace_down_to(least, field, x0, x1, y0, y1, left, pixels, alphas, before):
             if alpha < MIN_ALPHA:
                 continue
             after = transmittance * (1.0 - alpha)
-            if after < least:
+            if after < MIN_TRANSMITTANCE:
                 left[pixel] = -transmittance
                 done += 1
                 continue

@@ -836,7 +836,7 @@ def test_progress_in_a_pipe_is_a_line_every_ten_seconds(capsys, monkeypatch):
     update = progress_lines(lambda: next(seconds))
     for done in range(1, 4):
         update("refit", done, 3000)
-    assert capsys.readouterr().err == "refit: 3 of 3,000 after 10 s\n"
+    assert capsys.readouterr().err == "refit: 3 of 3,000 after 10 s, 150 min left\n"
     update("refit", 2999, 3000)
     update("refit", 3000, 3000)
     update("code", 1, 2)

@@ -69,12 +69,14 @@ def progress_bar() -> Iterator[Progress]:
         yield progress_lines(time.monotonic)
         return
     from rich.console import Console
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn
     from rich.progress import Progress as Bars
+    from rich.progress import TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     console = Console(stderr=True)
-    with Bars(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
+    columns = (*columns, TimeElapsedColumn(), TimeRemainingColumn())
+    with Bars(*columns, console=console, transient=True) as bars:
         tasks: dict[str, Any] = {}
 
         def update(stage: str, done: int, total: int) -> None:
@@ -88,13 +90,19 @@ def progress_bar() -> Iterator[Progress]:
 def progress_lines(clock: Callable[[], float]) -> Progress:
     """A callback that prints how far a stage is, `SECONDS_A_LINE` after the line before."""
     start = last = clock()
+    began: dict[str, tuple[float, int]] = {}
 
     def update(stage: str, done: int, total: int) -> None:
         nonlocal last
         now = clock()
+        since, first = began.setdefault(stage, (now, done))
         if now - last >= SECONDS_A_LINE:
             last = now
-            print_status(f"{stage}: {done:,} of {total:,} after {now - start:.0f} s")
+            line = f"{stage}: {done:,} of {total:,} after {now - start:.0f} s"
+            if first < done < total:
+                left = (now - since) / (done - first) * (total - done)
+                line += f", {left:.0f} s left" if left < 120 else f", {left / 60:.0f} min left"
+            print_status(line)
 
     return update
 

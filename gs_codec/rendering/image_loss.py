@@ -23,9 +23,7 @@ _C1, _C2 = 0.01**2, 0.03**2
 _BAND = 16
 
 
-def differentiate_loss(
-    colour: NDArray[np.float64], target: NDArray
-) -> tuple[NDArray[np.float64], float]:
+def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.float64], float]:
     """Derivative of the loss by an image ``(H, W, 3)``, not clipped, and the mean squared error.
 
     SSIM has the Gaussian window of sigma 1.5, 11 pixels wide (Wang et al. 2004), and as in the

@@ -68,14 +68,15 @@ def progress_bar() -> Iterator[Progress]:
     if not sys.stderr.isatty():
         yield progress_lines(time.monotonic)
         return
-    from rich.console import Console
     from rich import progress as rich
+    from rich.console import Console
 
     columns = (
         rich.TextColumn("{task.description}"),
         rich.BarColumn(),
         rich.TaskProgressColumn(),
         rich.TimeElapsedColumn(),
+        rich.TextColumn("left"),
         rich.TimeRemainingColumn(),
     )
     with rich.Progress(*columns, console=Console(stderr=True), transient=True) as bars:

@@ -134,15 +134,17 @@ class Plan:
         Which steps to run; none by default.
     cameras : path, "auto", or sequence of Camera
         Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced,
-        guide the steps. If none or all are marked, the same cameras do both.
+        guide the steps. If none or all are marked, the same cameras do both, but with `refine`
+        every 8th is kept out to measure by.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
-        measured against them, and `refine` fits to them. By default renders of the input are
-        used. Those of distorted lenses are undistorted (see `Lens`).
+        measured against them, and `refine` fits to them, and to renders of the input for cameras
+        without one. By default renders of the input are used. Those of distorted lenses are
+        undistorted (see `Lens`).
     width : int, optional
         Width of the views, pixels; not allowed with `gt_images`, whose size is used.
     views : int
-        1 or more.
+        1 or more. `refine` fits up to four times as many.
     background : tuple of three float
         RGB behind the scene, 0-1.
     checkpoint : path, optional
@@ -173,7 +175,12 @@ class Plan:
         None, "Width of the views, pixels.", kind=int, low=1, high=1 << 20, shown="the cameras'"
     )
     views: int = option(
-        64, "Most views to work by.", kind=int, low=1, high=1 << 30, expected="at least 1"
+        64,
+        "Most views to work by; refinement fits four times as many.",
+        kind=int,
+        low=1,
+        high=1 << 30,
+        expected="at least 1",
     )
     background: tuple[float, float, float] = option(
         BACKGROUNDS["black"], "Colour behind the scene.", shown="black", values=BACKGROUNDS

@@ -341,6 +341,7 @@ def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
 
 def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
     scene, plan = seen
+    plan = replace(plan, views=18)
     target = RateTarget(bits=265, allow_prune=True)
     data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
     plain, _ = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=265), plan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +33,7 @@ from gs_codec.preparation.reference_views import (
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.between import cameras_between
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.evidence import tells_cameras
@@ -100,7 +101,7 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
         If there are no cameras, no photograph of them is found, or one is broken.
     """
     rest, test = _split(scene, plan)
-    renders = draw_reference_views(scene, evenly(rest, plan.views), plan.background, progress)
+    renders = draw_reference_views(scene, _enough(rest, plan.views), plan.background, progress)
     photographs = targets = None
     most = plan.views * (_TARGETS if plan.steps.refine else 1)
     if plan.gt_images is not None:
@@ -109,7 +110,7 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     if plan.steps.refine:
         targets = _targets(scene, rest, photographs, most, plan, progress)
     if test == rest:
-        held_out = photographs or renders
+        held_out = photographs or renders.first(len(rest))
     elif plan.gt_images is not None:
         held_out = read_photographs(photographed(test, plan.gt_images), plan.background)
     else:
@@ -119,7 +120,7 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
 
 def _targets(
     scene: Scene,
-    cameras: Sequence[Camera],
+    cameras: list[Camera],
     photographs: ReferenceViews | None,
     most: int,
     plan: Plan,
@@ -131,16 +132,15 @@ def _targets(
     its other cameras keep a third of the loss away.
     """
     if photographs is None:
-        return draw_reference_views(scene, evenly(cameras, most), plan.background, progress)
+        return draw_reference_views(scene, _enough(cameras, most), plan.background, progress)
     taken = {camera.name: camera for camera in photographs.cameras}
     scale = max(taken[c.name].width / c.width for c in cameras if c.name in taken)
     others = [
         c.resized(max(1, round(scale * c.width)), max(1, round(scale * c.height)))
-        for c in cameras
+        for c in _enough(cameras, most)
         if c.name not in taken
     ]
-    chosen = evenly(others, most - len(taken))
-    renders = draw_reference_views(scene, chosen, plan.background, progress)
+    renders = draw_reference_views(scene, others, plan.background, progress)
     return replace(
         photographs,
         cameras=photographs.cameras + renders.cameras,
@@ -166,9 +166,16 @@ def guiding_views(
         return None
     if references is None or plan.steps.refine:
         known = None if references is None else references.cameras
-        cameras = known or evenly(_split(scene, plan)[0], plan.views)
+        cameras = known or _enough(_split(scene, plan)[0], plan.views)
         references = draw_reference_views(scene, cameras, plan.background, progress)
     return replace(references, estimated=estimated)
+
+
+def _enough(cameras: list[Camera], most: int) -> list[Camera]:
+    """At most this many cameras; if there are fewer, as many at most between them as well."""
+    if len(cameras) >= most:
+        return evenly(cameras, most)
+    return [*cameras, *evenly(cameras_between(cameras), most)]
 
 
 def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -42,6 +42,12 @@ class ReferenceViews:
     background: tuple[float, float, float]
     source: Scene | None = None
     estimated: bool = False
+
+    def first(self, number: int) -> ReferenceViews:
+        """The first views, at most this many."""
+        if number >= len(self.cameras):
+            return self
+        return replace(self, cameras=self.cameras[:number], images=self.images[:number])
 
     def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
         """Quality of a scene's images against these, mean over the views."""

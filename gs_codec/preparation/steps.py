@@ -134,8 +134,8 @@ class Plan:
         Which steps to run; none by default.
     cameras : path, "auto", or sequence of Camera
         Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced,
-        guide the steps. If none or all are marked, the same cameras do both, but with `refine`
-        every 8th is kept out to measure by.
+        guide the steps; if they are fewer, views between them do, too. If none or all are marked,
+        the same cameras do both, but with `refine` every 8th is kept out to measure by.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
         measured against them, and `refine` fits to them, and to renders of the input for cameras

@@ -81,6 +81,15 @@ def _alpha(x, slope, offset, across, reach, opacity):
 
 
 @inlined
+def _splat(field):
+    """What is the same in all rows: slope of the offset, largest q, opacity, and colour."""
+    return (
+        np.float32(field[FACTOR_XX]), np.float32(field[REACH]), np.float32(field[OPACITY]),
+        np.float32(field[RED]), np.float32(field[GREEN]), np.float32(field[BLUE]),
+    )  # fmt: skip
+
+
+@inlined
 def _rows(field, x0, y0, height):
     """First and end row of a splat in a tile, and its centre there."""
     v = field[CENTRE_Y] - y0
@@ -106,11 +115,8 @@ def _draw(fields, splats, start, end, x0, y0, height, least, light, ends):
     """
     still_open = 0
     for pair in range(start, end):
-        field = fields[splats[pair]]
-        slope, reach = np.float32(field[FACTOR_XX]), np.float32(field[REACH])
-        opacity = np.float32(field[OPACITY])
-        red, green = np.float32(field[RED]), np.float32(field[GREEN])
-        blue, number = np.float32(field[BLUE]), np.int32(pair - start)
+        field, number = fields[splats[pair]], np.int32(pair - start)
+        slope, reach, opacity, red, green, blue = _splat(field)
         top, bottom, u, v = _rows(field, x0, y0, height)
         for y in range(top, bottom):
             offset, across = _row(field, u, v, y)
@@ -140,11 +146,8 @@ def _draw(fields, splats, start, end, x0, y0, height, least, light, ends):
 def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
     """Sums of the pairs of a tile, back to front."""
     for pair in range(end - 1, start - 1, -1):
-        field = fields[splats[pair]]
-        slope, reach = np.float32(field[FACTOR_XX]), np.float32(field[REACH])
-        opacity = np.float32(field[OPACITY])
-        red, green = np.float32(field[RED]), np.float32(field[GREEN])
-        blue, number = np.float32(field[BLUE]), np.int32(pair - start)
+        field, number = fields[splats[pair]], np.int32(pair - start)
+        slope, reach, opacity, red, green, blue = _splat(field)
         top, bottom, u, v = _rows(field, x0, y0, height)
         columns[:] = _ZERO
         for y in range(top, bottom):
@@ -277,11 +280,8 @@ def leave_out_rows(fields, splats, starts, first, end, columns, width, height, b
 def _leave_out(fields, splats, start, end, x0, y0, height, light, ends, columns, errors):
     """Errors of the pairs of a tile, back to front; red, green and blue are the light behind."""
     for pair in range(end - 1, start - 1, -1):
-        field = fields[splats[pair]]
-        slope, reach = np.float32(field[FACTOR_XX]), np.float32(field[REACH])
-        opacity = np.float32(field[OPACITY])
-        red, green = np.float32(field[RED]), np.float32(field[GREEN])
-        blue, number = np.float32(field[BLUE]), np.int32(pair - start)
+        field, number = fields[splats[pair]], np.int32(pair - start)
+        slope, reach, opacity, red, green, blue = _splat(field)
         top, bottom, u, v = _rows(field, x0, y0, height)
         columns[:] = _ZERO
         for y in range(top, bottom):

@@ -165,7 +165,7 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     assert len(report.views.renders.cameras) == 1
 
 
-def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog):
+def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog, tmp_path):
     unmarked = [camera(f"{i}", 0.1 * i) for i in range(10)]
     _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked))
     assert "every 8th is kept out" in caplog.text
@@ -173,6 +173,11 @@ def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog):
     assert [c.name for c in report.views.targets.cameras[:8]] == [*"1234567", "9"]
     _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked[:1]))
     assert report.views.targets.cameras == report.views.held_out.cameras
+    for name in ("3", "5"):
+        write_png(tmp_path / f"{name}.png", np.full((32, 48, 3), 0.4))
+    _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked, gt_images=tmp_path))
+    assert [c.name for c in report.views.held_out.cameras] == ["3"]
+    assert report.views.targets.cameras[0].name == "5"
 
 
 def test_views_are_evenly_spaced():

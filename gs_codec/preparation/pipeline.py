@@ -193,8 +193,11 @@ def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
         log.warning(
             "cameras: none or all are marked 'test', so every 8th is kept out of refinement"
         )
-        test = cameras[::_EVERY]
-        return [camera for i, camera in enumerate(cameras) if i % _EVERY], test
+        known = cameras
+        if plan.gt_images is not None:
+            known = [camera for camera, _ in photographed(cameras, plan.gt_images)]
+        test = known[::_EVERY]
+        return [camera for camera in cameras if all(camera is not out for out in test)], test
     return cameras, cameras
 
 

@@ -55,9 +55,10 @@ def differentiate(
 ) -> Differentiated:
     """Draw a view and take its loss back to the splats (Kerbl et al. 2023, Appendix A).
 
-    Derivatives are exact, except that, as in 3DGS, which splats are drawn in which pixels and in
-    what order is constant. The derivative is 0 for an alpha at its limit and for a colour below 0.
-    Beyond 1.3 of the field of view, the projection's Jacobian is that of the edge.
+    Derivatives have the digits of float32. Otherwise they are exact, except that, as in 3DGS, which
+    splats are drawn in which pixels and in what order is constant. The derivative is 0 for an alpha
+    at its limit and for a colour below 0. Beyond 1.3 of the field of view, the projection's
+    Jacobian is that of the edge.
 
     Parameters
     ----------

@@ -29,6 +29,7 @@ from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.ply import vertex_rows, write_ply
 from gs_codec.guidance import trials
 from gs_codec.guidance.allocate import encode_to_target
+from gs_codec.guidance.planned import encode_by_plan
 from gs_codec.guidance.search import COARSEST, FINEST, search
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import choose_views
@@ -44,7 +45,7 @@ def scene() -> Scene:
 
 
 def to_target(scene, config, target, ply_bytes=1, plan=None):
-    return encode_to_target(scene, scene, ply_bytes, config, target, plan)
+    return encode_by_plan(scene, ply_bytes, config, plan, target)
 
 
 def unchanged(shaped, *_, **__):
@@ -341,7 +342,7 @@ def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
 
 def test_nothing_goes_where_fewer_do_not_fill_the_size(seen):
     scene, plan = seen
-    plan = replace(plan, views=18)
+    plan = replace(plan, views=12)
     target = RateTarget(bits=265, allow_prune=True)
     data, report = encode_to_target(scene, scene, 1, Config("m"), target, plan)
     plain, _ = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=265), plan)

@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.config import Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.search import COARSEST, FINEST, search, search_recoloured
 from gs_codec.guidance.trials import RateSearch, Seen, Trials
+from gs_codec.preparation.balance import ADDED, StepError
 from gs_codec.preparation.pipeline import choose_views, guiding_views
 from gs_codec.preparation.prune import keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ViewSplit
@@ -60,13 +61,8 @@ def encode_to_target(
     Raises
     ------
     InvalidInput
-        If the profile has fixed steps, or the target is unreachable; the error gives the range.
+        If the target is unreachable; the error gives the range.
     """
-    if config.profile not in ADAPTIVE_PROFILES:
-        known = ", ".join(ADAPTIVE_PROFILES)
-        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, expected {known}")
-    if not scene.count:
-        raise InvalidInput("target: the scene has no Gaussians")
     limit = target.limit(original.count, ply_bytes)
     seen = references = None
     if limit is None or target.allow_prune:
@@ -86,6 +82,34 @@ def encode_to_target(
     data, report = trials.last
     rate = trials.rate_report(clean.count - trials.scene.count)
     return data, replace(report, **changed, seconds=asked.times.seconds, rate=rate)
+
+
+def step_error_for(
+    scene: Scene,
+    ply_bytes: int,
+    config: Config,
+    target: RateTarget,
+    views: ViewSplit,
+    progress: Progress | None = None,
+) -> StepError:
+    """The error of the steps that would meet a target with a pruned scene; see `Balance`."""
+    limit = target.limit(scene.count, ply_bytes)
+    if limit is None:
+        references = views.references
+        before = references.error(scene, progress)
+        allowed = references.error_for(float(target.psnr_drop or 0), before) - before
+        return lambda size, left: max(allowed - left, 0.0) / ADDED
+    clean, _ = clean_scene(scene, config)
+    trials = Trials(clean, RateSearch(config, target, limit, views.renders, None, progress))
+    trials.compact(0.0)
+    whole = trials.size(0.0)
+
+    def error(size: float, left: float) -> float:
+        octaves = math.log2(limit / (whole * size)) / _SIZE_SLOPE
+        profile = replace(config, coarseness=2.0 ** min(max(octaves, FINEST), COARSEST))
+        return profile.adaptive_profile().error
+
+    return error
 
 
 class _OutOfReach(InvalidInput):

@@ -10,12 +10,13 @@ from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
 from gs_codec.codecs.encode import encode_scene
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget, as_rate_target
+from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
 if TYPE_CHECKING:
-    from gs_codec.preparation.reference_views import ReferenceViews
+    from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
     from gs_codec.preparation.steps import Plan
 
 
@@ -34,19 +35,40 @@ def encode_by_plan(
     InvalidInput
         If there are no cameras, nothing would be left, or the rate cannot be reached.
     """
+    target = None if rate is None else as_rate_target(rate)
+    if target is not None:
+        _check_target(scene, config, target, plan)
     views, original = None, scene
     if plan is not None and plan.steps.wanted:
+        from gs_codec.preparation.balance import StepError, step_error_of
         from gs_codec.preparation.pipeline import prepare_scene
 
-        scene, prepared = prepare_scene(scene, plan, progress)
+        def step_error(views: ViewSplit) -> StepError:
+            if target is None:
+                return step_error_of(config)
+            from gs_codec.guidance.allocate import step_error_for
+
+            return step_error_for(original, ply_bytes, config, target, views, progress)
+
+        scene, prepared = prepare_scene(scene, plan, progress, step_error)
         views = prepared.views
-    if rate is not None:
+    if target is not None:
         from gs_codec.guidance.allocate import encode_to_target
 
-        target = as_rate_target(rate)
         return encode_to_target(scene, original, ply_bytes, config, target, plan, progress, views)
     references = None if views is None else views.renders
     return encode_planned(scene, config, plan, progress, references)
+
+
+def _check_target(scene: Scene, config: Config, target: RateTarget, plan: Plan | None) -> None:
+    """Refuse what has no steps to choose, before anything is worked out."""
+    if config.profile not in ADAPTIVE_PROFILES:
+        known = ", ".join(ADAPTIVE_PROFILES)
+        raise InvalidInput(f"target: profile '{config.profile}' has fixed steps, expected {known}")
+    if not scene.count:
+        raise InvalidInput("target: the scene has no Gaussians")
+    if target.allow_prune and plan is not None and plan.steps.balanced:
+        raise InvalidInput("allow_prune: refine prunes for a target without it")
 
 
 def encode_planned(

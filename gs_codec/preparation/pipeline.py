@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
+from gs_codec.config import Config
+from gs_codec.preparation.balance import Balance, StepError, step_error_of
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.prune import (
@@ -46,6 +48,9 @@ log = logging.getLogger(__name__)
 #: their number.
 _TARGETS = 4
 
+#: Most views between cameras for each that is missing.
+_BETWEEN = 4
+
 #: Of cameras that are not marked, refinement keeps each of this number out, as 3DGS does.
 _EVERY = 8
 
@@ -60,12 +65,19 @@ class _Context(NamedTuple):
     plan: Plan
     views: ViewSplit
     progress: Progress | None
+    step_error: Callable[[ViewSplit], StepError] | None
 
 
 def prepare_scene(
-    scene: Scene, plan: Plan, progress: Progress | None = None
+    scene: Scene,
+    plan: Plan,
+    progress: Progress | None = None,
+    step_error: Callable[[ViewSplit], StepError] | None = None,
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
+
+    What steps would code it, by the views chosen, tells how far a balanced plan prunes; by default
+    those of profile `m`.
 
     Raises
     ------
@@ -73,7 +85,7 @@ def prepare_scene(
         If there are no cameras, no Gaussian would be left, or an image is broken.
     """
     views = choose_views(scene, plan, progress)
-    context = _Context(plan, views, progress)
+    context = _Context(plan, views, progress, step_error)
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
@@ -172,10 +184,13 @@ def guiding_views(
 
 
 def _enough(cameras: list[Camera], most: int) -> list[Camera]:
-    """At most this many cameras; if there are fewer, as many at most between them as well."""
+    """At most this many cameras; if there are fewer, views between them as well.
+
+    These are at most four for each that is missing: all of them where cameras are few.
+    """
     if len(cameras) >= most:
         return evenly(cameras, most)
-    return [*cameras, *evenly(cameras_between(cameras), most)]
+    return [*cameras, *evenly(cameras_between(cameras), _BETWEEN * (most - len(cameras)))]
 
 
 def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
@@ -221,7 +236,13 @@ def _prune_geometry(scene: Scene, context: _Context) -> _Outcome:
 
 
 def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
-    stay, details = prune_leave_one_out(scene, context.views, context.plan.steps, context.progress)
+    views, steps, progress = context.views, context.plan.steps, context.progress
+    balance = None
+    if steps.balanced:
+        known = context.step_error
+        error = step_error_of(Config()) if known is None else known(views)
+        balance = Balance(scene, views.renders, views.photographs is not None, error, progress)
+    stay, details = prune_leave_one_out(scene, views, steps, progress, balance)
     return stay, scene.take(stay), details
 
 
@@ -280,7 +301,7 @@ _STEPS = (
     _Step("geometry pruning", lambda s: s.prune_geometry > 0, _prune_geometry, "geometry"),
     _Step(
         "leave-one-out pruning",
-        lambda s: s.prune > 0 or s.prune_max_psnr_drop is not None,
+        lambda s: bool(s.prune) or s.prune_max_psnr_drop is not None or s.balanced,
         _prune_loo,
         "leave-one-out",
     ),

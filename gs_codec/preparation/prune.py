@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.preparation.balance import Balance
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.preparation.steps import GeometryRule, Steps
 from gs_codec.rendering.camera import Camera
@@ -117,16 +118,22 @@ def leave_one_out(
 
 
 def prune_leave_one_out(
-    scene: Scene, views: ViewSplit, steps: Steps, progress: Progress | None = None
+    scene: Scene,
+    views: ViewSplit,
+    steps: Steps,
+    progress: Progress | None = None,
+    balance: Balance | None = None,
 ) -> tuple[NDArray[np.int64], dict[str, Any]]:
     """Prune in rounds; return indices of the Gaussians that stay, and details of the rounds.
 
     Scores use the renders of `views`; the PSNR loss is measured on its photographs if there are
-    any. A limit on the loss without a percentage removes as many as that allows.
+    any. A limit on the loss without a percentage removes as many as that allows; with a balance,
+    rounds go on as long as they pay.
     """
     max_drop = steps.prune_max_psnr_drop
-    wanted = portion(scene.count, steps.prune)
-    least = scene.count - wanted if wanted or max_drop is None else 1
+    wanted = portion(scene.count, steps.prune or 0.0)
+    limited = max_drop is not None or balance is not None
+    least = scene.count - wanted if wanted or not limited else 1
     kept = np.arange(scene.count)
     rounds: list[dict[str, Any]] = []
     references = views.references
@@ -138,7 +145,10 @@ def prune_leave_one_out(
         asked = removed = min(len(kept) - least, max(1, int(_ROUND * len(kept))))
         if max_drop is not None:
             removed = _allowed(current, scores, asked, references, before, max_drop, progress)
-        kept = kept[keep_highest(scores, removed)]
+        left = kept[keep_highest(scores, removed)]
+        if balance is not None and not balance.pays(scene.take(left)):
+            break
+        kept = left
         if removed < asked:
             break
     return kept, {"rounds": rounds}

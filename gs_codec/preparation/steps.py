@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -51,8 +51,9 @@ class Steps:
         absolute values. Default ``median``, which does not depend on where the origin is.
     prune_importance : float
         Percent to remove by LightGaussian's importance (theta1 of the paper), 0 up to 100.
-    prune : float
-        Percent to remove by leave-one-out error, 0 up to 100.
+    prune : float, optional
+        Percent to remove by leave-one-out error, 0 up to 100. By default none, but with `refine`
+        and no other pruning, as many as cost less than coarser steps would; see `Balance`.
     prune_max_psnr_drop : float or None
         Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`,
         only this limits it.
@@ -90,8 +91,11 @@ class Steps:
     prune_importance: float = option(
         0.0, "Prune this percentage, least important first (the paper's theta1).", **_PERCENT
     )
-    prune: float = option(
-        0.0, "Prune this percentage: Gaussians whose removal changes the views least.", **_PERCENT
+    prune: float | None = option(
+        None,
+        "Prune this percentage: Gaussians whose removal changes the views least.",
+        shown="0, with --refine as many as pay",
+        **_PERCENT,
     )
     prune_max_psnr_drop: float | None = option(
         None,
@@ -115,13 +119,19 @@ class Steps:
         check_options(self)
         if self.geometry_rule != "median" and not self.prune_geometry:
             raise InvalidInput("geometry_rule: needs prune_geometry")
-        if 0 < self.prune < 1:
+        if self.prune is not None and 0 < self.prune < 1:
             raise InvalidInput(f"prune {self.prune}: expected percent, half of all is 50")
 
     @property
     def wanted(self) -> bool:
         """Whether there is anything to do."""
-        return self != Steps()
+        return replace(self, prune=self.prune or None) != Steps()
+
+    @property
+    def balanced(self) -> bool:
+        """Whether pruning goes as far as pays: it is not asked for, and refinement follows."""
+        asked = self.prune_geometry or self.prune_importance or self.prune_max_psnr_drop is not None
+        return self.refine > 0 and self.prune is None and not asked
 
 
 @dataclass(frozen=True)

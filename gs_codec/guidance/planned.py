@@ -33,7 +33,8 @@ def encode_by_plan(
     Raises
     ------
     InvalidInput
-        If there are no cameras, nothing would be left, or the rate cannot be reached.
+        If there are no cameras, nothing would be left, the profile has no steps to choose for a
+        rate, or the rate cannot be reached.
     """
     target = None if rate is None else as_rate_target(rate)
     if target is not None:

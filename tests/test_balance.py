@@ -1,0 +1,120 @@
+"""How far refinement prunes if nobody says: as long as coarser steps would cost more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from test_guide import cameras
+
+from gs_codec.codecs import decode_scene
+from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.errors import InvalidInput
+from gs_codec.guidance.allocate import step_error_for
+from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.preparation.balance import Balance, step_error_of
+from gs_codec.preparation.pipeline import choose_views, prepare_scene
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.scene import Scene
+from samples.generate import generate
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[Scene, Plan]:
+    return generate(1200, 1, 6), Plan(Steps(refine=1), cameras(9))
+
+
+def left(scene: Scene, plan: Plan, error: float | None = None) -> int:
+    known = None if error is None else lambda views: lambda size, lost: error
+    return prepare_scene(scene, plan, None, known)[0].count
+
+
+def test_coarser_steps_leave_fewer_gaussians(seen):
+    scene, plan = seen
+    counts = [left(scene, plan, error) for error in (0.0, 1e-4, 1e-2)]
+    assert counts[0] > counts[1] > counts[2] > 0
+    assert left(scene, plan) == left(scene, plan, ADAPTIVE_PROFILES["m"].error)
+
+
+@pytest.mark.parametrize(
+    "steps", [{"prune": 0}, {"prune": 10}, {"prune_importance": 10}, {"prune_max_psnr_drop": 0.0}]
+)
+def test_what_is_asked_for_is_what_goes(seen, steps):
+    scene, plan = seen
+    asked = Steps(refine=1, **steps)
+    assert not asked.balanced
+    expected = prepare_scene(scene, replace(plan, steps=replace(asked, refine=0)))[0].count
+    assert left(scene, replace(plan, steps=asked), 1e-2) == expected
+
+
+def test_nothing_goes_without_refinement():
+    assert not Steps(compact_sh=1e-5).balanced
+    assert not Steps(prune=0).wanted
+
+
+def test_rounds_are_weighed_against_the_one_before(seen):
+    scene, plan = seen
+    renders = choose_views(scene, plan).renders
+    half = scene.take(range(0, scene.count, 2))
+    sizes: list[tuple[float, float]] = []
+
+    def step_error(size: float, lost: float) -> float:
+        sizes.append((size, lost))
+        return 0.0
+
+    balance = Balance(scene, renders, False, step_error)
+    assert not balance.pays(half)
+    assert balance.pays(half)  # Neither costs nor saves anything.
+    assert sizes[0] == sizes[1]
+    assert 0.4 < sizes[0][0] < 0.7
+    assert sizes[0][1] == pytest.approx(0.2 * renders.error(half))
+    # Photographs hold what renders of the input lack.
+    assert not Balance(scene, renders, True, step_error).pays(half)
+    assert sizes[2][1] == pytest.approx(0.1 * renders.error(half))
+
+
+def test_targets_choose_the_number_of_gaussians(seen):
+    scene, plan = seen
+    counts = []
+    for bits in (60, 25):
+        data, report = encode_by_plan(scene, 1, Config(), plan, RateTarget(bits=bits))
+        assert 0.98 * bits * scene.count <= 8 * len(data) <= bits * scene.count
+        assert decode_scene(data).count == report.count
+        counts.append(report.count)
+    assert scene.count > counts[0] > counts[1]
+
+
+def test_profiles_choose_the_number_of_gaussians(seen):
+    scene, plan = seen
+    counts = [encode_by_plan(scene, 1, Config(p), plan)[1].count for p in ("l", "s")]
+    assert scene.count >= counts[0] > counts[1]
+
+
+def test_error_of_the_steps_of_a_size(seen):
+    scene, plan = seen
+    views = choose_views(scene, plan)
+    found = [step_error_for(scene, 1, Config(), RateTarget(bits=bits), views) for bits in (60, 30)]
+    # Coarser for a smaller file; finer once Gaussians are gone.
+    assert found[1](1.0, 0.0) > found[0](1.0, 0.0) == pytest.approx(found[1](0.5, 0.0))
+
+
+def test_error_of_the_steps_of_a_loss(seen):
+    scene, plan = seen
+    views = choose_views(scene, plan)
+    found = step_error_for(scene, 1, Config(), RateTarget(psnr_drop=0.1), views)
+    whole = views.renders.error_for(0.1, 0.0)
+    assert found(1.0, 0.0) == pytest.approx(4 * whole)
+    assert found(1.0, whole / 2) == pytest.approx(2 * whole)
+    assert found(1.0, 2 * whole) == 0.0
+
+
+def test_profiles_without_steps_prune_as_the_default():
+    assert step_error_of(Config("lossless"))(1.0, 0.0) == ADAPTIVE_PROFILES["m"].error
+    assert step_error_of(Config("l"))(1.0, 0.0) == ADAPTIVE_PROFILES["l"].error
+
+
+def test_pruning_twice_is_refused(seen):
+    scene, plan = seen
+    target = RateTarget(bits=60, allow_prune=True)
+    with pytest.raises(InvalidInput, match="refine prunes for a target"):
+        encode_by_plan(scene, 1, Config(), plan, target)

@@ -20,9 +20,9 @@ from gs_codec.scene import Scene
 #: its size, as a share of the input's, and by the error that pruning has left in it.
 StepError = Callable[[float, float], float]
 
-#: Share of the squared error of pruning that refinement leaves: against photographs, and against
-#: renders of the input, which hold nothing that pruning could win.
-LEFT = {True: 0.1, False: 0.2}
+#: Share of the squared error of pruning that refinement leaves: with photographs, and without, when
+#: it has nothing to win but what pruning took (bench/RESULTS.md).
+_LEFT = {True: 0.05, False: 0.13}
 
 #: Share of the error that a profile may add which its steps do add, colours refitted.
 ADDED = 0.25
@@ -69,7 +69,7 @@ class Balance:
     def pays(self, pruned: Scene) -> bool:
         """Whether to go on from the scene of the call before, or the input, to this one."""
         size = _size(pruned)
-        error = LEFT[self.photographs] * self.views.error(pruned, self.progress)
+        error = _LEFT[self.photographs] * self.views.error(pruned, self.progress)
         step_error = ADDED * self.step_error(size / self._whole, error)
         cheap = error - self._error <= _SLOPE * step_error * math.log(self._size / size)
         self._size, self._error = size, error

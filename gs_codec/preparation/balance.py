@@ -21,8 +21,10 @@ from gs_codec.scene import Scene
 StepError = Callable[[float, float], float]
 
 #: Share of the squared error of pruning that refinement leaves: with photographs, and without, when
-#: it has nothing to win but what pruning took (bench/RESULTS.md).
+#: it has nothing to win but what pruning took. It takes some iterations to win back the rest, a
+#: factor e in this many (bench/RESULTS.md).
 _LEFT = {True: 0.05, False: 0.13}
+_ITERATIONS = 40
 
 #: Share of the error that a profile may add which its steps do add, colours refitted.
 ADDED = 0.25
@@ -52,6 +54,8 @@ class Balance:
         Its renders.
     photographs : bool
         Whether refinement fits photographs.
+    iterations : int
+        Of refinement.
     step_error : callable
     progress : callable, optional
     """
@@ -59,17 +63,20 @@ class Balance:
     scene: Scene
     views: ReferenceViews
     photographs: bool
+    iterations: int
     step_error: StepError
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
         self._whole = self._size = _size(self.scene)
         self._error = 0.0
+        least = _LEFT[self.photographs]
+        self._left = least + (1.0 - least) * math.exp(-self.iterations / _ITERATIONS)
 
     def pays(self, pruned: Scene) -> bool:
         """Whether to go on from the scene of the call before, or the input, to this one."""
         size = _size(pruned)
-        error = _LEFT[self.photographs] * self.views.error(pruned, self.progress)
+        error = self._left * self.views.error(pruned, self.progress)
         step_error = ADDED * self.step_error(size / self._whole, error)
         cheap = error - self._error <= _SLOPE * step_error * math.log(self._size / size)
         self._size, self._error = size, error

@@ -241,7 +241,8 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
     if steps.balanced:
         known = context.step_error
         error = step_error_of(Config()) if known is None else known(views)
-        balance = Balance(scene, views.renders, views.photographs is not None, error, progress)
+        fits_photographs = views.photographs is not None
+        balance = Balance(scene, views.renders, fits_photographs, steps.refine, error, progress)
     stay, details = prune_leave_one_out(scene, views, steps, progress, balance)
     return stay, scene.take(stay), details
 

@@ -49,6 +49,8 @@ class Option:
         Range of the values, both included.
     expected : str, optional
         The range in words.
+    alone : int, optional
+        What the option means without a value.
     values : mapping or tuple, optional
         The accepted words; a mapping gives the value of each.
     keys : tuple of str
@@ -67,6 +69,7 @@ class Option:
     low: float = -math.inf
     high: float = math.inf
     expected: str | None = None
+    alone: int | None = None
     values: Mapping[str, Any] | tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
     unit: Literal["bytes"] | None = None

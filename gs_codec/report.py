@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 from gs_codec.config import RateTarget
 
@@ -124,6 +125,8 @@ class EncodeReport:
         Wall time of each stage.
     rate : RateReport, optional
         How the target was met, if one was given.
+    prepared : dict, optional
+        What preparation did, if there was any: `PrepareReport.as_dict`, with the steps of coding.
     input_bytes : int
         Size of the file that was encoded; 0 if the scene was in memory.
     ratio : float
@@ -140,6 +143,7 @@ class EncodeReport:
     dropped: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     rate: RateReport | None = None
+    prepared: dict[str, Any] | None = None
     input_bytes: int = 0
     ratio: float = 0.0
 

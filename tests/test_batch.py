@@ -186,6 +186,17 @@ def test_what_was_changed_and_warned_of_is_reported(folder):
     assert "warning: " in err
 
 
+def test_what_preparation_did_is_reported(folder):
+    write_ply("in/a.ply", random_scene(200, 0))
+    prune = ["--prune", "50", "--cameras", "auto", "--views", "2", "--width", "32"]
+    assert folder.run("batch", "in/a.ply", "out", *prune)[0] == 0
+    assert records()[0]["prepared"]["gaussians"] == [200, 100]
+    _, _, err = folder.run("batch", "in/a.ply", "out", *prune, "--resume")
+    assert "not records" not in err
+    folder.run("batch", "in/a.ply", "out", "--overwrite")
+    assert records()[0]["prepared"] is None
+
+
 # Links
 
 

@@ -461,3 +461,49 @@ def test_refusals_are_one_line_and_write_nothing(folder, monkeypatch, name):
 def test_any_step_is_something_to_do(name, value):
     assert not Steps().wanted
     assert Steps(**{name: value}).wanted
+
+
+def test_encode_tells_what_preparation_did(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    asked = ["encode", "scene.ply", "a.egs", "--prune", "30", "--cameras", "cameras.json"]
+    result = CliRunner().invoke(app, asked)
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[1] == "pruned by leave-one-out: 120 of 400"
+    rows = ["step", "original", "leave-one-out pruning", "coding (m)"]
+    assert [line.split("  ")[0] for line in lines[2:]] == rows
+    told = json.loads(CliRunner().invoke(app, [*asked, "--overwrite", "--json"]).stdout)
+    prepared = told["prepared"]
+    assert [step["name"] for step in prepared["steps"]] == rows[1:]
+    assert prepared["steps"][-1]["count"] == 280
+    assert prepared["steps"][-1]["size_bytes"] == told["file_bytes"]
+    assert told["seconds"]["prepare"] >= sum(s["seconds"] for s in prepared["steps"][:-1])
+    chosen = Plan(Steps(prune=30), "cameras.json")
+    report = prepare_file("scene.ply", "b.egs", chosen).as_dict()
+    assert [s["quality"] for s in report["steps"]] == [s["quality"] for s in prepared["steps"]]
+
+
+def test_number_of_gaussians(folder):
+    for number, left in ((150, 150), (400, 400), (1000, 400)):
+        chosen = Plan(Steps(gaussians=number), folder / "cameras.json")
+        assert encode_file(folder / "scene.ply", folder / "a.egs", plan=chosen).count == left
+    # Refinement then chooses no other number.
+    chosen = Plan(Steps(gaussians=390, refine=5), folder / "cameras.json")
+    assert encode_file(folder / "scene.ply", folder / "a.egs", plan=chosen).count == 390
+    with pytest.raises(InvalidInput, match="gaussians: prune says how many, too"):
+        Steps(prune=0, gaussians=5)
+
+
+@pytest.mark.parametrize(
+    ("typed", "iterations"),
+    [(["--refine", "a.ply", "b.egs"], 1000), (["a.ply", "b.egs", "--refine"], 1000),
+     (["--refine", "--json", "a.ply", "b.egs"], 1000), (["--refine", "7", "a.ply", "b.egs"], 7)],
+)  # fmt: skip
+def test_refinement_without_a_number(monkeypatch, typed, iterations):
+    asked = []
+    monkeypatch.setattr(
+        "gs_codec.files.coding.encode_file", lambda *given, **_: asked.append(given)
+    )
+    CliRunner().invoke(app, ["encode", *typed])
+    source, target, _, chosen, _ = asked[0]
+    assert (str(source), str(target), chosen.steps.refine) == ("a.ply", "b.egs", iterations)

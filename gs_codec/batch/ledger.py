@@ -41,6 +41,8 @@ class Record:
         Seconds per stage.
     changed : dict of str to int
         Number of Gaussians or values that were changed, by reason.
+    prepared : dict, optional
+        What preparation did; see `EncodeReport`.
     warnings : list of str
     error : dict of str to str, optional
         ``kind`` and ``text`` of the error.
@@ -60,6 +62,7 @@ class Record:
     bits_per_gaussian: float = -1.0
     seconds: dict[str, float] = field(default_factory=dict)
     changed: dict[str, int] = field(default_factory=dict)
+    prepared: dict[str, Any] | None = None
     warnings: list[str] = field(default_factory=list)
     error: dict[str, str] | None = None
 
@@ -154,8 +157,8 @@ def _fits(value: Any, kind: Any) -> bool:
         return isinstance(value, list) and all(_fits(v, items[0]) for v in value)
     if items:  # a union
         return any(_fits(value, one) for one in items)
-    if isinstance(value, bool):
-        return False
+    if kind is Any or isinstance(value, bool):
+        return kind is Any
     if kind is float:
         return isinstance(value, int | float) and abs(value) <= sys.float_info.max
     return isinstance(value, kind)

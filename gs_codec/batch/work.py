@@ -101,6 +101,7 @@ def _encode(
         bits_per_gaussian=8 * written[1] / max(report.count, 1),
         seconds=times.seconds,
         changed={name: getattr(report, name) for name in names if getattr(report, name)},
+        prepared=report.prepared,
     )
 
 

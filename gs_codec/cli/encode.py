@@ -12,6 +12,7 @@ from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
+    print_prepared,
     print_status,
     print_text,
     progress_bar,
@@ -25,8 +26,8 @@ from gs_codec.report import EncodeReport, RateReport
 
 #: Options of coding, which `batch` has too.
 CODING = (
-    "profile", "preset", "cameras", "gt_images", "refine", "prune", "target_size", "target_ratio",
-    "max_psnr_drop", "threads", "max_memory", "max_bytes", "nonfinite", "extra", "overwrite",
+    "profile", "preset", "cameras", "gt_images", "refine", "prune", "gaussians", "target_size",
+    "target_ratio", "max_psnr_drop", "threads", "max_memory", "max_bytes", "extra", "overwrite",
 )  # fmt: skip
 EXPERT = (Config, RateTarget, Plan)
 
@@ -76,6 +77,8 @@ def _print_report(target: Path, report: EncodeReport) -> None:
         f"{8 * report.file_bytes / max(report.count, 1):.1f} bits per Gaussian, "
         f"{sum(report.seconds.values()):.2f} s"
     )
+    if report.prepared is not None:
+        print_prepared(report.prepared)
     if report.rate is not None:
         _print_rate(report.rate)
 

@@ -29,6 +29,11 @@ class _Commands(TyperGroup):
         super().__init__(**settings)
         self.commands: dict[str, Any] = dict.fromkeys(NAMES)
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        from gs_codec.cli.options import completed
+
+        return super().parse_args(ctx, completed(args))
+
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name in self.commands and self.commands[cmd_name] is None:
             self.commands[cmd_name] = _load_command(cmd_name)

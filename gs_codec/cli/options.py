@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
@@ -128,6 +128,17 @@ def metavar_of(described: Option) -> str:
     """What stands for the value of an option in the help; a switch has none."""
     kinds = {bool: "", int: "N", float: "X"}
     return described.metavar or "|".join(described.values) or kinds.get(described.kind, "TEXT")
+
+
+def completed(typed: Sequence[str]) -> list[str]:
+    """What was typed, with the values of options that may stand alone."""
+    alone = {typed_name(n): str(o.alone) for n, o in OPTIONS.items() if o.alone is not None}
+    full = []
+    for text, following in zip(typed, [*typed, ""][1:], strict=True):
+        full.append(text)
+        if text in alone and not re.match(r"[-+]?\d", following):
+            full.append(alone[text])
+    return full
 
 
 def typed_name(name: str) -> str:

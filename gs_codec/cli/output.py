@@ -62,6 +62,17 @@ def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None =
         print("  ".join(cells).rstrip(), file=file)
 
 
+def print_prepared(prepared: dict[str, Any]) -> None:
+    """What preparation removed, and its ablation table, on stdout."""
+    from gs_codec.preparation.report import ablation_table
+
+    for reason, number in prepared["removed"].items():
+        if number:
+            print_text(f"pruned by {reason}: {number:,} of {prepared['gaussians'][0]:,}")
+    columns, *rows = ablation_table(prepared)
+    print_table(columns, rows)
+
+
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """Progress on stderr while the block runs: bars on a terminal, lines now and then elsewhere."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes
-from gs_codec.cli.output import SCENES_PIPED, print_json, print_table, print_text, progress_bar
+from gs_codec.cli.output import SCENES_PIPED, print_json, print_prepared, progress_bar
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
@@ -16,9 +16,9 @@ from gs_codec.preparation.steps import Plan
 
 
 @takes(
-    "profile", "preset", "cameras", "gt_images", "refine", "prune", "prune_max_psnr_drop",
-    "prune_geometry", "geometry_rule", "prune_importance", "compact_sh", "refit_colour", "rectify",
-    "report", "checkpoint", "threads", "max_bytes", "overwrite", "json",
+    "profile", "preset", "cameras", "gt_images", "refine", "prune", "gaussians",
+    "prune_max_psnr_drop", "prune_geometry", "geometry_rule", "prune_importance", "compact_sh",
+    "refit_colour", "rectify", "report", "checkpoint", "threads", "max_bytes", "overwrite", "json",
     expert=(Config, Plan), without=("nonfinite", "extra"),
 )  # fmt: skip
 def command(
@@ -42,13 +42,4 @@ def command(
     if asked["json"]:
         print_json({"input": str(source), "output": str(target), **done.as_dict()})
     else:
-        _print_steps(done)
-
-
-def _print_steps(report: Any) -> None:
-    """What went, and the ablation table."""
-    for reason, number in report.removed.items():
-        if number:
-            print_text(f"pruned by {reason}: {number:,} of {report.steps[0].count:,}")
-    columns, *rows = report.table()
-    print_table(columns, rows)
+        print_prepared(done.as_dict())

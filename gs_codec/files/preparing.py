@@ -74,7 +74,7 @@ def prepare_file(
     # Loaded here: encoding alone does without all that draws.
     from gs_codec.preparation.balance import step_error_of
     from gs_codec.preparation.pipeline import prepare_scene
-    from gs_codec.preparation.report import coding_steps, save_report
+    from gs_codec.preparation.report import save_report
 
     with using_threads(config.threads):
         scene = without_order(read_scene(source, "keep", max_bytes=max_bytes))
@@ -85,8 +85,7 @@ def prepare_file(
             coded, views = suffix == ".egs", prepared.views
             coded_by = plan if coded else None
             data, report = encode_planned(scene, config, coded_by, progress, views.renders)
-            coding = coding_steps(scene, config, data, report, views.held_out)
-            prepared = replace(prepared, steps=(*prepared.steps, *coding))
+            prepared = prepared.coded(scene, config, data, report)
             if report_folder is not None:
                 save_report(report_folder, prepared)
         if coded:

@@ -39,8 +39,10 @@ def encode_by_plan(
     target = None if rate is None else as_rate_target(rate)
     if target is not None:
         _check_target(scene, config, target, plan)
-    views, original = None, scene
-    if plan is not None and plan.steps.wanted:
+    if plan is None or not plan.steps.wanted:
+        return _encode(scene, scene, ply_bytes, config, plan, target, progress)
+    times, original = StageTimes(), scene
+    with times.stage("prepare"):
         from gs_codec.preparation.balance import StepError, step_error_of
         from gs_codec.preparation.pipeline import prepare_scene
 
@@ -52,13 +54,31 @@ def encode_by_plan(
             return step_error_for(original, ply_bytes, config, target, views, progress)
 
         scene, prepared = prepare_scene(scene, plan, progress, step_error)
-        views = prepared.views
-    if target is not None:
-        from gs_codec.guidance.allocate import encode_to_target
+    views = prepared.views
+    data, report = _encode(scene, original, ply_bytes, config, plan, target, progress, views)
+    times.seconds |= report.seconds
+    with times.stage("measure"):
+        told = prepared.coded(scene, config, data, report).as_dict()
+    return data, replace(report, seconds=times.seconds, prepared=told)
 
-        return encode_to_target(scene, original, ply_bytes, config, target, plan, progress, views)
-    references = None if views is None else views.renders
-    return encode_planned(scene, config, plan, progress, references)
+
+def _encode(
+    scene: Scene,
+    original: Scene,
+    ply_bytes: int,
+    config: Config,
+    plan: Plan | None,
+    target: RateTarget | None,
+    progress: Progress | None,
+    views: ViewSplit | None = None,
+) -> tuple[bytes, EncodeReport]:
+    """Encode a scene made from the original; its ratio counts from the original's bytes."""
+    if target is None:
+        references = None if views is None else views.renders
+        return encode_planned(scene, config, plan, progress, references)
+    from gs_codec.guidance.allocate import encode_to_target
+
+    return encode_to_target(scene, original, ply_bytes, config, target, plan, progress, views)
 
 
 def _check_target(scene: Scene, config: Config, target: RateTarget, plan: Plan | None) -> None:

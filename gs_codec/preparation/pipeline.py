@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -302,7 +303,7 @@ _STEPS = (
     _Step("geometry pruning", lambda s: s.prune_geometry > 0, _prune_geometry, "geometry"),
     _Step(
         "leave-one-out pruning",
-        lambda s: bool(s.prune) or s.prune_max_psnr_drop is not None or s.balanced,
+        attrgetter("by_leave_one_out"),
         _prune_loo,
         "leave-one-out",
     ),

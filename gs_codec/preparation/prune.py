@@ -127,13 +127,16 @@ def prune_leave_one_out(
     """Prune in rounds; return indices of the Gaussians that stay, and details of the rounds.
 
     Scores use the renders of `views`; the PSNR loss is measured on its photographs if there are
-    any. A limit on the loss without a percentage removes as many as that allows; with a balance,
+    any. A limit on the loss without a number removes as many as that allows; with a balance,
     rounds go on as long as they pay.
     """
     max_drop = steps.prune_max_psnr_drop
     wanted = portion(scene.count, steps.prune or 0.0)
-    limited = max_drop is not None or balance is not None
-    least = scene.count - wanted if wanted or not limited else 1
+    least = scene.count - wanted
+    if steps.gaussians is not None:
+        least = min(steps.gaussians, scene.count)
+    elif not wanted and (max_drop is not None or balance is not None):
+        least = 1
     kept = np.arange(scene.count)
     rounds: list[dict[str, Any]] = []
     references = views.references

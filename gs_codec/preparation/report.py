@@ -6,7 +6,7 @@ import io
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,14 +90,24 @@ class PrepareReport:
             "steps": [dict(vars(step), quality=step.quality.as_dict()) for step in self.steps],
         }
 
-    def table(self) -> list[list[str]]:
-        """Rows of the ablation table, in the form of the paper's; the first has the titles."""
-        rows = [["step", "Gaussians", "MB", "PSNR dB", "SSIM", "s"]]
-        for step in self.steps:
-            numbers = (step.size_bytes / 1e6, step.quality.psnr, step.quality.ssim, step.seconds)
-            cells = (f"{n:.{digits}f}" for n, digits in zip(numbers, (3, 3, 4, 1), strict=True))
-            rows.append([step.name, f"{step.count:,}", *cells])
-        return rows
+    def coded(
+        self, scene: Scene, config: Config, data: bytes, report: EncodeReport
+    ) -> PrepareReport:
+        """The report with the steps of coding; see `coding_steps`."""
+        coding = coding_steps(scene, config, data, report, self.views.held_out)
+        return replace(self, steps=(*self.steps, *coding))
+
+
+def ablation_table(prepared: dict[str, Any]) -> list[list[str]]:
+    """Rows of a report's table, in the form of the paper's ablation; the first has the titles."""
+    rows = [["step", "Gaussians", "MB", "PSNR dB", "SSIM", "s"]]
+    for step in prepared["steps"]:
+        quality = step["quality"]
+        psnr = "inf" if quality["psnr"] is None else f"{quality['psnr']:.3f}"
+        size, seconds = f"{step['size_bytes'] / 1e6:.3f}", f"{step['seconds']:.1f}"
+        looks = [psnr, f"{quality['ssim']:.4f}"]
+        rows.append([step["name"], f"{step['count']:,}", size, *looks, seconds])
+    return rows
 
 
 def save_report(folder: str | Path, report: PrepareReport) -> None:
@@ -113,9 +123,10 @@ def save_report(folder: str | Path, report: PrepareReport) -> None:
     """
     labels = io.BytesIO()
     np.save(labels, report.labels)
+    plain = report.as_dict()
     files = {
-        "report.json": json.dumps(report.as_dict(), indent=1).encode() + b"\n",
-        "ablation.md": _markdown(report.table()).encode(),
+        "report.json": json.dumps(plain, indent=1).encode() + b"\n",
+        "ablation.md": _markdown(ablation_table(plain)).encode(),
         "labels.npy": labels.getvalue(),
     }
     write_files(folder, files)

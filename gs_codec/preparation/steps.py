@@ -26,7 +26,7 @@ _PERCENT = {
 #: What geometry pruning counts from.
 GeometryRule = Literal["median", "largest"]
 
-_ITERATIONS = {"kind": int, "metavar": "N", "low": 0, "high": 10_000_000}
+_ITERATIONS = {"kind": int, "low": 0, "high": 10_000_000}
 
 #: RGB by the words that stand for it.
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
@@ -54,6 +54,8 @@ class Steps:
     prune : float, optional
         Percent to remove by leave-one-out error, 0 up to 100. By default none, but with `refine`
         and no other pruning, as many as cost less than coarser steps would; see `Balance`.
+    gaussians : int, optional
+        Remove by leave-one-out error what is beyond this number.
     prune_max_psnr_drop : float or None
         Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`,
         only this limits it.
@@ -97,12 +99,21 @@ class Steps:
         shown="0, with --refine as many as pay",
         **_PERCENT,
     )
+    gaussians: int | None = option(
+        None,
+        "Prune to this number, by the same measure.",
+        kind=int, low=1, high=1 << 40, expected="at least 1",
+    )  # fmt: skip
     prune_max_psnr_drop: float | None = option(
         None,
         "Stop pruning at this PSNR loss (dB); without --prune, prune up to it.",
         kind=float, metavar="DB", low=0, high=100, expected="0 to 100 dB",
     )  # fmt: skip
-    refine: int = option(0, "Refine all attributes with N iterations of Adam.", **_ITERATIONS)
+    refine: int = option(
+        0,
+        "Refine all attributes with N iterations of Adam, 1000 if N is left out.",
+        metavar="[N]", shown="none", alone=1000, **_ITERATIONS,
+    )  # fmt: skip
     compact_sh: float = option(
         0.0,
         "Move SH energy to fewer coefficients; 3e-5 is usual.",
@@ -121,6 +132,8 @@ class Steps:
             raise InvalidInput("geometry_rule: needs prune_geometry")
         if self.prune is not None and 0 < self.prune < 1:
             raise InvalidInput(f"prune {self.prune}: expected percent, half of all is 50")
+        if self.prune is not None and self.gaussians is not None:
+            raise InvalidInput("gaussians: prune says how many, too; expected one of them")
 
     @property
     def wanted(self) -> bool:
@@ -128,10 +141,17 @@ class Steps:
         return replace(self, prune=self.prune or None) != Steps()
 
     @property
+    def by_leave_one_out(self) -> bool:
+        """Whether Gaussians are removed by leave-one-out error."""
+        limited = self.gaussians is not None or self.prune_max_psnr_drop is not None
+        return bool(self.prune) or limited or self.balanced
+
+    @property
     def balanced(self) -> bool:
         """Whether pruning goes as far as pays: it is not asked for, and refinement follows."""
-        asked = self.prune_geometry or self.prune_importance or self.prune_max_psnr_drop is not None
-        return self.refine > 0 and self.prune is None and not asked
+        limits = (self.prune, self.gaussians, self.prune_max_psnr_drop)
+        asked = self.prune_geometry or self.prune_importance or any(x is not None for x in limits)
+        return self.refine > 0 and not asked
 
 
 @dataclass(frozen=True)

@@ -28,19 +28,20 @@ def cameras(count: int, spread: float, seed: int = 0) -> list[Camera]:
 def colours(scene: Scene, seen: list[Camera]) -> np.ndarray:
     """Y, Co, Cg ``(views, 3, N)`` in the directions of cameras."""
     sh = coefficients_of(scene).astype(np.float64)
-    found, row = np.empty((len(seen), 3, scene.count)), np.empty(sh.shape[1])
+    found, row = np.empty((len(seen), 3, scene.count)), np.empty(sh.shape[2])
     for view, camera in enumerate(seen):
         for i in range(scene.count):
             sh_row(scene.positions, i, camera.position, row)
-            found[view, :, i] = sh[:, :, i] @ row
+            found[view, :, i] = sh[i] @ row
     return found
 
 
 def nearest(scene: Scene, steps: np.ndarray) -> Scene:
     """Each SH-AC rounded to its nearest level by itself."""
     sh = coefficients_of(scene)
-    bands = np.repeat([0, 1, 2], [3, 5, 7])[: sh.shape[1] - 1]
-    sh[:, 1:] = np.floor(sh[:, 1:] / steps[bands] + 0.5) * steps[bands]
+    bands = np.repeat([0, 1, 2], [3, 5, 7])[: sh.shape[2] - 1]
+    size = steps[bands].T[:, None]
+    sh[..., 1:] = np.floor(sh[..., 1:] / size + 0.5) * size
     return with_coefficients(scene, sh)
 
 
@@ -87,7 +88,7 @@ def test_bits_that_are_worth_less_than_the_error_are_left_out(made):
     scene, steps = made
     seen, weights = cameras(12, 3.0), np.ones((12, 200), np.float32)
     magnitudes = [
-        np.abs(coefficients_of(round_sh(scene, seen, weights, steps, error))[:, 1:]).sum()
+        np.abs(coefficients_of(round_sh(scene, seen, weights, steps, error))[..., 1:]).sum()
         for error in (0.0, 0.01, 0.1, 10.0)
     ]
     assert magnitudes == sorted(magnitudes, reverse=True)

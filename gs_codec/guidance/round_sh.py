@@ -84,8 +84,8 @@ def round_sh(
 
 @kernel
 def _round(positions, weights, centres, steps, band_of, price, sh, start, stop):
-    """Round the SH ``(3, 1 + K, N)`` of Gaussians `start` to `stop` in place."""
-    views, size = len(weights), sh.shape[1]
+    """Round the SH ``(N, 3, 1 + K)`` of Gaussians `start` to `stop` in place."""
+    views, size = len(weights), sh.shape[2]
     rows, seen = np.empty((views, size)), np.empty(views)
     form, lean, step = np.empty((size, size)), np.empty(size), np.empty(size)
     for i in range(start, stop):
@@ -97,7 +97,7 @@ def _round(positions, weights, centres, steps, band_of, price, sh, start, stop):
         for k in range(1, size):
             step[k] = steps[band_of[k], i]
         for channel in range(3):
-            _move_levels(form, lean, step, price, sh[channel, :, i])
+            _move_levels(form, lean, step, price, sh[i, channel])
 
 
 @kernel

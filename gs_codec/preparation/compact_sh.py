@@ -110,8 +110,8 @@ def compact_sh(
         "unseen": unseen,
         "unsolved": unsolved,
         "without_ac": int((~scene.f_rest.any(axis=0)).sum()),
-        "zeros_before": int((before[:, 1:] == 0).sum()),
-        "zeros_after": int((after[:, 1:] == 0).sum()),
+        "zeros_before": int((before[:, :, 1:] == 0).sum()),
+        "zeros_after": int((after[:, :, 1:] == 0).sum()),
     }
 
 
@@ -123,7 +123,7 @@ def penalty_of(scene: Scene, pixels: int, strength: float) -> float:
 @kernel
 def _compact(positions, before, weights, centres, penalty, smallest, after, start, stop):
     """Solve for Gaussians `start` to `stop`; return how many are unseen, and unsolved."""
-    views, size = len(weights), before.shape[1]
+    views, size = len(weights), before.shape[2]
     rows = np.empty((views, size))
     seen = np.empty(views)
     shared = np.empty((size, size))
@@ -136,15 +136,15 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
         finite, any_ac = True, False
         for channel in range(3):
             for k in range(size):
-                solution[channel, k] = before[channel, k, i]
+                solution[channel, k] = before[i, channel, k]
                 finite = finite and abs(solution[channel, k]) < np.inf
                 any_ac = any_ac or (k > 0 and solution[channel, k] != 0.0)
         if not finite:
             unsolved += 1
         elif any_ac and count == 0:
-            after[:, 1:, i] = 0.0
+            after[i, :, 1:] = 0.0
         elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest[i], solution):
-            after[:, :, i] = solution
+            after[i] = solution
         else:
             unsolved += any_ac
     return unseen, unsolved

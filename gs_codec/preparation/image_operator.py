@@ -39,9 +39,9 @@ class Linear(NamedTuple):
 
     Attributes
     ----------
-    gradient : ndarray, shape (3, 1 + K, N)
+    gradient : ndarray, shape (N, 3, 1 + K)
         The transposed operator applied to the residual: minus half the gradient of `error`.
-    curvature : ndarray, shape (3, 1 + K, N)
+    curvature : ndarray, shape (N, 3, 1 + K)
         Diagonal of the normal equations.
     lit : ndarray, shape (views, N), uint8
         Bit 0, 1, 2: whether R, G, B of the Gaussian are above black in the view, if it is seen.
@@ -59,7 +59,7 @@ class Linear(NamedTuple):
 class ImageOperator:
     """Images of a scene as a function of its SH; its other attributes are fixed.
 
-    Coefficients are those of `coefficients_of`, Y, Co, Cg ``(3, 1 + K, N)``, float32 or float64;
+    Coefficients are those of `coefficients_of`, Y, Co, Cg ``(N, 3, 1 + K)``, float32 or float64;
     results have their dtype.
 
     Parameters
@@ -179,14 +179,14 @@ def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
     With `clamp`, bits 0-2 of ``lit (N,)`` are set where a colour is above black. Without it they
     are read, because a change of SH does not change a clamped colour.
     """
-    row, values = np.empty(coefficients.shape[1]), np.empty(3)
+    row, values = np.empty(coefficients.shape[2]), np.empty(3)
     for j in range(len(seen)):
         i = seen[j]
         sh_row(positions, i, camera, row)
         values[:] = 0.0
         for channel in range(3):
             for k in range(len(row)):
-                values[channel] += row[k] * coefficients[channel, k, i]
+                values[channel] += row[k] * coefficients[i, channel, k]
         values[0], values[1], values[2] = red_green_blue(values[0], values[1], values[2])
         if clamp:
             lit[i] = 0
@@ -199,8 +199,8 @@ def _fill_colours(positions, camera, seen, coefficients, clamp, lit, colours):
 
 @kernel
 def _add_gradient(positions, camera, seen, sums, lit, start, stop, gradient, curvature):
-    """Add a view's share to ``gradient (3, 1 + K, N)`` and, if it is not empty, `curvature`."""
-    row, of_colour, of_square = np.empty(gradient.shape[1]), np.empty(3), np.empty(3)
+    """Add a view's share to ``gradient (N, 3, 1 + K)`` and, if it is not empty, `curvature`."""
+    row, of_colour, of_square = np.empty(gradient.shape[2]), np.empty(3), np.empty(3)
     for j in range(start, stop):
         square = sums[j, SQUARED]
         i = seen[j]
@@ -216,6 +216,6 @@ def _add_gradient(positions, camera, seen, sums, lit, start, stop, gradient, cur
         of_square[2] = square * (red + 4.0 * green + blue) / 6.0
         for channel in range(3):
             for k in range(len(row)):
-                gradient[channel, k, i] += row[k] * of_colour[channel]
+                gradient[i, channel, k] += row[k] * of_colour[channel]
                 if len(curvature):
-                    curvature[channel, k, i] += row[k] * row[k] * of_square[channel]
+                    curvature[i, channel, k] += row[k] * row[k] * of_square[channel]

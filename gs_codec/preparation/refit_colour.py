@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,8 @@ _RIDGE = 0.03
 
 #: Added to SH-AC in the denominators of their penalty, as in `compact_sh`.
 _HALF = SMALLEST / 2
+
+_CHUNK = 1 << 13
 
 
 class RefitReport(NamedTuple):
@@ -87,10 +88,10 @@ def refit_colour(
     start = coefficients_of(scene)
     near = operator.linearise(start, advance)
     pixels = sum(camera.width * camera.height for camera in cameras)
-    penalty = np.full((*start.shape[:2], 1), penalty_of(scene, pixels, strength))
-    penalty[:, 0] = 0.0
+    penalty = np.full(start.shape[2], penalty_of(scene, pixels, strength))
+    penalty[0] = 0.0
     if keep_zeros:
-        near.curvature[:, 1:][start[:, 1:] == 0] = 0
+        near.curvature[:, :, 1:][start[:, :, 1:] == 0] = 0
     change, errors, objectives = _descend(operator, near, (start, penalty), iterations, advance)
     refitted = np.add(start, change, out=change)
     rendered = float(operator.errors(refitted, range(len(cameras)), advance).sum())
@@ -113,7 +114,7 @@ def _descend(
     """Conjugate gradients; return the change of SH, and squared errors and objectives.
 
     Coefficients with zero curvature do not change. Overwrites `near.gradient` and `near.curvature`.
-    `damping` are SH x at the start and a factor p; to the squared error it adds
+    `damping` are SH x at the start and factors p ``(1 + K,)``; to the squared error it adds
     ``_RIDGE change^2 + p / (abs(x) + _HALF)^2 (x + change)^2``.
     """
     residual = near.gradient
@@ -136,31 +137,32 @@ def _descend(
 
 
 def _total(function: Callable, *arguments: Any) -> float:
-    """Sum of a kernel's results over the rows of arrays ``(3, 1 + K, N)``, computed in threads."""
-    rows = [
-        x.reshape(x.shape[0] * x.shape[1], x.shape[2]) if isinstance(x, np.ndarray) else repeat(x)
-        for x in arguments
-    ]
-    return sum(run_all(lambda row: function(*row), zip(*rows, strict=False)))
+    """Sum of a kernel's results over parts of arrays ``(N, 3, 1 + K)``, computed in threads."""
+
+    def run(start: int) -> float:
+        part = slice(start, start + _CHUNK)
+        return function(*(x[part] if np.ndim(x) == 3 else x for x in arguments))
+
+    return sum(run_all(run, range(0, len(arguments[0]), _CHUNK)))
 
 
 @inlined
 def _pull(start, penalty):
-    return penalty[0] / (abs(np.float64(start)) + _HALF) ** 2
+    return penalty / (abs(np.float64(start)) + _HALF) ** 2
 
 
 @kernel
 def _prepare(residual, curvature, start, penalty):
     """Turn gradient and curvature into residual and preconditioner; return its squared norm."""
     total = 0.0
-    for i in range(len(residual)):
-        if not 0.0 < curvature[i] < np.inf:
-            residual[i] = curvature[i] = 0.0
+    for i, channel, k in np.ndindex(residual.shape):
+        if not 0.0 < curvature[i, channel, k] < np.inf:
+            residual[i, channel, k] = curvature[i, channel, k] = 0.0
             continue
-        pull = _pull(start[i], penalty)
-        residual[i] -= pull * start[i]
-        curvature[i] = 1.0 / (curvature[i] + _RIDGE + pull)
-        total += np.float64(residual[i]) ** 2 * curvature[i]
+        pull = _pull(start[i, channel, k], penalty[k])
+        residual[i, channel, k] -= pull * start[i, channel, k]
+        curvature[i, channel, k] = 1.0 / (curvature[i, channel, k] + _RIDGE + pull)
+        total += np.float64(residual[i, channel, k]) ** 2 * curvature[i, channel, k]
     return total
 
 
@@ -168,18 +170,18 @@ def _prepare(residual, curvature, start, penalty):
 def _cost(change, inverse, start, penalty):
     """Damping terms of the objective, over the coefficients that may change."""
     total = 0.0
-    for i in range(len(change)):
-        if inverse[i] > 0.0:
-            step = np.float64(change[i])
-            total += _RIDGE * step**2 + _pull(start[i], penalty) * (start[i] + step) ** 2
+    for i, channel, k in np.ndindex(change.shape):
+        if inverse[i, channel, k] > 0.0:
+            before, step = start[i, channel, k], np.float64(change[i, channel, k])
+            total += _RIDGE * step**2 + _pull(before, penalty[k]) * (before + step) ** 2
     return total
 
 
 @kernel
 def _turn(direction, residual, inverse, share):
     """Set the next conjugate direction; `share` is the weight of the last one in it."""
-    for i in range(len(direction)):
-        direction[i] = inverse[i] * residual[i] + share * direction[i]
+    for at in np.ndindex(direction.shape):
+        direction[at] = inverse[at] * residual[at] + share * direction[at]
     return 0.0
 
 
@@ -187,10 +189,11 @@ def _turn(direction, residual, inverse, share):
 def _damp(product, direction, start, penalty):
     """Add the damping to a product; return the curvature of the objective along the direction."""
     total = 0.0
-    for i in range(len(product)):
-        if direction[i] != 0.0:
-            product[i] += (_RIDGE + _pull(start[i], penalty)) * direction[i]
-            total += np.float64(product[i]) * direction[i]
+    for i, channel, k in np.ndindex(product.shape):
+        if direction[i, channel, k] != 0.0:
+            pull = _RIDGE + _pull(start[i, channel, k], penalty[k])
+            product[i, channel, k] += pull * direction[i, channel, k]
+            total += np.float64(product[i, channel, k]) * direction[i, channel, k]
     return total
 
 
@@ -198,8 +201,8 @@ def _damp(product, direction, start, penalty):
 def _move(change, residual, direction, product, inverse, size):
     """Take a step; return the residual's squared norm under the preconditioner."""
     total = 0.0
-    for i in range(len(change)):
-        change[i] += size * direction[i]
-        residual[i] -= size * product[i]
-        total += np.float64(residual[i]) ** 2 * inverse[i]
+    for at in np.ndindex(change.shape):
+        change[at] += size * direction[at]
+        residual[at] -= size * product[at]
+        total += np.float64(residual[at]) ** 2 * inverse[at]
     return total

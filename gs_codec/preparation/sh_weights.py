@@ -42,33 +42,31 @@ def fill_matrix(rows, evidence, matrix):
 @kernel
 def solve(matrix, right):
     """Solve in place by Cholesky; False if not positive definite or the result is not finite."""
+    # Each column is taken from all that follow at once: no sum waits for its last term.
     size = len(right)
     for k in range(size):
-        for m in range(k + 1):
-            value = matrix[k, m]
-            for n in range(m):
-                value -= matrix[k, n] * matrix[m, n]
-            if m < k:
-                matrix[k, m] = value / matrix[m, m]
-            elif value > 0.0:
-                matrix[k, k] = math.sqrt(value)
-            else:
-                return False
+        if not matrix[k, k] > 0.0:
+            return False
+        root = math.sqrt(matrix[k, k])
+        matrix[k, k] = root
+        right[k] /= root
+        for m in range(k + 1, size):
+            matrix[m, k] /= root
+            factor = matrix[m, k]
+            right[m] -= factor * right[k]
+            for n in range(k + 1, m + 1):
+                matrix[m, n] -= factor * matrix[n, k]
     finite = True
-    for k in range(size):
-        for n in range(k):
-            right[k] -= matrix[k, n] * right[n]
-        right[k] /= matrix[k, k]
     for k in range(size - 1, -1, -1):
-        for n in range(k + 1, size):
-            right[k] -= matrix[n, k] * right[n]
         right[k] /= matrix[k, k]
         finite = finite and abs(right[k]) < np.inf
+        for n in range(k):
+            right[n] -= matrix[k, n] * right[k]
     return finite
 
 
 def coefficients_of(scene: Scene) -> NDArray[np.float32]:
-    """SH of all bands in Y, Co, Cg ``(3, 1 + K, N)``, DC first; a copy.
+    """SH of all bands in Y, Co, Cg ``(N, 3, 1 + K)``, DC first; a copy.
 
     What is only the rounding of R, G and B is 0.
     """
@@ -79,18 +77,18 @@ def coefficients_of(scene: Scene) -> NDArray[np.float32]:
             found = to_ycocg(planes[:, k])
             found[np.abs(found) < _ROUNDING * np.abs(planes[:, k]).max(axis=0)] = 0.0
             coefficients[:, k] = found
-    return coefficients
+    return np.ascontiguousarray(coefficients.transpose(2, 0, 1))
 
 
 def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
-    """The scene with SH in Y, Co, Cg ``(3, 1 + K, N)`` in place of its own.
+    """The scene with SH in Y, Co, Cg ``(N, 3, 1 + K)`` in place of its own.
 
     Colours that are the same, or not finite, stay as they are in R, G, B.
     """
     planes, before = _planes_of(scene), coefficients_of(scene)
     for k in range(planes.shape[1]):
-        found = coefficients[:, k]
-        changed = (found != before[:, k]).any(axis=0) & np.isfinite(found).all(axis=0)
+        found = coefficients[:, :, k].T
+        changed = (found != before[:, :, k].T).any(axis=0) & np.isfinite(found).all(axis=0)
         planes[:, k, changed] = from_ycocg(found[:, changed].astype(np.float64))
     f_rest = np.ascontiguousarray(planes[:, 1:]).reshape(len(scene.f_rest), scene.count)
     return replace(scene, f_dc=np.ascontiguousarray(planes[:, 0]), f_rest=f_rest)

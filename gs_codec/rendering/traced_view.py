@@ -17,6 +17,9 @@ from gs_codec.scene import Scene
 #: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
 SQUARED = 3
 
+_PIXELS = TILE * TILE
+_GREEN, _BLUE = np.uint64(_PIXELS), np.uint64(2 * _PIXELS)
+
 #: Initial size of the buffers, entries; at least those of one splat in a tile.
 _FIRST_ENTRIES = 1 << 16
 
@@ -146,7 +149,9 @@ def _residual(
 ):
     """Fill ``sums (V, 4)``, if it is not empty; returns the squared error."""
     height, width = target.shape[:2]
-    residual = np.zeros((TILE * TILE, 3))
+    # Red, green and blue, one after another. Indices are unsigned, so that numba does not test each
+    # for being negative.
+    residual = np.zeros(3 * _PIXELS)
     error = 0.0
     start = 0
     for tile in range(len(starts) - 1):
@@ -157,15 +162,15 @@ def _residual(
                 pixel = (y - y0) * TILE + x - x0
                 for channel in range(3):
                     behind = left[tile, pixel] * background[channel]
-                    residual[pixel, channel] = target[y, x, channel] - behind
+                    residual[pixel + channel * _PIXELS] = target[y, x, channel] - behind
         first = start
         for pair in range(starts[tile], starts[tile + 1]):
             red, green, blue = colours[pairs[pair]]
             for j in range(start, ends[pair]):
-                light = residual[pixels[j]]
-                light[0] -= weights[j] * red
-                light[1] -= weights[j] * green
-                light[2] -= weights[j] * blue
+                pixel, weight = np.uint64(pixels[np.uint64(j)]), np.float64(weights[np.uint64(j)])
+                residual[pixel] -= weight * red
+                residual[pixel + _GREEN] -= weight * green
+                residual[pixel + _BLUE] -= weight * blue
             start = ends[pair]
         error += np.sum(residual * residual)
         if len(sums) == 0:
@@ -174,11 +179,10 @@ def _residual(
         for pair in range(starts[tile], starts[tile + 1]):
             red = green = blue = squared = 0.0
             for j in range(start, ends[pair]):
-                weight = np.float64(weights[j])
-                light = residual[pixels[j]]
-                red += weight * light[0]
-                green += weight * light[1]
-                blue += weight * light[2]
+                pixel, weight = np.uint64(pixels[np.uint64(j)]), np.float64(weights[np.uint64(j)])
+                red += weight * residual[pixel]
+                green += weight * residual[pixel + _GREEN]
+                blue += weight * residual[pixel + _BLUE]
                 squared += weight * weight
             total = sums[pairs[pair]]
             total[0] += red

@@ -26,7 +26,7 @@ from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.gradients import differentiate
 from gs_codec.rendering.image_loss import differentiate_loss
 from gs_codec.rendering.project import MIN_ALPHA
-from gs_codec.rendering.rows import MOMENT_YY, draw_rows, take_back_rows
+from gs_codec.rendering.rows import MOMENT_YY, take_back_rows
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
@@ -233,16 +233,6 @@ def test_an_alpha_at_its_limit_does_not_change():
     assert found["f_dc"].all()
 
 
-def draw_by_rows(frame, background=TEAL):
-    """An image drawn in float32, and what is needed to take its derivatives back."""
-    tiles = frame.columns * frame.rows
-    state = np.empty((tiles, 256), np.float32), np.empty((tiles, 256), np.int32)
-    state = (*state, np.empty(tiles, np.int64))
-    colour = np.empty((frame.camera.height, frame.camera.width, 3), np.float32)
-    frame.over_tiles(draw_rows, np.array(background), colour, *state)
-    return colour, state
-
-
 @pytest.mark.parametrize("size", [(70, 45), (16, 16), (17, 33), (5, 3)], ids=str)
 @pytest.mark.parametrize("seed", [30, 31])
 def test_rows_draw_the_same_image(seed, size):
@@ -251,7 +241,7 @@ def test_rows_draw_the_same_image(seed, size):
     frame = make_frame(scene, camera)
     expected, alpha, _ = frame.draw(TEAL, np.float64, np.zeros((0, 4)))
     assert alpha.max() > 0.9
-    error = np.abs(draw_by_rows(frame)[0] - expected)
+    error = np.abs(frame.draw_rows(TEAL)[0] - expected)
     # Some pixels are on either side of the least alpha that is drawn.
     assert np.quantile(error, 0.9) < 1e-5
     assert error.max() < 2 * MIN_ALPHA
@@ -261,7 +251,7 @@ def test_splats_behind_finished_pixels_have_no_sums():
     camera = straight(16, 16)
     scene = splats([(0, 0, 2 + k) for k in range(9)], opacity=9.0, log_scale=3.0)
     frame = make_frame(scene, camera)
-    colour, state = draw_by_rows(frame)
+    colour, state = frame.draw_rows(TEAL)
     sums = np.full((frame.pairs, MOMENT_YY + 1), np.nan)
     slopes = np.ones(colour.shape)
     frame.over_tiles(take_back_rows, np.array(TEAL), slopes, *state, sums)

@@ -164,7 +164,8 @@ def test_more_fragments_than_first_room_for():
     )
     cameras = orbit(1)
     operator = ImageOperator(scene, references(cameras, images(scene, cameras)))
-    assert errors(operator, coefficients_of(scene).astype(np.float64)) < 1e-8
+    # Weights of 16 bits: 87 dB.
+    assert errors(operator, coefficients_of(scene).astype(np.float64)) < 1e-5
 
 
 # Refitting

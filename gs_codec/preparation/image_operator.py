@@ -31,7 +31,7 @@ _CHUNK = 1 << 14
 _MOST_AT_ONCE = 4
 
 #: Traced views are kept up to this many bytes; the others are traced again each time.
-_KEPT_BYTES = 1 << 31
+_KEPT_BYTES = 1 << 30
 
 
 class Linear(NamedTuple):

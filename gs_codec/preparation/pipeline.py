@@ -139,13 +139,14 @@ def _targets(
     plan: Plan,
     progress: Progress | None,
 ) -> ReferenceViews:
-    """Photographs, and renders of the scene from cameras without one, at most `most` together.
+    """Photographs, and renders of the scene from cameras without one: `most`, or almost.
 
     A scene with few photographs fits them better than what lies between; on bonsai, renders from
     its other cameras keep a third of the loss away.
     """
     if photographs is None:
-        return draw_reference_views(scene, _enough(cameras, most), plan.background, progress)
+        cameras = _enough(cameras, most)
+        return draw_reference_views(scene, cameras, plan.background, progress, fast=True)
     taken = {camera.name: camera for camera in photographs.cameras}
     scale = max(taken[c.name].width / c.width for c in cameras if c.name in taken)
     others = [
@@ -153,7 +154,7 @@ def _targets(
         for c in _enough(cameras, most)
         if c.name not in taken
     ]
-    renders = draw_reference_views(scene, others, plan.background, progress)
+    renders = draw_reference_views(scene, others, plan.background, progress, fast=True)
     return replace(
         photographs,
         cameras=photographs.cameras + renders.cameras,

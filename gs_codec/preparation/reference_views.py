@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.images import seek_image
 from gs_codec.rendering.photographs import read_photograph
 from gs_codec.rendering.renderer import render
@@ -149,13 +150,16 @@ def draw_reference_views(
     cameras: Sequence[Camera],
     background: tuple[float, float, float],
     progress: Progress | None = None,
+    fast: bool = False,
 ) -> ReferenceViews:
-    """Render a scene's own views."""
-    images = run_all(
-        lambda camera: render(scene, camera, background, device="cpu").colour,
-        cameras,
-        advance=step_counter(progress, "draw", len(cameras)),
-    )
+    """Render a scene's own views; with `fast`, in float32, to fit them but not to measure by."""
+
+    def draw(camera: Camera) -> NDArray[np.float32]:
+        if fast:
+            return make_frame(scene, camera).draw_rows(background)[0]
+        return render(scene, camera, background, device="cpu").colour
+
+    images = run_all(draw, cameras, advance=step_counter(progress, "draw", len(cameras)))
     return ReferenceViews(tuple(cameras), tuple(images), False, background, scene)
 
 

@@ -23,6 +23,7 @@ from gs_codec.rendering.project import (
     project,
     to_tile,
 )
+from gs_codec.rendering.rows import draw_rows
 from gs_codec.rendering.trace import draw_tiles
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import available_threads, run_all, using_threads
@@ -79,6 +80,20 @@ class Frame(NamedTuple):
         behind = np.array(background, np.float64)
         self.over_tiles(draw_tiles, behind, colour, alpha, depth, sums)
         return colour, alpha, depth
+
+    def draw_rows(
+        self, background: Sequence[float]
+    ) -> tuple[NDArray[np.float32], tuple[NDArray, NDArray, NDArray]]:
+        """Draw colour ``(H, W, 3)`` in float32; return also what `take_back_rows` needs of it."""
+        tiles = self.columns * self.rows
+        state = (
+            np.empty((tiles, TILE * TILE), np.float32),
+            np.empty((tiles, TILE * TILE), np.int32),
+            np.empty(tiles, np.int64),
+        )
+        colour = np.empty((self.camera.height, self.camera.width, 3), np.float32)
+        self.over_tiles(draw_rows, np.array(background, np.float64), colour, *state)
+        return colour, state
 
     def sum_pairs(self, count: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum ``values (pairs, K)`` over the pairs of each of `count` Gaussians: ``(count, K)``."""

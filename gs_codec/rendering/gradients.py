@@ -12,8 +12,8 @@ from gs_codec.rendering.backward import differentiate_gaussians
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.image_loss import differentiate_loss
-from gs_codec.rendering.project import TILE, camera_arguments
-from gs_codec.rendering.rows import MOMENT_YY, draw_rows, take_back_rows
+from gs_codec.rendering.project import camera_arguments
+from gs_codec.rendering.rows import MOMENT_YY, take_back_rows
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene, channel_count
 
@@ -69,17 +69,10 @@ def differentiate(
         RGB behind everything.
     """
     frame = make_frame(scene, camera)
-    behind = np.array(background, np.float64)
-    tiles = frame.columns * frame.rows
-    state = (
-        np.empty((tiles, TILE * TILE), np.float32),
-        np.empty((tiles, TILE * TILE), np.int32),
-        np.empty(tiles, np.int64),
-    )
-    colour = np.empty((camera.height, camera.width, 3), np.float32)
-    frame.over_tiles(draw_rows, behind, colour, *state)
+    colour, state = frame.draw_rows(background)
     by_colour, squared_error = differentiate_loss(colour, target)
     pairs = np.empty((frame.pairs, MOMENT_YY + 1))
+    behind = np.array(background, np.float64)
     frame.over_tiles(take_back_rows, behind, by_colour, *state, pairs)
     sums = frame.sum_pairs(scene.count, pairs)
     chosen = np.empty(len(frame.splats.gaussians), np.int64)

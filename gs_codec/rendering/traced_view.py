@@ -17,6 +17,9 @@ from gs_codec.scene import Scene
 #: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
 SQUARED = 3
 
+#: Weights are kept in 16 bits: exact to a thousandth of what an image of 8 bits shows.
+_UNITS = 65535.0
+
 _PIXELS = TILE * TILE
 _GREEN, _BLUE = np.uint64(_PIXELS), np.uint64(2 * _PIXELS)
 
@@ -40,7 +43,8 @@ class TracedView(NamedTuple):
         Where the entries of each pair end.
     pixels : ndarray, shape (entries,), uint8
         Pixel in the tile.
-    weights : ndarray, shape (entries,), float32
+    weights : ndarray, shape (entries,), uint16
+        In units of 1 / 65535.
     left : ndarray, shape (tiles, 256), float32
         Transmittance of each pixel behind all splats.
     """
@@ -51,7 +55,7 @@ class TracedView(NamedTuple):
     starts: NDArray[np.int64]
     ends: NDArray[np.int64]
     pixels: NDArray[np.uint8]
-    weights: NDArray[np.float32]
+    weights: NDArray[np.uint16]
     left: NDArray[np.float32]
 
     @property
@@ -84,7 +88,7 @@ class TracedView(NamedTuple):
 
 
 #: Pixels and weights of entries, reused because new memory takes longer than tracing.
-TraceBuffers = tuple[NDArray[np.uint8], NDArray[np.float32]]
+TraceBuffers = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 
 
 def trace_view(
@@ -99,7 +103,7 @@ def trace_view(
     left = np.zeros((frame.columns * frame.rows, TILE * TILE), np.float32)
     size = (frame.columns, camera.width, camera.height)
     if buffers is None:
-        buffers = np.empty(_FIRST_ENTRIES, np.uint8), np.empty(_FIRST_ENTRIES, np.float32)
+        buffers = np.empty(_FIRST_ENTRIES, np.uint8), np.empty(_FIRST_ENTRIES, np.uint16)
     buffers = _trace(frame.splats.fields, *frame.lists, *size, left, ends, *buffers)
     pixels, weights = buffers
     used = ends.max(initial=0)
@@ -135,7 +139,7 @@ def _trace(fields, splats, starts, columns, width, height, left_of, ends, pixels
                     weights = np.concatenate((weights, np.empty_like(weights)))
                 for i in range(count):
                     pixels[used] = traced[i]
-                    weights[used] = alphas[i] * before[i]
+                    weights[used] = np.uint16(_UNITS * alphas[i] * before[i] + 0.5)
                     used += 1
             ends[pair] = used
         for pixel in range(len(left)):
@@ -165,7 +169,7 @@ def _residual(
                     residual[pixel + channel * _PIXELS] = target[y, x, channel] - behind
         first = start
         for pair in range(starts[tile], starts[tile + 1]):
-            red, green, blue = colours[pairs[pair]]
+            red, green, blue = colours[pairs[pair]] / _UNITS
             for j in range(start, ends[pair]):
                 pixel, weight = np.uint64(pixels[np.uint64(j)]), np.float64(weights[np.uint64(j)])
                 residual[pixel] -= weight * red
@@ -185,9 +189,9 @@ def _residual(
                 blue += weight * residual[pixel + _BLUE]
                 squared += weight * weight
             total = sums[pairs[pair]]
-            total[0] += red
-            total[1] += green
-            total[2] += blue
-            total[SQUARED] += squared
+            total[0] += red / _UNITS
+            total[1] += green / _UNITS
+            total[2] += blue / _UNITS
+            total[SQUARED] += squared / _UNITS**2
             start = ends[pair]
     return error

@@ -66,6 +66,8 @@ def stand_in(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(module, "run_apart", run_here)
     patch.setattr(run, "find_peers", peers)
     patch.setattr(run, "SIZES", (150, 300))
+    patch.setattr(run, "REFINED", (10.0, 5000.0))
+    patch.setattr(beside, "_ITERATIONS", 5)
     patch.setattr(sources, "_MEASURED", 3)
     patch.setattr(sources, "_ENCODED_BY", 6)
 
@@ -126,11 +128,17 @@ def test_codecs_stand_beside_each_other(suite):
     guided = [f"{profile}, camera-guided" for profile in ("l", "m", "s")]
     pruned = ["m, 39 % pruned", "m, 58.8 % pruned"]
     expected = [*PROFILE_CHOICES, *guided, *pruned, "other v1", "exact v2", "third"]
+    refined = [f"m, {ratio}x refined{how}" for ratio in (10, 5000) for how in ("", ", renders")]
     for scene in ("shot", "plain"):
         found = of(suite[0], "beside", scene)
-        assert sorted(line["codec"] for line in found) == sorted(expected)
+        others = refined if scene == "shot" else []
+        assert sorted(line["codec"] for line in found) == sorted([*expected, *others])
         assert found[-1]["absent"] == "third: get it"
+        absent = [line["codec"] for line in found[:-1] if "absent" in line]
+        assert sorted(absent) == sorted(name for name in others if "5000" in name)
         for line in found[:-1]:
+            if "absent" in line:
+                continue
             assert ("delta" in line) == (scene == "shot")
             assert line["bits_per_gaussian"] == pytest.approx(
                 8 * line["file_bytes"] / line["gaussians"]
@@ -221,7 +229,7 @@ def test_the_report_is_written(suite):
         assert text in page
     table = (out / "headline.md").read_text()
     assert "plain (400, 1)" in table
-    for picture in ("rate-shot", "time-plain", "pruning-plain", "scaling"):
+    for picture in ("rate-shot", "time-plain", "frontier-plain", "scaling"):
         assert (out / f"{picture}.png").stat().st_size > 1000
 
 

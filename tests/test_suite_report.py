@@ -69,6 +69,8 @@ def lines_of(scene: str, photographs: bool) -> list[Line]:
     lines.append({"kind": "beside", "scene": scene, "codec": "SOG", "absent": "SOG: no <node>"})
     if photographs:
         lines.append(beside(scene, True, ("m, 39 % pruned", 56.0, 46.1, -0.084, 222.0, 0.09)))
+        lines.append(beside(scene, True, ("m, 60x refined", 33.0, 41.1, 0.031, 240.0, 0.09)))
+        lines.append(beside(scene, True, ("m, 60x refined, renders", 33.0, 42.0, -0.2, 230.0, 0.1)))
     for curve, points in POINTS.items():
         for name, bits, psnr in points:
             known = {"point": name, "bits_per_gaussian": bits, "mean": {"psnr": psnr}}
@@ -117,7 +119,8 @@ def test_every_section_is_there_in_order(written: Path) -> None:
 
 
 def test_pictures_lie_beside_the_page_and_are_shown(written: Path) -> None:
-    pictures = ["rate-bonsai", "time-bonsai", "pruning-bonsai", "rate-sample", "time-sample"]
+    pictures = ["rate", "time", "frontier"]
+    pictures = [f"{name}-{scene}" for scene in ("bonsai", "sample") for name in pictures]
     files = [f"{name}.png" for name in [*pictures, "scaling"]]
     names = sorted(path.name for path in written.iterdir())
     assert names == sorted([*files, "headline.md", "report.md"])
@@ -196,7 +199,7 @@ def test_names_are_but_text(name: str, tmp_path: Path) -> None:
 def test_two_scenes_of_one_file_name_keep_their_pictures(tmp_path: Path) -> None:
     write_report([beside(name, False, CODECS[0]) for name in ("a b", "a-b")], tmp_path)
     pictures = [path.name for path in tmp_path.glob("*.png")]
-    assert len(pictures) == 4
+    assert len(pictures) == 6
     shown = re.findall(r"\((.*png)\)", (tmp_path / "report.md").read_text())
     assert sorted(shown) == sorted(pictures)
 
@@ -239,6 +242,8 @@ def test_headline_is_the_table_of_the_readme() -> None:
         "| bonsai (1,000, 3) | `m` | 17.5x | 113.5 | -0.05 dB | 0.36 s | 0.16 s |  |  |",
         "|  | `m`, camera-guided | 24.6x | 80.5 | -0.04 dB | 55 s | 0.12 s |  |  |",
         "|  | `m`, 39 % pruned | 35.4x | 56.0 | -0.08 dB | 3.7 min | 0.09 s |  |  |",
+        "|  | `m`, 60x refined | 60.1x | 33.0 | +0.03 dB | 4.0 min | 0.09 s |  |  |",
+        "|  | `m`, 60x refined, renders | 60.1x | 33.0 | -0.20 dB | 3.8 min | 0.10 s |  |  |",
         "|  | `lossless` | 1.58x | 1252.5 | 0 | 0.96 s | 0.12 s |  |  |",
         "|  | `paper-m`: EntropyGS | 12.2x | 162.7 | -0.09 dB | 0.30 s | 0.11 s | 96.7 | 62.4 |",
         "|  | spz v4 | 12.3x | 161.3 | -0.76 dB | 0.43 s | 0.05 s | ≤ 58.0 | ≤ 58.5 |",

@@ -16,10 +16,10 @@ from gs_codec import __version__
 from gs_codec.bench.peers import AbsentPeer, Peer
 from gs_codec.bench.sources import MeasuredScene
 from gs_codec.codecs import decode_scene, encode_scene
-from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
-from gs_codec.errors import ToolFailed
+from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config, RateTarget
+from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
-from gs_codec.guidance.planned import encode_planned
+from gs_codec.guidance.planned import encode_by_plan, encode_planned
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
@@ -28,16 +28,27 @@ from gs_codec.scene import Scene
 #: Follows the profile's name if it is camera-guided.
 GUIDED = ", camera-guided"
 
+#: Follows how many times smaller a file is to be that is refined: to photographs, or to the
+#: scene's own views.
+REFINED, BY_RENDERS = "x refined", "x refined, renders"
+
+#: Iterations of refinement.
+_ITERATIONS = 2000
+
 #: Most views to prune and to encode by.
 _PRUNING_VIEWS = 128
 
 
 def our_codecs(
-    configs: Sequence[Config], plan: Plan | None = None, pruned: Sequence[float] = ()
+    configs: Sequence[Config],
+    plan: Plan | None = None,
+    pruned: Sequence[float] = (),
+    refined: Sequence[tuple[Plan, float]] = (),
 ) -> list[Peer]:
-    """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided too, and `m` pruned.
+    """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided, and `m` pruned or refined.
 
-    `pruned` are percentages of Gaussians removed by leave-one-out error.
+    `pruned` are percentages of Gaussians removed by leave-one-out error, `refined` plans of the
+    views to refine to, and how many times smaller.
     """
     codecs = [camera_free(config) for config in configs]
     if plan is not None:
@@ -45,6 +56,7 @@ def our_codecs(
         codecs += [guided(config, plan) for config in adaptive]
         of_m = [config for config in adaptive if config.profile == "m"]
         codecs += [guided(config, plan, percent) for config in of_m for percent in pruned]
+        codecs += [refined_to(config, *how) for config in of_m for how in refined]
     return codecs
 
 
@@ -80,6 +92,22 @@ def guided(config: Config, plan: Plan, percent: float = 0.0) -> Peer:
 
     how = f", {percent:g} % pruned" if percent else GUIDED
     return replace(camera_free(config), name=config.profile + how, encode=encode, once=True)
+
+
+def refined_to(config: Config, plan: Plan, ratio: float) -> Peer:
+    """A profile after refinement to the views of a plan, this many times smaller than the PLY."""
+
+    def encode(ply: Path) -> bytes:
+        chosen, target = replace(plan, steps=Steps(refine=_ITERATIONS)), RateTarget(ratio=ratio)
+        scene = read_ply(ply, config.extra)
+        try:
+            return encode_by_plan(scene, ply.stat().st_size, config, chosen, target)[0]
+        except InvalidInput as error:
+            raise ToolFailed(str(error)) from error
+
+    how = BY_RENDERS if plan.gt_images is None else REFINED
+    name = f"{config.profile}, {ratio:g}{how}"
+    return replace(camera_free(config), name=name, encode=encode, once=True)
 
 
 def measure_beside(
@@ -119,11 +147,14 @@ class _Turns:
 
 
 def _compile(scene: Scene, ply: Path, codecs: Sequence[Peer]) -> None:
-    """Encode a thousand Gaussians with those codecs of ours whose only turn counts."""
+    """Encode a thousand Gaussians with those codecs of ours whose only turn counts.
+
+    Refinement takes minutes anyway.
+    """
     few = np.linspace(0, scene.count - 1, min(scene.count, 1000)).astype(np.int64)
     write_ply(ply, scene.take(few))
     for codec in codecs:
-        if codec.once and not codec.own_process:
+        if codec.once and not codec.own_process and REFINED not in codec.name:
             codec.encode(ply)
 
 

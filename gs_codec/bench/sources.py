@@ -59,6 +59,19 @@ class MeasuredScene:
         """A plan without steps, of the views to encode by."""
         return Plan(Steps(), self.guides, views=_ENCODED_BY)
 
+    @property
+    def refining(self) -> list[Plan]:
+        """Plans of the views to refine to: renders, and photographs if there are any.
+
+        Those to measure in are marked as held out. There are none without given cameras.
+        """
+        if cameras_beside(self.path) == "auto" or self.cameras == self.guides:
+            return []
+        cameras = [replace(camera, split="train") for camera in self.guides]
+        cameras += [replace(camera, split="test") for camera in self.cameras]
+        plan = replace(self.plan, cameras=cameras)
+        return [plan] if self.truth is None else [plan, replace(plan, gt_images=self.truth)]
+
 
 def scene_name(path: Path) -> str:
     """Name of a scene: its file's, or its folder's if the file is a trainer's point_cloud.ply."""

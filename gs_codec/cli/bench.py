@@ -69,7 +69,7 @@ def measure_suite(
         typer.Option(
             metavar="GROUP",
             help="Leave out, repeatedly: codecs, curves, memory, geometry, scaling, peers, guided, "
-            "pruned.",
+            "pruned, refined.",
         ),
     ] = None,
 ) -> None:

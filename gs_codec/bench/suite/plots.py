@@ -7,7 +7,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 from gs_codec.analysis.plots import new_figure
-from gs_codec.bench.beside import GUIDED, is_ours
+from gs_codec.bench.beside import BY_RENDERS, GUIDED, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, delta_of, is_exact, psnr_of
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, PROFILES
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 Number = Callable[[Line], "float | None"]
 
-#: Curve of what remains after pruning.
-_PRUNED = "pruned"
+#: Curves of what remains after pruning, and of what is refined then.
+_PRUNED, _REFINED, _BY_RENDERS = "pruned", "refined", "refined to renders"
 
 #: Label, colour, mark, and the colour inside it, of each curve; the colour-blind can tell them.
 _CURVES = {
@@ -27,6 +27,8 @@ _CURVES = {
     FREE: ("ours, camera-free", "#0a6ebd", "o", "#0a6ebd"),
     CAMERA_GUIDED: ("ours, camera-guided", "#d1580b", "s", "#d1580b"),
     _PRUNED: ("m, camera-guided, after pruning", "#d1580b", "s", "white"),
+    _REFINED: ("m, refined to photographs", "#8a2fa0", "D", "#8a2fa0"),
+    _BY_RENDERS: ("m, refined to renders", "#8a2fa0", "D", "white"),
 }
 _COLOURS = ("#12858a", "#a3468f", "#8a6d00", "#b3203a", "#5a4fb0", "#3d7a1f")
 _MARKS = ("*", "P", "X", "v", "D", "<", ">")
@@ -88,8 +90,8 @@ def plot_time(results: Results, scene: str) -> Figure:
     return _with_legend(figure, axes[1])
 
 
-def plot_pruning(results: Results, scene: str) -> Figure:
-    """Quality against the ratio: `m` after pruning beside the steps of `l`, `m`, `s`."""
+def plot_frontier(results: Results, scene: str) -> Figure:
+    """Quality against the ratio: all profiles, and `m` after pruning and after refinement."""
     quality = delta_of if results.has_photographs(scene) else psnr_of
     lines = results.of("beside", scene)
     figure = new_figure(9.5, 4.6)
@@ -97,6 +99,7 @@ def plot_pruning(results: Results, scene: str) -> Figure:
     for curve in _CURVES:
         _draw_profiles(axis, _profiles(lines, curve), curve, lambda line: line["ratio"], quality)
     axis.set_xlabel("times smaller than the PLY")
+    _make_logarithmic(axis, "x")
     _dress_quality(axis, quality)
     return _with_legend(figure, axis)
 
@@ -138,6 +141,8 @@ def _profiles(lines: Sequence[Line], curve: str) -> list[Line]:
         FREE: lambda codec: codec in ADAPTIVE_PROFILES,
         CAMERA_GUIDED: lambda codec: codec.endswith(GUIDED),
         _PRUNED: lambda codec: codec == f"m{GUIDED}" or codec.endswith("pruned"),
+        _REFINED: lambda codec: codec.endswith(REFINED),
+        _BY_RENDERS: lambda codec: codec.endswith(BY_RENDERS),
     }
     chosen = [line for line in lines if found[curve](line["codec"])]
     return chosen if curve != _PRUNED or len(chosen) > 1 else []
@@ -168,10 +173,11 @@ def _draw_profiles(
 
 
 def _short_name(line: Line) -> str:
-    """``paper-l + 1 bits`` is ``l + 1``, ``m, 39 % pruned`` is ``39 %``."""
+    """``paper-l + 1 bits`` is ``l + 1``, ``m, 39 % pruned`` ``39 %``, ``60x refined`` ``60x``."""
     name = str(line.get("point", line.get("codec")))
     name = name.removeprefix("paper-").removesuffix(" bits").removesuffix(GUIDED)
-    return name.removeprefix("m, ").removesuffix(" pruned").replace(", steps", "")
+    name = name.removeprefix("m, ").removesuffix(" pruned").replace(", steps", "")
+    return name.partition(" refined")[0]
 
 
 def _draw_others(axis: Axes, lines: Sequence[Line], across: Number, quality: Number) -> None:

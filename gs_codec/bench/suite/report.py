@@ -85,9 +85,9 @@ def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
     if codecs:
         time = plots.plot_time(results, scene)
         parts.append(draw(f"time-{scene}", time, "Quality against seconds"))
-    if any(line["codec"].endswith("pruned") for line in codecs):
-        pruning = plots.plot_pruning(results, scene)
-        parts.append(draw(f"pruning-{scene}", pruning, "Quality against times smaller"))
+    if codecs:
+        frontier = plots.plot_frontier(results, scene)
+        parts.append(draw(f"frontier-{scene}", frontier, "Quality against times smaller"))
     return parts
 
 

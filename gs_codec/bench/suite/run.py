@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ Lines = Iterator[dict[str, Any]]
 
 #: Percentages of Gaussians that are pruned before `m` codes the rest.
 PRUNED = (39.0, 58.8)
+
+#: How many times smaller scenes are made with refinement.
+REFINED = (35.0, 60.0, 100.0)
 
 #: Gaussians of the tiled scenes of the scaling.
 SIZES = (100_000, 300_000, 1_000_000, 3_000_000)
@@ -129,6 +133,7 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
         [*map(options.config, PROFILE_CHOICES)],
         measured.plan if "guided" not in options.skip else None,
         PRUNED if "pruned" not in options.skip else (),
+        [*product(measured.refining, REFINED)] if "refined" not in options.skip else (),
     )
     others = find_peers("error", options.threads) if "peers" not in options.skip else []
     # Those that take minutes are for `bench peers`.
@@ -160,5 +165,6 @@ STAGES = {
     "scaling": ("growing scenes", _scaling),
 }
 
-#: What can be left out: stages; and of codecs, others', camera-guided ones, pruned scenes.
-GROUPS = (*STAGES, "peers", "guided", "pruned")
+#: What can be left out: stages; and of codecs, others', camera-guided ones, pruned scenes, refined
+#: ones, which take minutes.
+GROUPS = (*STAGES, "peers", "guided", "pruned", "refined")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gs_codec.bench.beside import GUIDED, is_ours
+from gs_codec.bench.beside import BY_RENDERS, GUIDED, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
 from gs_codec.codecs.entropygs import paper
@@ -14,7 +14,7 @@ _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 
 #: Codecs that the README leaves out, and those it has of scenes after the first.
 _LEFT_OUT = {"l", "s", "paper-l", "paper-s", "splat-transform, spz", "zstd, PLY"}
-_SHORT = ("m", f"m{GUIDED}")
+_SHORT = ("m", f"m{GUIDED}", f"m, 60{REFINED}", f"m, 60{BY_RENDERS}")
 
 
 def headline(lines: Sequence[Line]) -> list[str]:
@@ -102,14 +102,16 @@ def scene_title(results: Results, scene: str) -> str:
 
 
 def in_order(results: Results, scene: str) -> list[Line]:
-    """Codecs of a scene: our profiles, camera-guided, pruned, lossless, the paper's, others."""
+    """Codecs of a scene: our profiles, guided, pruned, refined, lossless, the paper's, others."""
 
     def kind(line: Line) -> int:
         codec = line["codec"]
         if not is_ours(codec):
-            return 5
+            return 6
         if codec.startswith("paper-") or codec == LOSSLESS:
-            return 4 if codec != LOSSLESS else 3
+            return 5 if codec != LOSSLESS else 4
+        if REFINED in codec:
+            return 3
         return 2 if codec.endswith("pruned") else int(codec.endswith(GUIDED))
 
     return sorted(results.of("beside", scene), key=kind)

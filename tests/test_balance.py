@@ -12,7 +12,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.allocate import step_error_for
 from gs_codec.guidance.planned import encode_by_plan
-from gs_codec.preparation.balance import Balance, step_error_of
+from gs_codec.preparation.balance import Balance, profile_steps
 from gs_codec.preparation.pipeline import choose_views, prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import Scene
@@ -112,8 +112,8 @@ def test_error_of_the_steps_of_a_loss(seen):
 
 
 def test_profiles_without_steps_prune_as_the_default():
-    assert step_error_of(Config("lossless"))(1.0, 0.0) == ADAPTIVE_PROFILES["m"].error
-    assert step_error_of(Config("l"))(1.0, 0.0) == ADAPTIVE_PROFILES["l"].error
+    for profile, like in (("lossless", "m"), ("l", "l")):
+        assert profile_steps(Config(profile))(None)(1.0, 0.0) == ADAPTIVE_PROFILES[like].error
 
 
 def test_pruning_twice_is_refused(seen):

@@ -72,7 +72,7 @@ def prepare_file(
         check_folder(report_folder, overwrite)
     config = replace(config or Config(), extra="keep")
     # Loaded here: encoding alone does without all that draws.
-    from gs_codec.preparation.balance import step_error_of
+    from gs_codec.preparation.balance import profile_steps
     from gs_codec.preparation.pipeline import prepare_scene
     from gs_codec.preparation.report import save_report
 
@@ -81,7 +81,7 @@ def prepare_file(
         with located(source):
             if report_folder is not None:
                 check_writable(make_folder(report_folder) / "report.json")
-            scene, prepared = prepare_scene(scene, plan, progress, lambda _: step_error_of(config))
+            scene, prepared = prepare_scene(scene, plan, progress, profile_steps(config))
             coded, views = suffix == ".egs", prepared.views
             coded_by = plan if coded else None
             data, report = encode_planned(scene, config, coded_by, progress, views.renders)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
@@ -43,17 +44,15 @@ def encode_by_plan(
         return _encode(scene, scene, ply_bytes, config, plan, target, progress)
     times, original = StageTimes(), scene
     with times.stage("prepare"):
-        from gs_codec.preparation.balance import StepError, step_error_of
+        from gs_codec.guidance.allocate import step_error_for
+        from gs_codec.preparation.balance import profile_steps
         from gs_codec.preparation.pipeline import prepare_scene
 
-        def step_error(views: ViewSplit) -> StepError:
-            if target is None:
-                return step_error_of(config)
-            from gs_codec.guidance.allocate import step_error_for
-
-            return step_error_for(original, ply_bytes, config, target, views, progress)
-
-        scene, prepared = prepare_scene(scene, plan, progress, step_error)
+        steps_of = profile_steps(config)
+        if target is not None:
+            known = original, ply_bytes, config, target
+            steps_of = partial(step_error_for, *known, progress=progress)
+        scene, prepared = prepare_scene(scene, plan, progress, steps_of)
     views = prepared.views
     data, report = _encode(scene, original, ply_bytes, config, plan, target, progress, views)
     times.seconds |= report.seconds

@@ -12,13 +12,16 @@ from dataclasses import dataclass
 
 from gs_codec.codecs import encode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config
-from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
 #: Mean squared error, as `AdaptiveProfile.error`, of the steps that would code a pruned scene: by
 #: its size, as a share of the input's, and by the error that pruning has left in it.
 StepError = Callable[[float, float], float]
+
+#: The same by the views that guide preparation.
+StepsOf = Callable[[ViewSplit], StepError]
 
 #: Share of the squared error of pruning that refinement leaves: with photographs, and without, when
 #: it has nothing to win but what pruning took. It takes some iterations to win back the rest, a
@@ -35,11 +38,11 @@ _SLOPE = 4.4
 _SIZED = Config("m", nonfinite="drop", extra="drop")
 
 
-def step_error_of(config: Config) -> StepError:
+def profile_steps(config: Config) -> StepsOf:
     """The error of a profile's own steps; of `m` for profiles without step sizes."""
     chosen = config if config.profile in ADAPTIVE_PROFILES else Config()
     error = chosen.adaptive_profile().error
-    return lambda size, left: error
+    return lambda views: lambda size, left: error
 
 
 @dataclass

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.quantise import CentredQuantiser, fit_centred
 from gs_codec.config import Config
-from gs_codec.preparation.balance import Balance, StepError, step_error_of
+from gs_codec.preparation.balance import Balance, StepsOf, profile_steps
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.optimise import optimise
 from gs_codec.preparation.prune import (
@@ -66,14 +66,14 @@ class _Context(NamedTuple):
     plan: Plan
     views: ViewSplit
     progress: Progress | None
-    step_error: Callable[[ViewSplit], StepError] | None
+    steps_of: StepsOf
 
 
 def prepare_scene(
     scene: Scene,
     plan: Plan,
     progress: Progress | None = None,
-    step_error: Callable[[ViewSplit], StepError] | None = None,
+    steps_of: StepsOf | None = None,
 ) -> tuple[Scene, PrepareReport]:
     """Run the steps of a plan on a scene.
 
@@ -86,7 +86,7 @@ def prepare_scene(
         If there are no cameras, no Gaussian would be left, or an image is broken.
     """
     views = choose_views(scene, plan, progress)
-    context = _Context(plan, views, progress, step_error)
+    context = _Context(plan, views, progress, steps_of or profile_steps(Config()))
     kept = np.arange(scene.count)
     labels = np.zeros(scene.count, np.uint8)
     reports = [_report("original", scene, context, 0.0, {})]
@@ -102,7 +102,8 @@ def prepare_scene(
             labels[kept[gone]] = LABELS.index(step.label)
             kept = kept[stay]
         reports.append(_report(step.name, scene, context, seconds, details))
-    return scene, PrepareReport(labels, tuple(reports), views)
+    # Nothing after refinement needs its targets, which are many images.
+    return scene, PrepareReport(labels, tuple(reports), views._replace(targets=None))
 
 
 def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> ViewSplit:
@@ -241,9 +242,7 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
     views, steps, progress = context.views, context.plan.steps, context.progress
     balance = None
     if steps.balanced:
-        known = context.step_error
-        error = step_error_of(Config()) if known is None else known(views)
-        fits_photographs = views.photographs is not None
+        fits_photographs, error = views.photographs is not None, context.steps_of(views)
         balance = Balance(scene, views.renders, fits_photographs, steps.refine, error, progress)
     stay, details = prune_leave_one_out(scene, views, steps, progress, balance)
     return stay, scene.take(stay), details

@@ -21,7 +21,7 @@ from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
-from gs_codec.preparation.pipeline import Plan, prepare_scene
+from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
 from gs_codec.preparation.report import LABELS
 from gs_codec.preparation.steps import Steps
@@ -154,30 +154,31 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     for name in ("b", "c"):
         write_png(tmp_path / f"{name}.png", np.full((16, 24, 3), 0.4))
     chosen = Plan(Steps(refine=1), CAMERAS, gt_images=tmp_path, views=1)
-    _, report = prepare_scene(scene, chosen)
-    targets = report.views.targets
+    views = choose_views(scene, chosen)
+    targets = views.targets
     assert [c.name for c in targets.cameras] == ["c", "a", "d", *BETWEEN]
     np.testing.assert_array_equal(targets.images[0], read_image(tmp_path / "c.png"))
     expected = render(scene, CAMERAS[3].resized(24, 16)).colour
-    np.testing.assert_array_equal(targets.images[2], expected)
-    _, report = prepare_scene(scene, replace(chosen, gt_images=None))
-    assert [c.name for c in report.views.targets.cameras] == ["a", "c", "d", *BETWEEN]
-    assert len(report.views.renders.cameras) == 1
+    # Drawn in float32: a pixel may be on the other side of the least alpha.
+    assert np.abs(targets.images[2] - expected).mean() < 1e-5
+    views = choose_views(scene, replace(chosen, gt_images=None))
+    assert [c.name for c in views.targets.cameras] == ["a", "c", "d", *BETWEEN]
+    assert len(views.renders.cameras) == 1
 
 
 def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog, tmp_path):
     unmarked = [camera(f"{i}", 0.1 * i) for i in range(10)]
-    _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked))
+    views = choose_views(scene, Plan(Steps(refine=1), unmarked))
     assert "every 8th is kept out" in caplog.text
-    assert [c.name for c in report.views.held_out.cameras] == ["0", "8"]
-    assert [c.name for c in report.views.targets.cameras[:8]] == [*"1234567", "9"]
-    _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked[:1]))
-    assert report.views.targets.cameras == report.views.held_out.cameras
+    assert [c.name for c in views.held_out.cameras] == ["0", "8"]
+    assert [c.name for c in views.targets.cameras[:8]] == [*"1234567", "9"]
+    views = choose_views(scene, Plan(Steps(refine=1), unmarked[:1]))
+    assert views.targets.cameras == views.held_out.cameras
     for name in ("3", "5"):
         write_png(tmp_path / f"{name}.png", np.full((32, 48, 3), 0.4))
-    _, report = prepare_scene(scene, Plan(Steps(refine=1), unmarked, gt_images=tmp_path))
-    assert [c.name for c in report.views.held_out.cameras] == ["3"]
-    assert report.views.targets.cameras[0].name == "5"
+    views = choose_views(scene, Plan(Steps(refine=1), unmarked, gt_images=tmp_path))
+    assert [c.name for c in views.held_out.cameras] == ["3"]
+    assert views.targets.cameras[0].name == "5"
 
 
 def test_views_are_evenly_spaced():

@@ -75,7 +75,8 @@ def measure_suite(
 ) -> None:
     """Measure scenes in full, other codecs too, and write a report.
 
-    Ten minutes for each 100,000 Gaussians, or so; suite.jsonl has all lines measured so far.
+    Ten minutes for each 100,000 Gaussians, or so, and as many again for refined ones;
+    suite.jsonl has all lines measured so far.
     """
     from gs_codec.analysis.plots import new_figure
     from gs_codec.bench.suite.report import write_report

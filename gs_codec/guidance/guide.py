@@ -29,6 +29,7 @@ from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sh_weights import coefficients_of
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, channel_count
 
 #: Conjugate-gradient iterations of the refit.
@@ -229,12 +230,14 @@ def steps_adding(
 def _rounded(scene: Scene, steps: NDArray[np.float32]) -> tuple[Scene, float, float]:
     """Round SH-AC to their steps; return also estimated bits and non-zero levels a Gaussian."""
     f_rest = np.empty_like(scene.f_rest)
-    rounded = f_rest.reshape(3, -1, scene.count)
-    bits = levels = 0.0
-    for k, plane in enumerate(scene.f_rest.reshape(3, -1, scene.count).swapaxes(0, 1)):
-        found = np.rint(to_ycocg(plane) / steps)
+    planes, rounded = (x.reshape(3, -1, scene.count) for x in (scene.f_rest, f_rest))
+
+    def run(k: int) -> tuple[float, int]:
+        found = np.rint(to_ycocg(planes[:, k]) / steps)
         rounded[:, k] = from_ycocg(found * steps)
-        levels += np.count_nonzero(found)
-        for row in np.clip(found, -_LARGEST, _LARGEST).astype(np.int64):
-            bits += shannon_bits(np.bincount(row + _LARGEST))
+        rows = np.clip(found, -_LARGEST, _LARGEST).astype(np.int64)
+        bits = sum(shannon_bits(np.bincount(row + _LARGEST)) for row in rows)
+        return bits, int(np.count_nonzero(found))
+
+    bits, levels = map(sum, zip(*run_all(run, range(planes.shape[1])), strict=True))
     return replace(scene, f_rest=f_rest), bits / scene.count, levels / scene.count

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.ycocg import from_ycocg, to_ycocg
+from gs_codec.coding.ycocg import luma_chroma, red_green_blue
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.rendering.renderer import render
@@ -20,6 +20,8 @@ from gs_codec.scene import SH_C0, Scene
 
 #: Rounding of float32, relative to the largest of R, G and B.
 _ROUNDING = 2.0**-22
+
+_CHUNK = 1 << 13
 
 
 @kernel
@@ -70,14 +72,14 @@ def coefficients_of(scene: Scene) -> NDArray[np.float32]:
 
     What is only the rounding of R, G and B is 0.
     """
-    planes = _planes_of(scene)
-    coefficients = np.empty(planes.shape, np.float32)
-    for k in range(planes.shape[1]):
-        with np.errstate(invalid="ignore", over="ignore"):
-            found = to_ycocg(planes[:, k])
-            found[np.abs(found) < _ROUNDING * np.abs(planes[:, k]).max(axis=0)] = 0.0
-            coefficients[:, k] = found
-    return np.ascontiguousarray(coefficients.transpose(2, 0, 1))
+    coefficients = np.empty((scene.count, 3, 1 + len(scene.f_rest) // 3), np.float32)
+
+    def run(start: int) -> None:
+        stop = min(start + _CHUNK, scene.count)
+        _read_colours(scene.f_dc, scene.f_rest, start, stop, coefficients)
+
+    run_all(run, range(0, scene.count, _CHUNK))
+    return coefficients
 
 
 def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
@@ -85,19 +87,56 @@ def with_coefficients(scene: Scene, coefficients: NDArray) -> Scene:
 
     Colours that are the same, or not finite, stay as they are in R, G, B.
     """
-    planes, before = _planes_of(scene), coefficients_of(scene)
-    for k in range(planes.shape[1]):
-        found = coefficients[:, :, k].T
-        changed = (found != before[:, :, k].T).any(axis=0) & np.isfinite(found).all(axis=0)
-        planes[:, k, changed] = from_ycocg(found[:, changed].astype(np.float64))
-    f_rest = np.ascontiguousarray(planes[:, 1:]).reshape(len(scene.f_rest), scene.count)
-    return replace(scene, f_dc=np.ascontiguousarray(planes[:, 0]), f_rest=f_rest)
+    f_dc, f_rest = scene.f_dc.copy(), scene.f_rest.copy()
+
+    def run(start: int) -> None:
+        stop = min(start + _CHUNK, scene.count)
+        _write_colours(coefficients, start, stop, f_dc, f_rest)
+
+    run_all(run, range(0, scene.count, _CHUNK))
+    return replace(scene, f_dc=f_dc, f_rest=f_rest)
 
 
-def _planes_of(scene: Scene) -> NDArray[np.float32]:
-    """SH of all bands in R, G, B ``(3, 1 + K, N)``, DC first; a copy."""
-    ac = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
-    return np.concatenate([scene.f_dc[:, None], ac], axis=1)
+@inlined
+def _colour(f_dc, f_rest, i, k):
+    """Y, Co, Cg of a coefficient; 0 where they are only the rounding of R, G and B."""
+    if k == 0:
+        red, green, blue = f_dc[0, i], f_dc[1, i], f_dc[2, i]
+    else:
+        band = len(f_rest) // 3
+        red, green, blue = f_rest[k - 1, i], f_rest[band + k - 1, i], f_rest[2 * band + k - 1, i]
+    y, o, g = luma_chroma(np.float64(red), np.float64(green), np.float64(blue))
+    least = _ROUNDING * max(abs(red), abs(green), abs(blue))
+    y = 0.0 if abs(y) < least else y
+    o = 0.0 if abs(o) < least else o
+    g = 0.0 if abs(g) < least else g
+    return np.float32(y), np.float32(o), np.float32(g)
+
+
+@kernel
+def _read_colours(f_dc, f_rest, start, stop, coefficients):
+    for i in range(start, stop):
+        for k in range(coefficients.shape[2]):
+            y, o, g = _colour(f_dc, f_rest, i, k)
+            coefficients[i, 0, k], coefficients[i, 1, k], coefficients[i, 2, k] = y, o, g
+
+
+@kernel
+def _write_colours(coefficients, start, stop, f_dc, f_rest):
+    band = len(f_rest) // 3
+    for i in range(start, stop):
+        for k in range(1 + band):
+            before = _colour(f_dc, f_rest, i, k)
+            y, o, g = coefficients[i, 0, k], coefficients[i, 1, k], coefficients[i, 2, k]
+            same = before[0] == y and before[1] == o and before[2] == g
+            if same or not (np.isfinite(y) and np.isfinite(o) and np.isfinite(g)):
+                continue
+            red, green, blue = red_green_blue(np.float64(y), np.float64(o), np.float64(g))
+            if k == 0:
+                f_dc[0, i], f_dc[1, i], f_dc[2, i] = red, green, blue
+            else:
+                f_rest[k - 1, i], f_rest[band + k - 1, i] = red, green
+                f_rest[2 * band + k - 1, i] = blue
 
 
 def squared_weights(

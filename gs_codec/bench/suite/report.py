@@ -85,7 +85,6 @@ def _scene_parts(results: Results, scene: str, draw: Any) -> list[str]:
     if codecs:
         time = plots.plot_time(results, scene)
         parts.append(draw(f"time-{scene}", time, "Quality against seconds"))
-    if codecs:
         frontier = plots.plot_frontier(results, scene)
         parts.append(draw(f"frontier-{scene}", frontier, "Quality against times smaller"))
     return parts

@@ -29,6 +29,7 @@ from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sh_weights import coefficients_of
 from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.arrays import release_freed
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, channel_count
 
@@ -186,6 +187,7 @@ class Guidance:
     def _operator_of(self, scene: Scene) -> ImageOperator:
         if self.operator is None or not _same_shapes(self.operator.scene, scene):
             self.operator = None  # Both would not fit into memory.
+            release_freed()
             self.operator = ImageOperator(scene, self.views)
         return self.operator
 

@@ -8,6 +8,7 @@ reaches the limit; the system reads a page again from the file when it is used.
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
 import tempfile
@@ -33,6 +34,12 @@ _ALIGNMENT = 64
 
 #: Pages are released above this share of the limit; seconds between two checks.
 _HIGH, _PERIOD = 0.7, 0.004
+
+
+def release_freed() -> None:
+    """Give memory that was freed back to the system, where the C library keeps it (glibc)."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 class Memory:

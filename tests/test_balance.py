@@ -54,7 +54,7 @@ def test_nothing_goes_without_refinement():
 
 def test_rounds_are_weighed_against_the_one_before(seen):
     scene, plan = seen
-    renders = choose_views(scene, plan).renders
+    renders = choose_views(scene, plan).renders.evenly(16)
     half = scene.take(range(0, scene.count, 2))
     sizes: list[tuple[float, float]] = []
 

@@ -26,7 +26,7 @@ from gs_codec.cli.output import print_json, print_status, print_text, progress_l
 from gs_codec.errors import InvalidInput, printable
 
 
-@takes(*CODING, "json", expert=EXPERT)
+@takes(*CODING, "json", expert=EXPERT, without=["checkpoint"])
 def command(
     source: Annotated[
         str,

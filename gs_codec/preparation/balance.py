@@ -35,6 +35,9 @@ ADDED = 0.25
 #: Logarithm of the error that steps add by the logarithm of the size, negative.
 _SLOPE = 4.4
 
+#: Views that the error of a round is measured in; it only has to be about right.
+_VIEWS = 16
+
 _SIZED = Config("m", nonfinite="drop", extra="drop")
 
 
@@ -72,14 +75,14 @@ class Balance:
 
     def __post_init__(self) -> None:
         self._whole = self._size = _size(self.scene)
-        self._error = 0.0
+        self._error, self._seen = 0.0, self.views.evenly(_VIEWS)
         least = _LEFT[self.photographs]
         self._left = least + (1.0 - least) * math.exp(-self.iterations / _ITERATIONS)
 
     def pays(self, pruned: Scene) -> bool:
         """Whether to go on from the scene of the call before, or the input, to this one."""
         size = _size(pruned)
-        error = self._left * self.views.error(pruned, self.progress)
+        error = self._left * self._seen.error(pruned, self.progress)
         step_error = ADDED * self.step_error(size / self._whole, error)
         cheap = error - self._error <= _SLOPE * step_error * math.log(self._size / size)
         self._size, self._error = size, error

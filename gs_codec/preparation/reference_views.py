@@ -50,6 +50,11 @@ class ReferenceViews:
             return self
         return replace(self, cameras=self.cameras[:number], images=self.images[:number])
 
+    def evenly(self, number: int) -> ReferenceViews:
+        """At most this many of the views, evenly spaced."""
+        cameras, images = evenly(self.cameras, number), evenly(self.images, number)
+        return replace(self, cameras=tuple(cameras), images=tuple(images))
+
     def quality(self, scene: Scene, progress: Progress | None = None) -> Quality:
         """Quality of a scene's images against these, mean over the views."""
         return mean_quality(self._of_each(scene, compare_images, progress))

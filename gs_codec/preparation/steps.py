@@ -218,7 +218,7 @@ class Plan:
     checkpoint: str | Path | None = option(
         None,
         "File that keeps the state of --refine, which goes on from there.",
-        kind=Path, metavar="FILE", expert=False,
+        kind=Path, metavar="FILE",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

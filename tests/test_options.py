@@ -197,7 +197,8 @@ def test_encode_shows_at_most_16_options_and_batch_the_same():
 #: Expert options of encode.
 EXPERT = (
     "--depth", "--block-size", "--keep-order", "--coarseness", "--geometry", "--tmc3",
-    "--no-verify", "--target-bpg", "--allow-prune", "--width", "--views", "--background", "--checkpoint",
+    "--no-verify", "--target-bpg", "--allow-prune", "--width", "--views", "--background",
+    "--checkpoint",
 )  # fmt: skip
 
 

@@ -23,11 +23,10 @@ StepError = Callable[[float, float], float]
 #: The same by the views that guide preparation.
 StepsOf = Callable[[ViewSplit], StepError]
 
-#: Share of the squared error of pruning that refinement leaves: with photographs, and without, when
-#: it has nothing to win but what pruning took. It takes some iterations to win back the rest, a
-#: factor e in this many (bench/RESULTS.md).
-_LEFT = {True: 0.05, False: 0.13}
-_ITERATIONS = 40
+#: Share of the squared error of pruning that 500 iterations of refinement leave: with photographs,
+#: and without, when it has nothing to win but what pruning took; and the power of their number by
+#: which it falls (bench/RESULTS.md).
+_LEFT, _FALL = {True: 0.07, False: 0.13}, -0.4
 
 #: Share of the error that a profile may add which its steps do add, colours refitted.
 ADDED = 0.25
@@ -76,8 +75,8 @@ class Balance:
     def __post_init__(self) -> None:
         self._whole = self._size = _size(self.scene)
         self._error, self._seen = 0.0, self.views.evenly(_VIEWS)
-        least = _LEFT[self.photographs]
-        self._left = least + (1.0 - least) * math.exp(-self.iterations / _ITERATIONS)
+        left = _LEFT[self.photographs] * (self.iterations / 500) ** _FALL
+        self._left = min(left, 1.0)
 
     def pays(self, pruned: Scene) -> bool:
         """Whether to go on from the scene of the call before, or the input, to this one."""

@@ -65,7 +65,8 @@ class MeasuredScene:
 
         Those to measure in are marked as held out. There are none without given cameras.
         """
-        if cameras_beside(self.path) == "auto" or self.cameras == self.guides:
+        both = {camera.name for camera in self.cameras} & {camera.name for camera in self.guides}
+        if cameras_beside(self.path) == "auto" or both:
             return []
         cameras = [replace(camera, split="train") for camera in self.guides]
         cameras += [replace(camera, split="test") for camera in self.cameras]

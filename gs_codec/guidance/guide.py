@@ -201,6 +201,7 @@ def _same_shapes(first: Scene, second: Scene) -> bool:
 
 def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None) -> Guidance:
     """Measure what the encoder needs to know from the views of a scene."""
+    release_freed()  # Preparation had many images.
     loss = views.error(scene, progress)
     found, weights = sensitivity(scene, views, progress)
     share = blind_share(scene, weights, views.cameras, views.estimated)

@@ -13,7 +13,6 @@ from gs_codec.coding.clean import clean_scene
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget, as_rate_target
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport, Progress, StageTimes
-from gs_codec.runtime.arrays import release_freed
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
 
@@ -55,7 +54,6 @@ def encode_by_plan(
             steps_of = partial(step_error_for, *known, progress=progress)
         scene, prepared = prepare_scene(scene, plan, progress, steps_of)
     views = prepared.views
-    release_freed()  # Refinement had many images.
     data, report = _encode(scene, original, ply_bytes, config, plan, target, progress, views)
     times.seconds |= report.seconds
     with times.stage("measure"):

@@ -44,7 +44,6 @@ def fill_matrix(rows, evidence, matrix):
 @kernel
 def solve(matrix, right):
     """Solve in place by Cholesky; False if not positive definite or the result is not finite."""
-    # Each column is taken from all that follow at once: no sum waits for its last term.
     size = len(right)
     for k in range(size):
         if not matrix[k, k] > 0.0:

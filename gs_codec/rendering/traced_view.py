@@ -17,7 +17,7 @@ from gs_codec.scene import Scene
 #: Column of (alpha T)^2 in the sums over pixels, after R, G, B.
 SQUARED = 3
 
-#: Weights are kept in 16 bits: exact to a thousandth of what an image of 8 bits shows.
+#: Weights are kept in 16 bits: to 1/500 of what an image of 8 bits shows.
 _UNITS = 65535.0
 
 _PIXELS = TILE * TILE

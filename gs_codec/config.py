@@ -288,6 +288,14 @@ def as_rate_target(target: RateTarget | Mapping[str, float]) -> RateTarget:
     return RateTarget(**target)  # type: ignore[arg-type]
 
 
+#: Our own format; the others that scenes are encoded to, of which the first are written as finely
+#: as profiles `l`, `m` and `s` ask, and the others as finely as they can.
+EGS = "egs"
+ROUNDED_FORMATS = ("spz", "sog")
+EXACT_FORMATS = ("glb", "gltf")
+FORMATS = (EGS, *ROUNDED_FORMATS, "compressed.ply", "splat", *EXACT_FORMATS)
+
+
 @dataclass(frozen=True)
 class Config:
     """How to encode. Nothing here is needed to decode.
@@ -341,6 +349,11 @@ class Config:
     coder : {"rans", "torchac"}
         With a paper profile, the entropy coder: ours, or the paper's, a Python package (extra
         ``paper``) that decoding needs too. Default ``rans``.
+    format : {"egs", "spz", "sog", "compressed.ply", "splat", "glb", "gltf"}
+        Format of the file; where it has a name, its suffix says so too. Others than ``egs`` take
+        profiles ``l``, ``m`` and ``s``, and neither `depths` nor `block_size`. Default ``egs``.
+    spz_version : {3, 4}
+        With format ``spz``: 4 is smaller, 3 is read by more programs. Default 3.
 
     Raises
     ------
@@ -415,10 +428,19 @@ class Config:
         "With paper-*: the entropy coder; torchac, the paper's, is needed to decode, too.",
         values=get_args(Coder),
     )
+    format: str = option(
+        EGS,
+        "Format of files in a batch, or of stdout; other files have that of their suffix.",
+        metavar="NAME", values=FORMATS,
+    )  # fmt: skip
+    spz_version: Literal[3, 4] = option(
+        3, "With format spz: 4 is smaller, 3 is read by more programs.", kind=int, low=3, high=4
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "profile", PROFILE_WORDS.get(self.profile, self.profile))
         check_options(self)
+        self._check_format()
         if self.asked_depths() and self.profile == LOSSLESS:
             raise InvalidInput(f"depths: profile '{self.profile}' has none, all others do")
         if self.coarseness != 1 and self.profile not in ADAPTIVE_PROFILES:
@@ -432,6 +454,22 @@ class Config:
                 known = ", ".join(PROFILES)
                 raise InvalidInput(f"{name} '{value}': profile '{self.profile}', expected {known}")
         self._check_geometry()
+
+    def _check_format(self) -> None:
+        """Refuse what only an `.egs` has."""
+        if self.spz_version != 3 and self.format != "spz":
+            raise InvalidInput(f"spz_version: format '{self.format}', expected 'spz'")
+        if self.format == EGS:
+            return
+        where = f"format '{self.format}'"
+        if self.profile not in ADAPTIVE_PROFILES:
+            known = ", ".join(ADAPTIVE_PROFILES)
+            raise InvalidInput(f"{where}: profile '{self.profile}', expected {known}")
+        if self.depths or self.block_size != Config.block_size:
+            what = "depths" if self.depths else "block_size"
+            raise InvalidInput(f"{what}: {where} has none")
+        if self.coarseness != 1 and self.format not in ROUNDED_FORMATS:
+            raise InvalidInput(f"coarseness: {where} has none")
 
     def _check_geometry(self) -> None:
         if self.geometry == "octree" and (self.tmc3 is not None or not self.verify):

@@ -123,6 +123,8 @@ class EncodeReport:
         Gaussians left out because they held NaN or infinity.
     seconds : dict of str to float
         Wall time of each stage.
+    lost : tuple of str
+        What a format other than `.egs` cannot hold, in words.
     rate : RateReport, optional
         How the target was met, if one was given.
     prepared : dict, optional
@@ -142,6 +144,7 @@ class EncodeReport:
     zero_quaternions: int = 0
     dropped: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    lost: tuple[str, ...] = ()
     rate: RateReport | None = None
     prepared: dict[str, Any] | None = None
     input_bytes: int = 0

@@ -91,7 +91,7 @@ def read(
 def write(
     path: str | Path, cloud: PointCloud, config: Config | None = None, overwrite: bool = True
 ) -> None:
-    """Write a cloud as ``.ply``, ``.splat`` or, encoded, as ``.egs``; whole or not at all.
+    """Write a cloud as ``.ply`` or, encoded, as ``.egs``, ``.spz``...; whole or not at all.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def find_tasks(
         raise InvalidInput(f"{without_secrets(source)}: no scenes there")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
     for name, location in found:
-        target = targets.location(os.path.splitext(name)[0] + ".egs")
+        target = targets.location(f"{os.path.splitext(name)[0]}.{options.config.format}")
         shown = sources.shown(location), targets.shown(target)
         if ".." in name.split("/"):  # keys of object stores may contain it
             raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")

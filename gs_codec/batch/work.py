@@ -66,7 +66,7 @@ def _encode(
         before = sources.stamp(task.source)
         file = sources.fetch(task.source, folder)
         digest, size = file_sha256(file), os.path.getsize(file)
-    output = folder / "scene.egs"
+    output = folder / f"scene.{options.config.format}"
     if isinstance(targets, LocalStorage):
         output = Path(task.target.path)
         make_folder(output.parent)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
@@ -12,13 +13,18 @@ import typer
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
 from gs_codec.config import (
     ADAPTIVE_PROFILES,
+    EGS,
+    EXACT_FORMATS,
+    FORMATS,
     PAPER_OPTIONS,
     PROFILES,
+    ROUNDED_FORMATS,
     Config,
     RateTarget,
     options_of,
 )
 from gs_codec.errors import InvalidInput
+from gs_codec.files.suffixes import suffix_of
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
@@ -144,20 +150,41 @@ def _listed(hidden: list[str], defaults: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def config_of(asked: Asked) -> Config:
-    """The configuration that was asked for.
+#: Options of `Config` that other formats than `.egs` have too; and those of which none is coded.
+_OF_ALL = ("extra", "nonfinite", "threads", "format", "spz_version")
+_OF_STEPS = ("profile", "coarseness")
+
+
+def config_of(asked: Asked, target: Path | None = None) -> Config:
+    """The configuration that was asked for, with the format of a target's suffix.
 
     Raises
     ------
     InvalidInput
         If an option is out of its range, or has no effect.
     """
+    form = _format_of(asked, target)
+    if form != EGS:
+        used = (*_OF_ALL, *_OF_STEPS) if form in ROUNDED_FORMATS else _OF_ALL
+        names = {described.name or field for field, described in options_of(Config).items()}
+        why = f"has no effect on {target or form}, expected an .egs"
+        asked.refuse(["preset", "max_memory", *(name for name in names if name not in used)], why)
     profile = Config(asked["profile"]).profile
     if profile not in PROFILES:
         asked.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
         why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
         asked.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
-    return asked.build(Config)
+    return asked.build(Config, format=form if form in FORMATS else EGS)
+
+
+def _format_of(asked: Asked, target: Path | None) -> str:
+    """The format of a target's suffix, or of the option where it has no name."""
+    if target is None or str(target) in ("-", "/dev/stdout"):
+        return asked["format"] or EGS
+    form = suffix_of(target)[1:]
+    if asked["format"] not in (None, form):
+        asked.refuse(["format"], f"has no effect on {target}, whose suffix says its format")
+    return form
 
 
 def target_of(asked: Asked) -> RateTarget | None:
@@ -169,7 +196,7 @@ def target_of(asked: Asked) -> RateTarget | None:
     return None
 
 
-def plan_of(asked: Asked) -> Plan | None:
+def plan_of(asked: Asked, config: Config) -> Plan | None:
     """The steps and views that were asked for; None if none were.
 
     Raises
@@ -182,19 +209,22 @@ def plan_of(asked: Asked) -> Plan | None:
     steps = asked.build(Steps)
     if not steps.refine:
         asked.refuse(["checkpoint"], "needs --refine, whose state it keeps")
-    if not steps.wanted and not _goes_by_views(asked):
+    if not steps.wanted and not _goes_by_views(asked, config):
         return None
     return asked.build(Plan, steps=steps)
 
 
-def _goes_by_views(asked: Asked) -> bool:
+def _goes_by_views(asked: Asked, config: Config) -> bool:
     """Whether coding without preparation is camera-guided; refuses what has no effect."""
-    profile, measured = Config(asked["profile"]).profile, asked["max_psnr_drop"] is not None
+    profile, measured = config.profile, asked["max_psnr_drop"] is not None
     if not measured:
         asked.refuse(["gt_images"], "needs --prune, --refine or --max-psnr-drop")
     if profile not in ADAPTIVE_PROFILES:
         known = ", ".join(ADAPTIVE_PROFILES)
         why = f"has no effect on profile '{profile}', expected {known}, --prune or --refine"
+        asked.refuse(["cameras", "views", "width", "background"], why)
+    if config.format in EXACT_FORMATS and not measured:
+        why = f"has no effect on .{config.format}, whose values stay: expected --prune or --refine"
         asked.refuse(["cameras", "views", "width", "background"], why)
     if asked["cameras"] is not None or measured or asked["allow_prune"]:
         return True

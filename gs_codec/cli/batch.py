@@ -64,7 +64,8 @@ def command(
     """Encode a folder of scenes, each as `encode` would; exit status 1 if any failed."""
     if resume and asked["overwrite"]:
         raise InvalidInput("--overwrite: --resume replaces what has changed, expected one of them")
-    plan, config, rate = plan_of(asked), config_of(asked), target_of(asked)
+    config, rate = config_of(asked), target_of(asked)
+    plan = plan_of(asked, config)
     if plan is not None or rate is not None:
         asked.refuse(["max_memory"], "not with views, preparation, or a target to meet")
     from gs_codec.batch.redaction import redact_process

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, config_of, takes
+from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -18,17 +19,10 @@ from gs_codec.cli.output import (
     size_text,
 )
 from gs_codec.cli.streams import piped_source
-from gs_codec.config import Config, options_of
+from gs_codec.config import Config
 
 if TYPE_CHECKING:
     from gs_codec.files.conversion import ConvertReport
-
-#: Options that other formats than .egs have no use for.
-_OF_CODING = [
-    described.name or field
-    for field, described in options_of(Config).items()
-    if field not in ("extra", "nonfinite", "threads")
-]
 
 
 @takes(
@@ -38,7 +32,7 @@ _OF_CODING = [
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help="File to write: .ply, .egs or .splat.")
+        Path, typer.Argument(metavar="OUT", help=f"File to write: .ply, {ENCODED_SHOWN}.")
     ],
     asked: Asked,
     coordinates: Annotated[
@@ -51,9 +45,7 @@ def command(
     ] = "RDF",
 ) -> None:
     """Convert a scene to another format, and report what that loses; profiles are for an .egs."""
-    config = config_of(asked)
-    if target.suffix.lower() != ".egs":
-        asked.refuse(_OF_CODING, f"has no effect on {target}, expected an .egs")
+    config = config_of(asked, target)
     from gs_codec.files.conversion import convert_file
 
     with piped_source(source) as file, progress_bar() as progress:

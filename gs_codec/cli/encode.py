@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
+from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -36,15 +37,16 @@ EXPERT = (Config, RateTarget, Plan)
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help="File to write, an .egs; - is stdout.")
+        Path, typer.Argument(metavar="OUT", help=f"File to write: {ENCODED_SHOWN}; - is stdout.")
     ],
     asked: Asked,
 ) -> None:
-    """Encode a scene to an .egs file."""
-    plan, config, rate = plan_of(asked), config_of(asked), target_of(asked)
+    """Encode a scene to an .egs file, or in a format that other programs read."""
+    config, rate = config_of(asked, target), target_of(asked)
+    plan = plan_of(asked, config)
     from gs_codec.files.coding import encode_file
 
-    with piped(source, target, ".egs") as (file, out):
+    with piped(source, target, f".{config.format}") as (file, out):
         with progress_bar() as progress:
             done = encode_file(
                 file, out, config, plan, rate, progress=progress, max_memory=asked["max_memory"],

@@ -12,11 +12,15 @@ import typer
 
 from gs_codec.config import Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
+from gs_codec.files.suffixes import ENCODED
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
+
+#: Suffixes that scenes are encoded to.
+ENCODED_SHOWN = ", ".join(ENCODED[:-1]) + f" or {ENCODED[-1]}"
 
 #: How numbers are typed, and what they are called.
 _NUMBERS: Mapping[type, tuple[str, str]] = {

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes
+from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import SCENES_PIPED, print_json, print_prepared, progress_bar
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
@@ -24,12 +25,13 @@ from gs_codec.preparation.steps import Plan
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Scene to write: .ply, .egs or .splat.")
+        Path, typer.Argument(metavar="OUT", help=f"Scene to write: .ply, {ENCODED_SHOWN}.")
     ],
     asked: Asked,
 ) -> None:
     """Prune, refine or compact a scene before it is coded, and report what that cost."""
-    config, plan = config_of(asked), plan_of(asked)
+    config = config_of(asked, target)
+    plan = plan_of(asked, config)
     if plan is None or not plan.steps.wanted:
         raise InvalidInput("no step of preparation asked for, for example --prune 30")
     from gs_codec.files.preparing import prepare_file

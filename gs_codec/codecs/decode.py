@@ -15,9 +15,10 @@ from gs_codec.codecs.entropygs.decode import channel_sections, decode_channels, 
 from gs_codec.codecs.entropygs.gpcc import tool_for
 from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import require_coder
+from gs_codec.codecs.interchange import decode_interchange
 from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_sections
 from gs_codec.codecs.part import Part
-from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, check_threads
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, check_threads
 from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, SectionId, read_file
 from gs_codec.egs.index import index_of
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
@@ -36,6 +37,13 @@ def decode_scene(
 ) -> Scene:
     """Decode an `.egs` stream; see `decode_part`."""
     return decode_part(data, Part(), threads, max_bytes, progress)[0]
+
+
+def decode_as(config: Config, data: bytes) -> Scene:
+    """Decode what was encoded by a configuration, which names its format."""
+    if config.format == EGS:
+        return decode_scene(data, config.threads)
+    return decode_interchange(data, config)
 
 
 def decode_part(

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gs_codec.codecs.adaptive.encode import encode_adaptive
+from gs_codec.codecs.adaptive import encode as adaptive
+from gs_codec.codecs.adaptive.encode import ShapedScene, encode_adaptive
 from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.entropygs.encode import encode_channels
+from gs_codec.codecs.interchange import (
+    RoundedScene,
+    encode_interchange,
+    encode_rounded,
+    round_scene,
+)
 from gs_codec.codecs.lossless.lossless import encode_lossless
 from gs_codec.codecs.memory import check_encoding
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS, Config
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import Scene
@@ -22,7 +29,7 @@ def encode_scene(
     progress: Progress | None = None,
     steps: StepSizes | None = None,
 ) -> tuple[bytes, EncodeReport]:
-    """Encode a scene as `.egs`.
+    """Encode a scene, as `.egs` or in the format that the configuration names.
 
     Parameters
     ----------
@@ -63,10 +70,30 @@ def encode_parts(
         check_encoding(scene.count, config)
         with times.stage("check"):
             scene, changed = clean_scene(scene, config)
-        if config.profile in ADAPTIVE_PROFILES:
+        if config.format != EGS:
+            parts, report = encode_interchange(scene, config, steps, times)
+        elif config.profile in ADAPTIVE_PROFILES:
             parts, report = encode_adaptive(scene, config, steps, times, progress)
         elif config.profile == LOSSLESS:
             parts, report = encode_lossless(scene, config, times, progress)
         else:
             parts, report = encode_channels(scene, config, times, progress)
     return parts, replace(report, **changed)
+
+
+def shape_scene(
+    scene: Scene, config: Config, steps: StepSizes, times: StageTimes
+) -> ShapedScene | RoundedScene:
+    """Round everything but the colours of a cleaned scene, with finished step sizes."""
+    if config.format != EGS:
+        return round_scene(scene, config, steps, times)
+    return adaptive.shape_scene(scene, config, steps, times)
+
+
+def encode_shaped(
+    shaped: ShapedScene | RoundedScene, times: StageTimes, progress: Progress | None = None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene from `shape_scene`, with the colours that it has now."""
+    if isinstance(shaped, RoundedScene):
+        return encode_rounded(shaped, times)
+    return adaptive.encode_shaped(shaped, times, progress)

@@ -13,6 +13,9 @@ from gs_codec.runtime.arrays import Disk, current
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 
+#: Bits of each axis in `spatial_order`.
+_DEPTH = 21
+
 
 def bit_layout(depths: tuple[int, int, int]) -> NDArray[np.int64]:
     """Axis of each code bit, most significant first.
@@ -90,6 +93,15 @@ def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDA
     cells = np.empty((3, codes.size), np.uint32)
     _decode(codes, -(-sum(depths) // 8), _axis_tables(depths), cells)
     return cells
+
+
+def spatial_order(positions: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Permutation ``(N,)`` that sorts finite centres ``(3, N)`` along a Morton curve."""
+    wide = positions.astype(np.float64)
+    low = wide.min(axis=1, keepdims=True, initial=np.inf)
+    side = float((wide - low).max(initial=0.0)) or 1.0
+    cells = ((wide - low) * (((1 << _DEPTH) - 1) / side)).astype(np.uint32)
+    return canonical_order(encode_morton(cells, (_DEPTH,) * 3))
 
 
 def canonical_order(codes: NDArray[np.int64], *keys: NDArray) -> NDArray[np.int64]:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs import encode_parts
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
-from gs_codec.config import Config, Extra, RateTarget
+from gs_codec.config import EGS, Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import check_target, scene_in
+from gs_codec.files.scenes import check_target, scene_in, tell_lost
+from gs_codec.files.suffixes import ENCODED, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
@@ -63,7 +64,7 @@ def encode_file(
     max_bytes: int | None = None,
     overwrite: bool = True,
 ) -> EncodeReport:
-    """Encode a scene of any format to an `.egs` file, which appears whole or not at all.
+    """Encode a scene of any format to a file, which appears whole or not at all.
 
     Does not load Open3D. Comments of a PLY are kept.
 
@@ -107,14 +108,16 @@ def encode_file(
     >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
     1600
     """
-    config = config or Config()
-    check_target(source, target, (".egs",), overwrite)
+    check_target(source, target, ENCODED, overwrite)
+    config = config_for(target, config or Config())
     if max_memory is not None and (plan is not None or rate is not None):
         raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+    if max_memory is not None and config.format != EGS:
+        raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
     times = StageTimes()
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            scene, input_bytes, counted = _read_source(source, config.extra, max_bytes)
+            scene, input_bytes, counted = _read_source(source, config, max_bytes)
         with located(source):
             if plan is None and rate is None:
                 parts, report = encode_parts(scene, config, progress)
@@ -124,20 +127,24 @@ def encode_file(
         times.seconds |= report.seconds
         with times.stage("write"), atomic_writer(target) as file:
             file.writelines(parts)
+    tell_lost(target, report)
     ratio = counted / report.file_bytes
     return replace(report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio)
 
 
-def _read_source(source: str | Path, extra: Extra, max_bytes: int | None) -> tuple[Scene, int, int]:
+def _read_source(
+    source: str | Path, config: Config, max_bytes: int | None
+) -> tuple[Scene, int, int]:
     """The scene of a file, its size, and the bytes that a ratio counts from."""
     with open_scene(source) as file:
         if current().limit is not None and not file.is_read_in_parts:
             raise InvalidInput(
                 f"{source}: max-memory: only a binary PLY of floats is read in parts"
             )
-        # Bits of a PLY or .egs stay as they are, and the comment that names another system.
-        stays = file.format in ("egs", "ply")
-        scene = scene_in(file, extra, None, None if stays else CONVENTION, max_bytes)
+        # Bits of a PLY or .egs stay as they are, and the comment that names another system, which
+        # other formats do not state.
+        stays = config.format == EGS and file.format in ("egs", "ply")
+        scene = scene_in(file, config.extra, None, None if stays else CONVENTION, max_bytes)
         return scene, file.stored_bytes, file.ratio_bytes(scene.float_bytes)
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
+from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
-from gs_codec.formats.coordinates import CONVENTION, state_system, system_of
+from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of
 from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
@@ -65,12 +66,12 @@ def convert_file(
     Parameters
     ----------
     source, target : str or Path
-        Scenes; the target is ``.ply``, ``.egs`` or ``.splat``.
+        Scenes; the suffix of the target selects its format, one of `FORMATS` or ``.ply``.
     config : Config, optional
-        How to encode an `.egs` target. Other targets use only its options for extra properties and
-        NaN.
+        How to encode the target. A PLY uses only its options for extra properties and NaN.
     coordinates : str
-        Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``.
+        Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``, and
+        formats that have a system of their own, as ``.spz`` has, are always in that.
         ``RUB:RDF`` converts from the first to the second, whatever the source states.
     progress, max_bytes
         As for `read`.
@@ -96,6 +97,9 @@ def convert_file(
     config = config or Config(extra="keep")
     suffix = check_target(source, target, overwrite=overwrite)
     stated, _, wanted = coordinates.rpartition(":")
+    own = OWN_SYSTEMS.get(suffix)
+    if own is not None and wanted.upper() not in ("KEEP", CONVENTION, own):
+        raise InvalidInput(f"{target}: coordinates {wanted!a:.20}, expected {own} of its format")
     dropped, times = 0, StageTimes()
     with using_threads(config.threads):
         with times.stage("read"):
@@ -106,8 +110,8 @@ def convert_file(
             before = system_of(scene)
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)
-            if wanted != "keep":
-                scene = turn_scene(scene, wanted.upper())
+            if own is not None or wanted != "keep":
+                scene = turn_scene(scene, own or wanted.upper())
         with times.stage("write"):
             lost = write_scene(target, scene, config)
     after = system_of(scene)

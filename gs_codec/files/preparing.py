@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config
-from gs_codec.files.scenes import check_target, read_scene, write_scene
+from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_scene
+from gs_codec.files.suffixes import config_for
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, make_folder
@@ -31,7 +32,7 @@ def prepare_file(
     max_bytes: int | None = None,
     overwrite: bool = True,
 ) -> PrepareReport:
-    """Prepare the scene of a file and write it as ``.ply``, ``.egs`` or ``.splat``.
+    """Prepare the scene of a file and write it as ``.ply``, or encoded.
 
     Extra properties are kept.
 
@@ -42,7 +43,7 @@ def prepare_file(
     plan, progress
         As for `prepare`.
     config : Config, optional
-        As for `prepare`; an ``.egs`` target has the bytes that `encode_file` writes.
+        As for `prepare`; an encoded target has the bytes that `encode_file` writes.
     report_folder : str or Path, optional
         Output folder for the report: what preparation did, and what coding adds to the loss.
     max_bytes : int, optional
@@ -71,6 +72,8 @@ def prepare_file(
     if report_folder is not None:
         check_folder(report_folder, overwrite)
     config = replace(config or Config(), extra="keep")
+    if suffix != ".ply":
+        config = config_for(target, config)
     # Loaded here: encoding alone does without all that draws.
     from gs_codec.preparation.balance import profile_steps
     from gs_codec.preparation.pipeline import prepare_scene
@@ -82,7 +85,7 @@ def prepare_file(
             if report_folder is not None:
                 check_writable(make_folder(report_folder) / "report.json")
             scene, prepared = prepare_scene(scene, plan, progress, profile_steps(config))
-            coded, views = suffix == ".egs", prepared.views
+            coded, views = suffix != ".ply", prepared.views
             coded_by = plan if coded else None
             data, report = encode_planned(scene, config, coded_by, progress, views.renders)
             prepared = prepared.coded(scene, config, data, report)
@@ -91,6 +94,7 @@ def prepare_file(
         if coded:
             with atomic_writer(target) as file:
                 file.write(data)
+            tell_lost(target, report)
         else:
             write_scene(target, scene, config)
     return prepared

@@ -10,33 +10,30 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs import decode_part, encode_scene, matching
+from gs_codec.codecs import decode_part, encode_parts, matching
 from gs_codec.codecs.costs import gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra
 from gs_codec.egs.file import read_file
 from gs_codec.errors import InvalidInput
+from gs_codec.files.suffixes import WRITTEN, config_for, suffix_of
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
-from gs_codec.formats.splat import pack_splat
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.report import Progress
+from gs_codec.report import EncodeReport, Progress
 from gs_codec.runtime.atomic import atomic_writer, check_writable
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, float_bytes
 
 log = logging.getLogger(__name__)
 
-#: Suffixes of scenes that are written.
-_WRITTEN = (".ply", ".egs", ".splat")
-
 
 def write_scene(
     path: str | Path, scene: Scene, config: Config, overwrite: bool = True
 ) -> tuple[str, ...]:
-    """Write a scene as ``.ply``, ``.splat`` or, encoded, as ``.egs``.
+    """Write a scene as ``.ply`` or, encoded, in a format of `FORMATS`.
 
     Returns
     -------
@@ -53,35 +50,18 @@ def write_scene(
     if suffix == ".ply":
         write_ply(path, scene)
         return ()
-    data: bytes
-    lost: tuple[str, ...] = ()
     with located(path):
-        if suffix == ".splat":
-            data, lost = pack_splat(scene)
-        else:
-            data = encode_scene(scene, config)[0]
+        parts, report = encode_parts(scene, config_for(path, config))
     with atomic_writer(path) as file:
-        file.write(data)
-    for line in lost:
+        file.writelines(parts)
+    tell_lost(path, report)
+    return report.lost
+
+
+def tell_lost(path: str | Path, report: EncodeReport) -> None:
+    """Log what a format cannot hold."""
+    for line in report.lost:
         log.warning("%s: %s", path, line)
-    return lost
-
-
-def suffix_of(path: str | Path, known: tuple[str, ...] = _WRITTEN) -> str:
-    """The suffix of a scene to be written, which selects its format.
-
-    Raises
-    ------
-    InvalidInput
-        If it is none of `known`.
-    """
-    name = Path(path).name.lower()
-    suffix = ".compressed.ply" if name.endswith(".compressed.ply") else Path(name).suffix
-    if suffix not in known:
-        expected = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
-        other = "; `convert` writes that" if suffix in _WRITTEN else ""
-        raise InvalidInput(f"{path}: suffix '{suffix}', expected {expected}{other}")
-    return suffix
 
 
 def read_scene(
@@ -175,7 +155,7 @@ def compare_files(
 def check_target(
     source: str | Path,
     target: str | Path,
-    known: tuple[str, ...] = _WRITTEN,
+    known: tuple[str, ...] = WRITTEN,
     overwrite: bool = True,
 ) -> str:
     """The suffix of a target; refuses one that cannot be written, before the work is done."""

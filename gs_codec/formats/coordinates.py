@@ -17,6 +17,9 @@ from gs_codec.scene import Scene, coordinates_comment, coordinates_of
 #: The system of a scene that states none.
 CONVENTION = "RDF"
 
+#: Systems of formats that have one of their own, by their suffix.
+OWN_SYSTEMS = {".spz": "RUB", ".glb": "RUB", ".gltf": "RUB"}
+
 #: Letters of x, of y and of z: the negative direction, then the positive one.
 _LETTERS = ("LR", "DU", "BF")
 

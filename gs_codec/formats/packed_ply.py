@@ -7,20 +7,37 @@ colour channel or opacity as a byte.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
-from gs_codec.formats.packed_values import largest_restored, opacities_of, sh_of_colours
+from gs_codec.formats.packed_values import (
+    Clipped,
+    check_finite,
+    largest_omitted,
+    largest_restored,
+    left_out,
+    opacities_of,
+    sh_of_colours,
+    sigmoid,
+    spans,
+)
 from gs_codec.formats.ply_body import Ply
 from gs_codec.formats.ply_header import PlyHeader
-from gs_codec.scene import SH_COEFFICIENTS, Scene
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, stated_comments
 
 PACKED_ELEMENTS = ("chunk", "vertex", "sh")
 
 _CHUNK = 256
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+#: Bits of centres and scales on each axis.
+_BITS = (11, 10, 11)
 
 
 def is_packed(header: PlyHeader) -> bool:
@@ -127,3 +144,87 @@ def _read_sh(ply: Ply, coefficients: int, count: int) -> NDArray[np.float32]:
     for i, plane in enumerate(planes):
         plane[:] = values[rows[f"f_rest_{i}"]]
     return planes
+
+
+def pack_ply(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of a packed PLY, and what it cannot hold, in words; Gaussians in Morton order.
+
+    Ranges of chunks are from the lowest to the highest value: clipping some so that the others are
+    finer gains nothing (measured on centres, scales and colours).
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite.
+    """
+    check_finite(scene, ".compressed.ply")
+    scene = scene.take(spatial_order(scene.positions))
+    columns, ranges = _packed_shares(scene)
+    vertex = np.empty(scene.count, [(name, "<u4") for name in _PACKED])
+    vertex["packed_position"] = _joined(columns[:3], _BITS)
+    vertex["packed_scale"] = _joined(columns[3:6], _BITS)
+    alpha = np.rint(255 * sigmoid(scene.opacity.astype(np.float64)))
+    vertex["packed_color"] = _joined([*columns[6:], alpha[0].astype(np.uint32)], (8, 8, 8, 8))
+    three, largest = largest_omitted(scene.rot)
+    fields = np.rint((three * np.sqrt(0.5) + 0.5) * 1023).astype(np.uint32)
+    vertex["packed_rotation"] = _joined([largest.astype(np.uint32), *fields], (2, 10, 10, 10))
+    clipped = Clipped()
+    sh = _packed_sh(scene, clipped)
+    data = b"".join([_header_of(scene).encode(), ranges.tobytes(), vertex.tobytes(), sh.tobytes()])
+    lost = "centres and scales rounded to 10 or 11 bits of a chunk's range, other values to 8 or 10"
+    return data, (lost, *clipped.sentences(), *left_out(scene))
+
+
+def _header_of(scene: Scene) -> str:
+    coefficients = SH_COEFFICIENTS[scene.sh_degree]
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {line}" for line in stated_comments(scene.coordinates, scene.antialiased)]
+    lines += [f"element chunk {-(-scene.count // _CHUNK)}"]
+    for prefix, axes in (("", "xyz"), ("scale_", "xyz"), ("", "rgb")):
+        for end in ("min", "max"):
+            lines += [f"property float {end}_{prefix}{axis}" for axis in axes]
+    lines += [f"element vertex {scene.count}", *(f"property uint {name}" for name in _PACKED)]
+    if coefficients:
+        lines.append(f"element sh {scene.count}")
+        lines += [f"property uchar f_rest_{i}" for i in range(3 * coefficients)]
+    return "\n".join([*lines, "end_header\n"])
+
+
+def _joined(columns: Sequence[NDArray[np.uint32]], bits: Sequence[int]) -> NDArray[np.uint32]:
+    """Join columns into 32 bits, from the highest."""
+    packed = np.zeros(len(columns[0]), np.uint32)
+    for column, width in zip(columns, bits, strict=True):
+        packed = packed << np.uint32(width) | column
+    return packed
+
+
+def _packed_shares(scene: Scene) -> tuple[list[NDArray[np.uint32]], NDArray[np.float32]]:
+    """Columns of centres, scales and colours, 9; and ranges ``(chunks, 18)`` as they are stored."""
+    planes = [*scene.positions, *scene.log_scale, *(SH_C0 * scene.f_dc.astype(np.float64) + 0.5)]
+    chunks = -(-scene.count // _CHUNK)
+    ranges = np.empty((chunks, 3, 2, 3), "<f4")
+
+    def pack(column: int) -> NDArray[np.uint32]:
+        levels = (1 << (*_BITS, *_BITS, 8, 8, 8)[column]) - 1
+        packed = np.empty(scene.count, np.uint32)
+        for some in spans(scene.count):
+            short = -(some.stop - some.start) % _CHUNK
+            values = np.pad(planes[column][some], (0, short), "edge").reshape(-1, _CHUNK)
+            ends = np.stack([values.min(axis=1), values.max(axis=1)]).astype(np.float32)
+            ranges[some.start // _CHUNK :, column // 3, :, column % 3][: len(values)] = ends.T
+            low, high = ends.astype(np.float64)[:, :, None]
+            share = (values - low) / np.where(high > low, high - low, 1.0)
+            packed[some] = np.rint(np.clip(share, 0, 1) * levels).ravel()[: some.stop - some.start]
+        return packed
+
+    return run_all(pack, range(9)), ranges.reshape(chunks, 18)
+
+
+def _packed_sh(scene: Scene, clipped: Clipped) -> NDArray[np.uint8]:
+    """SH-AC ``(N, 3 * K)``; see `_read_sh`."""
+    packed = np.empty((scene.count, len(scene.f_rest)), np.uint8)
+    for some in spans(scene.count):
+        bins = np.floor((scene.f_rest[:, some].astype(np.float64) / 8 + 0.5) * 256)
+        # The outermost bins stand for -4 and 4 themselves.
+        packed[some] = clipped.limited("SH", bins, 0, 255).T
+    return packed

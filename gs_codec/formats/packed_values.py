@@ -1,15 +1,20 @@
-"""Values that several formats share: opacities and colours of a byte, packed quaternions."""
+"""Values that several formats share: opacities and colours of a byte, packed quaternions.
+
+And what their writers share: a part of the scene at a time, and sentences on what is lost.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.scene import SH_C0
+from gs_codec.errors import InvalidInput
+from gs_codec.scene import GROUPS, SH_C0, Scene, other_comments
 
 log = logging.getLogger(__name__)
 
@@ -26,10 +31,15 @@ def planes_of(channels: int, count: int, values: Callable[[slice], NDArray]) -> 
     The temporary arrays of `values`, often larger than the result, then stay small.
     """
     planes = np.empty((channels, count), np.float32)
-    for start in range(0, count, _AT_ONCE):
-        some = slice(start, start + _AT_ONCE)
+    for some in spans(count):
         planes[:, some] = values(some)
     return planes
+
+
+def spans(count: int) -> Iterator[slice]:
+    """Spans of Gaussians that are computed at once."""
+    for start in range(0, count, _AT_ONCE):
+        yield slice(start, min(start + _AT_ONCE, count))
 
 
 def opacities_of(path: str | Path, alpha: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -64,3 +74,66 @@ def largest_restored(
     return np.where(rows == largest, rest, np.take_along_axis(three, column, axis=0)).astype(
         np.float32
     )
+
+
+def largest_omitted(rot: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The inverse of `largest_restored`: three components ``(3, N)``, and the largest's index.
+
+    Quaternions ``(4, N)`` are of any norm; one of norm 0 is taken for the first unit vector.
+    """
+    wide = rot.astype(np.float64)
+    wide[0, ~wide.any(axis=0)] = 1.0
+    # Norms of tiny or huge components would be 0 or infinite.
+    wide /= np.abs(wide).max(axis=0)
+    largest = np.argmax(np.abs(wide), axis=0)
+    wide /= np.copysign(
+        np.sqrt((wide * wide).sum(axis=0)), np.take_along_axis(wide, largest[None], 0)[0]
+    )
+    rows = np.arange(3)[:, None]
+    return np.take_along_axis(wide, rows + (rows >= largest), axis=0), largest
+
+
+def sigmoid(logits: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Opacities, 0-1, of logits."""
+    with np.errstate(over="ignore"):
+        return 1 / (1 + np.exp(-logits))
+
+
+@dataclass
+class Clipped:
+    """How many Gaussians have values that a format does not reach, by what they are."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def limited(
+        self, what: str, values: NDArray[np.floating], low: float, high: float
+    ) -> NDArray[np.floating]:
+        """Clip values ``(channels, n)`` to an interval, and count the Gaussians that it changes."""
+        limited = np.clip(values, low, high)
+        changed = int(np.count_nonzero((limited != values).any(axis=0)))
+        self.counts[what] = self.counts.get(what, 0) + changed
+        return limited
+
+    def sentences(self) -> list[str]:
+        """What was clipped, in words."""
+        return [
+            f"{what} of {count:,} Gaussians clipped to the format's range"
+            for what, count in self.counts.items()
+            if count
+        ]
+
+
+def check_finite(scene: Scene, suffix: str) -> None:
+    """Refuse values that are not finite."""
+    if not all(np.isfinite(getattr(scene, group)).all() for group in GROUPS):
+        raise InvalidInput(f"values that are not finite, which {suffix} cannot hold")
+
+
+def left_out(scene: Scene) -> list[str]:
+    """Extra properties and comments that a format has no place for, in words."""
+    lost = []
+    if scene.extra:
+        lost.append(f"properties left out: {', '.join(list(scene.extra)[:4])}")
+    if comments := other_comments(scene.comments):
+        lost.append(f"comments left out: {len(comments)} lines")
+    return lost

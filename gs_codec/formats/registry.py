@@ -15,7 +15,7 @@ from gs_codec.config import Extra
 from gs_codec.egs.file import MAGIC as EGS
 from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
-from gs_codec.formats import packed_ply, sog, splat, spz
+from gs_codec.formats import packed_ply, sog, splat, spz, spz_file
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
 from gs_codec.runtime.mapped import opened
@@ -29,12 +29,12 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (EGS, "egs"),
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
-    (spz.MAGIC, "spz"),
+    (spz_file.MAGIC, "spz"),
     (sog.ZIP, "sog"),
 )
 
 #: Signatures so short that a `.splat`, which begins with a number, may begin with them by chance.
-_BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((spz.GZIP, "spz"), (b"{", "sog"))
+_BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((spz_file.GZIP, "spz"), (b"{", "sog"))
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class SceneFile:
 
     def stated_bytes(self) -> int:
         """Bytes of floats that the header states (not for `.egs`); reads only the header."""
-        sizes = {"spz": spz.stated_size, "sog": sog.stated_size}
+        sizes = {"spz": spz_file.stated_size, "sog": sog.stated_size}
         if self.format in sizes:
             return float_bytes(*sizes[self.format](self.path, self.data))
         if self.format == "splat":

@@ -12,7 +12,14 @@ import numpy as np
 
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
-from gs_codec.formats.packed_values import opacities_of, sh_of_colours
+from gs_codec.formats.packed_values import (
+    Clipped,
+    check_finite,
+    left_out,
+    opacities_of,
+    sh_of_colours,
+    sigmoid,
+)
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_C0, Scene
 
@@ -57,9 +64,7 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     InvalidInput
         If a value is not finite, or a scale too large for a float32.
     """
-    planes = (scene.positions, scene.f_dc, scene.opacity, scene.log_scale, scene.rot)
-    if not all(np.isfinite(plane).all() for plane in planes):
-        raise InvalidInput("values that are not finite, which .splat cannot hold")
+    check_finite(scene, ".splat")
     if scene.log_scale.max(initial=0) > _LARGEST:
         raise InvalidInput(f"log-scale {scene.log_scale.max()}, .splat holds up to {_LARGEST}")
     rows = np.empty(scene.count, _ROW)
@@ -67,21 +72,13 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     with np.errstate(under="ignore"):
         rows["scale"] = np.exp(scene.log_scale).T
     colour = 255 * (0.5 + SH_C0 * scene.f_dc.astype(np.float64))
-    rows["colour"][:, :3] = np.clip(np.rint(colour), 0, 255).T
-    with np.errstate(over="ignore"):
-        alpha = 255 / (1 + np.exp(-scene.opacity[0].astype(np.float64)))
-    rows["colour"][:, 3] = np.rint(alpha)
+    clipped = Clipped()
+    rows["colour"][:, :3] = clipped.limited("colours", np.rint(colour), 0, 255).T
+    rows["colour"][:, 3] = np.rint(255 * sigmoid(scene.opacity[0].astype(np.float64)))
     rot = scene.rot.astype(np.float64)
     unit = rot / np.maximum(np.sqrt((rot * rot).sum(axis=0)), 1e-300)
     rows["rot"] = np.clip(np.rint(128 * unit + 128), 0, 255).T
-    lost = ["opacity, colour and rotation rounded to 8 bits"]
-    outside = int(np.count_nonzero(((colour < -0.5) | (colour > 255.5)).any(axis=0)))
-    if outside:
-        lost.append(f"colours outside 0 to 1 of {outside:,} Gaussians clipped")
+    lost = ["opacity, colour and rotation rounded to 8 bits", *clipped.sentences()]
     if scene.sh_degree:
         lost.append(f"SH of degrees 1 to {scene.sh_degree} left out")
-    if scene.extra:
-        lost.append(f"properties left out: {', '.join(list(scene.extra)[:4])}")
-    if scene.comments:
-        lost.append(f"comments left out: {len(scene.comments)} lines")
-    return rows.tobytes(), tuple(lost)
+    return rows.tobytes(), (*lost, *left_out(scene))

@@ -137,8 +137,8 @@ def _meet_pruning(scene: Scene, asked: RateSearch, seen: Seen) -> Trials:
             if not isinstance(refusal, _TooLarge):
                 break
         else:
-            data = trials.last[0]
-            cost = len(data) if asked.limit is None else seen.loss(data)
+            size = len(trials.last[0])
+            cost = size if asked.limit is None else seen.loss(trials.decoded())
             octaves = trials.octaves
         if cost < least:
             best, least = trials, cost
@@ -201,7 +201,7 @@ def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:
             # Colours that were refitted for other rounded shapes are worse than none.
             trials.refit(octaves)
         trials.size(octaves)
-        trials.loss = seen.loss(trials.last[0])
+        trials.loss = seen.loss(trials.decoded())
         return trials.loss
 
     allowed = measured.error_for(limit, before) - before

@@ -16,6 +16,7 @@ from gs_codec.codecs.adaptive.step_sizes import (
     expected_sensitivity,
     fit_step_sizes,
 )
+from gs_codec.codecs.interchange import RoundedScene
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
@@ -51,6 +52,10 @@ _EPS = 1e-12
 
 #: Levels of SH-AC are clipped to this when bits are estimated.
 _LARGEST = 1 << 11
+
+
+#: What has all but its colours rounded, by a format.
+Shaped = ShapedScene | RoundedScene
 
 
 @dataclass
@@ -92,30 +97,30 @@ class Guidance:
         """Squared error that all parameters together may add."""
         return (profile.error + profile.of_loss * self.loss) * 3 * self.pixels
 
-    def recolour(
-        self, shaped: ShapedScene, profile: AdaptiveProfile, compacting: bool = True
-    ) -> Scene:
+    def recolour(self, shaped: Shaped, profile: AdaptiveProfile, compacting: bool = True) -> Scene:
         """As `compact`, with SH refitted to make up for rounded shapes and compaction, and rounded.
 
-        SH-AC are on their levels.
+        SH-AC are on their levels, if they are coded as levels.
         """
         decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
         operator, progress = self._operator_of(decoded), self.progress
         refitted, _ = refit_colour(
             decoded, self.views, _REFIT, operator=operator, progress=progress
         )
+        if not shaped.on_levels:
+            return refitted
         error = self._error(profile) / (refitted.count * channel_count(len(refitted.f_rest) // 3))
         weights, cameras = self.weights[:, shaped.order], self.views.cameras
         return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
 
-    def compact(self, shaped: ShapedScene, profile: AdaptiveProfile, decide: bool = True) -> Scene:
+    def compact(self, shaped: Shaped, profile: AdaptiveProfile, decide: bool = True) -> Scene:
         """The decoded scene in stream order, its SH compacted if this pays.
 
         The first call decides whether it pays. Without `decide` it is not measured but taken to pay
         unless already decided: this is quick, to estimate sizes.
         """
         decoded, steps = shaped.decoded(), shaped.sh_steps().min(axis=0)
-        if not decoded.sh_degree:
+        if not decoded.sh_degree or not shaped.is_sparse:
             return decoded
         weights = self.weights[:, shaped.order]
 

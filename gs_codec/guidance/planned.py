@@ -7,10 +7,9 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from gs_codec.codecs.adaptive.encode import encode_shaped, shape_scene
-from gs_codec.codecs.encode import encode_scene
+from gs_codec.codecs.encode import encode_scene, encode_shaped, shape_scene
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget, as_rate_target
+from gs_codec.config import ADAPTIVE_PROFILES, EXACT_FORMATS, Config, RateTarget, as_rate_target
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
@@ -102,7 +101,8 @@ def encode_planned(
 
     `references` are these views, if they are known.
     """
-    if plan is None or config.profile not in ADAPTIVE_PROFILES or not scene.count:
+    fixed = config.profile not in ADAPTIVE_PROFILES or config.format in EXACT_FORMATS
+    if plan is None or fixed or not scene.count:
         return encode_scene(scene, config, progress)
     from gs_codec.guidance.guide import guide
     from gs_codec.preparation.pipeline import guiding_views

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs import decode_scene, encode_scene
-from gs_codec.codecs.adaptive.encode import ShapedScene, shape_scene
+from gs_codec.codecs.decode import decode_as
+from gs_codec.codecs.encode import encode_scene, shape_scene
 from gs_codec.codecs.inspection import inspect_bytes
-from gs_codec.config import AdaptiveProfile, Config, RateTarget
-from gs_codec.guidance.guide import Guidance, guide
+from gs_codec.config import EGS, AdaptiveProfile, Config, RateTarget
+from gs_codec.guidance.guide import Guidance, Shaped, guide
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
 from gs_codec.report import EncodeReport, Progress, RateReport, StageTimes
 from gs_codec.scene import Scene
@@ -26,10 +26,10 @@ class Seen:
     before: NDArray[np.float64]
     progress: Progress | None
 
-    def loss(self, data: bytes) -> float:
-        """PSNR loss of a file in the held-out views, dB."""
+    def loss(self, coded: Scene) -> float:
+        """PSNR loss of a decoded scene in the held-out views, dB."""
         measured = self.views.held_out
-        return measured.drop(measured.errors(decode_scene(data), self.progress), self.before)
+        return measured.drop(measured.errors(coded, self.progress), self.before)
 
 
 @dataclass
@@ -123,7 +123,7 @@ class Trials:
         self._recolour(octaves, lambda guidance, *to: guidance.recolour(*to, self.compacting))
 
     def _recolour(
-        self, octaves: float, choose: Callable[[Guidance, ShapedScene, AdaptiveProfile], Scene]
+        self, octaves: float, choose: Callable[[Guidance, Shaped, AdaptiveProfile], Scene]
     ) -> None:
         assert self.guidance is not None
         config = self.config_at(octaves)
@@ -132,7 +132,7 @@ class Trials:
             steps = self.guidance.steps(profile)
             shaped = shape_scene(self.scene, config, steps, StageTimes())
             shaped = shaped.with_colours(choose(self.guidance, shaped, profile))
-        self.coloured = shaped.arranged.source
+        self.coloured = shaped.source
         self.asked.encodings += 1
 
     def rate_report(self, pruned: int) -> RateReport:
@@ -141,7 +141,7 @@ class Trials:
         return RateReport(
             self.asked.target,
             2.0**self.octaves,
-            {i.name: (i.finest_step, i.coarsest_step) for i in inspect_bytes(data).passes},
+            self._steps(),
             len(data),
             self.predicted_bytes,
             self.loss,
@@ -150,3 +150,14 @@ class Trials:
             pruned,
             self.at_end,
         )
+
+    def _steps(self) -> dict[str, tuple[float, float]]:
+        """Finest and coarsest step size of each pass of an `.egs`."""
+        if self.asked.config.format != EGS:
+            return {}
+        passes = inspect_bytes(self.last[0]).passes
+        return {each.name: (each.finest_step, each.coarsest_step) for each in passes}
+
+    def decoded(self) -> Scene:
+        """The scene of the last encoding."""
+        return decode_as(self.asked.config, self.last[0])

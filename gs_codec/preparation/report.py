@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs import decode_scene
+from gs_codec.codecs.decode import decode_as
 from gs_codec.codecs.entropygs.section import channel_order
 from gs_codec.config import PROFILES, Config
 from gs_codec.metrics.images import Quality
@@ -147,7 +147,7 @@ def coding_steps(
     and SH-DC; geometry coding codes these too, and gives the size of the file. Only quantisation
     loses quality. Profiles without depths have one step. `data` and `report` are from encoding.
     """
-    quality = held_out.quality(decode_scene(data))
+    quality = held_out.quality(decode_as(config, data))
     if config.profile not in PROFILES:
         name, took = f"coding ({config.profile})", sum(report.seconds.values())
         return [StepReport(name, report.count, report.file_bytes, quality, took)]

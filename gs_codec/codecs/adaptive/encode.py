@@ -36,6 +36,14 @@ class ShapedScene:
     arranged: Arranged
     blocks: list[ShapedBlock]
 
+    #: SH-AC are coded as levels of Y, Co and Cg, and cost nothing where they are 0.
+    on_levels = is_sparse = True
+
+    @property
+    def source(self) -> Scene:
+        """The scene, with the colours it has now."""
+        return self.arranged.source
+
     @property
     def order(self) -> NDArray[np.uint32]:
         """Index in the source of each Gaussian of the stream, ``(N,)``."""

@@ -1,0 +1,130 @@
+"""Scenes in the formats that other programs read: encoded by profiles, decoded for trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.step_sizes import StepSizes
+from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
+from gs_codec.coding.morton import spatial_order
+from gs_codec.config import ROUNDED_FORMATS, Config
+from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
+from gs_codec.formats.packed_ply import pack_ply
+from gs_codec.formats.registry import SceneFile
+from gs_codec.formats.splat import pack_splat
+from gs_codec.formats.spz import pack_spz
+from gs_codec.report import EncodeReport, StageTimes
+from gs_codec.scene import Scene, gather
+
+#: Formats whose Gaussians are in Morton order; others keep the scene's.
+_SORTED = ("spz", "compressed.ply")
+
+
+def encode_interchange(
+    scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None."""
+    with times.stage("steps"):
+        steps = steps or camera_free_steps(scene, config.adaptive_profile())
+        wanted = wanted_steps(scene, steps)
+    return _packed(scene, config, wanted, times)
+
+
+def decode_interchange(data: bytes, config: Config, system: str = CONVENTION) -> Scene:
+    """The scene of bytes in the format that a configuration names, in a coordinate system."""
+    file = SceneFile(Path(f"scene.{config.format}"), memoryview(data))
+    return turn_axes(file.scene(), system)
+
+
+def _packed(
+    scene: Scene, config: Config, wanted: AttributeSteps, times: StageTimes
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    with times.stage("pack"):
+        if config.format == "spz":
+            data, lost = pack_spz(scene, config.spz_version, wanted)
+        else:
+            data, lost = _PACKERS[config.format](scene)
+    report = EncodeReport(
+        scene.count,
+        scene.float_bytes,
+        {config.format: len(data)},
+        costs=[],
+        rectified=0,
+        seconds=times.seconds,
+        lost=lost,
+    )
+    return [data], report
+
+
+_PACKERS = {"compressed.ply": pack_ply, "splat": pack_splat}
+
+
+@dataclass(frozen=True)
+class RoundedScene:
+    """A scene of which everything but the colours is rounded as a format does.
+
+    Attributes
+    ----------
+    source : Scene
+        Before rounding.
+    config : Config
+    wanted : AttributeSteps
+        Of the source.
+    order : ndarray, shape (N,)
+        Index in the source of each Gaussian of the file.
+    rounded : Scene
+        In the file's order.
+    """
+
+    source: Scene
+    config: Config
+    wanted: AttributeSteps
+    order: NDArray[np.int64]
+    rounded: Scene
+
+    #: SH-AC of a file are in R, G and B, not on levels of Y, Co and Cg.
+    on_levels = False
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether SH-AC that are 0 make a file smaller."""
+        return self.config.format in ROUNDED_FORMATS
+
+    def decoded(self) -> Scene:
+        """The rounded scene with the source's SH, as far as the format has them."""
+        source = self.source.take(self.order)
+        kept = source.f_rest if len(self.rounded.f_rest) else self.rounded.f_rest
+        return replace(self.rounded, f_dc=source.f_dc, f_rest=kept)
+
+    def sh_steps(self) -> NDArray[np.float32]:
+        """Step sizes of SH-AC of each band, ``(3, N)`` in the file's order."""
+        return self.wanted.f_rest[:, self.order].astype(np.float32)
+
+    def with_colours(self, coloured: Scene) -> RoundedScene:
+        """The scene with the SH of `coloured`, which is in the file's order."""
+        rank = np.empty_like(self.order)
+        rank[self.order] = np.arange(len(self.order))
+        f_dc, f_rest = gather(coloured.f_dc, rank), gather(coloured.f_rest, rank)
+        return replace(self, source=replace(self.source, f_dc=f_dc, f_rest=f_rest))
+
+
+def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTimes) -> RoundedScene:
+    """Round everything but the colours of a cleaned scene, with finished step sizes."""
+    wanted = wanted_steps(scene, steps)
+    [data], _ = _packed(scene, config, wanted, times)
+    rounded = decode_interchange(bytes(data), config, system_of(scene))
+    in_order = config.format in _SORTED
+    order = spatial_order(scene.positions) if in_order else np.arange(scene.count)
+    return RoundedScene(scene, config, wanted, order, rounded)
+
+
+def encode_rounded(
+    rounded: RoundedScene, times: StageTimes
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene from `round_scene`, with the colours that it has now."""
+    return _packed(rounded.source, rounded.config, rounded.wanted, times)

@@ -1,0 +1,47 @@
+"""Step sizes that a writer may round attributes to, beyond what its format rounds anyway."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.scene import Scene
+
+
+@dataclass(frozen=True)
+class AttributeSteps:
+    """Step sizes wanted of each Gaussian.
+
+    Attributes
+    ----------
+    positions : ndarray, shape (N,)
+        Scene units.
+    f_dc : ndarray, shape (N,)
+    f_rest : ndarray, shape (3, N)
+        Of each band.
+    opacity : ndarray, shape (N,)
+        Logit.
+    log_scale : ndarray, shape (3, N)
+        Of each axis.
+    rot : ndarray, shape (N,)
+        Of the components of a unit quaternion.
+    """
+
+    positions: NDArray[np.floating]
+    f_dc: NDArray[np.floating]
+    f_rest: NDArray[np.floating]
+    opacity: NDArray[np.floating]
+    log_scale: NDArray[np.floating]
+    rot: NDArray[np.floating]
+
+    @classmethod
+    def least(cls, scene: Scene) -> AttributeSteps:
+        """Steps finer than those of any format."""
+        rows = {"f_rest": (3, scene.count), "log_scale": (3, scene.count)}
+        return cls(**{f.name: np.zeros(rows.get(f.name, scene.count)) for f in fields(cls)})
+
+    def take(self, index: NDArray[np.integer] | slice) -> AttributeSteps:
+        """The steps of the Gaussians that `index` selects, in that order."""
+        return replace(self, **{f.name: getattr(self, f.name)[..., index] for f in fields(self)})

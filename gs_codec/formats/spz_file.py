@@ -1,0 +1,250 @@
+"""Containers of `.spz` files: header, and the bytes of each attribute.
+
+Up to version 3 a file is one gzip stream; in version 4 each attribute is a zstd stream.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import OWN_SYSTEMS
+from gs_codec.formats.limits import check_count, refusing
+from gs_codec.runtime.mapped import located
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import SH_COEFFICIENTS
+
+log = logging.getLogger(__name__)
+
+#: Data of attributes; parts of a memoryview are not copies.
+Bytes = bytes | memoryview
+
+MAGIC = b"NGSP"
+GZIP = b"\x1f\x8b\x08"
+
+_HEADER = struct.Struct("<4sIIBBBB")
+_ZSTD_HEADER = struct.Struct("<4sIIBBBBI12x")
+ANTIALIASED, _EXTENSIONS = 1, 2
+_FRACTION_BITS = 24
+
+#: Adobe's extension for other coordinate systems than the format's own; its values start at 1.
+_SYSTEM_EXTENSION = 0xADBE0003
+SYSTEM = OWN_SYSTEMS[".spz"]
+_SYSTEMS = (
+    *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
+    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
+)
+
+
+#: Compression levels: ten seconds for a million Gaussians; the lowest take one, for files larger by
+#: 2 % (gzip) and 5 % (zstd).
+_GZIP_LEVEL, _ZSTD_LEVEL = 8, 17
+
+
+@dataclass(frozen=True)
+class SpzHeader:
+    """What the header of a file states.
+
+    Attributes
+    ----------
+    version : int
+        1 to 4.
+    count, sh_degree : int
+    fraction_bits : int
+        Bits of a centre's fraction.
+    flags : int
+        Whether the scene is antialiased, and whether extensions follow.
+    """
+
+    version: int
+    count: int
+    sh_degree: int
+    fraction_bits: int
+    flags: int
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Bytes per Gaussian of centres, opacities, colours, scales, rotations and SH."""
+        coefficients = SH_COEFFICIENTS[self.sh_degree]
+        position = 6 if self.version == 1 else 9
+        return position, 1, 3, 3, 3 if self.version < 3 else 4, 3 * coefficients
+
+
+def read_streams(
+    path: Path, view: memoryview, max_bytes: int | None
+) -> tuple[SpzHeader, list[Bytes], str]:
+    """Header, bytes of each attribute, and coordinate system of the bytes of a file.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not a valid file, or decodes to more than `max_bytes`.
+    """
+    data = bytes(view)
+    if data.startswith(GZIP):
+        header, streams, extensions = _inflate(data, max_bytes)
+    elif data.startswith(MAGIC):
+        header, streams, extensions = _decompress(data, max_bytes)
+    else:
+        raise InvalidInput(f"begins with {data[:4]!a}, expected {MAGIC!a} or gzip (.spz)")
+    return header, streams, _read_extensions(path, extensions)
+
+
+def pack_streams(header: SpzHeader, streams: Sequence[NDArray[np.uint8]]) -> bytes:
+    """The bytes of a file of version 3 or 4, from the bytes of each attribute."""
+    fields = header.count, header.sh_degree, header.fraction_bits, header.flags
+    if header.version < 4:
+        # Without a date, so that the same scene gives the same bytes.
+        packer = zlib.compressobj(_GZIP_LEVEL, zlib.DEFLATED, 31)
+        head = _HEADER.pack(MAGIC, header.version, *fields, 0)
+        parts = [packer.compress(head), *(packer.compress(each.data) for each in streams)]
+        return b"".join([*parts, packer.flush()])
+    import zstandard
+
+    filled = [stream for stream in streams if stream.size]
+
+    def compress(stream: NDArray[np.uint8]) -> bytes:
+        return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(stream.data)
+
+    packed = run_all(compress, filled)
+    head = _ZSTD_HEADER.pack(MAGIC, 4, *fields, len(filled), _ZSTD_HEADER.size)
+    table = [struct.pack("<QQ", len(a), b.nbytes) for a, b in zip(packed, filled, strict=True)]
+    return b"".join([head, *table, *packed])
+
+
+def _check_header(
+    version: int, fields: tuple[int, ...], file_bytes: int, max_bytes: int | None
+) -> SpzHeader:
+    header = SpzHeader(version, *fields)
+    if header.sh_degree >= len(SH_COEFFICIENTS):
+        raise InvalidInput(f"SH degree {header.sh_degree}, expected 0 to 3")
+    if header.fraction_bits > _FRACTION_BITS:
+        raise InvalidInput(
+            f"{header.fraction_bits} fractional bits, expected at most {_FRACTION_BITS}"
+        )
+    if header.flags > ANTIALIASED | _EXTENSIONS:
+        raise InvalidInput(f"flags {header.flags:#x}, expected at most 0x3")
+    check_count(header.count, header.sh_degree, file_bytes, max_bytes)
+    return header
+
+
+def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
+    """Number of Gaussians and SH degree that the header states; raises as `read_spz` does."""
+    with located(path):
+        if view[: len(MAGIC)] == MAGIC:
+            head = bytes(view[: _HEADER.size])
+        else:
+            head = _unzipped_head(zlib.decompressobj(wbits=31), bytes(view[:1024]))
+        if len(head) < _HEADER.size:
+            raise InvalidInput(f"{len(head)} bytes, expected a header of {_HEADER.size}")
+        _, version, *fields, _ = _HEADER.unpack(head)
+        header = _check_header(version, tuple(fields), len(view), None)
+        return header.count, header.sh_degree
+
+
+def _unzipped_head(inflater: zlib._Decompress, data: bytes) -> bytes:
+    with refusing("gzip stream"):
+        head = inflater.decompress(data, _HEADER.size)
+    if len(head) < _HEADER.size or not head.startswith(MAGIC):
+        raise InvalidInput(f"a gzip stream that begins with {head[:4]!a}, expected {MAGIC!a}")
+    return head
+
+
+def _inflate(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
+    """Header, attributes and extensions of versions 1 to 3."""
+    inflater = zlib.decompressobj(wbits=31)
+    head = _unzipped_head(inflater, data)
+    _, version, *fields, _ = _HEADER.unpack(head)
+    if not 1 <= version <= 3:
+        raise InvalidInput(f"version {version} in a gzip stream, expected 1 to 3")
+    header = _check_header(version, tuple(fields), len(data), max_bytes)
+    bounds = np.cumsum([0, *(size * header.count for size in header.sizes)]).tolist()
+    limit = bounds[-1] + (1 << 20 if header.flags & _EXTENSIONS else 0)
+    with refusing("gzip stream"):
+        body = memoryview(inflater.decompress(inflater.unconsumed_tail, limit + 1))
+    if len(body) < bounds[-1]:
+        raise InvalidInput(f"{len(body)} bytes of attributes, expected {bounds[-1]}")
+    if len(body) > limit or not inflater.eof or inflater.unused_data:
+        raise InvalidInput(f"bytes left over, or cut off, after {bounds[-1]} bytes of attributes")
+    streams: list[Bytes] = [body[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return header, streams, bytes(body[bounds[-1] :])
+
+
+def _decompress(data: bytes, max_bytes: int | None) -> tuple[SpzHeader, list[Bytes], bytes]:
+    """Header, attributes and extensions of version 4."""
+    if len(data) < _ZSTD_HEADER.size:
+        raise InvalidInput(f"{len(data)} bytes, expected a header of {_ZSTD_HEADER.size}")
+    _, version, *fields, number, table = _ZSTD_HEADER.unpack_from(data)
+    if version != 4:
+        raise InvalidInput(f"version {version}, expected 4 (1 to 3 are gzip streams)")
+    header = _check_header(version, tuple(fields), len(data), max_bytes)
+    sizes = [size * header.count for size in header.sizes]
+    wanted = sum(size > 0 for size in sizes)
+    if number != wanted:
+        raise InvalidInput(f"{number} streams, expected {wanted}")
+    offset = table + 16 * number
+    if not _ZSTD_HEADER.size <= table <= offset <= len(data):
+        raise InvalidInput(f"table of streams at byte {table}, of a file of {len(data)}")
+    entries = iter(struct.iter_unpack("<QQ", data[table:offset]))
+    streams: list[Bytes] = []
+    for name, size in zip(_STREAMS, sizes, strict=True):
+        packed, stated = next(entries) if size else (0, 0)
+        if stated != size or packed > len(data) - offset:
+            raise InvalidInput(
+                f"stream '{name}': {packed} bytes packed, {stated} unpacked; expected at most "
+                f"{len(data) - offset} and {size}"
+            )
+        streams.append(_decompress_stream(data[offset : offset + packed], name, size))
+        offset += packed
+    if offset < len(data):
+        raise InvalidInput(f"{len(data) - offset} bytes left over after the last stream")
+    return header, streams, data[_ZSTD_HEADER.size : table]
+
+
+_STREAMS = ("positions", "opacities", "colours", "scales", "rotations", "SH")
+
+
+def _decompress_stream(packed: bytes, name: str, size: int) -> bytes:
+    """Decompress one zstd frame; check the size that it may state before memory is allocated."""
+    if not size:
+        return b""
+    import zstandard
+
+    with refusing(f"stream '{name}'", zstandard.ZstdError):
+        stated = zstandard.frame_content_size(packed)
+        if stated not in (-1, size):
+            raise InvalidInput(f"stream '{name}': a frame of {stated} bytes, expected {size}")
+        decompressor = zstandard.ZstdDecompressor()
+        unpacked = decompressor.decompress(packed, max_output_size=size, allow_extra_data=False)
+    if len(unpacked) != size:
+        raise InvalidInput(f"stream '{name}': {len(unpacked)} bytes, expected {size}")
+    return unpacked
+
+
+def _read_extensions(path: Path, data: bytes) -> str:
+    """The coordinate system from the extensions; unknown extensions give a warning."""
+    system, offset = SYSTEM, 0
+    while offset < len(data):
+        if len(data) - offset < 8:
+            raise InvalidInput(f"{len(data) - offset} bytes left over after the extensions")
+        kind, size = struct.unpack_from("<II", data, offset)
+        payload = data[offset + 8 : offset + 8 + size]
+        if len(payload) != size:
+            raise InvalidInput(f"extension {kind:#010x}: {len(payload)} bytes, expected {size}")
+        if kind == _SYSTEM_EXTENSION and size == 4:
+            (value,) = struct.unpack("<I", payload)
+            if value > len(_SYSTEMS):
+                raise InvalidInput(f"coordinate system {value}, expected 0 to {len(_SYSTEMS)}")
+            system = _SYSTEMS[value - 1] if value else SYSTEM
+        else:
+            log.warning("%s: extension %#010x of %d bytes not kept", path, kind, size)
+        offset += 8 + size
+    return system

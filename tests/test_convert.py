@@ -138,9 +138,9 @@ def test_what_is_not_finite_is_refused_or_dropped(tmp_path):
     np.testing.assert_array_equal(read_scene(tmp_path / "c.egs").opacity, opacity)
 
 
-@pytest.mark.parametrize("name", ["out.spz", "out.sog", "out", "out.obj", "out.compressed.ply"])
+@pytest.mark.parametrize("name", ["out", "out.obj", "out.ksplat", "ply", "out.spz.gz"])
 def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
-    with pytest.raises(InvalidInput, match=r"expected \.ply, \.egs or \.splat"):
+    with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .* or \.ply"):
         convert_file(ply, tmp_path / name)
     assert not (tmp_path / name).exists()
 

@@ -24,7 +24,7 @@ from gs_codec.config import (
     options_of,
 )
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import suffix_of
+from gs_codec.files.suffixes import known_suffix
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
@@ -151,7 +151,7 @@ def _listed(hidden: list[str], defaults: dict[str, Any]) -> str:
 
 
 #: Options of `Config` that other formats than `.egs` have too; and those of which none is coded.
-_OF_ALL = ("extra", "nonfinite", "threads", "format", "spz_version")
+_OF_ALL = ("extra", "nonfinite", "threads", "format")
 _OF_STEPS = ("profile", "coarseness")
 
 
@@ -164,8 +164,9 @@ def config_of(asked: Asked, target: Path | None = None) -> Config:
         If an option is out of its range, or has no effect.
     """
     form = _format_of(asked, target)
-    if form != EGS:
+    if form not in ("", EGS):
         used = (*_OF_ALL, *_OF_STEPS) if form in ROUNDED_FORMATS else _OF_ALL
+        used = (*used, "spz_version") if form == "spz" else used
         names = {described.name or field for field, described in options_of(Config).items()}
         why = f"has no effect on {target or form}, expected an .egs"
         asked.refuse(["preset", "max_memory", *(name for name in names if name not in used)], why)
@@ -178,11 +179,11 @@ def config_of(asked: Asked, target: Path | None = None) -> Config:
 
 
 def _format_of(asked: Asked, target: Path | None) -> str:
-    """The format of a target's suffix, or of the option where it has no name."""
+    """The format of a target's suffix, or of the option where it has no name; "" if unknown."""
     if target is None or str(target) in ("-", "/dev/stdout"):
         return asked["format"] or EGS
-    form = suffix_of(target)[1:]
-    if asked["format"] not in (None, form):
+    form = known_suffix(target)[1:]
+    if form and asked["format"] not in (None, form):
         asked.refuse(["format"], f"has no effect on {target}, whose suffix says its format")
     return form
 

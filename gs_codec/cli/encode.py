@@ -87,8 +87,10 @@ def _print_report(target: Path, report: EncodeReport) -> None:
 
 def _print_rate(rate: RateReport) -> None:
     """What a target led to."""
-    text = f"steps {rate.coarseness:.3f} times the profile's, after {rate.encodings} encodings"
-    if rate.target.allow_prune:
+    text = f"{rate.encodings} encodings"
+    if rate.coarseness != 1:
+        text = f"steps {rate.coarseness:.3f} times the profile's, after {text}"
+    if rate.pruned or rate.target.allow_prune:
         text += f"; {rate.pruned:,} Gaussians pruned"
     if rate.predicted_bytes is not None:
         text += f"; {size_text(rate.predicted_bytes)} expected"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from gs_codec.config import ROUNDED_FORMATS, Config
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.packed_ply import pack_ply
-from gs_codec.formats.registry import SceneFile
+from gs_codec.formats.registry import open_scene
 from gs_codec.formats.splat import pack_splat
 from gs_codec.formats.spz import pack_spz
 from gs_codec.report import EncodeReport, StageTimes
@@ -35,10 +36,14 @@ def encode_interchange(
     return _packed(scene, config, wanted, times)
 
 
-def decode_interchange(data: bytes, config: Config, system: str = CONVENTION) -> Scene:
+def decode_interchange(data: bytes | memoryview, config: Config, system: str = CONVENTION) -> Scene:
     """The scene of bytes in the format that a configuration names, in a coordinate system."""
-    file = SceneFile(Path(f"scene.{config.format}"), memoryview(data))
-    return turn_axes(file.scene(), system)
+    # The readers of PLY and of zip files want a file.
+    with tempfile.TemporaryDirectory(prefix="gs_codec-") as folder:
+        path = Path(folder, f"scene.{config.format}")
+        path.write_bytes(data)
+        with open_scene(path) as file:
+            return turn_axes(file.scene(), system)
 
 
 def _packed(
@@ -117,7 +122,7 @@ def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTime
     """Round everything but the colours of a cleaned scene, with finished step sizes."""
     wanted = wanted_steps(scene, steps)
     [data], _ = _packed(scene, config, wanted, times)
-    rounded = decode_interchange(bytes(data), config, system_of(scene))
+    rounded = decode_interchange(data, config, system_of(scene))
     in_order = config.format in _SORTED
     order = spatial_order(scene.positions) if in_order else np.arange(scene.count)
     return RoundedScene(scene, config, wanted, order, rounded)

@@ -110,11 +110,13 @@ def convert_file(
             before = system_of(scene)
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)
-            if own is not None or wanted != "keep":
-                scene = turn_scene(scene, own or wanted.upper())
+            if own is not None:
+                scene = turn_scene(scene, CONVENTION)
+            elif wanted != "keep":
+                scene = turn_scene(scene, wanted.upper())
         with times.stage("write"):
             lost = write_scene(target, scene, config)
-    after = system_of(scene)
+    after = own or system_of(scene)
     return ConvertReport(
         scene.count,
         0 if suffix == ".splat" else scene.sh_degree,

@@ -21,13 +21,19 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
     InvalidInput
         If it is none of `known`.
     """
-    name = Path(path).name.lower()
-    suffix = ".compressed.ply" if name.endswith(".compressed.ply") else Path(name).suffix
+    suffix = known_suffix(path)
     if suffix not in known:
+        suffix = suffix or Path(path).suffix.lower()
         expected = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
         other = "; `convert` writes that" if suffix in WRITTEN else ""
         raise InvalidInput(f"{path}: suffix '{suffix}', expected {expected}{other}")
     return suffix
+
+
+def known_suffix(path: str | Path) -> str:
+    """The suffix of a format that is written, the longest that fits; "" if it is none."""
+    name = Path(path).name.lower()
+    return max((s for s in WRITTEN if name.endswith(s)), key=len, default="")
 
 
 def config_for(path: str | Path, config: Config) -> Config:

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.encode import encode_scene, encode_shaped, shape_scene
 from gs_codec.coding.clean import clean_scene
-from gs_codec.config import ADAPTIVE_PROFILES, EXACT_FORMATS, Config, RateTarget, as_rate_target
+from gs_codec.config import (
+    ADAPTIVE_PROFILES,
+    EGS,
+    EXACT_FORMATS,
+    ROUNDED_FORMATS,
+    Config,
+    RateTarget,
+    as_rate_target,
+)
 from gs_codec.errors import InvalidInput
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import using_threads
@@ -39,6 +47,13 @@ def encode_by_plan(
     target = None if rate is None else as_rate_target(rate)
     if target is not None:
         _check_target(scene, config, target, plan)
+        if config.format not in (EGS, *ROUNDED_FORMATS):
+            from gs_codec.guidance.fixed_rate import meet_target
+
+            def encode(plan: Plan | None) -> tuple[bytes, EncodeReport]:
+                return encode_by_plan(scene, ply_bytes, config, plan, None, progress)
+
+            return meet_target(encode, scene, ply_bytes, config, target, plan, progress)
     if plan is None or not plan.steps.wanted:
         return _encode(scene, scene, ply_bytes, config, plan, target, progress)
     times, original = StageTimes(), scene

@@ -1,0 +1,113 @@
+"""Rate targets for formats that take as many bits for every Gaussian: met by their number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from gs_codec.codecs.decode import decode_as
+from gs_codec.codecs.encode import encode_scene
+from gs_codec.config import Config, RateTarget
+from gs_codec.errors import InvalidInput
+from gs_codec.preparation.pipeline import choose_views
+from gs_codec.preparation.steps import Plan
+from gs_codec.report import EncodeReport, Progress, RateReport
+from gs_codec.scene import Scene
+
+#: Encodes a scene by a plan.
+Encode = Callable[[Plan | None], tuple[bytes, EncodeReport]]
+
+#: Most times that pruning is repeated because held-out views lose more than those it goes by.
+_ATTEMPTS = 4
+
+#: Bytes by which headers of two scenes may differ.
+_HEADER = 256
+
+
+def meet_target(
+    encode: Encode,
+    scene: Scene,
+    ply_bytes: int,
+    config: Config,
+    target: RateTarget,
+    plan: Plan | None,
+    progress: Progress | None,
+) -> tuple[bytes, EncodeReport]:
+    """Meet a target with as many Gaussians as it allows, those whose removal views see least.
+
+    Raises
+    ------
+    InvalidInput
+        If the plan prunes, too, or the target is unreachable.
+    """
+    steps = Plan().steps if plan is None else plan.steps
+    if target.allow_prune or (steps.by_leave_one_out and not steps.balanced):
+        what = "allow_prune" if target.allow_prune else "pruning"
+        raise InvalidInput(f"{what}: a target for format '{config.format}' says how many stay")
+    limit = target.limit(scene.count, ply_bytes)
+    if limit is None:
+        return _meet_drop(encode, scene, config, target, plan or Plan(), progress)
+    count = _most(scene, config, limit)
+    if count < scene.count:
+        chosen = plan or Plan()
+        plan = replace(chosen, steps=replace(chosen.steps, gaussians=count))
+    data, report = encode(plan)
+    return data, _with_rate(report, scene, target, 1)
+
+
+def _most(scene: Scene, config: Config, limit: int) -> int:
+    """Most Gaussians that a file of at most `limit` bytes can have."""
+    none, all_of_them = (
+        len(encode_scene(scene.between(0, stop), config)[0]) for stop in (0, scene.count)
+    )
+    if all_of_them <= limit:
+        return scene.count
+    each = (all_of_them - none) / scene.count
+    count = int((limit - none - _HEADER) / each)
+    if count < 1:
+        raise InvalidInput(f"target {limit:,} bytes: each Gaussian takes {each:.0f}")
+    return count
+
+
+def _meet_drop(
+    encode: Encode,
+    scene: Scene,
+    config: Config,
+    target: RateTarget,
+    plan: Plan,
+    progress: Progress | None,
+) -> tuple[bytes, EncodeReport]:
+    """Prune as far as a loss allows, beside what the format itself loses."""
+    views, limit = choose_views(scene, plan, progress).held_out, float(target.psnr_drop or 0)
+    before = views.errors(scene, progress)
+
+    def loss(data: bytes) -> float:
+        return views.drop(views.errors(decode_as(config, data), progress), before)
+
+    allowed = limit - loss(encode_scene(scene, config)[0])
+    for attempt in range(1, _ATTEMPTS + 1):
+        steps = plan.steps
+        if allowed > 0:
+            steps = replace(steps, prune_max_psnr_drop=allowed)
+        data, report = encode(replace(plan, steps=steps))
+        lost = loss(data)
+        if lost <= limit:
+            return data, _with_rate(report, scene, target, attempt, lost)
+        if allowed <= 0:
+            break
+        allowed -= max(lost - limit, 0.1 * limit)
+    raise InvalidInput(f"target {limit:g} dB: the format itself loses {lost:.4f} dB")
+
+
+def _with_rate(
+    report: EncodeReport,
+    scene: Scene,
+    target: RateTarget,
+    encodings: int,
+    lost: float | None = None,
+) -> EncodeReport:
+    pruned = scene.count - report.count
+    rate = RateReport(
+        target, 1.0, {}, report.file_bytes, None, lost, None, encodings, pruned, at_end=not pruned
+    )
+    return replace(report, rate=rate)

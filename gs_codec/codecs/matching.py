@@ -17,8 +17,10 @@ from gs_codec.codecs.inspection import Info
 from gs_codec.codecs.lossless.lossless import lossless_order
 from gs_codec.coding.axes import nearest_quaternions, sort_axes
 from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.morton import spatial_order
 from gs_codec.coding.quantise import fit_range
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import CONVENTION, turn_axes
 from gs_codec.scene import Scene
 
 #: Start of the comment line.
@@ -27,6 +29,9 @@ _GRID, _FLOATS = "grid", "floats"
 
 _INSTEAD = "compare with the original, or what cameras see (--cameras auto)"
 _UNRELATED = f"neither scene was decoded from the other: {_INSTEAD}"
+
+#: About so many Gaussians tell whether scenes are in one order.
+_SAMPLE = 2000
 
 #: Share of Gaussians that rounding to float32 may have moved out of their cells.
 _MOVED = 0.01
@@ -167,7 +172,8 @@ def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
     -------
     first, second : Scene
     matched : str
-        What matched them: ``index`` or ``stored order``.
+        What matched them: ``index``, ``stored order``, or ``Morton order``, in which other formats
+        are written.
 
     Raises
     ------
@@ -176,7 +182,7 @@ def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
     """
     marks = _marks(first), _marks(second)
     if first.count != second.count or marks[0] == marks[1]:
-        return first, second, "index"
+        return _side_by_side_unmarked(first, second)
     orders = order_of(first), order_of(second)
     # A decoded scene keeps the lines that its source had, if any, and adds its own.
     if orders[1] is not None and marks[0] in ((), marks[1][:-1]):
@@ -184,3 +190,29 @@ def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
     if orders[0] is not None and marks[1] in ((), marks[0][:-1]):
         return first, orders[0].apply(second, first), "stored order"
     raise InvalidInput(f"both scenes were reordered, differently: {_INSTEAD}")
+
+
+def _side_by_side_unmarked(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
+    """As `put_side_by_side`; by index, unless only Morton order brings centres together."""
+    if first.count == second.count and not _are_together(first, second):
+        ordered = _in_morton_order(first)
+        if _are_together(ordered, second):
+            return ordered, second, "Morton order"
+        ordered = _in_morton_order(second)
+        if _are_together(first, ordered):
+            return first, ordered, "Morton order"
+    return first, second, "index"
+
+
+def _in_morton_order(scene: Scene) -> Scene:
+    """The scene in the order of writers, which is that of centres in the convention's system."""
+    return scene.take(spatial_order(turn_axes(scene, CONVENTION).positions))
+
+
+def _are_together(first: Scene, second: Scene) -> bool:
+    """Whether most centres of the same index are nearer than the Gaussian is long."""
+    some = slice(None, None, max(1, first.count // _SAMPLE))
+    with np.errstate(over="ignore"):
+        apart = np.abs(first.positions[:, some] - second.positions[:, some]).max(axis=0)
+        lengths = np.exp(first.log_scale[:, some].max(axis=0))
+    return bool(np.mean(apart <= lengths) > 0.5) if first.count else True

@@ -22,6 +22,9 @@ from gs_codec.scene import Scene
 #: Log2 of the smallest and of the largest step.
 _OCTAVES = (-40.0, 40.0)
 
+#: Its multiples are spread evenly between whole numbers.
+_GOLDEN = 0.6180339887498949
+
 
 def camera_free_steps(scene: Scene, profile: AdaptiveProfile) -> StepSizes:
     """The step sizes that a profile has without cameras."""
@@ -35,11 +38,17 @@ def wanted_steps(scene: Scene, steps: StepSizes) -> AttributeSteps:
     axes, scales, _ = sort_axes(scene.log_scale, scene.rot)
     known = features(scene.opacity[0].astype(np.float64), scales)
 
+    # Where steps are whole octaves apart, writers that round to powers of two would round all at
+    # once to others: sizes of files would jump.
+    between = np.arange(scene.count) * _GOLDEN % 1 - 0.5
+
     def wanted(rule: str, more: NDArray | float = 0.0) -> NDArray[np.float64]:
         octaves = steps.colour_class if rule == "colour" else steps.shape_class
-        return np.exp2(
-            np.clip(octaves + combine(steps.coefficients[rule], known) + more, *_OCTAVES)
-        )
+        row = steps.coefficients[rule]
+        whole = octaves + combine(row, known) + more
+        if octaves.any() and not row[1:].any():
+            whole += between
+        return np.exp2(np.clip(whole, *_OCTAVES))
 
     alike = likeness(to_fixed(scales, LARGEST)[0])
     turns = np.stack([wanted(rule, more) for rule, more in zip(TURN_RULES, alike, strict=True)])

@@ -15,8 +15,9 @@ import numpy as np
 from gs_codec import __version__
 from gs_codec.bench.peers import AbsentPeer, Peer
 from gs_codec.bench.sources import MeasuredScene
-from gs_codec.codecs import decode_scene, encode_scene
-from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config, RateTarget
+from gs_codec.codecs import encode_scene
+from gs_codec.codecs.decode import decode_as
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, PROFILE_CHOICES, Config, RateTarget
 from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.guidance.planned import encode_by_plan, encode_planned
@@ -47,6 +48,8 @@ def our_codecs(
 ) -> list[Peer]:
     """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided, and `m` pruned or refined.
 
+    Other formats than `.egs` are named by the profile and the format.
+
     `pruned` are percentages of Gaussians removed by leave-one-out error, `refined` plans of the
     views to refine to, and how many times smaller.
     """
@@ -54,7 +57,7 @@ def our_codecs(
     if plan is not None:
         adaptive = [config for config in configs if config.profile in ADAPTIVE_PROFILES]
         codecs += [guided(config, plan) for config in adaptive]
-        of_m = [config for config in adaptive if config.profile == "m"]
+        of_m = [config for config in adaptive if config.profile == "m" and config.format == EGS]
         codecs += [guided(config, plan, percent) for config in of_m for percent in pruned]
         codecs += [refined_to(config, *how) for config in of_m for how in refined]
     return codecs
@@ -72,11 +75,19 @@ def camera_free(config: Config) -> Peer:
         return encode_scene(read_ply(ply, config.extra), config)[0]
 
     def decode(data: bytes) -> Scene:
-        scene = decode_scene(data, config.threads)
+        scene = decode_as(config, data)
         vertex_rows(scene)
         return scene
 
-    return Peer(config.profile, __version__, encode, decode, lambda scene: scene)
+    return Peer(_name_of(config), __version__, encode, decode, lambda scene: scene)
+
+
+def _name_of(config: Config) -> str:
+    """A profile's name, and the format's if it is not our own."""
+    if config.format == EGS:
+        return config.profile
+    version = f" v{config.spz_version}" if config.format == "spz" else ""
+    return f"{config.profile}, {config.format}{version}"
 
 
 def guided(config: Config, plan: Plan, percent: float = 0.0) -> Peer:
@@ -91,7 +102,7 @@ def guided(config: Config, plan: Plan, percent: float = 0.0) -> Peer:
         return encode_planned(scene, config, chosen, references=references)[0]
 
     how = f", {percent:g} % pruned" if percent else GUIDED
-    return replace(camera_free(config), name=config.profile + how, encode=encode, once=True)
+    return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
 
 
 def refined_to(config: Config, plan: Plan, ratio: float) -> Peer:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from itertools import product
 from pathlib import Path
@@ -130,7 +130,7 @@ def _memory(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
 
 def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
     ours = our_codecs(
-        [*map(options.config, PROFILE_CHOICES)],
+        [*map(options.config, PROFILE_CHOICES), *_in_other_formats(options.config("m"))],
         measured.plan if "guided" not in options.skip else None,
         PRUNED if "pruned" not in options.skip else (),
         [*product(measured.refining, REFINED)] if "refined" not in options.skip else (),
@@ -139,6 +139,12 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
     # Those that take minutes are for `bench peers`.
     quick = [x for x in others if isinstance(x, AbsentPeer) or not x.once]
     return measure_beside(measured, [*ours, *quick], options.repeats)
+
+
+def _in_other_formats(config: Config) -> Iterator[Config]:
+    """A profile in the formats that round what they hold."""
+    yield replace(config, format="spz", spz_version=4)
+    yield replace(config, format="compressed.ply")
 
 
 def _curves(measured: MeasuredScene, options: Options, found: Sequence[dict[str, Any]]) -> Lines:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ROUNDED_FORMATS, Config
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
+from gs_codec.formats.gltf import pack_gltf
 from gs_codec.formats.packed_ply import pack_ply
 from gs_codec.formats.registry import open_scene
 from gs_codec.formats.splat import pack_splat
@@ -66,7 +69,12 @@ def _packed(
     return [data], report
 
 
-_PACKERS = {"compressed.ply": pack_ply, "splat": pack_splat}
+_PACKERS: Mapping[str, Callable[[Scene], tuple[bytes, tuple[str, ...]]]] = {
+    "compressed.ply": pack_ply,
+    "splat": pack_splat,
+    "glb": pack_gltf,
+    "gltf": partial(pack_gltf, as_text=True),
+}
 
 
 @dataclass(frozen=True)

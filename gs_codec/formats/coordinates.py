@@ -18,7 +18,7 @@ from gs_codec.scene import Scene, coordinates_comment, coordinates_of
 CONVENTION = "RDF"
 
 #: Systems of formats that have one of their own, by their suffix.
-OWN_SYSTEMS = {".spz": "RUB", ".glb": "RUB", ".gltf": "RUB"}
+OWN_SYSTEMS = {".spz": "RUB", ".glb": "LUF", ".gltf": "LUF"}
 
 #: Letters of x, of y and of z: the negative direction, then the positive one.
 _LETTERS = ("LR", "DU", "BF")

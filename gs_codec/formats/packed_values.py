@@ -81,16 +81,20 @@ def largest_omitted(rot: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDAr
 
     Quaternions ``(4, N)`` are of any norm; one of norm 0 is taken for the first unit vector.
     """
+    wide = unit_quaternions(rot)
+    largest = np.argmax(np.abs(wide), axis=0)
+    wide *= np.copysign(1.0, np.take_along_axis(wide, largest[None], 0)[0])
+    rows = np.arange(3)[:, None]
+    return np.take_along_axis(wide, rows + (rows >= largest), axis=0), largest
+
+
+def unit_quaternions(rot: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Quaternions ``(4, N)`` of length 1; one of norm 0 becomes the first unit vector."""
     wide = rot.astype(np.float64)
     wide[0, ~wide.any(axis=0)] = 1.0
     # Norms of tiny or huge components would be 0 or infinite.
     wide /= np.abs(wide).max(axis=0)
-    largest = np.argmax(np.abs(wide), axis=0)
-    wide /= np.copysign(
-        np.sqrt((wide * wide).sum(axis=0)), np.take_along_axis(wide, largest[None], 0)[0]
-    )
-    rows = np.arange(3)[:, None]
-    return np.take_along_axis(wide, rows + (rows >= largest), axis=0), largest
+    return wide / np.sqrt((wide * wide).sum(axis=0))
 
 
 def sigmoid(logits: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -129,9 +133,9 @@ def check_finite(scene: Scene, suffix: str) -> None:
         raise InvalidInput(f"values that are not finite, which {suffix} cannot hold")
 
 
-def left_out(scene: Scene) -> list[str]:
-    """Extra properties and comments that a format has no place for, in words."""
-    lost = []
+def left_out(scene: Scene, flag: bool = False) -> list[str]:
+    """Extra properties, comments, and perhaps the antialias flag that a format lacks, in words."""
+    lost = ["antialias flag left out"] if flag and scene.antialiased else []
     if scene.extra:
         lost.append(f"properties left out: {', '.join(list(scene.extra)[:4])}")
     if comments := other_comments(scene.comments):

@@ -15,15 +15,18 @@ from gs_codec.config import Extra
 from gs_codec.egs.file import MAGIC as EGS
 from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
-from gs_codec.formats import packed_ply, sog, splat, spz, spz_file
+from gs_codec.formats import gltf, gltf_file, packed_ply, sog, splat, spz, spz_file
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import Scene, float_bytes
 
-Format = Literal["egs", "ply", "splat", "spz", "sog"]
+Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf"]
 
-_BY_SUFFIX: dict[str, Format] = {f".{name}": name for name in get_args(Format)} | {".json": "sog"}
+_BY_SUFFIX: dict[str, Format] = {f".{name}": name for name in get_args(Format)} | {
+    ".json": "sog",
+    ".glb": "gltf",
+}
 
 _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (EGS, "egs"),
@@ -31,6 +34,7 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (b"ply\r", "ply"),
     (spz_file.MAGIC, "spz"),
     (sog.ZIP, "sog"),
+    (gltf_file.MAGIC, "gltf"),
 )
 
 #: Signatures so short that a `.splat`, which begins with a number, may begin with them by chance.
@@ -55,7 +59,9 @@ class SceneFile:
     def format(self) -> Format:
         """The format, recognised by content, then by suffix; `InvalidInput` if by neither."""
         head, suffix = bytes(self.data[:16]), self.path.suffix.lower()
-        known = _BY_CONTENT if suffix == ".splat" else _BY_CONTENT + _BY_LITTLE
+        # Both .gltf and the meta.json of SOG are JSON.
+        plain = suffix in (".splat", ".gltf")
+        known = _BY_CONTENT if plain else _BY_CONTENT + _BY_LITTLE
         for begin, name in known:
             if head.startswith(begin):
                 return name
@@ -92,7 +98,11 @@ class SceneFile:
 
     def stated_bytes(self) -> int:
         """Bytes of floats that the header states (not for `.egs`); reads only the header."""
-        sizes = {"spz": spz_file.stated_size, "sog": sog.stated_size}
+        sizes = {
+            "spz": spz_file.stated_size,
+            "sog": sog.stated_size,
+            "gltf": gltf.stated_size,
+        }
         if self.format in sizes:
             return float_bytes(*sizes[self.format](self.path, self.data))
         if self.format == "splat":
@@ -113,7 +123,12 @@ class SceneFile:
         """
         if self.format == "ply":
             return scene_of(self.ply, extra, max_bytes)
-        readers = {"splat": splat.read_splat, "spz": spz.read_spz, "sog": sog.read_sog}
+        readers = {
+            "splat": splat.read_splat,
+            "spz": spz.read_spz,
+            "sog": sog.read_sog,
+            "gltf": gltf.read_gltf,
+        }
         return readers[self.format](self.path, self.data, max_bytes)
 
 
@@ -131,7 +146,7 @@ class Overview:
     Attributes
     ----------
     format : str
-        ``ply``, ``compressed ply``, ``splat``, ``spz`` or ``sog``.
+        ``ply``, ``compressed ply``, ``splat``, ``spz``, ``sog`` or ``gltf``.
     count, sh_degree : int
         Number of Gaussians, and their SH degree.
     bounds : tuple of two tuples of float, or None

@@ -19,6 +19,7 @@ from gs_codec.formats.packed_values import (
     opacities_of,
     sh_of_colours,
     sigmoid,
+    unit_quaternions,
 )
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_C0, Scene
@@ -75,10 +76,8 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     clipped = Clipped()
     rows["colour"][:, :3] = clipped.limited("colours", np.rint(colour), 0, 255).T
     rows["colour"][:, 3] = np.rint(255 * sigmoid(scene.opacity[0].astype(np.float64)))
-    rot = scene.rot.astype(np.float64)
-    unit = rot / np.maximum(np.sqrt((rot * rot).sum(axis=0)), 1e-300)
-    rows["rot"] = np.clip(np.rint(128 * unit + 128), 0, 255).T
+    rows["rot"] = np.clip(np.rint(128 * unit_quaternions(scene.rot) + 128), 0, 255).T
     lost = ["opacity, colour and rotation rounded to 8 bits", *clipped.sentences()]
     if scene.sh_degree:
         lost.append(f"SH of degrees 1 to {scene.sh_degree} left out")
-    return rows.tobytes(), (*lost, *left_out(scene))
+    return rows.tobytes(), (*lost, *left_out(scene, flag=True))

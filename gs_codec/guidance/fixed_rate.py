@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -57,15 +58,15 @@ def meet_target(
 
 def _most(scene: Scene, config: Config, limit: int) -> int:
     """Most Gaussians that a file of at most `limit` bytes can have."""
-    none, all_of_them = (
-        len(encode_scene(scene.between(0, stop), config)[0]) for stop in (0, scene.count)
+    one, all_of_them = (
+        len(encode_scene(scene.between(0, stop), config)[0]) for stop in (1, scene.count)
     )
     if all_of_them <= limit:
         return scene.count
-    each = (all_of_them - none) / scene.count
-    count = int((limit - none - _HEADER) / each)
+    each = (all_of_them - one) / max(scene.count - 1, 1)
+    count = 1 + math.floor((limit - one - _HEADER) / max(each, 1))
     if count < 1:
-        raise InvalidInput(f"target {limit:,} bytes: each Gaussian takes {each:.0f}")
+        raise InvalidInput(f"target {limit:,} bytes: one Gaussian takes {one:,} already")
     return count
 
 

@@ -25,6 +25,7 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
+from gs_codec.formats.gltf import pack_gltf
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.sog_files import parse_meta, read_pixels
 from gs_codec.preparation.adam import AdamState, new_state
@@ -225,6 +226,10 @@ def _unzipped_spzs() -> list[bytes]:
     return [gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data for data in _spzs()]
 
 
+def _gltfs() -> list[bytes]:
+    return [pack_gltf(random_scene(4, degree), bool(degree % 2))[0] for degree in range(4)]
+
+
 def _sogs() -> list[bytes]:
     return [
         foreign.sog_file(*foreign.sog_parts(8, version, degree, seed=degree))
@@ -308,6 +313,7 @@ TARGETS = {
     "packed-ply": Target(_scene_file(".ply"), _packed_plys),
     "splat": Target(_scene_file(".splat"), _splats),
     "spz": Target(_spz, lambda: [*_spzs(), *_unzipped_spzs()]),
+    "gltf": Target(_scene_file(".gltf"), _gltfs),
     "sog": Target(_scene_file(".sog"), _sogs),
     "sog-meta": Target(parse_meta, _sog_metas),
     "sog-image": Target(partial(read_pixels, name="image", most=1 << 16), _pixels),

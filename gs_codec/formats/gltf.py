@@ -1,0 +1,249 @@
+"""Gaussians in glTF 2.0 by the extension KHR_gaussian_splatting: `.glb` and `.gltf`.
+
+Centres, unit quaternions xyzw, linear scales, opacities 0-1 and SH are float32 attributes of
+points; readers accept the integers that the extension allows. y is up.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
+from gs_codec.formats.gltf_file import GltfFile, numbers, open_gltf, pack_document, whole
+from gs_codec.formats.limits import check_count
+from gs_codec.formats.packed_values import (
+    check_finite,
+    left_out,
+    sigmoid,
+    unit_quaternions,
+)
+from gs_codec.runtime.mapped import located
+from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, sh_bands, stated_comments
+
+_EXTENSION = "KHR_gaussian_splatting"
+_SYSTEM = OWN_SYSTEMS[".glb"]
+
+#: Largest log-scale whose scale is a finite float32, and the smallest above 0.
+_LARGEST, _SMALLEST = 88.0, -103.0
+
+#: Opacities are kept this far from 0 and 1, which have no logit.
+_END = 2.0**-25
+
+_COLOUR_SPACES = ("srgb_rec709_display",)
+
+
+def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
+    """Read the bytes of a `.glb` or `.gltf` file; see `SceneFile.scene`."""
+    with located(path):
+        file = open_gltf(path, view)
+        placed = _placed_primitives(file)
+        count, degree = _total(file, placed)
+        # Buffers may lie in files beside it.
+        stored = sum(whole(x.get("byteLength"), "byteLength") for x in file.items("buffers"))
+        check_count(count, degree, max(len(view), stored), max_bytes)
+        parts = [_scene_of(file, each, degree) for each in placed]
+        planes: dict[str, Any] = {
+            group: np.concatenate([getattr(part, group) for part in parts], axis=1)
+            for group in GROUPS
+        }
+        return replace(parts[0], **planes)
+
+
+def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
+    """Number of Gaussians and SH degree that the document states; raises as `read_gltf` does."""
+    with located(path):
+        file = open_gltf(path, view)
+        return _total(file, _placed_primitives(file))
+
+
+def _total(file: GltfFile, placed: list[_Placed]) -> tuple[int, int]:
+    """Number of Gaussians of all primitives, and their SH degree."""
+    sizes = [_size(file, each.primitive) for each in placed]
+    degrees = {degree for _, degree in sizes}
+    if len(degrees) > 1:
+        raise InvalidInput("glTF: primitives of several SH degrees, expected one")
+    return sum(count for count, _ in sizes), degrees.pop()
+
+
+class _Placed(NamedTuple):
+    """A primitive of Gaussians, and where its node puts it: ``factor * centre + shift``."""
+
+    primitive: dict[str, Any]
+    shift: NDArray[np.float64]
+    factor: float
+
+
+def _placed_primitives(file: GltfFile) -> list[_Placed]:
+    """Primitives of Gaussians, in the order of the nodes from the roots on."""
+    found = []
+    nodes = file.items("nodes")
+    below = {child for node in nodes for child in _children(node)}
+    pending = deque((i, np.zeros(3), 1.0) for i in range(len(nodes)) if i not in below)
+    for _ in range(len(nodes)):
+        if not pending:
+            break
+        index, shift, factor = pending.popleft()
+        node = file.item("nodes", index)
+        own_shift, own_factor = _placement(node)
+        shift, factor = factor * own_shift + shift, factor * own_factor
+        pending.extend((child, shift, factor) for child in _children(node))
+        if "mesh" in node:
+            primitives = file.item("meshes", node["mesh"]).get("primitives")
+            listed = primitives if isinstance(primitives, list) else []
+            found += [_Placed(each, shift, factor) for each in listed if _is_splats(each)]
+    if pending:
+        raise InvalidInput("glTF: a node has two parents")
+    if not found:
+        raise InvalidInput(f"glTF: no points with {_EXTENSION}, not a scene of Gaussians")
+    return found
+
+
+def _children(node: dict[str, Any]) -> list[int]:
+    children = node.get("children", [])
+    if not isinstance(children, list) or not all(isinstance(each, int) for each in children):
+        raise InvalidInput("glTF: node.children is not a list of numbers")
+    return children
+
+
+def _placement(node: dict[str, Any]) -> tuple[NDArray[np.float64], float]:
+    """Shift and scale of a node; turned or stretched ones are refused."""
+    if "matrix" in node:
+        matrix = np.array(numbers(node["matrix"], 16, "node.matrix")).reshape(4, 4).T
+        shift, linear = matrix[:3, 3], matrix[:3, :3]
+    else:
+        shift = np.array(numbers(node.get("translation", [0, 0, 0]), 3, "node.translation"))
+        scale = numbers(node.get("scale", [1, 1, 1]), 3, "node.scale")
+        turn = numbers(node.get("rotation", [0, 0, 0, 1]), 4, "node.rotation")
+        linear = np.diag(scale)
+        if turn[:3] != [0, 0, 0]:
+            linear = np.full((3, 3), np.nan)
+    factor = float(linear[0, 0])
+    if not factor > 0 or not np.array_equal(linear, factor * np.eye(3)):
+        raise InvalidInput("glTF: a node is turned or stretched, expected shifted and scaled ones")
+    return shift, factor
+
+
+def _is_splats(primitive: Any) -> bool:
+    extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
+    if not isinstance(extensions, dict) or _EXTENSION not in extensions:
+        return False
+    splats = extensions[_EXTENSION]
+    if not isinstance(splats, dict) or not isinstance(primitive.get("attributes"), dict):
+        raise InvalidInput(f"glTF: {_EXTENSION} without attributes")
+    if more := sorted(splats.get("extensions", {})):
+        raise InvalidInput(f"glTF: {more[0]!a:.80} is not read, expected plain attributes")
+    kernel, space = splats.get("kernel"), splats.get("colorSpace")
+    if kernel != "ellipse" or space not in _COLOUR_SPACES:
+        raise InvalidInput(
+            f"glTF: kernel {kernel!a:.40} in {space!a:.40}, expected ellipse in {_COLOUR_SPACES[0]}"
+        )
+    return True
+
+
+def _size(file: GltfFile, primitive: dict[str, Any]) -> tuple[int, int]:
+    """Number of Gaussians, and SH degree, of a primitive."""
+    attributes = primitive["attributes"]
+    degree = 0
+    while degree < 3 and _sh_name(degree + 1, 0) in attributes:
+        degree += 1
+    return file.count(attributes.get("POSITION")), degree
+
+
+def _sh_name(degree: int, coefficient: int) -> str:
+    return f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{coefficient}"
+
+
+def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
+    attributes = placed.primitive["attributes"]
+    count = file.count(attributes.get("POSITION"))
+
+    def planes(name: str, kind: str) -> NDArray[np.float32]:
+        values = file.values(attributes.get(name), kind, name)
+        if len(values) != count:
+            raise InvalidInput(f"glTF: {name} of {len(values)}, expected {count}")
+        return np.ascontiguousarray(values.T)
+
+    positions = planes("POSITION", "VEC3").astype(np.float64)
+    scales = planes(f"{_EXTENSION}:SCALE", "VEC3").astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # reported later, as of a PLY
+        centres = (placed.factor * positions + placed.shift[:, None]).astype(np.float32)
+        with np.errstate(divide="ignore"):
+            log_scale = np.maximum(np.log(placed.factor * scales), _SMALLEST).astype(np.float32)
+    share = planes(f"{_EXTENSION}:OPACITY", "SCALAR").astype(np.float64)
+    share = np.clip(share, _END, 1 - _END)
+    rest = [
+        planes(_sh_name(band, number), "VEC3")
+        for band in range(1, degree + 1)
+        for number in range(2 * band + 1)
+    ]
+    f_rest = np.empty((3, len(rest), count), np.float32)
+    for k, colours in enumerate(rest):
+        f_rest[:, k] = colours
+    return Scene(
+        centres,
+        planes(_sh_name(0, 0), "VEC3"),
+        f_rest.reshape(-1, count),
+        np.log(share / (1 - share)).astype(np.float32),
+        log_scale,
+        planes(f"{_EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
+        comments=stated_comments(_SYSTEM, False),
+    )
+
+
+def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of a `.glb` file, or, `as_text`, of a `.gltf`, and what it cannot hold, in words.
+
+    Colours without view dependence are there too, for programs that show points.
+
+    Raises
+    ------
+    InvalidInput
+        If there are no Gaussians, a value is not finite, or a scale too large for a float32.
+    """
+    check_finite(scene, "glTF")
+    if not scene.count:
+        raise InvalidInput("no Gaussians, glTF has at least one")
+    if scene.log_scale.max() > _LARGEST:
+        raise InvalidInput(f"log-scale {scene.log_scale.max()}, glTF holds up to {_LARGEST}")
+    turned = turn_axes(scene, _SYSTEM)
+    share = sigmoid(turned.opacity.astype(np.float64))
+    colours = np.concatenate([0.5 + SH_C0 * turned.f_dc.astype(np.float64), share])
+    planes = {
+        "POSITION": turned.positions,
+        "COLOR_0": np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8),
+        f"{_EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
+        f"{_EXTENSION}:SCALE": np.exp(turned.log_scale.astype(np.float64)),
+        f"{_EXTENSION}:OPACITY": share,
+        _sh_name(0, 0): turned.f_dc,
+    }
+    rest = turned.f_rest.reshape(3, -1, scene.count)
+    for degree, band in enumerate(sh_bands(SH_COEFFICIENTS[scene.sh_degree]), 1):
+        for number, k in enumerate(band):
+            planes[_sh_name(degree, number)] = rest[:, k]
+    with np.errstate(under="ignore"):
+        arrays = {
+            name: np.ascontiguousarray(rows.T if rows.dtype == np.uint8 else rows.T.astype("<f4"))
+            for name, rows in planes.items()
+        }
+    primitive = {
+        "attributes": {name: number for number, name in enumerate(arrays)},
+        "mode": 0,
+        "extensions": {_EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOUR_SPACES[0]}},
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": "gs_codec"},
+        "extensionsUsed": [_EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+    }
+    lost = "opacity and scales in linear form, rotations of unit length, each rounded once"
+    return pack_document(document, arrays, as_text), (lost, *left_out(scene, flag=True))

@@ -1,0 +1,235 @@
+"""Files of glTF 2.0: the document, its buffers, and the numbers of accessors."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import refusing
+
+MAGIC = b"glTF"
+
+_HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_DATA_URI = "data:application/octet-stream;base64,"
+_FLOAT, _UNSIGNED_BYTE, _ARRAY_BUFFER = 5126, 5121, 34962
+
+#: Types of components, and what a normalised integer of them is divided by.
+_COMPONENTS = {
+    5120: ("<i1", 127.0),
+    5121: ("<u1", 255.0),
+    5122: ("<i2", 32767.0),
+    5123: ("<u2", 65535.0),
+    5126: ("<f4", 1.0),
+}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+@dataclass(frozen=True)
+class GltfFile:
+    """An opened file.
+
+    Attributes
+    ----------
+    path : Path
+        Buffers in files of their own are beside it.
+    document : dict
+        Its JSON.
+    binary : memoryview or None
+        The buffer within a `.glb`.
+    """
+
+    path: Path
+    document: dict[str, Any]
+    binary: memoryview | None
+    _lists: dict[str, list[dict[str, Any]]] = field(default_factory=dict, init=False)
+    _loaded: dict[int, memoryview] = field(default_factory=dict, init=False)
+
+    def items(self, name: str) -> list[dict[str, Any]]:
+        """A list of objects of the document; empty if it is absent."""
+        if name not in self._lists:
+            found = self.document.get(name, [])
+            if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+                raise InvalidInput(f"glTF: {name} is not a list of objects")
+            self._lists[name] = found
+        return self._lists[name]
+
+    def item(self, name: str, index: Any) -> dict[str, Any]:
+        """An object of a list of the document."""
+        found = self.items(name)
+        if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(found):
+            raise InvalidInput(f"glTF: {name} {index!a:.20}, expected one of {len(found)}")
+        return found[index]
+
+    def count(self, accessor: Any) -> int:
+        """Number of elements of an accessor."""
+        return whole(self.item("accessors", accessor).get("count"), "accessor.count")
+
+    def values(self, accessor: Any, kind: str, where: str) -> NDArray[np.float32]:
+        """Numbers ``(count, components)`` of an accessor of type `kind`, normalised if it says so.
+
+        Raises
+        ------
+        InvalidInput
+            If it is of another type, sparse, or outside its buffer.
+        """
+        known = self.item("accessors", accessor)
+        component = known.get("componentType")
+        if known.get("type") != kind or component not in _COMPONENTS or "sparse" in known:
+            found = f"{known.get('type')!a:.20} of {component!a:.20}"
+            raise InvalidInput(f"glTF: {where} is {found}, expected {kind} of numbers, not sparse")
+        code, divisor = _COMPONENTS[component]
+        width, size = _WIDTHS[kind], np.dtype(code).itemsize
+        view = self.item("bufferViews", known.get("bufferView"))
+        data = self._buffer(view.get("buffer"))
+        first = whole(view.get("byteOffset", 0), "bufferView.byteOffset")
+        length = whole(view.get("byteLength"), "bufferView.byteLength")
+        offset = whole(known.get("byteOffset", 0), "accessor.byteOffset")
+        stride = whole(view.get("byteStride", width * size), "bufferView.byteStride")
+        count = self.count(accessor)
+        used = offset + stride * (count - 1) + width * size if count else 0
+        if used > length or first + length > len(data) or stride < width * size:
+            raise InvalidInput(f"glTF: {where}: {count} elements beyond their buffer")
+        rows = np.ndarray((count, width), code, data, first + offset, (stride, size))
+        with np.errstate(invalid="ignore"):
+            plain = rows.astype(np.float32)
+        return plain / np.float32(divisor) if known.get("normalized") is True else plain
+
+    def _buffer(self, index: Any) -> memoryview:
+        buffer = self.item("buffers", index)
+        length, uri = whole(buffer.get("byteLength"), "buffer.byteLength"), buffer.get("uri")
+        data = self._contents(index, uri, length)
+        if data is None or len(data) < length:
+            raise InvalidInput(f"glTF: buffer {index}: of fewer bytes than {length}")
+        return data[:length]
+
+    def _contents(self, index: int, uri: Any, length: int) -> memoryview | None:
+        if uri is None:
+            return self.binary if index == 0 else None
+        if index not in self._loaded:
+            self._loaded[index] = memoryview(self._load(uri, length))
+        return self._loaded[index]
+
+    def _load(self, uri: Any, length: int) -> bytes:
+        """Bytes of a data URI, or of a file beside this one."""
+        if not isinstance(uri, str):
+            raise InvalidInput("glTF: buffer.uri is no text")
+        if uri.startswith("data:"):
+            with refusing("glTF: buffer.uri"):
+                return base64.b64decode(uri.partition(";base64,")[2], validate=True)
+        name = unquote(uri)
+        if not name.isprintable() or set(name) & set("/\\:") or not name.strip("."):
+            raise InvalidInput(f"glTF: buffer.uri {uri!a:.60}, expected a file beside it")
+        path = self.path.parent / name
+        with refusing(f"file '{name[:60]}'"):
+            if not path.is_file() or path.stat().st_size < length:
+                raise InvalidInput(f"file '{name[:60]}': no file of {length} bytes")
+            with open(path, "rb") as file:
+                return file.read(length)
+
+
+def open_gltf(path: Path, data: memoryview) -> GltfFile:
+    """Open the bytes of a `.glb` or `.gltf` file.
+
+    Raises
+    ------
+    InvalidInput
+        If it is neither, or not of version 2.
+    """
+    text, binary = _chunks(data) if data[:4] == MAGIC else (data, None)
+    with refusing("glTF"):
+        document = json.loads(bytes(text), parse_constant=_no_constant)
+    asset = document.get("asset") if isinstance(document, dict) else None
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not isinstance(version, str) or not version.startswith("2."):
+        raise InvalidInput(f"glTF version {version!a:.20}, expected 2")
+    return GltfFile(path, document, binary)
+
+
+def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
+    """The JSON and the buffer of a `.glb`."""
+    if len(data) < _HEADER.size + _CHUNK.size:
+        raise InvalidInput(f"glTF: {len(data)} bytes, expected a header and a chunk")
+    _, version, length = _HEADER.unpack_from(data)
+    if version != 2 or length > len(data):
+        raise InvalidInput(f"glTF: version {version}, {length} bytes of {len(data)}, expected 2")
+    parts, offset = [], _HEADER.size
+    for kind in (b"JSON", b"BIN\0"):
+        if offset + _CHUNK.size > length:
+            break
+        size, found = _CHUNK.unpack_from(data, offset)
+        offset += _CHUNK.size
+        if found != kind or offset + size > length:
+            raise InvalidInput(f"glTF: chunk {found!a} of {size} bytes, expected {kind!a}")
+        parts.append(data[offset : offset + size])
+        offset += size
+    return parts[0], parts[1] if len(parts) > 1 else None
+
+
+def whole(value: Any, where: str) -> int:
+    """A whole number from 0 up of a document; `InvalidInput` if it is none."""
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 40:
+        raise InvalidInput(f"glTF: {where} is {value!a:.40}, expected a whole number")
+    return value
+
+
+def numbers(value: Any, length: int, where: str) -> list[float]:
+    """A list of finite numbers of a document; `InvalidInput` if it is none."""
+    if not isinstance(value, list) or len(value) != length:
+        raise InvalidInput(f"glTF: {where} is not a list of {length} numbers")
+    for each in value:
+        known = isinstance(each, int | float) and not isinstance(each, bool)
+        if not known or not math.isfinite(each):
+            raise InvalidInput(f"glTF: {where} has {each!a:.40}, expected a number")
+    return [float(each) for each in value]
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number of JSON")
+
+
+def pack_document(document: dict[str, Any], arrays: dict[str, NDArray], as_text: bool) -> bytes:
+    """The bytes of a file whose only mesh is of points with these attributes ``(N, components)``.
+
+    Float32 arrays are stored as they are, uint8 ones as normalised. `document` has the members
+    beside buffers, views and accessors; `as_text` puts the buffer into the JSON (`.gltf`).
+    """
+    views, accessors, offset = [], [], 0
+    for name, array in arrays.items():
+        views.append({
+            "buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": _ARRAY_BUFFER,
+        })  # fmt: skip
+        kind = {width: kind for kind, width in _WIDTHS.items()}[array.shape[1]]
+        accessor: dict[str, Any] = {
+            "bufferView": len(views) - 1, "componentType": _FLOAT, "count": len(array),
+            "type": kind,
+        }  # fmt: skip
+        if array.dtype == np.uint8:
+            accessor |= {"componentType": _UNSIGNED_BYTE, "normalized": True}
+        if name == "POSITION":
+            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        accessors.append(accessor)
+        offset += array.nbytes
+    buffer: dict[str, Any] = {"byteLength": offset}
+    data = b"".join(array.tobytes() for array in arrays.values())
+    if as_text:
+        buffer["uri"] = _DATA_URI + base64.b64encode(data).decode()
+    text = json.dumps(
+        document | {"buffers": [buffer], "bufferViews": views, "accessors": accessors},
+        separators=(",", ":"),
+    ).encode()
+    if as_text:
+        return text
+    text += b" " * (-len(text) % 4)
+    length = _HEADER.size + 2 * _CHUNK.size + len(text) + len(data)
+    head = _HEADER.pack(MAGIC, 2, length) + _CHUNK.pack(len(text), b"JSON")
+    return b"".join([head, text, _CHUNK.pack(len(data), b"BIN\0"), data])

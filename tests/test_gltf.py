@@ -1,0 +1,376 @@
+"""glTF with KHR_gaussian_splatting: what is written, and everything that its readers may meet."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import random_scene
+
+from gs_codec.errors import InvalidInput
+from gs_codec.files.scenes import read_scene
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.gltf import pack_gltf
+from gs_codec.formats.registry import open_scene
+from gs_codec.scene import SH_COEFFICIENTS
+
+KHR = "KHR_gaussian_splatting"
+CODES = {"<f4": 5126, "<u1": 5121, "<i1": 5120, "<u2": 5123, "<i2": 5122}
+KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+
+
+def split(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Document and buffer of a `.glb`."""
+    magic, version, length, size, kind = struct.unpack_from("<4sIII4s", data)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
+    assert size % 4 == 0
+    document = json.loads(data[20 : 20 + size])
+    binary, kind = struct.unpack_from("<I4s", data, 20 + size)
+    assert (kind, 28 + size + binary) == (b"BIN\0", len(data))
+    return document, data[28 + size :]
+
+
+def joined(document: dict[str, Any], binary: bytes) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def column(document: dict[str, Any], binary: bytes, name: str, primitive: int = 0) -> np.ndarray:
+    """The rows of an attribute, as the specification lays them out."""
+    attributes = document["meshes"][0]["primitives"][primitive]["attributes"]
+    accessor = document["accessors"][attributes[name]]
+    view = document["bufferViews"][accessor["bufferView"]]
+    code = {v: k for k, v in CODES.items()}[accessor["componentType"]]
+    width = {v: k for k, v in KINDS.items()}[accessor["type"]]
+    start = view["byteOffset"] + accessor.get("byteOffset", 0)
+    assert start % 4 == 0
+    count = accessor["count"]
+    assert view["byteLength"] == count * width * np.dtype(code).itemsize
+    return np.frombuffer(binary, code, count * width, start).reshape(count, width)
+
+
+def made(count: int = 6, degree: int = 1) -> tuple[dict[str, Any], bytes]:
+    """A document of integers where the extension allows them, by hand."""
+    rng = np.random.default_rng(degree)
+    arrays = {
+        "POSITION": rng.normal(size=(count, 3)).astype("<f4"),
+        f"{KHR}:ROTATION": rng.integers(-127, 128, (count, 4)).astype("<i1"),
+        f"{KHR}:SCALE": rng.integers(1, 9, (count, 3)).astype("<u2"),
+        f"{KHR}:OPACITY": rng.integers(0, 65536, (count, 1)).astype("<u2"),
+    }
+    for band in range(degree + 1):
+        for k in range(2 * band + 1):
+            name = f"{KHR}:SH_DEGREE_{band}_COEF_{k}"
+            arrays[name] = rng.normal(size=(count, 3)).astype("<f4")
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0"}, "nodes": [{"mesh": 0}], "bufferViews": [], "accessors": [],
+    }  # fmt: skip
+    binary = b""
+    for array in arrays.values():
+        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes}
+        accessor = {
+            "bufferView": len(document["bufferViews"]),
+            "componentType": CODES[array.dtype.str.replace("|", "<")],
+            "count": count,
+            "type": KINDS[array.shape[1]],
+        }
+        if array.dtype in (np.int8, np.uint16) and array.shape[1] != 3:
+            accessor["normalized"] = True
+        document["bufferViews"].append(view)
+        document["accessors"].append(accessor)
+        binary += array.tobytes() + bytes(-array.nbytes % 4)
+    extension = {KHR: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}}
+    attributes = {name: number for number, name in enumerate(arrays)}
+    primitive = {"attributes": attributes, "mode": 0, "extensions": extension}
+    document["meshes"] = [{"primitives": [primitive]}]
+    document["buffers"] = [{"byteLength": len(binary)}]
+    return document, binary
+
+
+def read(tmp_path: Path, document: dict[str, Any], binary: bytes):
+    path = tmp_path / "a.glb"
+    path.write_bytes(joined(document, binary))
+    return read_scene(path, coordinates=None)
+
+
+# Writing
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("count", [1, 300])
+def test_attributes_are_as_specified(count, degree):
+    scene = random_scene(count, degree, seed=degree)
+    document, binary = split(pack_gltf(scene)[0])
+    turned = turn_axes(scene, "LUF")
+    centres = column(document, binary, "POSITION")
+    np.testing.assert_array_equal(centres, turned.positions.T)
+    np.testing.assert_array_equal(centres[:, 0], -scene.positions[0])
+    np.testing.assert_array_equal(centres[:, 1], -scene.positions[1])
+    accessor = document["accessors"][0]
+    assert accessor["min"] == centres.min(axis=0).tolist()
+    assert accessor["max"] == centres.max(axis=0).tolist()
+    rotations = column(document, binary, f"{KHR}:ROTATION").astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(rotations, axis=1), 1, atol=1e-6)
+    unit = turned.rot / np.linalg.norm(turned.rot, axis=0)
+    np.testing.assert_allclose(rotations[:, [3, 0, 1, 2]], unit.T, atol=1e-6)
+    scales = column(document, binary, f"{KHR}:SCALE")
+    np.testing.assert_allclose(scales, np.exp(scene.log_scale.T), rtol=1e-6)
+    share = 1 / (1 + np.exp(-scene.opacity[0].astype(np.float64)))
+    np.testing.assert_allclose(column(document, binary, f"{KHR}:OPACITY")[:, 0], share, rtol=1e-6)
+    number = 0
+    for band in range(1, degree + 1):
+        for k in range(2 * band + 1):
+            rows = column(document, binary, f"{KHR}:SH_DEGREE_{band}_COEF_{k}")
+            coefficients = SH_COEFFICIENTS[degree]
+            expected = turned.f_rest[[number, number + coefficients, number + 2 * coefficients]]
+            np.testing.assert_array_equal(rows, expected.T)
+            number += 1
+    assert f"{KHR}:SH_DEGREE_{degree + 1}_COEF_0" not in str(document)
+    colours = column(document, binary, "COLOR_0")
+    shown = 0.5 + 0.28209479177387814 * scene.f_dc
+    np.testing.assert_array_equal(colours[:, :3], np.rint(255 * np.clip(shown.T, 0, 1)))
+    np.testing.assert_array_equal(colours[:, 3], np.rint(255 * share))
+    assert document["extensionsUsed"] == [KHR]
+    assert document["meshes"][0]["primitives"][0]["mode"] == 0
+
+
+@pytest.mark.parametrize("form", ["glb", "gltf"])
+@pytest.mark.parametrize("degree", range(4))
+def test_what_is_written_is_read(degree, form, tmp_path):
+    scene = random_scene(200, degree, seed=9)
+    path = tmp_path / f"a.{form}"
+    path.write_bytes(pack_gltf(scene, form == "gltf")[0])
+    back = read_scene(path)
+    assert back.coordinates == "RDF"
+    for group in ("positions", "f_dc", "f_rest"):
+        np.testing.assert_array_equal(getattr(back, group), getattr(scene, group))
+    np.testing.assert_allclose(back.log_scale, scene.log_scale, atol=1e-6)
+    np.testing.assert_allclose(back.opacity, scene.opacity, atol=1e-3)
+    unit = scene.rot / np.linalg.norm(scene.rot, axis=0)
+    np.testing.assert_allclose(np.abs((back.rot * unit).sum(axis=0)), 1, atol=1e-6)
+    with open_scene(path) as file:
+        assert file.stated_bytes() == scene.float_bytes
+
+
+def test_a_gltf_of_text_has_the_same_numbers():
+    scene = random_scene(20, 1)
+    document, binary = split(pack_gltf(scene)[0])
+    text = json.loads(pack_gltf(scene, as_text=True)[0])
+    uri = text["buffers"][0].pop("uri")
+    assert uri.startswith("data:application/octet-stream;base64,")
+    assert base64.b64decode(uri.partition(",")[2]) == binary
+    assert text == document
+
+
+def test_nothing_is_no_gltf():
+    with pytest.raises(InvalidInput, match="no Gaussians, glTF has at least one"):
+        pack_gltf(random_scene(0))
+
+
+# Reading
+
+
+def test_integers_are_read_as_the_extension_says(tmp_path):
+    document, binary = made()
+    scene = read(tmp_path, document, binary)
+    assert (scene.count, scene.sh_degree, scene.coordinates) == (6, 1, "LUF")
+    turn = column(document, binary, f"{KHR}:ROTATION") / 127
+    np.testing.assert_allclose(scene.rot, turn[:, [3, 0, 1, 2]].T, rtol=1e-6)
+    scale = column(document, binary, f"{KHR}:SCALE")
+    np.testing.assert_allclose(scene.log_scale, np.log(scale.T), rtol=1e-6, atol=1e-7)
+    share = column(document, binary, f"{KHR}:OPACITY")[:, 0] / 65535
+    np.testing.assert_allclose(1 / (1 + np.exp(-scene.opacity[0])), share, atol=1e-6)
+
+
+def test_interleaved_attributes_are_read(tmp_path):
+    document, binary = made()
+    rows = [column(document, binary, name) for name in (f"{KHR}:OPACITY", "POSITION")]
+    mixed = b"".join(a.tobytes() + bytes(2) + b.tobytes() for a, b in zip(*rows, strict=True))
+    start = len(binary)
+    document["buffers"][0]["byteLength"] += len(mixed)
+    view = {"buffer": 0, "byteOffset": start, "byteLength": len(mixed), "byteStride": 16}
+    document["bufferViews"].append(view)
+    for index, offset in ((3, 0), (0, 4)):
+        document["accessors"][index] |= {"bufferView": 6 + 2, "byteOffset": offset}
+    expected = read(tmp_path, *made())
+    scene = read(tmp_path, document, binary + mixed)
+    np.testing.assert_array_equal(scene.positions, expected.positions)
+    np.testing.assert_array_equal(scene.opacity, expected.opacity)
+
+
+def test_nodes_shift_and_scale(tmp_path):
+    document, binary = made()
+    plain = read(tmp_path, document, binary)
+    document["nodes"] = [
+        {"children": [1, 2], "translation": [1, 2, 3], "scale": [2, 2, 2]},
+        {"mesh": 0, "translation": [0.5, 0, 0]},
+        {"mesh": 0, "matrix": [3, 0, 0, 0, 0, 3, 0, 0, 0, 0, 3, 0, 7, 8, 9, 1]},
+        {"name": "empty", "rotation": [0, 0, 0, 1]},
+    ]
+    scene = read(tmp_path, document, binary)
+    assert scene.count == 12
+    shift = np.array([[1], [2], [3]])
+    first = 2 * (plain.positions + np.array([[0.5], [0], [0]])) + shift
+    second = 2 * (3 * plain.positions + np.array([[7], [8], [9]])) + shift
+    np.testing.assert_allclose(scene.positions[:, :6], first, rtol=1e-6)
+    np.testing.assert_allclose(scene.positions[:, 6:], second, rtol=1e-6)
+    np.testing.assert_allclose(scene.log_scale[:, 6:], plain.log_scale + np.log(6), rtol=1e-6)
+
+
+def test_a_buffer_beside_it_is_read(tmp_path):
+    document, binary = made()
+    (tmp_path / "a b.bin").write_bytes(binary + b"more")
+    document["buffers"][0]["uri"] = "a%20b.bin"
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    expected = read(tmp_path, *made())
+    scene = read_scene(tmp_path / "a.gltf", coordinates=None)
+    np.testing.assert_array_equal(scene.positions, expected.positions)
+    (tmp_path / "a b.bin").write_bytes(binary[:-1])
+    with pytest.raises(InvalidInput, match=r"file 'a b\.bin': no file of"):
+        read_scene(tmp_path / "a.gltf")
+
+
+def test_opacities_and_scales_at_their_ends_are_finite(tmp_path):
+    document, binary = made(2, 0)
+    mutable = bytearray(binary)
+    for name, values in ((f"{KHR}:OPACITY", [0, 65535]), (f"{KHR}:SCALE", [0, 0, 0, 1, 2, 3])):
+        attribute = document["meshes"][0]["primitives"][0]["attributes"][name]
+        start = document["bufferViews"][attribute]["byteOffset"]
+        struct.pack_into(f"<{len(values)}H", mutable, start, *values)
+    scene = read(tmp_path, document, bytes(mutable))
+    assert np.isfinite(scene.opacity).all()
+    assert np.isfinite(scene.log_scale).all()
+    assert scene.opacity[0, 0] < -17 < 17 < scene.opacity[0, 1]
+
+
+def edited(*path: Any, to: Any) -> Any:
+    """A change of a document, at a path of names and indices."""
+
+    def edit(document: dict[str, Any]) -> None:
+        *above, last = path
+        place: Any = document
+        for step in above:
+            place = place[step]
+        if to is None:
+            del place[last]
+        else:
+            place[last] = to
+
+    return edit
+
+
+SPLATS = ("meshes", 0, "primitives", 0, "extensions", KHR)
+ATTRIBUTES = ("meshes", 0, "primitives", 0, "attributes")
+BAD = {
+    "version 1": (edited("asset", "version", to="1.0"), "glTF version '1.0', expected 2"),
+    "no asset": (edited("asset", to=None), "glTF version None"),
+    "no Gaussians": (edited(*SPLATS[:-1], to={}), "not a scene of Gaussians"),
+    "no nodes": (edited("nodes", to=[]), "not a scene of Gaussians"),
+    "other kernel": (edited(*SPLATS, "kernel", to="box"), "kernel 'box'"),
+    "linear colours": (edited(*SPLATS, "colorSpace", to="lin_rec709_display"), "lin_rec709"),
+    "compressed": (
+        edited(*SPLATS, "extensions", to={"KHR_gaussian_splatting_compression_spz_2": {}}),
+        "'KHR_gaussian_splatting_compression_spz_2' is not read",
+    ),
+    "turned": (
+        edited("nodes", 0, to={"mesh": 0, "rotation": [0.0, 0.7, 0.0, 0.7]}),
+        "turned or stretched",
+    ),
+    "stretched": (edited("nodes", 0, to={"mesh": 0, "scale": [1, 2, 1]}), "turned or stretched"),
+    "mirrored": (edited("nodes", 0, to={"mesh": 0, "scale": [-1] * 3}), "turned or stretched"),
+    "scale of text": (edited("nodes", 0, to={"mesh": 0, "scale": ["1"] * 3}), "expected a number"),
+    "huge scale": (edited("nodes", 0, to={"mesh": 0, "scale": [1e999] * 3}), "glTF"),
+    "children of text": (edited("nodes", 0, "children", to=["0"]), "node.children"),
+    "circle": (
+        edited("nodes", to=[{"children": [1]}, {"mesh": 0, "children": [1]}]),
+        "two parents",
+    ),
+    "two parents": (
+        edited("nodes", to=[{"children": [2]}, {"children": [2]}, {"mesh": 0}]),
+        "two parents",
+    ),
+    "mesh beyond": (edited("nodes", 0, "mesh", to=7), "meshes 7, expected one of 1"),
+    "mesh of text": (edited("nodes", 0, "mesh", to="0"), "meshes '0'"),
+    "no rotation": (edited(*ATTRIBUTES, f"{KHR}:ROTATION", to=None), "accessors None"),
+    "one of degree 1 missing": (
+        edited(*ATTRIBUTES, f"{KHR}:SH_DEGREE_1_COEF_2", to=None),
+        "accessors None",
+    ),
+    "VEC3 rotation": (edited("accessors", 1, "type", to="VEC3"), "expected VEC4 of numbers"),
+    "32-bit integers": (edited("accessors", 0, "componentType", to=5125), "5125, expected VEC3"),
+    "sparse": (edited("accessors", 0, "sparse", to={}), "not sparse"),
+    "one more": (edited("accessors", 0, "count", to=7), "beyond their buffer|expected 7"),
+    "one less": (edited("accessors", 2, "count", to=5), "SCALE of 5, expected 6"),
+    "2^32 Gaussians": (edited("accessors", 0, "count", to=1 << 32), "are read from a file"),
+    "negative count": (edited("accessors", 0, "count", to=-1), "accessor.count is -1"),
+    "count of text": (edited("accessors", 0, "count", to="6"), "accessor.count is '6'"),
+    "offset beyond": (edited("accessors", 0, "byteOffset", to=1 << 30), "beyond their buffer"),
+    "view beyond": (edited("bufferViews", 0, "byteOffset", to=1 << 30), "beyond their buffer"),
+    "small stride": (edited("bufferViews", 0, "byteStride", to=4), "beyond their buffer"),
+    "no views": (edited("bufferViews", to=None), "bufferViews 0, expected one of 0"),
+    "views of text": (edited("bufferViews", to=["a"]), "bufferViews is not a list of objects"),
+    "larger buffer": (edited("buffers", 0, "byteLength", to=1 << 20), "of fewer bytes than"),
+    "uri of a number": (edited("buffers", 0, "uri", to=7), "buffer.uri is no text"),
+    "uri elsewhere": (edited("buffers", 0, "uri", to="../a.bin"), "expected a file beside it"),
+    "uri escaped": (edited("buffers", 0, "uri", to="..%2Fa.bin"), "expected a file beside it"),
+    "uri of dots": (edited("buffers", 0, "uri", to=".."), "expected a file beside it"),
+    "no such file": (edited("buffers", 0, "uri", to="b.bin"), r"file 'b\.bin': no file of"),
+    "broken base64": (edited("buffers", 0, "uri", to="data:;base64,@@"), "buffer.uri: "),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_gltf_is_refused_in_one_line(name, tmp_path):
+    document, binary = made()
+    edit, message = BAD[name]
+    edit(document)
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read(tmp_path, document, binary)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path / "a.glb"))
+
+
+def test_primitives_of_several_degrees_are_refused(tmp_path):
+    document, binary = made()
+    other = deepcopy(document["meshes"][0]["primitives"][0])
+    for k in range(3):
+        del other["attributes"][f"{KHR}:SH_DEGREE_1_COEF_{k}"]
+    document["meshes"][0]["primitives"].append(other)
+    with pytest.raises(InvalidInput, match="several SH degrees"):
+        read(tmp_path, document, binary)
+
+
+@pytest.mark.parametrize("form", ["glb", "gltf"])
+def test_what_is_cut_off_is_refused(form, tmp_path):
+    data = pack_gltf(random_scene(3, 1), form == "gltf")[0]
+    path = tmp_path / f"a.{form}"
+    for end in range(len(data)):
+        path.write_bytes(data[:end])
+        with pytest.raises(InvalidInput) as caught:
+            read_scene(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_broken_containers_are_refused(tmp_path):
+    data = joined(*made())
+    for change, message in (
+        (data[:4] + struct.pack("<I", 1) + data[8:], "version 1"),
+        (data[:8] + struct.pack("<I", len(data) + 1) + data[12:], "bytes of"),
+        (data[:16] + b"TEXT" + data[20:], "chunk b'TEXT'"),
+        (data[:12] + struct.pack("<I", 1 << 31) + data[16:], "chunk b'JSON' of 2147483648"),
+        (data[:20], "bytes of 20"),
+        (joined(made()[0], b""), "of fewer bytes"),
+        (b"glTF" + struct.pack("<II", 2, 12), "12 bytes, expected a header and a chunk"),
+    ):
+        (tmp_path / "a.glb").write_bytes(change)
+        with pytest.raises(InvalidInput, match=message):
+            read_scene(tmp_path / "a.glb")

@@ -46,11 +46,7 @@ def compacting(strength: float) -> AdaptiveProfile:
 def shaped(decoded: Scene, order: np.ndarray, steps: np.ndarray) -> SimpleNamespace:
     """A scene whose shapes are rounded."""
     return SimpleNamespace(
-        decoded=lambda: decoded,
-        order=order,
-        sh_steps=lambda: np.stack([steps] * 3),
-        on_levels=True,
-        is_sparse=True,
+        decoded=lambda: decoded, order=order, sh_steps=lambda: np.stack([steps] * 3)
     )
 
 

@@ -9,7 +9,8 @@ import pytest
 from scenes import random_scene
 
 from gs_codec.coding.ycocg import to_ycocg
-from gs_codec.guidance.round_sh import round_sh
+from gs_codec.formats.attribute_steps import ShGrid
+from gs_codec.guidance.round_sh import round_rgb, round_sh
 from gs_codec.preparation.sh_weights import coefficients_of, sh_row, with_coefficients
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
@@ -110,3 +111,20 @@ def test_a_scene_without_sh_ac_is_returned():
     assert round_sh(scene, cameras(2, 1.0), np.ones((2, 10), np.float32), None, ERROR) is scene
     empty = replace(random_scene(0, 1), comments=())
     assert round_sh(empty, [], np.ones((0, 0), np.float32), np.ones((3, 0)), ERROR).count == 0
+
+
+@pytest.mark.parametrize("spread", [0.1, 3.0])
+def test_levels_of_another_format_are_kept_to(made, spread):
+    scene, steps = made
+    seen, grid = cameras(12, spread), ShGrid(steps, 0.5)
+    rounded = round_rgb(scene, seen, np.ones((12, 200), np.float32), grid)
+    rows = np.repeat([0, 1, 2], [3, 5, 7])
+    levels = rounded.f_rest / np.tile(steps[rows], (3, 1)) - 0.5
+    np.testing.assert_allclose(levels, np.rint(levels), atol=2e-5)
+    plain = np.floor(scene.f_rest / np.tile(steps[rows], (3, 1))) + 0.5
+    nearest_levels = replace(
+        scene, f_rest=(plain * np.tile(steps[rows], (3, 1))).astype(np.float32)
+    )
+    before = colours(scene, seen)
+    errors = [((colours(s, seen) - before) ** 2).mean() for s in (rounded, nearest_levels)]
+    assert errors[0] < (0.1 if spread < 1 else 0.8) * errors[1]

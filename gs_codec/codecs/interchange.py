@@ -15,13 +15,12 @@ from gs_codec.codecs.adaptive.step_sizes import StepSizes
 from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
 from gs_codec.coding.morton import spatial_order
 from gs_codec.config import ROUNDED_FORMATS, Config
-from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats import packed_ply, spz
+from gs_codec.formats.attribute_steps import AttributeSteps, ShGrid
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.gltf import pack_gltf
-from gs_codec.formats.packed_ply import pack_ply
 from gs_codec.formats.registry import open_scene
 from gs_codec.formats.splat import pack_splat
-from gs_codec.formats.spz import pack_spz
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather
 
@@ -54,7 +53,7 @@ def _packed(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     with times.stage("pack"):
         if config.format == "spz":
-            data, lost = pack_spz(scene, config.spz_version, wanted)
+            data, lost = spz.pack_spz(scene, config.spz_version, wanted)
         else:
             data, lost = _PACKERS[config.format](scene)
     report = EncodeReport(
@@ -70,7 +69,7 @@ def _packed(
 
 
 _PACKERS: Mapping[str, Callable[[Scene], tuple[bytes, tuple[str, ...]]]] = {
-    "compressed.ply": pack_ply,
+    "compressed.ply": packed_ply.pack_ply,
     "splat": pack_splat,
     "glb": pack_gltf,
     "gltf": partial(pack_gltf, as_text=True),
@@ -100,9 +99,6 @@ class RoundedScene:
     order: NDArray[np.int64]
     rounded: Scene
 
-    #: SH-AC of a file are in R, G and B, not on levels of Y, Co and Cg.
-    on_levels = False
-
     @property
     def is_sparse(self) -> bool:
         """Whether SH-AC that are 0 make a file smaller."""
@@ -117,6 +113,12 @@ class RoundedScene:
     def sh_steps(self) -> NDArray[np.float32]:
         """Step sizes of SH-AC of each band, ``(3, N)`` in the file's order."""
         return self.wanted.f_rest[:, self.order].astype(np.float32)
+
+    def sh_grid(self) -> ShGrid | None:
+        """Levels of SH-AC in the file's order; None if rounding to the nearest is as good."""
+        if self.config.format == "compressed.ply":
+            return packed_ply.sh_grid(len(self.order))
+        return None
 
     def with_colours(self, coloured: Scene) -> RoundedScene:
         """The scene with the SH of `coloured`, which is in the file's order."""

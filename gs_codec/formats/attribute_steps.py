@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.scene import Scene
+
+
+class ShGrid(NamedTuple):
+    """Levels that a format has for SH-AC: ``(level + offset) * step``.
+
+    Attributes
+    ----------
+    steps : ndarray, shape (3, N), float32
+        Of each band.
+    offset : float
+    """
+
+    steps: NDArray[np.float32]
+    offset: float
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.morton import spatial_order
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.attribute_steps import ShGrid
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import (
     Clipped,
@@ -218,6 +219,11 @@ def _packed_shares(scene: Scene) -> tuple[list[NDArray[np.uint32]], NDArray[np.f
         return packed
 
     return run_all(pack, range(9)), ranges.reshape(chunks, 18)
+
+
+def sh_grid(count: int) -> ShGrid:
+    """The levels of SH-AC of a file."""
+    return ShGrid(np.full((3, count), 8 / 256, np.float32), 0.5)
 
 
 def _packed_sh(scene: Scene, clipped: Clipped) -> NDArray[np.uint8]:

@@ -21,7 +21,7 @@ from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.frequency_table import shannon_bits
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import AdaptiveProfile
-from gs_codec.guidance.round_sh import round_sh
+from gs_codec.guidance.round_sh import round_rgb, round_sh
 from gs_codec.guidance.sensitivity import sensitivity
 from gs_codec.guidance.trust import blend, blind_share, regions
 from gs_codec.preparation.compact_sh import compact_sh
@@ -102,16 +102,21 @@ class Guidance:
 
         SH-AC are on their levels, if they are coded as levels.
         """
+        other = shaped if isinstance(shaped, RoundedScene) else None
+        compacting = compacting and (other is None or other.is_sparse)
         decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
         operator, progress = self._operator_of(decoded), self.progress
         refitted, _ = refit_colour(
             decoded, self.views, _REFIT, operator=operator, progress=progress
         )
-        if not shaped.on_levels:
-            return refitted
         error = self._error(profile) / (refitted.count * channel_count(len(refitted.f_rest) // 3))
         weights, cameras = self.weights[:, shaped.order], self.views.cameras
-        return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
+        if other is None:
+            return round_sh(refitted, cameras, weights, shaped.sh_steps(), error, progress)
+        grid = other.sh_grid()
+        if grid is None or not refitted.sh_degree:
+            return refitted
+        return round_rgb(refitted, cameras, weights, grid, progress)
 
     def compact(self, shaped: Shaped, profile: AdaptiveProfile, decide: bool = True) -> Scene:
         """The decoded scene in stream order, its SH compacted if this pays.
@@ -120,7 +125,7 @@ class Guidance:
         unless already decided: this is quick, to estimate sizes.
         """
         decoded, steps = shaped.decoded(), shaped.sh_steps().min(axis=0)
-        if not decoded.sh_degree or not shaped.is_sparse:
+        if not decoded.sh_degree:
             return decoded
         weights = self.weights[:, shaped.order]
 

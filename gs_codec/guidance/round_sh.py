@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.binary import bit_length
+from gs_codec.formats.attribute_steps import ShGrid
 from gs_codec.preparation.sh_weights import (
     coefficients_of,
     fill_matrix,
@@ -67,8 +69,46 @@ def round_sh(
     if not scene.sh_degree:
         return scene
     sh = coefficients_of(scene)
-    bands = sh_bands(len(scene.f_rest) // 3)
-    band_of = np.array([0, *(number for number, band in enumerate(bands) for _ in band)])
+    _round_all(sh, scene, cameras, weights, steps, error, progress)
+    return with_coefficients(scene, sh)
+
+
+def round_rgb(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    weights: NDArray[np.float32],
+    grid: ShGrid,
+    progress: Progress | None = None,
+) -> Scene:
+    """As `round_sh`, in R, G and B on the levels of a format that takes as many bits for all."""
+    rest = scene.f_rest.reshape(3, -1, scene.count)
+    sh = np.empty((scene.count, 3, 1 + rest.shape[1]), np.float32)
+    sh[:, :, 0] = scene.f_dc.T
+    shift = grid.offset * grid.steps[_bands(rest.shape[1])[1:]].T[:, None]
+    sh[:, :, 1:] = rest.transpose(2, 0, 1) - shift
+    _round_all(sh, scene, cameras, weights, grid.steps, 0.0, progress)
+    f_rest = (sh[:, :, 1:] + shift).transpose(1, 2, 0).reshape(scene.f_rest.shape)
+    f_dc = np.ascontiguousarray(sh[:, :, 0].T)
+    return replace(scene, f_dc=f_dc, f_rest=np.ascontiguousarray(f_rest))
+
+
+def _bands(coefficients: int) -> NDArray[np.int64]:
+    """Number of the band of SH-DC, which is not used, and of each SH-AC, from 0 on."""
+    bands = enumerate(sh_bands(coefficients))
+    return np.array([0, *(number for number, band in bands for _ in band)])
+
+
+def _round_all(
+    sh: NDArray[np.float32],
+    scene: Scene,
+    cameras: Sequence[Camera],
+    weights: NDArray[np.float32],
+    steps: NDArray[np.float32],
+    error: float,
+    progress: Progress | None,
+) -> None:
+    """Round SH ``(N, 3, 1 + K)`` in place."""
+    band_of = _bands(sh.shape[2] - 1)
     centres = np.array([camera.position for camera in cameras])
     # The bits of uniform errors: their logarithm is to base 4.
     price = _WORTH * math.log(4.0) * error
@@ -79,7 +119,6 @@ def round_sh(
 
     starts = range(0, scene.count, _CHUNK)
     run_all(run, starts, advance=step_counter(progress, "round", len(starts)))
-    return with_coefficients(scene, sh)
 
 
 @kernel

@@ -36,9 +36,6 @@ class ShapedScene:
     arranged: Arranged
     blocks: list[ShapedBlock]
 
-    #: SH-AC are coded as levels of Y, Co and Cg, and cost nothing where they are 0.
-    on_levels = is_sparse = True
-
     @property
     def source(self) -> Scene:
         """The scene, with the colours it has now."""

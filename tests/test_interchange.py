@@ -419,6 +419,8 @@ def test_versions_of_spz_are_chosen(ply, tmp_path):
         ("o.spz --depth sh-ac=3", "--depth has no effect on o.spz"),
         ("o.spz -p paper-m", "format 'spz': profile 'paper-m', expected l, m, s"),
         ("o.spz --max-memory 1GB", "--max-memory has no effect on o.spz"),
+        ("o.glb --cameras auto", "--cameras has no effect on .glb, whose values stay"),
+        ("o.splat --views 8", "--views has no effect without views"),
         ("o.ksplat", "suffix '.ksplat', expected .egs, .spz, "),
         ("o.ply", "suffix '.ply', expected .egs, .spz, "),
     ],

@@ -28,7 +28,7 @@ def read(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> PointCloud:
-    """Read a scene: PLY, `.egs`, `.splat`, `.spz` or SOG, recognised by content.
+    """Read a scene: PLY, `.egs`, `.splat`, `.spz`, SOG or glTF, recognised by content.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def write(
         With the attributes that `read` gives. One of ``log_scale`` and ``scale`` is enough; if
         both are present, they must agree.
     config : Config, optional
-        How to encode an ``.egs`` file. Its `extra` says what to do with other attributes. A PLY
-        keeps them; for ``.splat``, a log message names what the format cannot hold.
+        How to encode the file. For an ``.egs``, its `extra` says what to do with other attributes.
+        A PLY keeps them; for other formats, log messages name what they cannot hold.
     overwrite : bool
         Whether to replace an existing file, once the new one is complete. If False, an existing
         file is an error.
@@ -156,7 +156,7 @@ def encode(
     *,
     progress: Progress | None = None,
 ) -> bytes | tuple[bytes, RateReport]:
-    """Encode a cloud as an `.egs` stream; `encode_file` has the same arguments.
+    """Encode a cloud as an `.egs` stream, or in another format; `encode_file` has these arguments.
 
     The same cloud, options and version give the same bytes. Profiles ``paper-*`` use the method of
     EntropyGS (arXiv 2508.10227, Section 4); ``l``, ``m`` and ``s`` are smaller at the same quality.
@@ -180,7 +180,7 @@ def encode(
     Returns
     -------
     data : bytes
-        The stream, which may be written to a file as it is.
+        The stream, or the bytes of `config.format`, which may be written to a file as they are.
     report : RateReport
         Only with a rate target: the step sizes, and the size or quality expected and reached.
 

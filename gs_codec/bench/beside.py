@@ -33,6 +33,9 @@ GUIDED = ", camera-guided"
 #: scene's own views.
 REFINED, BY_RENDERS = "x refined", "x refined, renders"
 
+#: Precedes the format, if it is not our own, and the profile.
+_OURS_AS = "ours as "
+
 #: Iterations of refinement.
 _ITERATIONS = 2000
 
@@ -48,7 +51,7 @@ def our_codecs(
 ) -> list[Peer]:
     """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided, and `m` pruned or refined.
 
-    Other formats than `.egs` are named by the profile and the format.
+    Those in other formats than `.egs` are named by the format first, and stand beside the others'.
 
     `pruned` are percentages of Gaussians removed by leave-one-out error, `refined` plans of the
     views to refine to, and how many times smaller.
@@ -64,7 +67,7 @@ def our_codecs(
 
 
 def is_ours(codec: str) -> bool:
-    """Whether a result line's codec is one of `our_codecs`."""
+    """Whether a result line's codec is one of `our_codecs`, in our own format."""
     return codec.partition(",")[0] in PROFILE_CHOICES
 
 
@@ -83,11 +86,11 @@ def camera_free(config: Config) -> Peer:
 
 
 def _name_of(config: Config) -> str:
-    """A profile's name, and the format's if it is not our own."""
+    """A profile's name; of other formats, what is ours in them."""
     if config.format == EGS:
         return config.profile
     version = f" v{config.spz_version}" if config.format == "spz" else ""
-    return f"{config.profile}, {config.format}{version}"
+    return f"{_OURS_AS}{config.format}{version}, {config.profile}"
 
 
 def guided(config: Config, plan: Plan, percent: float = 0.0) -> Peer:

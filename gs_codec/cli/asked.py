@@ -188,10 +188,13 @@ def _format_of(asked: Asked, target: Path | None) -> str:
     return form
 
 
+#: Options that say what a file's size or quality is to be.
+_TARGETS = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
+
+
 def target_of(asked: Asked) -> RateTarget | None:
     """The size or quality that was asked for; None if none was."""
-    names = ("target_size", "target_ratio", "target_bpg", "max_psnr_drop")
-    if any(asked[name] is not None for name in names):
+    if any(asked[name] is not None for name in _TARGETS):
         return asked.build(RateTarget)
     asked.refuse(["allow_prune"], "needs a size or a quality, for example --target-ratio 30")
     return None
@@ -224,10 +227,13 @@ def _goes_by_views(asked: Asked, config: Config) -> bool:
         known = ", ".join(ADAPTIVE_PROFILES)
         why = f"has no effect on profile '{profile}', expected {known}, --prune or --refine"
         asked.refuse(["cameras", "views", "width", "background"], why)
-    if config.format in EXACT_FORMATS and not measured:
+    # Where no step sizes can be chosen, a target prunes.
+    fixed = config.format not in (EGS, *ROUNDED_FORMATS)
+    prunes = fixed and any(asked[name] is not None for name in _TARGETS)
+    if config.format in EXACT_FORMATS and not prunes:
         why = f"has no effect on .{config.format}, whose values stay: expected --prune or --refine"
         asked.refuse(["cameras", "views", "width", "background"], why)
-    if asked["cameras"] is not None or measured or asked["allow_prune"]:
+    if asked["cameras"] is not None or measured or asked["allow_prune"] or prunes:
         return True
     why = "has no effect without views, expected --cameras, --prune or --refine"
     asked.refuse(["views", "width", "background"], why)

@@ -71,14 +71,15 @@ def encode_file(
     Parameters
     ----------
     source : str or Path
-        PLY, `.egs`, `.splat`, `.spz` or SOG.
+        PLY, `.egs`, `.splat`, `.spz`, SOG or glTF.
     target : str or Path
-        An `.egs` file.
+        Its suffix says the format: ``.egs``, ``.spz``, ``.compressed.ply``, ``.splat``, ``.glb`` or
+        ``.gltf``.
     config, plan, rate, progress
         As for `encode`; the ratio of a compressed source is relative to its floats.
     max_memory : int, optional
         Maximum memory, bytes: large arrays are then in temporary files, with the same result. Only
-        for a binary PLY of floats, without `plan` and `rate`.
+        for a binary PLY of floats to an `.egs`, without `plan` and `rate`.
     max_bytes : int, optional
         As for `read`.
     overwrite : bool

@@ -139,7 +139,7 @@ def _profiles(lines: Sequence[Line], curve: str) -> list[Line]:
     found = {
         PAPER: lambda codec: codec in PROFILES,
         FREE: lambda codec: codec in ADAPTIVE_PROFILES,
-        CAMERA_GUIDED: lambda codec: codec.endswith(GUIDED),
+        CAMERA_GUIDED: lambda codec: is_ours(codec) and codec.endswith(GUIDED),
         _PRUNED: lambda codec: codec == f"m{GUIDED}" or codec.endswith("pruned"),
         _REFINED: lambda codec: codec.endswith(REFINED),
         _BY_RENDERS: lambda codec: codec.endswith(BY_RENDERS),

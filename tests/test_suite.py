@@ -72,6 +72,9 @@ def stand_in(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(sources, "_ENCODED_BY", 6)
 
 
+IN_OTHERS = ("ours as spz v4, m", "ours as compressed.ply, m")
+
+
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory) -> tuple[list[dict], str, Path]:
     """Lines, stderr, and the folder: a scene with photographs, and one with its own views alone."""
@@ -128,6 +131,7 @@ def test_codecs_stand_beside_each_other(suite):
     guided = [f"{profile}, camera-guided" for profile in ("l", "m", "s")]
     pruned = ["m, 39 % pruned", "m, 58.8 % pruned"]
     expected = [*PROFILE_CHOICES, *guided, *pruned, "other v1", "exact v2", "third"]
+    expected += [*IN_OTHERS, *(f"{name}, camera-guided" for name in IN_OTHERS)]
     refined = [f"m, {ratio}x refined{how}" for ratio in (10, 5000) for how in ("", ", renders")]
     for scene in ("shot", "plain"):
         found = of(suite[0], "beside", scene)
@@ -241,7 +245,7 @@ def test_groups_left_out_are_not_measured(tmp_path, monkeypatch):
     lines = list(run_suite(options, "again", told.append))
     assert {line["kind"] for line in lines} == {"machine", "scene", "beside", "point"}
     assert lines[0]["skipped"] == sorted(options.skip)
-    assert [line["codec"] for line in of(lines, "beside")] == list(PROFILE_CHOICES)
+    assert [line["codec"] for line in of(lines, "beside")] == [*PROFILE_CHOICES, *IN_OTHERS]
     assert {line["curve"] for line in of(lines, "point")} == {"paper", "camera-free"}
     assert told == ["scene: codecs beside each other", "scene: rate-quality curves"]
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @takes(
     "extra", "nonfinite", "profile", "threads", "max_bytes", "overwrite", "json",
-    expert=(Config,), extra="keep",
+    expert=(Config,), without=("format",), extra="keep",
 )  # fmt: skip
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
@@ -44,7 +44,7 @@ def command(
         ),
     ] = "RDF",
 ) -> None:
-    """Convert a scene to another format, and report what that loses; profiles are for an .egs."""
+    """Convert a scene to another format, and report what that loses."""
     config = config_of(asked, target)
     from gs_codec.files.conversion import convert_file
 

@@ -20,7 +20,7 @@ from gs_codec.preparation.steps import Plan
     "profile", "preset", "cameras", "gt_images", "refine", "prune", "gaussians",
     "prune_max_psnr_drop", "prune_geometry", "geometry_rule", "prune_importance", "compact_sh",
     "refit_colour", "rectify", "report", "checkpoint", "threads", "max_bytes", "overwrite", "json",
-    expert=(Config, Plan), without=("nonfinite", "extra"),
+    expert=(Config, Plan), without=("nonfinite", "extra", "format"),
 )  # fmt: skip
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],

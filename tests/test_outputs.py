@@ -19,15 +19,15 @@ from gs_codec.files.preparing import prepare_file
 from gs_codec.preparation.steps import Plan, Steps
 
 WRONG_SUFFIX = {
-    "encode scene.ply b.ply": "b.ply: suffix '.ply', expected .egs; `convert` writes that",
-    "encode scene.ply b.spz": "b.spz: suffix '.spz', expected .egs",
+    "encode scene.ply b.ply": ".splat, .glb or .gltf; `convert` writes that",
+    "encode scene.ply b.ksplat": "b.ksplat: suffix '.ksplat', expected .egs",
     "encode scene.ply b": "b: suffix '', expected .egs",
     "decode scene.egs b.splat": "b.splat: suffix '.splat', expected .ply; `convert` writes that",
     "decode scene.egs b.egs": "b.egs: suffix '.egs', expected .ply; `convert` writes that",
     "decode scene.egs b.compressed.ply": "suffix '.compressed.ply', expected .ply",
-    "convert scene.ply b.Compressed.PLY": "suffix '.compressed.ply', expected .ply, .egs or .splat",
-    "prepare scene.ply b.compressed.ply --prune 9": "suffix '.compressed.ply', expected .ply, .egs",
-    "convert scene.ply -": "-: suffix '', expected .ply, .egs or .splat",
+    "convert scene.ply b.OBJ": "suffix '.obj', expected .egs, .spz, .compressed.ply, .splat, .glb",
+    "prepare scene.ply b.obj --prune 9": "suffix '.obj', expected .egs, .spz",
+    "convert scene.ply -": "-: suffix '', expected .egs, .spz",
 }
 
 

@@ -426,7 +426,7 @@ REFUSALS = {
     "no step": ("prepare scene.ply out.ply", "no step of preparation asked for"),
     "suffix": (
         "prepare scene.ply out.txt --rectify 7",
-        "suffix '.txt', expected .ply, .egs or .splat",
+        "suffix '.txt', expected .egs, .spz, ",
     ),
     "itself": ("prepare scene.ply scene.ply --rectify 7", "the source itself"),
     "fraction": ("prepare scene.ply o.ply --prune 0.3", "expected percent, half of all is 50"),

@@ -365,7 +365,7 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
         ctx = SimpleNamespace(
             info_name="encode", get_parameter_source=dict.fromkeys(values, typed).get
         )
-        return plan_of(Asked(ctx, {"profile": "m"} | values))
+        return plan_of(Asked(ctx, {"profile": "m"} | values), Config())
 
     views = {"views": 8, "width": 100, "background": (1.0, 1.0, 1.0)}
     plan = found(**asked, **views)

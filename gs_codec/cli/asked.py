@@ -164,18 +164,23 @@ def config_of(asked: Asked, target: Path | None = None) -> Config:
         If an option is out of its range, or has no effect.
     """
     form = _format_of(asked, target)
-    if form not in ("", EGS):
-        used = (*_OF_ALL, *_OF_STEPS) if form in ROUNDED_FORMATS else _OF_ALL
-        used = (*used, "spz_version") if form == "spz" else used
-        names = {described.name or field for field, described in options_of(Config).items()}
-        why = f"has no effect on {target or form}, expected an .egs"
-        asked.refuse(["preset", "max_memory", *(name for name in names if name not in used)], why)
+    if form in FORMATS and form != EGS:
+        refuse_coding(asked, form, target)
     profile = Config(asked["profile"]).profile
     if profile not in PROFILES:
         asked.refuse(["preset"], f"codes by {', '.join(PROFILES)}, not by profile '{profile}'")
         why = f"has no effect on profile '{profile}', expected one of {', '.join(PROFILES)}"
         asked.refuse(("geometry", "tmc3", "verify", *PAPER_OPTIONS), why)
     return asked.build(Config, format=form if form in FORMATS else EGS)
+
+
+def refuse_coding(asked: Asked, form: str, target: Path | None) -> None:
+    """Refuse options of coding that have no effect on a format other than `.egs`."""
+    used = (*_OF_ALL, *_OF_STEPS) if form in ROUNDED_FORMATS else _OF_ALL
+    used = (*used, "spz_version") if form == "spz" else used
+    names = [described.name or field for field, described in options_of(Config).items()]
+    unused = ["preset", "max_memory", *(name for name in names if name not in used)]
+    asked.refuse(unused, f"has no effect on {target or form}, expected an .egs")
 
 
 def _format_of(asked: Asked, target: Path | None) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, config_of, takes
+from gs_codec.cli.asked import Asked, config_of, refuse_coding, takes
 from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
@@ -45,6 +45,8 @@ def command(
     ] = "RDF",
 ) -> None:
     """Convert a scene to another format, and report what that loses."""
+    if target.suffix.lower() == ".ply":
+        refuse_coding(asked, "ply", target)
     config = config_of(asked, target)
     from gs_codec.files.conversion import convert_file
 

@@ -63,9 +63,11 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     Raises
     ------
     InvalidInput
-        If a value is not finite, or a scale too large for a float32.
+        If there are no Gaussians, a value is not finite, or a scale too large for a float32.
     """
     check_finite(scene, ".splat")
+    if not scene.count:
+        raise InvalidInput("no Gaussians, .splat has at least one")
     if scene.log_scale.max(initial=0) > _LARGEST:
         raise InvalidInput(f"log-scale {scene.log_scale.max()}, .splat holds up to {_LARGEST}")
     rows = np.empty(scene.count, _ROW)

@@ -31,6 +31,7 @@ from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.packed_ply import pack_ply
 from gs_codec.formats.packed_values import largest_omitted, largest_restored
 from gs_codec.formats.ply import write_ply
+from gs_codec.formats.sog_writer import pack_sog
 from gs_codec.formats.spz import pack_spz
 from gs_codec.guidance.planned import encode_by_plan
 from gs_codec.preparation.pipeline import choose_views
@@ -39,9 +40,9 @@ from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate
 
-ALL = ("spz", "compressed.ply", "splat", "glb", "gltf")
-ROUNDING = ("spz", "compressed.ply", "splat")
-SORTED = ("spz", "compressed.ply")
+ALL = ("spz", "sog", "compressed.ply", "splat", "glb", "gltf")
+ROUNDING = ("spz", "sog", "compressed.ply", "splat")
+SORTED = ("spz", "sog", "compressed.ply")
 EDGES = edge_scenes()
 
 
@@ -247,14 +248,15 @@ def test_what_is_not_finite_is_refused(form):
     with pytest.raises(InvalidInput, match="not finite: 1 in f_rest"):
         encode_scene(scene, Config(format=form))
     assert encode_scene(scene, Config(format=form, nonfinite="drop"))[1].count == 29
-    for pack in (pack_spz, pack_ply):
+    for pack in (pack_spz, pack_ply, pack_sog):
         with pytest.raises(InvalidInput, match="not finite"):
             pack(scene)
 
 
-def test_profiles_choose_how_finely_an_spz_is_written():
+@pytest.mark.parametrize("form", ["spz", "sog"])
+def test_profiles_choose_how_finely_a_file_is_written(form):
     scene = usual(3000, 3)
-    sizes = [len(encode_scene(scene, Config(p, format="spz"))[0]) for p in "lms"]
+    sizes = [len(encode_scene(scene, Config(p, format=form))[0]) for p in "lms"]
     assert sizes[0] > 1.05 * sizes[1] > 1.1 * sizes[2]
 
 
@@ -299,8 +301,8 @@ def test_colours_make_up_for_what_a_format_rounds(form, seen):
     scene, plan = seen
     config = Config(format=form)
     plain = encode_by_plan(scene, 1, config)[0]
-    size = int(0.9 * len(plain)) if form == "spz" else len(plain)
-    rate = {"size": size} if form == "spz" else None
+    size = int(0.9 * len(plain)) if form in ("spz", "sog") else len(plain)
+    rate = {"size": size} if form in ("spz", "sog") else None
     guided = encode_by_plan(scene, 1, config, plan, rate)[0]
     assert 0.98 * size <= len(guided) <= size
     before, after = (loss(scene, decode_as(config, data), plan) for data in (plain, guided))
@@ -460,7 +462,8 @@ def test_a_batch_writes_them(ply, tmp_path):
 
 @pytest.mark.parametrize("form", ALL)
 def test_they_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
-    encode_file(ply, tmp_path / f"a.{form}")
+    fine = Config("l", coarseness=0.05) if form in ("spz", "sog") else Config()
+    encode_file(ply, tmp_path / f"a.{form}", fine)
     compared = compare_files(ply, tmp_path / f"a.{form}")
     assert compared.matched_by == ("Morton order" if form in SORTED else "index")
     back = compare_files(tmp_path / f"a.{form}", ply)
@@ -468,4 +471,4 @@ def test_they_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
     for one in (compared, back):
         errors = {group.name: group.max for group in one.groups}
         assert errors["positions"] < 0.02
-        assert errors["f_dc"] < 0.02
+        assert errors["f_dc"] < 0.1

@@ -72,7 +72,7 @@ def stand_in(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(sources, "_ENCODED_BY", 6)
 
 
-IN_OTHERS = ("ours as spz v4, m", "ours as compressed.ply, m")
+IN_OTHERS = ("ours as spz v4, m", "ours as sog, m", "ours as compressed.ply, m")
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from gs_codec.config import (
     options_of,
 )
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import known_suffix
+from gs_codec.files.suffixes import format_of, known_suffix
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
@@ -187,7 +187,7 @@ def _format_of(asked: Asked, target: Path | None) -> str:
     """The format of a target's suffix, or of the option where it has no name; "" if unknown."""
     if target is None or str(target) in ("-", "/dev/stdout"):
         return asked["format"] or EGS
-    form = known_suffix(target)[1:]
+    form = format_of(known_suffix(target))
     if form and asked["format"] not in (None, form):
         asked.refuse(["format"], f"has no effect on {target}, whose suffix says its format")
     return form

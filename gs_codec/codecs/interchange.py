@@ -20,12 +20,13 @@ from gs_codec.formats.attribute_steps import AttributeSteps, ShGrid
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.gltf import pack_gltf
 from gs_codec.formats.registry import open_scene
+from gs_codec.formats.sog_writer import pack_sog
 from gs_codec.formats.splat import pack_splat
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather
 
 #: Formats whose Gaussians are in Morton order; others keep the scene's.
-_SORTED = ("spz", "compressed.ply")
+_SORTED = ("spz", "sog", "compressed.ply")
 
 
 def encode_interchange(
@@ -54,6 +55,8 @@ def _packed(
     with times.stage("pack"):
         if config.format == "spz":
             data, lost = spz.pack_spz(scene, config.spz_version, wanted)
+        elif config.format == "sog":
+            data, lost = pack_sog(scene, wanted)
         else:
             data, lost = _PACKERS[config.format](scene)
     report = EncodeReport(
@@ -107,7 +110,7 @@ class RoundedScene:
     def decoded(self) -> Scene:
         """The rounded scene with the source's SH, as far as the format has them."""
         source = self.source.take(self.order)
-        kept = source.f_rest if len(self.rounded.f_rest) else self.rounded.f_rest
+        kept = self.rounded.f_rest if self.config.format == "splat" else source.f_rest
         return replace(self.rounded, f_dc=source.f_dc, f_rest=kept)
 
     def sh_steps(self) -> NDArray[np.float32]:
@@ -131,7 +134,9 @@ class RoundedScene:
 def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTimes) -> RoundedScene:
     """Round everything but the colours of a cleaned scene, with finished step sizes."""
     wanted = wanted_steps(scene, steps)
-    [data], _ = _packed(scene, config, wanted, times)
+    # The palette of a SOG scene takes most of the time.
+    shapes = replace(scene, f_rest=scene.f_rest[:0]) if config.format == "sog" else scene
+    [data], _ = _packed(shapes, config, wanted, times)
     rounded = decode_interchange(data, config, system_of(scene))
     in_order = config.format in _SORTED
     order = spatial_order(scene.positions) if in_order else np.arange(scene.count)

@@ -14,7 +14,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import EGS, Config, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import check_target, scene_in, tell_lost
+from gs_codec.files.scenes import check_target, scene_in, tell_lost, write_parts
 from gs_codec.files.suffixes import ENCODED, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
@@ -73,8 +73,8 @@ def encode_file(
     source : str or Path
         PLY, `.egs`, `.splat`, `.spz`, SOG or glTF.
     target : str or Path
-        Its suffix says the format: ``.egs``, ``.spz``, ``.compressed.ply``, ``.splat``, ``.glb`` or
-        ``.gltf``.
+        Its suffix says the format: ``.egs``, ``.spz``, ``.sog`` (or ``meta.json``, with its files
+        beside it), ``.compressed.ply``, ``.splat``, ``.glb`` or ``.gltf``.
     config, plan, rate, progress
         As for `encode`; the ratio of a compressed source is relative to its floats.
     max_memory : int, optional
@@ -126,8 +126,8 @@ def encode_file(
                 data, report = encode_by_plan(scene, counted, config, plan, rate, progress)
                 parts = [data]
         times.seconds |= report.seconds
-        with times.stage("write"), atomic_writer(target) as file:
-            file.writelines(parts)
+        with times.stage("write"):
+            write_parts(target, parts)
     tell_lost(target, report)
     ratio = counted / report.file_bytes
     return replace(report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio)

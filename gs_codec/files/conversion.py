@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of
+from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
@@ -117,6 +117,8 @@ def convert_file(
         with times.stage("write"):
             lost = write_scene(target, scene, config)
     after = own or system_of(scene)
+    with open_scene(target) as file:
+        size = file.stored_bytes
     return ConvertReport(
         scene.count,
         0 if suffix == ".splat" else scene.sh_degree,
@@ -125,6 +127,6 @@ def convert_file(
         scene.antialiased,
         dropped,
         lost,
-        os.path.getsize(target),
+        size,
         times.seconds,
     )

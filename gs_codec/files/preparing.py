@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config
-from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_scene
+from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_parts, write_scene
 from gs_codec.files.suffixes import config_for
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.report import Progress
-from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, make_folder
+from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
 
@@ -92,8 +92,7 @@ def prepare_file(
             if report_folder is not None:
                 save_report(report_folder, prepared)
         if coded:
-            with atomic_writer(target) as file:
-                file.write(data)
+            write_parts(target, [data])
             tell_lost(target, report)
         else:
             write_scene(target, scene, config)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
+import zipfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +20,14 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra
 from gs_codec.egs.file import read_file
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import WRITTEN, config_for, suffix_of
+from gs_codec.files.suffixes import UNBUNDLED, WRITTEN, config_for, suffix_of
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
+from gs_codec.formats.sog_files import META
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import EncodeReport, Progress
-from gs_codec.runtime.atomic import atomic_writer, check_writable
+from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, float_bytes
 
@@ -52,10 +56,28 @@ def write_scene(
         return ()
     with located(path):
         parts, report = encode_parts(scene, config_for(path, config))
-    with atomic_writer(path) as file:
-        file.writelines(parts)
+    write_parts(path, parts)
     tell_lost(path, report)
     return report.lost
+
+
+def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
+    """Write an encoded scene; a zip whose files are to lie apart, `meta.json` last.
+
+    Raises
+    ------
+    InvalidInput
+        If a file cannot be written.
+    """
+    if suffix_of(path) != UNBUNDLED:
+        with atomic_writer(path) as file:
+            file.writelines(parts)
+        return
+    with zipfile.ZipFile(io.BytesIO(b"".join(parts))) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    target = Path(path)
+    last = files.pop(META)
+    write_files(target.parent, files | {target.name: last})
 
 
 def tell_lost(path: str | Path, report: EncodeReport) -> None:

@@ -8,8 +8,11 @@ from pathlib import Path
 from gs_codec.config import EGS, FORMATS, Config
 from gs_codec.errors import InvalidInput
 
+#: The name of a SOG scene whose files are not in a zip.
+UNBUNDLED = "meta.json"
+
 #: Of formats that scenes are encoded to, and of all that are written.
-ENCODED = tuple(f".{name}" for name in FORMATS)
+ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)
 WRITTEN = (*ENCODED, ".ply")
 
 
@@ -36,6 +39,11 @@ def known_suffix(path: str | Path) -> str:
     return max((s for s in WRITTEN if name.endswith(s)), key=len, default="")
 
 
+def format_of(suffix: str) -> str:
+    """The format of a suffix from `suffix_of`."""
+    return "sog" if suffix == UNBUNDLED else suffix.removeprefix(".")
+
+
 def config_for(path: str | Path, config: Config) -> Config:
     """The configuration with the format of a file's suffix.
 
@@ -44,7 +52,7 @@ def config_for(path: str | Path, config: Config) -> Config:
     InvalidInput
         If scenes are not encoded to it, or the configuration asks for another.
     """
-    suffix = suffix_of(path, ENCODED)
-    if config.format not in (EGS, suffix[1:]):
+    form = format_of(suffix_of(path, ENCODED))
+    if config.format not in (EGS, form):
         raise InvalidInput(f"{path}: format '{config.format}', expected .{config.format}")
-    return replace(config, format=suffix[1:])
+    return replace(config, format=form)

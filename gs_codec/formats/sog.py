@@ -19,6 +19,9 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
 from gs_codec.formats.sog_files import (
+    FIRST_TAG,
+    META,
+    PALETTE_COLUMNS,
     ZIP,
     Files,
     Meta,
@@ -33,11 +36,6 @@ from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 log = logging.getLogger(__name__)
 
 _META_BYTES = 1 << 22
-_PALETTE_COLUMNS = 64
-
-#: The last byte of a quaternion is this value plus the index of the omitted component.
-_FIRST_TAG = 252
-
 #: Loads the pixels of an image, given its name and the most pixels it may have.
 _Load = Callable[[str, int], NDArray[np.uint8]]
 
@@ -47,7 +45,7 @@ def _opened(path: Path, data: memoryview) -> Iterator[tuple[Files, Meta, int]]:
     """What reads the files of a scene, its `meta.json`, and the size of all its files."""
     is_zip = data[: len(ZIP)] == ZIP
     with located(path), sog_files(path, is_zip) as read:
-        meta = parse_meta(read("meta.json", _META_BYTES))
+        meta = parse_meta(read(META, _META_BYTES))
         yield read, meta, len(data) if is_zip else stored_bytes(path, meta.files)
 
 
@@ -132,11 +130,11 @@ def _centres(meta: Meta, load: _Load) -> NDArray[np.float32]:
 
 
 def _quaternions(path: Path, values: NDArray[np.uint8]) -> NDArray[np.float32]:
-    untold = values[3] < _FIRST_TAG
+    untold = values[3] < FIRST_TAG
 
     def restore(some: slice) -> NDArray[np.float32]:
         three = (values[:3, some] / 127.5 - 1) * np.sqrt(0.5)
-        rot = largest_restored(three, values[3, some].astype(np.int64) - _FIRST_TAG)
+        rot = largest_restored(three, values[3, some].astype(np.int64) - FIRST_TAG)
         rot[:, untold[some]] = np.array([[1], [0], [0], [0]], np.float32)
         return rot
 
@@ -152,9 +150,9 @@ def _read_palette(
     if "shN" not in meta.files:
         return np.empty((0, meta.count), np.float32)
     name = meta.files["shN"][0]
-    pixels = load(name, _PALETTE_COLUMNS * SH_COEFFICIENTS[3] * (1 << 10))
+    pixels = load(name, PALETTE_COLUMNS * SH_COEFFICIENTS[3] * (1 << 10))
     height, width, _ = pixels.shape
-    widths = [_PALETTE_COLUMNS * k for k in SH_COEFFICIENTS]
+    widths = [PALETTE_COLUMNS * k for k in SH_COEFFICIENTS]
     degree = widths.index(width) if width in widths else 0
     if not degree or meta.bands not in (None, degree):
         expected = widths[1:] if meta.bands is None else widths[meta.bands]
@@ -162,11 +160,11 @@ def _read_palette(
     check_count(meta.count, degree, file_bytes, max_bytes)
     low, high, *_ = _values(meta, "shN", load, 1)
     rows = low | high.astype(np.uint16) << 8
-    there = min(meta.palette, height * _PALETTE_COLUMNS)
+    there = min(meta.palette, height * PALETTE_COLUMNS)
     if rows.max(initial=0) >= max(there, 1):
         raise InvalidInput(f"row {rows.max()} of a palette of {there}")
     table = meta.tables["shN"]
-    colours = pixels.reshape(height * _PALETTE_COLUMNS, -1, 4)[..., :3]
+    colours = pixels.reshape(height * PALETTE_COLUMNS, -1, 4)[..., :3]
     palette = table[colours, np.arange(3)].transpose(2, 1, 0).reshape(-1, len(colours))
 
     return planes_of(len(palette), meta.count, lambda some: _defined(palette[:, rows[some]]))

@@ -26,6 +26,14 @@ _FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 _TABLE = 256
 _FLOAT32 = float(np.finfo(np.float32).max)
 
+META = "meta.json"
+
+#: Rows of the palette side by side in its image.
+PALETTE_COLUMNS = 64
+
+#: The last byte of a quaternion is this value plus the index of the omitted component.
+FIRST_TAG = 252
+
 ZIP = b"PK\x03\x04"
 
 #: Reads a file, given its name and the most bytes it may have.
@@ -78,7 +86,7 @@ def parse_meta(data: bytes) -> Meta:
     InvalidInput
         If it is not JSON, or not of SOG version 1 or 2.
     """
-    with refusing("meta.json"):
+    with refusing(META):
         meta = json.loads(data, parse_constant=_no_constant)
     version = 1 if not isinstance(meta, dict) else meta.get("version", 1)
     if version not in (1, 2) or isinstance(version, bool | float):
@@ -226,13 +234,13 @@ def _folder_of(names: Iterable[str]) -> str:
         by_base.setdefault(name.rpartition("/")[2], []).append(name)
     if "data.pkl" in by_base:
         raise InvalidInput("a checkpoint of PyTorch, expected a scene: export it as .ply")
-    if "meta.json" not in by_base:
+    if META not in by_base:
         raise InvalidInput("a zip without meta.json, expected a SOG scene")
-    return min(by_base["meta.json"], key=len).removesuffix("meta.json")
+    return min(by_base[META], key=len).removesuffix(META)
 
 
 def _read_beside(meta: Path, name: str, limit: int) -> bytes:
-    path = meta if name == "meta.json" else meta.parent / name
+    path = meta if name == META else meta.parent / name
     with refusing(f"file '{name}'"):
         if not path.is_file() or path.stat().st_size > limit:
             raise InvalidInput(f"file '{name}': no file, or of more than {limit} bytes")

@@ -144,6 +144,7 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
 def _in_other_formats(config: Config) -> Iterator[Config]:
     """A profile in the formats that round what they hold."""
     yield replace(config, format="spz", spz_version=4)
+    yield replace(config, format="sog")
     yield replace(config, format="compressed.ply")
 
 

@@ -1,0 +1,272 @@
+"""Vectors grouped into cells, each as coarse as its vectors' step sizes allow.
+
+Squared errors count in units of a step size that each vector has. A bit is worth what it is worth
+to a uniform quantiser of that step: then rounding by tables of any size is as fine as the steps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import run_all
+
+#: What a bit is worth: a uniform quantiser has an error of 1/12, and a quarter with one bit more.
+WORTH = math.log(4.0) / 12
+
+#: Bits of a value in a row, about: of 0, of the first level beside it, and of each octave above.
+_ZERO_BITS, _FIRST_BITS, _OCTAVE_BITS = 0.6, 2.5, 1.5
+
+#: Most times that the means of the halves of a cell are moved.
+_MOVES = 5
+
+#: Vectors for one thread at a time.
+_CHUNK = 1 << 13
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Vectors grouped into cells, by splitting from one cell on.
+
+    Attributes
+    ----------
+    order : ndarray, shape (N,), int32
+        The vectors of each cell, one cell after another.
+    stops : ndarray, shape (cells,), int64
+        End of each cell in `order`.
+    groups : ndarray, shape (cells,), int64
+        Which of some larger, early cells each is part of.
+    """
+
+    order: NDArray[np.int32]
+    stops: NDArray[np.int64]
+    groups: NDArray[np.int64]
+
+    def labels(self) -> NDArray[np.int32]:
+        """The cell of each vector."""
+        labels = np.empty(len(self.order), np.int32)
+        labels[self.order] = np.repeat(np.arange(len(self.stops), dtype=np.int32), self.sizes())
+        return labels
+
+    def sizes(self) -> NDArray[np.int64]:
+        """Vectors of each cell."""
+        return np.diff(self.stops, prepend=0)
+
+
+class _Splits(NamedTuple):
+    """Cells, how each is best split, and what that gains; see `Cells` for `groups`."""
+
+    starts: NDArray[np.int64]
+    stops: NDArray[np.int64]
+    middles: NDArray[np.int64]
+    gains: NDArray[np.float64]
+    groups: NDArray[np.int64]
+
+
+def split_cells(
+    vectors: NDArray[np.float32], weights: NDArray[np.float64], most: int, groups: int = 1
+) -> Cells:
+    """Split vectors into cells as long as that lowers errors more than it costs bits.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (N, D), float32
+    weights : ndarray, shape (N,), float64
+        One over the square of each step size.
+    most : int
+        Most cells.
+    groups : int
+        Groups of cells, about.
+    """
+    order = np.arange(len(vectors), dtype=np.int32)
+    cells = _split_each(vectors, weights, order, np.zeros(1, np.int64), np.array([len(vectors)]))
+    while True:
+        if len(cells.starts) < groups:
+            cells = cells._replace(groups=np.arange(len(cells.starts)))
+        room = most - len(cells.starts)
+        # The best halves first: the gains of their parts may be larger than those of others.
+        chosen = np.argsort(-cells.gains, kind="stable")[: -(-room // 2)]
+        chosen = np.sort(chosen[cells.gains[chosen] > 0])
+        if not len(chosen):
+            return Cells(order, cells.stops, cells.groups)
+        ends = cells.starts[chosen], cells.middles[chosen], cells.stops[chosen]
+        starts, stops = np.stack(ends[:2], 1).ravel(), np.stack(ends[1:], 1).ravel()
+        parts = _split_each(vectors, weights, order, starts, stops)
+        parts = parts._replace(groups=np.repeat(cells.groups[chosen], 2))
+        kept = np.ones(len(cells.starts), bool)
+        kept[chosen] = False
+        sequence = np.argsort(np.concatenate([cells.starts[kept], starts]))
+        columns = [
+            np.concatenate([old[kept], new])[sequence]
+            for old, new in zip(cells, parts, strict=True)
+        ]
+        cells = _Splits(*columns)
+
+
+def _split_each(
+    vectors: NDArray[np.float32],
+    weights: NDArray[np.float64],
+    order: NDArray[np.int32],
+    starts: NDArray[np.int64],
+    stops: NDArray[np.int64],
+) -> _Splits:
+    """Find the two parts of each cell, and sort the vectors of each in `order` by them."""
+    middles, gains = starts.copy(), np.zeros(len(starts))
+    # About as many vectors in each batch.
+    batches = np.cumsum(stops - starts) // _CHUNK
+    cuts = [*np.flatnonzero(np.diff(batches, prepend=-1)), len(starts)]
+
+    def run(batch: int) -> None:
+        some = slice(cuts[batch], cuts[batch + 1])
+        of_batch = starts[some], stops[some], middles[some], gains[some]
+        _split(vectors, weights, order, *of_batch)
+
+    run_all(run, range(len(cuts) - 1))
+    return _Splits(starts, stops, middles, gains, np.zeros(len(starts), np.int64))
+
+
+@kernel
+def _split(vectors, weights, order, starts, stops, middles, gains):
+    size = int((stops - starts).max())
+    side, upper = np.empty(size, np.uint8), np.empty(size, order.dtype)
+    depth = vectors.shape[1]
+    whole, halves = np.empty(depth + 1), np.empty((2, depth + 1))
+    for cell in range(len(starts)):
+        start, stop = starts[cell], stops[cell]
+        members = order[start:stop]
+        if not _start_halves(vectors, weights, members, whole, side):
+            continue
+        ones = _move_halves(vectors, weights, members, halves, side)
+        if ones in (0, len(members)):
+            continue
+        gain = _cost_of(whole) - _cost_of(halves[0]) - _cost_of(halves[1])
+        share = ones / len(members)
+        bits = -ones * np.log2(share) - (len(members) - ones) * np.log2(1 - share)
+        gains[cell] = gain - WORTH * bits
+        low = high = 0
+        for j in range(len(members)):
+            if side[j]:
+                upper[high] = members[j]
+                high += 1
+            else:
+                members[low] = members[j]
+                low += 1
+        members[low:] = upper[:high]
+        middles[cell] = start + low
+
+
+@kernel
+def _start_halves(vectors, weights, members, whole, side):
+    """Part the vectors at the mean of the axis along which they vary most; False if in none."""
+    depth = vectors.shape[1]
+    squares = np.zeros(depth)
+    whole[:] = 0.0
+    for i in members:
+        weight = weights[i]
+        whole[depth] += weight
+        for d in range(depth):
+            whole[d] += weight * vectors[i, d]
+            squares[d] += weight * vectors[i, d] * vectors[i, d]
+    widest, axis = 0.0, -1
+    for d in range(depth):
+        spread = squares[d] - whole[d] * whole[d] / whole[depth]
+        if spread > widest:
+            widest, axis = spread, d
+    if axis < 0:
+        return False
+    cut = whole[axis] / whole[depth]
+    for j in range(len(members)):
+        side[j] = vectors[members[j], axis] > cut
+    return True
+
+
+@kernel
+def _move_halves(vectors, weights, members, halves, side):
+    """Move vectors to the half whose mean is nearer, some times; return how many the second has.
+
+    ``halves`` become the weighted sums of each half, and its weight.
+    """
+    depth, count = vectors.shape[1], len(members)
+    normal = np.empty(depth)
+    ones = 0
+    for move in range(_MOVES + 1):
+        halves[:] = 0.0
+        ones = 0
+        for j in range(count):
+            i, half = members[j], side[j]
+            weight = weights[i]
+            ones += half
+            halves[half, depth] += weight
+            for d in range(depth):
+                halves[half, d] += weight * vectors[i, d]
+        if ones in (0, count) or move == _MOVES:
+            break
+        offset = 0.0
+        for d in range(depth):
+            first, second = halves[0, d] / halves[0, depth], halves[1, d] / halves[1, depth]
+            normal[d] = second - first
+            offset += 0.5 * (second * second - first * first)
+        moved = False
+        for j in range(count):
+            i = members[j]
+            along = -offset
+            for d in range(depth):
+                along += vectors[i, d] * normal[d]
+            if (along > 0) != side[j]:
+                side[j] = along > 0
+                moved = True
+        if not moved:
+            break
+    return ones
+
+
+@kernel
+def _cost_of(sums):
+    """Error and bits of a row for vectors with these weighted sums, less what all rows have.
+
+    The squared error of vectors about their mean is their squares less the mean's.
+    """
+    depth = len(sums) - 1
+    cost = 0.0
+    for d in range(depth):
+        square = sums[d] * sums[d] / sums[depth]
+        cost += _value_cost(square) - square
+    return cost
+
+
+@inlined
+def _value_cost(square):
+    """Error and bits of a value of a row, whose step is as fine as all vectors of it ask."""
+    if square < 0.25:
+        return square + WORTH * _ZERO_BITS
+    bits = _FIRST_BITS + _OCTAVE_BITS * max(np.floor(0.5 * np.log2(square)), 0.0)
+    return 1 / 12 + WORTH * bits
+
+
+def row_sums(
+    vectors: NDArray[np.float32],
+    weights: NDArray[np.float64],
+    labels: NDArray[np.int32],
+    count: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weighted means ``(count, D)`` of the vectors of each label, and their weights ``(count,)``.
+
+    The mean of none is 0.
+    """
+    sums, total = np.zeros((count, vectors.shape[1])), np.zeros(count)
+    _add_rows(vectors, weights, labels, sums, total)
+    return sums / np.where(total > 0, total, 1.0)[:, None], total
+
+
+@kernel
+def _add_rows(vectors, weights, labels, sums, total):
+    for i in range(len(vectors)):
+        label, weight = labels[i], weights[i]
+        total[label] += weight
+        for d in range(vectors.shape[1]):
+            sums[label, d] += weight * vectors[i, d]

@@ -1,0 +1,226 @@
+"""Tables of values and of vectors, and what is rounded to them at the least error and bits.
+
+Errors and bits are weighed as in `cells`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.formats.cells import WORTH, row_sums, split_cells
+from gs_codec.runtime.kernels import inlined, kernel
+from gs_codec.runtime.threads import run_all
+
+#: Values from which a table is made; of more, some.
+_SAMPLE = 1 << 20
+
+#: Times that prices follow the levels that were chosen by them.
+_ROUNDS = 4
+
+#: Levels tried on each side of the nearest.
+_REACH = 5
+
+#: Values for one thread at a time.
+_CHUNK = 1 << 12
+
+#: Smallest step, to divide by.
+_TINY = 2.0**-40
+
+
+def weights_of(steps: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Weights of squared errors for step sizes, which may be 0."""
+    return np.maximum(steps.astype(np.float64), _TINY) ** -2.0
+
+
+def nearest_rows(
+    vectors: NDArray[np.float32],
+    weights: NDArray[np.float64],
+    members: NDArray[np.integer],
+    rows: NDArray[np.float32],
+    bits: NDArray[np.float64],
+) -> NDArray[np.int32]:
+    """Index of the row of least error and bits for each of the vectors `members`.
+
+    Parameters
+    ----------
+    vectors, weights : ndarray
+        As for `split_cells`.
+    members : ndarray, shape (n,), integer
+    rows : ndarray, shape (K, D), float32
+    bits : ndarray, shape (K,), float64
+        Of each label.
+    """
+    labels = np.empty(len(members), np.int32)
+    table = np.ascontiguousarray(rows.T)
+    squares = (rows * rows).sum(axis=1)
+    price = (WORTH * bits).astype(np.float32)
+    _find_nearest(vectors, weights, members, table, squares, price, labels)
+    return labels
+
+
+@kernel
+def _find_nearest(vectors, weights, members, table, squares, price, labels):
+    depth, count = table.shape
+    cost = np.empty(count, np.float32)
+    for j in range(len(members)):
+        i = members[j]
+        by_weight = np.float32(1.0 / weights[i])
+        for k in range(count):
+            cost[k] = squares[k] + by_weight * price[k]
+        for d in range(depth):
+            twice = np.float32(-2.0) * vectors[i, d]
+            for k in range(count):
+                cost[k] += twice * table[d, k]
+        best = 0
+        for k in range(count):
+            if cost[k] < cost[best]:
+                best = k
+        labels[j] = best
+
+
+def make_table(
+    values: NDArray[np.floating], steps: NDArray[np.floating], most: int = 256
+) -> NDArray[np.float32]:
+    """At most `most` ascending values, at least one, from which others differ least.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    steps : ndarray, shape (n,)
+        An error counts in units of these.
+    """
+    if not len(values):
+        return np.zeros(1, np.float32)
+    order = np.argsort(values, kind="stable")
+    if len(order) > _SAMPLE:
+        order = order[np.linspace(0, len(order) - 1, _SAMPLE).astype(np.int64)]
+    known = values[order].astype(np.float32)
+    weights = weights_of(steps[order])
+    cells = split_cells(known[:, None], weights, most)
+    table, _ = row_sums(known[:, None], weights, cells.labels(), len(cells.stops))
+    return np.unique(table[:, 0].astype(np.float32))
+
+
+def choose_levels(
+    values: NDArray[np.floating], steps: NDArray[np.floating], table: NDArray[np.floating]
+) -> NDArray[np.uint8]:
+    """Index in an ascending table for each value: as near as its step asks, at few bits.
+
+    Parameters
+    ----------
+    values, steps : ndarray, shape (n,)
+    table : ndarray, shape (at most 256,)
+    """
+    wide, known = values.astype(np.float64), table.astype(np.float64)
+    by_step = np.sqrt(weights_of(steps))
+    levels = np.empty(len(wide), np.uint8)
+    _choose(wide, np.full(len(wide), 1 / _TINY), known, np.zeros(len(known)), levels)
+    for _ in range(_ROUNDS):
+        counts = np.bincount(levels, minlength=len(known))
+        _choose(wide, by_step, known, WORTH * label_bits(counts), levels)
+    return levels
+
+
+def choose_colours(
+    values: NDArray[np.floating], steps: NDArray[np.floating], table: NDArray[np.floating]
+) -> NDArray[np.uint8]:
+    """As `choose_levels`, at few bits of images that state red and blue by what green is less.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 3, K)
+        Red, green and blue.
+    steps : ndarray, shape (n, K)
+    table : ndarray, shape (at most 256,)
+
+    Returns
+    -------
+    ndarray, shape (n, 3, K), uint8
+    """
+    known = table.astype(np.float64)
+    near = np.searchsorted((known[1:] + known[:-1]) / 2, values).astype(np.uint8)
+    levels, by_step = near.copy(), np.sqrt(weights_of(steps))
+
+    def run(start: int) -> None:
+        some = slice(start, start + _CHUNK)
+        _choose_colours(values[some], by_step[some], known, *prices, near[some], levels[some])
+
+    for _ in range(_ROUNDS):
+        green = levels[:, 1].ravel()
+        others = [levels[:, channel].ravel() - green for channel in (0, 2)]
+        prices = [WORTH * label_bits(np.bincount(x, minlength=256)) for x in (green, *others)]
+        run_all(run, range(0, len(values), _CHUNK))
+    return levels
+
+
+def label_bits(counts: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Bits of each label, by how often each is used; one that is not may be, at a high price."""
+    shares = np.maximum(counts, 0.5) / max(counts.sum(), 1)
+    return -np.log2(shares)
+
+
+@kernel
+def _choose(values, by_step, table, price, levels):
+    for i in range(len(values)):
+        value, scale = values[i], by_step[i]
+        above = np.searchsorted(table, value)
+        best, cost = 0, np.inf
+        for way in (-1, 1):
+            k = above if way > 0 else above - 1
+            while 0 <= k < len(table):
+                error = (table[k] - value) * scale
+                error *= error
+                # Those farther on are worse by their error alone.
+                if error >= cost:
+                    break
+                if error + price[k] < cost:
+                    cost, best = error + price[k], k
+                k += way
+        levels[i] = best
+
+
+@kernel
+def _choose_colours(values, by_step, table, of_green, of_red, of_blue, near, levels):
+    common = np.argmin(of_green)
+    for i in range(len(values)):
+        for k in range(values.shape[2]):
+            red, green, blue = levels[i, 0, k], levels[i, 1, k], levels[i, 2, k]
+            least = np.inf
+            for j in range(-_REACH, _REACH + 2):
+                g = near[i, 1, k] + _offset(j) if j <= _REACH else common
+                if not 0 <= g < len(table):
+                    continue
+                error = (table[g] - values[i, 1, k]) * by_step[i, k]
+                cost = error * error + of_green[g]
+                if cost >= least:
+                    continue
+                r, more = _beside(g, near[i, 0, k], values[i, 0, k], by_step[i, k], table, of_red)
+                cost += more
+                b, more = _beside(g, near[i, 2, k], values[i, 2, k], by_step[i, k], table, of_blue)
+                cost += more
+                if cost < least:
+                    red, green, blue = r, g, b
+                    least = cost
+            levels[i, 0, k], levels[i, 1, k], levels[i, 2, k] = red, green, blue
+
+
+@kernel
+def _beside(green, near, value, by_step, table, price):
+    """The level of another channel, and its cost."""
+    least, best = np.inf, 0
+    for j in range(-_REACH, _REACH + 2):
+        level = near + _offset(j) if j <= _REACH else green
+        if not 0 <= level < len(table):
+            continue
+        error = (table[level] - value) * by_step
+        cost = error * error + price[(level - green) & 255]
+        if cost < least:
+            least, best = cost, level
+    return best, least
+
+
+@inlined
+def _offset(j):
+    """Levels tried beside the nearest: powers of two."""
+    return (1 << (abs(j) - 1)) * (1 if j > 0 else -1) if j else 0

@@ -1,0 +1,129 @@
+"""The palette of SH-AC of a SOG scene: as many rows as pay, and the row of each Gaussian."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.formats.cells import row_sums, split_cells
+from gs_codec.formats.codebook import (
+    choose_colours,
+    label_bits,
+    make_table,
+    nearest_rows,
+    weights_of,
+)
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import sh_bands
+
+#: Most rows that labels of 16 bits tell apart.
+_MOST = 1 << 16
+
+#: A Gaussian looks for its row in one of about this many groups, and among the rows most used.
+_GROUPS, _COMMON = 64, 1 << 10
+
+#: Times that rows and labels follow each other.
+_ROUNDS = 2
+
+#: Gaussians for one thread at a time.
+_CHUNK = 1 << 13
+
+
+class Palette(NamedTuple):
+    """SH-AC as rows of values, which are levels of a table.
+
+    Attributes
+    ----------
+    table : ndarray, shape (at most 256,), float32
+        Ascending; 0 is one of its values.
+    levels : ndarray, shape (rows, 3 * K), uint8
+        The rows most used first; at least one.
+    labels : ndarray, shape (N,), int32
+        The row of each Gaussian.
+    """
+
+    table: NDArray[np.float32]
+    levels: NDArray[np.uint8]
+    labels: NDArray[np.int32]
+
+
+def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Palette:
+    """Fit a palette: rows are vectors' means, levels and number of rows as fine as the steps.
+
+    Parameters
+    ----------
+    f_rest : ndarray, shape (3 * K, N), float32
+    steps : ndarray, shape (3, N)
+        Step sizes wanted, of each band.
+    """
+    depth, count = f_rest.shape
+    ratios = _ratios(steps, depth // 3)
+    vectors = np.empty((count, depth), np.float32)
+    np.divide(f_rest.T, ratios, out=vectors)
+    weights = weights_of(steps[0])
+    cells = split_cells(vectors, weights, _MOST, _GROUPS)
+    labels, groups = cells.labels(), cells.groups
+    for _ in range(_ROUNDS):
+        rows, total = row_sums(vectors, weights, labels, len(groups))
+        labels = _relabelled(vectors, weights, labels, rows.astype(np.float32), groups)
+    rows, total = row_sums(vectors, weights, labels, len(groups))
+    used = np.flatnonzero(total > 0) if count else np.zeros(1, np.int64)
+    row_steps = np.maximum(total[used], 1e-300)[:, None] ** -0.5 * ratios
+    values = rows[used] * ratios
+    table = make_table(values.ravel(), row_steps.ravel())
+    table[np.argmin(np.abs(table))] = 0.0
+    table.sort()
+    levels = np.zeros((len(groups), depth), np.uint8)
+    by_channel = choose_colours(values.reshape(len(used), 3, -1), row_steps[:, : depth // 3], table)
+    levels[used] = by_channel.reshape(-1, depth)
+    labels = _relabelled(vectors, weights, labels, table[levels] / ratios, groups)
+    return _by_use(table, levels, labels)
+
+
+def _ratios(steps: NDArray[np.floating], coefficients: int) -> NDArray[np.float32]:
+    """Of the step of each SH-AC of all channels, ``(3 * K,)``, to that of the first band."""
+    finest = np.maximum(steps, np.finfo(np.float32).tiny)
+    of_bands = np.median(finest / finest[0], axis=1) if steps.shape[1] else np.ones(3)
+    by_band = [of_bands[band] for band, some in enumerate(sh_bands(coefficients)) for _ in some]
+    return np.tile(np.array(by_band, np.float32), 3)
+
+
+def _relabelled(
+    vectors: NDArray[np.float32],
+    weights: NDArray[np.float64],
+    labels: NDArray[np.int32],
+    rows: NDArray[np.float32],
+    groups: NDArray[np.int64],
+) -> NDArray[np.int32]:
+    """The best row of each vector among those of its row's group, and those most used."""
+    counts = np.bincount(labels, minlength=len(rows))
+    bits = label_bits(counts)
+    common = np.argsort(-counts, kind="stable")[:_COMMON]
+    of_vectors = groups[labels]
+    found = np.empty_like(labels)
+    jobs = []
+    for group in np.unique(of_vectors):
+        known = np.union1d(np.flatnonzero((groups == group) & (counts > 0)), common)
+        members = np.flatnonzero(of_vectors == group)
+        jobs += [(known, members[at : at + _CHUNK]) for at in range(0, len(members), _CHUNK)]
+
+    def run(job: tuple[NDArray[np.int64], NDArray[np.int64]]) -> None:
+        known, members = job
+        nearest = nearest_rows(vectors, weights, members, rows[known], bits[known])
+        found[members] = known[nearest]
+
+    run_all(run, jobs)
+    return found
+
+
+def _by_use(
+    table: NDArray[np.float32], levels: NDArray[np.uint8], labels: NDArray[np.int32]
+) -> Palette:
+    """The palette of the rows that are used, those most used first; one row if none is."""
+    counts = np.bincount(labels, minlength=len(levels))
+    sequence = np.argsort(-counts, kind="stable")[: max(np.count_nonzero(counts), 1)]
+    places = np.empty(len(levels), np.int32)
+    places[sequence] = np.arange(len(sequence), dtype=np.int32)
+    return Palette(table, levels[sequence], places[labels])

@@ -93,7 +93,7 @@ class RoundedScene:
     order : ndarray, shape (N,)
         Index in the source of each Gaussian of the file.
     rounded : Scene
-        In the file's order.
+        In the file's order, without SH-AC.
     """
 
     source: Scene
@@ -110,8 +110,8 @@ class RoundedScene:
     def decoded(self) -> Scene:
         """The rounded scene with the source's SH, as far as the format has them."""
         source = self.source.take(self.order)
-        kept = self.rounded.f_rest if self.config.format == "splat" else source.f_rest
-        return replace(self.rounded, f_dc=source.f_dc, f_rest=kept)
+        f_rest = source.f_rest[:0] if self.config.format == "splat" else source.f_rest
+        return replace(self.rounded, f_dc=source.f_dc, f_rest=f_rest)
 
     def sh_steps(self) -> NDArray[np.float32]:
         """Step sizes of SH-AC of each band, ``(3, N)`` in the file's order."""
@@ -134,9 +134,8 @@ class RoundedScene:
 def round_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTimes) -> RoundedScene:
     """Round everything but the colours of a cleaned scene, with finished step sizes."""
     wanted = wanted_steps(scene, steps)
-    # The palette of a SOG scene takes most of the time.
-    shapes = replace(scene, f_rest=scene.f_rest[:0]) if config.format == "sog" else scene
-    [data], _ = _packed(shapes, config, wanted, times)
+    # SH-AC are not looked at, and would take most of the time.
+    [data], _ = _packed(replace(scene, f_rest=scene.f_rest[:0]), config, wanted, times)
     rounded = decode_interchange(data, config, system_of(scene))
     in_order = config.format in _SORTED
     order = spatial_order(scene.positions) if in_order else np.arange(scene.count)

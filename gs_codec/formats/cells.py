@@ -248,7 +248,7 @@ def _value_cost(square):
     return 1 / 12 + WORTH * bits
 
 
-def row_sums(
+def row_means(
     vectors: NDArray[np.float32],
     weights: NDArray[np.float64],
     labels: NDArray[np.int32],

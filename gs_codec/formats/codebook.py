@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.formats.cells import WORTH, row_sums, split_cells
+from gs_codec.formats.cells import WORTH, row_means, split_cells
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 
@@ -98,7 +98,7 @@ def make_table(
     known = values[order].astype(np.float32)
     weights = weights_of(steps[order])
     cells = split_cells(known[:, None], weights, most)
-    table, _ = row_sums(known[:, None], weights, cells.labels(), len(cells.stops))
+    table, _ = row_means(known[:, None], weights, cells.labels(), len(cells.stops))
     return np.unique(table[:, 0].astype(np.float32))
 
 

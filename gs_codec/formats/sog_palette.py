@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.formats.cells import row_sums, split_cells
+from gs_codec.formats.cells import row_means, split_cells
 from gs_codec.formats.codebook import (
     choose_colours,
     label_bits,
@@ -66,15 +66,14 @@ def fit_palette(f_rest: NDArray[np.float32], steps: NDArray[np.floating]) -> Pal
     cells = split_cells(vectors, weights, _MOST, _GROUPS)
     labels, groups = cells.labels(), cells.groups
     for _ in range(_ROUNDS):
-        rows, total = row_sums(vectors, weights, labels, len(groups))
+        rows, _ = row_means(vectors, weights, labels, len(groups))
         labels = _relabelled(vectors, weights, labels, rows.astype(np.float32), groups)
-    rows, total = row_sums(vectors, weights, labels, len(groups))
+    rows, total = row_means(vectors, weights, labels, len(groups))
     used = np.flatnonzero(total > 0) if count else np.zeros(1, np.int64)
     row_steps = np.maximum(total[used], 1e-300)[:, None] ** -0.5 * ratios
     values = rows[used] * ratios
     table = make_table(values.ravel(), row_steps.ravel())
     table[np.argmin(np.abs(table))] = 0.0
-    table.sort()
     levels = np.zeros((len(groups), depth), np.uint8)
     by_channel = choose_colours(values.reshape(len(used), 3, -1), row_steps[:, : depth // 3], table)
     levels[used] = by_channel.reshape(-1, depth)

@@ -38,6 +38,9 @@ _LARGEST_SH = 2.0**12
 
 _BYTES = np.arange(256.0)
 
+#: Number of a system in a zip.
+_UNIX = 3
+
 #: What `meta.json` says of a group of attributes, and its images by name.
 _Group = tuple[dict[str, object], dict[str, NDArray[np.uint8]]]
 
@@ -85,13 +88,15 @@ def _zip_of(files: Mapping[str, bytes]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, data in files.items():
-            # The date is fixed.
-            archive.writestr(zipfile.ZipInfo(name), data)
+            # Its date is fixed; its system would be that of this machine.
+            entry = zipfile.ZipInfo(name)
+            entry.create_system = _UNIX
+            archive.writestr(entry, data)
     return stream.getvalue()
 
 
 def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:
-    """An image of a pixel for each Gaussian, of three or four bytes."""
+    """An image of a pixel for each Gaussian, of up to four bytes; bytes not given are 0, 0, 255."""
     count = len(channels[0])
     width = 4 * max(math.ceil(math.sqrt(count) / 4), 1)
     height = 4 * max(math.ceil(count / width / 4), 1)
@@ -150,9 +155,7 @@ def _sh(scene: Scene, steps: AttributeSteps) -> _Group:
     pixels[:rows, :, :3] = palette.levels.reshape(rows, 3, coefficients).transpose(0, 2, 1)
     images = {
         "shN_centroids.webp": pixels.reshape(height, -1, 4),
-        "shN_labels.webp": _image(
-            [palette.labels & 255, palette.labels >> 8, np.zeros_like(palette.labels)]
-        ),
+        "shN_labels.webp": _image([palette.labels & 255, palette.labels >> 8]),
     }
     described = {"count": rows, "bands": scene.sh_degree, "codebook": _numbers(palette.table)}
     return described, images

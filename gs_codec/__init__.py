@@ -37,6 +37,7 @@ _PUBLIC = {
     ),
     "gs_codec.api.coding": ("read", "write", "encode", "decode", "inspect"),
     "gs_codec.api.octree": ("to_octree",),
+    "gs_codec.api.tensors": ("from_tensors", "to_tensors"),
     "gs_codec.api.viewing": ("compare", "render", "prepare"),
     "gs_codec.metrics.images": ("compare_images", "Quality", "View"),
     "gs_codec.files.coding": ("encode_file", "decode_file", "DecodeReport"),

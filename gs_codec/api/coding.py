@@ -28,7 +28,10 @@ def read(
     progress: Progress | None = None,
     max_bytes: int | None = None,
 ) -> PointCloud:
-    """Read a scene: PLY, `.egs`, `.splat`, `.spz`, SOG or glTF, recognised by content.
+    """Read a scene of any format, recognised by content.
+
+    Formats are PLY, `.egs`, `.splat`, `.ksplat`, `.spz`, SOG, glTF, and checkpoints of gsplat and
+    splatfacto.
 
     Parameters
     ----------
@@ -91,18 +94,19 @@ def read(
 def write(
     path: str | Path, cloud: PointCloud, config: Config | None = None, overwrite: bool = True
 ) -> None:
-    """Write a cloud as ``.ply`` or, encoded, as ``.egs``, ``.spz``...; whole or not at all.
+    """Write a cloud as ``.ply``, ``.pt`` or, encoded, ``.egs``...; whole or not at all.
 
     Parameters
     ----------
     path : str or Path
-        The suffix selects the format. A PLY has the INRIA trainer's layout.
+        The suffix selects the format. A PLY has the INRIA trainer's layout, a ``.pt`` is a
+        checkpoint of gsplat, a ``.ckpt`` of splatfacto, a ``.csv`` a table of attributes.
     cloud : open3d.t.geometry.PointCloud
         With the attributes that `read` gives. One of ``log_scale`` and ``scale`` is enough; if
         both are present, they must agree.
     config : Config, optional
         How to encode the file. For an ``.egs``, its `extra` says what to do with other attributes.
-        A PLY keeps them; for other formats, log messages name what they cannot hold.
+        A PLY or CSV keeps them; for other formats, log messages name what they cannot hold.
     overwrite : bool
         Whether to replace an existing file, once the new one is complete. If False, an existing
         file is an error.

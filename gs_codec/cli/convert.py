@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, config_of, refuse_coding, takes
-from gs_codec.cli.options import ENCODED_SHOWN
+from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -20,6 +20,7 @@ from gs_codec.cli.output import (
 )
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
+from gs_codec.files.suffixes import PLAIN, known_suffix
 
 if TYPE_CHECKING:
     from gs_codec.files.conversion import ConvertReport
@@ -31,9 +32,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
-    target: Annotated[
-        Path, typer.Argument(metavar="OUT", help=f"File to write: .ply, {ENCODED_SHOWN}.")
-    ],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help=f"File to write: {WRITTEN_SHOWN}.")],
     asked: Asked,
     coordinates: Annotated[
         str,
@@ -45,8 +44,8 @@ def command(
     ] = "RDF",
 ) -> None:
     """Convert a scene to another format, and report what that loses."""
-    if target.suffix.lower() == ".ply":
-        refuse_coding(asked, "ply", target)
+    if (suffix := known_suffix(target)) in PLAIN:
+        refuse_coding(asked, suffix[1:], target)
     config = config_of(asked, target)
     from gs_codec.files.conversion import convert_file
 

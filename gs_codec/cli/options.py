@@ -12,15 +12,16 @@ import typer
 
 from gs_codec.config import Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import ENCODED
+from gs_codec.files.suffixes import ENCODED, PLAIN
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?((?:[kmg]i?)?)b?")
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
 
-#: Suffixes that scenes are encoded to.
+#: Suffixes that scenes are encoded to, and all that are written.
 ENCODED_SHOWN = ", ".join(ENCODED[:-1]) + f" or {ENCODED[-1]}"
+WRITTEN_SHOWN = f"{', '.join(PLAIN)}, {ENCODED_SHOWN}"
 
 #: How numbers are typed, and what they are called.
 _NUMBERS: Mapping[type, tuple[str, str]] = {

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes
-from gs_codec.cli.options import ENCODED_SHOWN
+from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import SCENES_PIPED, print_json, print_prepared, progress_bar
 from gs_codec.cli.streams import piped_source
 from gs_codec.config import Config
@@ -25,7 +25,7 @@ from gs_codec.preparation.steps import Plan
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help=f"Scene to write: .ply, {ENCODED_SHOWN}.")
+        Path, typer.Argument(metavar="OUT", help=f"Scene to write: {WRITTEN_SHOWN}.")
     ],
     asked: Asked,
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -9,19 +10,32 @@ from typing import Annotated
 import typer
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
+from gs_codec.cli.output import (
+    SCENES_PIPED,
+    print_json,
+    print_text,
+    progress_bar,
+    size_text,
+)
 from gs_codec.cli.streams import piped_source
+
+_OF_EGS = ("threads", "max_memory", "tmc3")
 
 
 @takes("threads", "max_memory", "max_bytes", "tmc3", "json")
 def command(
-    source: Annotated[Path, typer.Argument(metavar="FILE", help="An .egs file; - is stdin.")],
+    source: Annotated[Path, typer.Argument(metavar="FILE", help=SCENES_PIPED)],
     asked: Asked,
 ) -> None:
-    """Check every checksum of an .egs file and decode all of it, writing nothing."""
+    """Check every checksum of an .egs and decode all of it, or read all of another scene."""
     from gs_codec.codecs.slabs import verify_file
+    from gs_codec.files.scenes import is_egs
 
     with piped_source(source) as file, progress_bar() as progress:
+        if not is_egs(file):
+            asked.refuse(_OF_EGS, f"has no effect on {source}, expected an .egs")
+            _verify_other(source, file, asked)
+            return
         report = verify_file(
             file, asked["threads"], asked["max_bytes"], progress, asked["tmc3"], asked["max_memory"]
         )
@@ -32,4 +46,19 @@ def command(
             f"{source}: sound, {size_text(report.file_bytes)}, {report.sections:,} sections, "
             f"{report.count:,} Gaussians, {report.blocks:,} blocks, SH degree "
             f"{report.sh_degree}, profile {report.profile}, {report.seconds:.2f} s"
+        )
+
+
+def _verify_other(source: Path, file: Path, asked: Asked) -> None:
+    """Read a scene that is no .egs, at `file` and called `source`."""
+    from gs_codec.formats.registry import overview_of
+
+    start = time.perf_counter()
+    found, seconds = overview_of(file, asked["max_bytes"]), time.perf_counter() - start
+    if asked["json"]:
+        print_json({"input": str(source), **found.as_dict(), "seconds": seconds})
+    else:
+        print_text(
+            f"{source}: sound, {size_text(found.file_bytes)}, {found.format}, "
+            f"{found.count:,} Gaussians, SH degree {found.sh_degree}, {seconds:.2f} s"
         )

@@ -71,7 +71,7 @@ def encode_file(
     Parameters
     ----------
     source : str or Path
-        PLY, `.egs`, `.splat`, `.spz`, SOG or glTF.
+        In a format that `read` reads.
     target : str or Path
         Its suffix says the format: ``.egs``, ``.spz``, ``.sog`` (or ``meta.json``, with its files
         beside it), ``.compressed.ply``, ``.splat``, ``.glb`` or ``.gltf``.
@@ -128,7 +128,7 @@ def encode_file(
         times.seconds |= report.seconds
         with times.stage("write"):
             write_parts(target, parts)
-    tell_lost(target, report)
+    tell_lost(target, report.lost)
     ratio = counted / report.file_bytes
     return replace(report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio)
 

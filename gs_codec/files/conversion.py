@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,11 +10,15 @@ from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
+from gs_codec.files.suffixes import UNBUNDLED
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
+
+#: SH degrees of formats that have but one.
+_DEGREES = {".splat": 0, ".ckpt": 3}
 
 
 @dataclass(frozen=True)
@@ -66,9 +71,10 @@ def convert_file(
     Parameters
     ----------
     source, target : str or Path
-        Scenes; the suffix of the target selects its format, one of `FORMATS` or ``.ply``.
+        Scenes; the suffix of the target selects its format, one of `FORMATS`, ``.ply``,
+        ``.pt`` (gsplat's checkpoint), ``.ckpt`` (splatfacto's) or ``.csv`` (a table of attributes).
     config : Config, optional
-        How to encode the target. A PLY uses only its options for extra properties and NaN.
+        How to encode the target. The last four use only its options for extra properties and NaN.
     coordinates : str
         Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``, and
         formats that have a system of their own, as ``.spz`` has, are always in that.
@@ -117,11 +123,13 @@ def convert_file(
         with times.stage("write"):
             lost = write_scene(target, scene, config)
     after = own or system_of(scene)
-    with open_scene(target) as file:
-        size = file.stored_bytes
+    size = os.path.getsize(target)
+    if suffix == UNBUNDLED:
+        with open_scene(target) as file:
+            size = file.stored_bytes
     return ConvertReport(
         scene.count,
-        0 if suffix == ".splat" else scene.sh_degree,
+        _DEGREES.get(suffix, scene.sh_degree),
         after,
         before if before != after else None,
         scene.antialiased,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import Config
 from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_parts, write_scene
-from gs_codec.files.suffixes import config_for
+from gs_codec.files.suffixes import PLAIN, config_for
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
@@ -32,7 +32,7 @@ def prepare_file(
     max_bytes: int | None = None,
     overwrite: bool = True,
 ) -> PrepareReport:
-    """Prepare the scene of a file and write it as ``.ply``, or encoded.
+    """Prepare the scene of a file and write it, as `write` does or encoded.
 
     Extra properties are kept.
 
@@ -72,7 +72,8 @@ def prepare_file(
     if report_folder is not None:
         check_folder(report_folder, overwrite)
     config = replace(config or Config(), extra="keep")
-    if suffix != ".ply":
+    coded = suffix not in PLAIN
+    if coded:
         config = config_for(target, config)
     # Loaded here: encoding alone does without all that draws.
     from gs_codec.preparation.balance import profile_steps
@@ -85,7 +86,7 @@ def prepare_file(
             if report_folder is not None:
                 check_writable(make_folder(report_folder) / "report.json")
             scene, prepared = prepare_scene(scene, plan, progress, profile_steps(config))
-            coded, views = suffix != ".ply", prepared.views
+            views = prepared.views
             coded_by = plan if coded else None
             data, report = encode_planned(scene, config, coded_by, progress, views.renders)
             prepared = prepared.coded(scene, config, data, report)
@@ -93,7 +94,7 @@ def prepare_file(
                 save_report(report_folder, prepared)
         if coded:
             write_parts(target, [data])
-            tell_lost(target, report)
+            tell_lost(target, report.lost)
         else:
             write_scene(target, scene, config)
     return prepared

@@ -6,7 +6,7 @@ import io
 import logging
 import os
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,13 +20,15 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra
 from gs_codec.egs.file import read_file
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import UNBUNDLED, WRITTEN, config_for, suffix_of
+from gs_codec.files.suffixes import PLAIN, UNBUNDLED, WRITTEN, config_for, suffix_of
+from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
+from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.sog_files import META
 from gs_codec.metrics.attributes import Comparison, compare_scenes
-from gs_codec.report import EncodeReport, Progress
+from gs_codec.report import Progress
 from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, float_bytes
@@ -37,7 +39,7 @@ log = logging.getLogger(__name__)
 def write_scene(
     path: str | Path, scene: Scene, config: Config, overwrite: bool = True
 ) -> tuple[str, ...]:
-    """Write a scene as ``.ply`` or, encoded, in a format of `FORMATS`.
+    """Write a scene in a format of `PLAIN` or, encoded, in one of `FORMATS`.
 
     Returns
     -------
@@ -51,14 +53,23 @@ def write_scene(
     """
     suffix = suffix_of(path)
     check_writable(path, overwrite)
-    if suffix == ".ply":
-        write_ply(path, scene)
-        return ()
-    with located(path):
-        parts, report = encode_parts(scene, config_for(path, config))
-    write_parts(path, parts)
-    tell_lost(path, report)
-    return report.lost
+    if suffix in PLAIN:
+        lost = _WRITERS[suffix](path, scene)
+    else:
+        with located(path):
+            parts, report = encode_parts(scene, config_for(path, config))
+        write_parts(path, parts)
+        lost = report.lost
+    tell_lost(path, lost)
+    return lost
+
+
+_WRITERS: Mapping[str, Callable[[str | Path, Scene], tuple[str, ...]]] = {
+    ".ply": write_ply,
+    ".pt": write_checkpoint,
+    ".ckpt": write_checkpoint,
+    ".csv": write_csv,
+}
 
 
 def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
@@ -80,9 +91,9 @@ def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
     write_files(target.parent, files | {target.name: last})
 
 
-def tell_lost(path: str | Path, report: EncodeReport) -> None:
+def tell_lost(path: str | Path, lost: Sequence[str]) -> None:
     """Log what a format cannot hold."""
-    for line in report.lost:
+    for line in lost:
         log.warning("%s: %s", path, line)
 
 

@@ -11,9 +11,10 @@ from gs_codec.errors import InvalidInput
 #: The name of a SOG scene whose files are not in a zip.
 UNBUNDLED = "meta.json"
 
-#: Of formats that scenes are encoded to, and of all that are written.
+#: Of formats that scenes are encoded to, of those of plain floats, and of all that are written.
 ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)
-WRITTEN = (*ENCODED, ".ply")
+PLAIN = (".ply", ".pt", ".ckpt", ".csv")
+WRITTEN = (*ENCODED, *PLAIN)
 
 
 def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:

@@ -156,10 +156,17 @@ def _read_rest(
     return has_normals and not set(normals) & set(rest), kept
 
 
-def write_ply(path: str | Path, scene: Scene) -> None:
-    """Write `scene` as little-endian binary PLY in the INRIA trainer's property order."""
+def write_ply(path: str | Path, scene: Scene) -> tuple[()]:
+    """Write `scene` as little-endian binary PLY in the INRIA trainer's property order.
+
+    Returns
+    -------
+    tuple
+        What it cannot hold: nothing.
+    """
     with atomic_writer(path) as file:
         write_vertices(file, scene.count, [scene])
+    return ()
 
 
 def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:

@@ -15,17 +15,29 @@ from gs_codec.config import Extra
 from gs_codec.egs.file import MAGIC as EGS
 from gs_codec.egs.index import Box
 from gs_codec.errors import InvalidInput
-from gs_codec.formats import gltf, gltf_file, packed_ply, sog, splat, spz, spz_file
+from gs_codec.formats import (
+    checkpoint,
+    gltf,
+    gltf_file,
+    ksplat,
+    packed_ply,
+    sog,
+    splat,
+    spz,
+    spz_file,
+)
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
+from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import Scene, float_bytes
 
-Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf"]
+Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "ksplat", "pt"]
 
 _BY_SUFFIX: dict[str, Format] = {f".{name}": name for name in get_args(Format)} | {
     ".json": "sog",
     ".glb": "gltf",
+    ".ckpt": "pt",
 }
 
 _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
@@ -33,7 +45,7 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
     (spz_file.MAGIC, "spz"),
-    (sog.ZIP, "sog"),
+    (ZIP, "sog"),
     (gltf_file.MAGIC, "gltf"),
 )
 
@@ -64,7 +76,8 @@ class SceneFile:
         known = _BY_CONTENT if plain else _BY_CONTENT + _BY_LITTLE
         for begin, name in known:
             if head.startswith(begin):
-                return name
+                both = name == "sog" and checkpoint.is_checkpoint(self.data)
+                return "pt" if both else name
         if suffix not in _BY_SUFFIX:
             listed = ", ".join(_BY_SUFFIX)
             raise InvalidInput(
@@ -102,6 +115,8 @@ class SceneFile:
             "spz": spz_file.stated_size,
             "sog": sog.stated_size,
             "gltf": gltf.stated_size,
+            "ksplat": ksplat.stated_size,
+            "pt": checkpoint.stated_size,
         }
         if self.format in sizes:
             return float_bytes(*sizes[self.format](self.path, self.data))
@@ -128,6 +143,8 @@ class SceneFile:
             "spz": spz.read_spz,
             "sog": sog.read_sog,
             "gltf": gltf.read_gltf,
+            "ksplat": ksplat.read_ksplat,
+            "pt": checkpoint.read_checkpoint,
         }
         return readers[self.format](self.path, self.data, max_bytes)
 
@@ -146,7 +163,7 @@ class Overview:
     Attributes
     ----------
     format : str
-        ``ply``, ``compressed ply``, ``splat``, ``spz``, ``sog`` or ``gltf``.
+        ``ply``, ``compressed ply``, ``splat``, ``spz``, ``sog``, ``gltf``, ``ksplat`` or ``pt``.
     count, sh_degree : int
         Number of Gaussians, and their SH degree.
     bounds : tuple of two tuples of float, or None

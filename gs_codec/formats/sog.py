@@ -22,7 +22,6 @@ from gs_codec.formats.sog_files import (
     FIRST_TAG,
     META,
     PALETTE_COLUMNS,
-    ZIP,
     Files,
     Meta,
     parse_meta,
@@ -30,6 +29,7 @@ from gs_codec.formats.sog_files import (
     sog_files,
     stored_bytes,
 )
+from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import ANTIALIASED, SH_COEFFICIENTS, Scene
 

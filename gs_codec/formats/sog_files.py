@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import images
 from gs_codec.formats.limits import refusing
+from gs_codec.formats.zip_file import opened_zip, read_entry
 from gs_codec.runtime.mapped import located
 
 #: Number of files of each group.
@@ -34,12 +34,8 @@ PALETTE_COLUMNS = 64
 #: The last byte of a quaternion is this value plus the index of the omitted component.
 FIRST_TAG = 252
 
-ZIP = b"PK\x03\x04"
-
 #: Reads a file, given its name and the most bytes it may have.
 Files = Callable[[str, int], bytes]
-
-_ENTRIES = 1000
 
 #: Animation flag of an extended WebP file.
 _ANIMATION = 2
@@ -210,15 +206,10 @@ def sog_files(path: Path, is_zip: bool) -> Iterator[Files]:
     if not is_zip:
         yield lambda name, limit: _read_beside(path, name, limit)
         return
-    with refusing("zip", zipfile.BadZipFile):
-        archive = zipfile.ZipFile(path)
-    with archive:
-        entries = archive.infolist()
-        if len(entries) > _ENTRIES:
-            raise InvalidInput(f"zip of {len(entries)} entries, expected at most {_ENTRIES}")
+    with opened_zip(path) as archive:
         # Some bundles have all files in one folder.
-        folder = _folder_of({e.filename for e in entries})
-        yield lambda name, limit: _read_entry(archive, folder + name, limit)
+        folder = _folder_of(set(archive.namelist()))
+        yield lambda name, limit: read_entry(archive, folder + name, limit)
 
 
 def stored_bytes(meta: Path, files: Mapping[str, Iterable[str]]) -> int:
@@ -232,8 +223,6 @@ def _folder_of(names: Iterable[str]) -> str:
     by_base: dict[str, list[str]] = {}
     for name in names:
         by_base.setdefault(name.rpartition("/")[2], []).append(name)
-    if "data.pkl" in by_base:
-        raise InvalidInput("a checkpoint of PyTorch, expected a scene: export it as .ply")
     if META not in by_base:
         raise InvalidInput("a zip without meta.json, expected a SOG scene")
     return min(by_base[META], key=len).removesuffix(META)
@@ -245,24 +234,6 @@ def _read_beside(meta: Path, name: str, limit: int) -> bytes:
         if not path.is_file() or path.stat().st_size > limit:
             raise InvalidInput(f"file '{name}': no file, or of more than {limit} bytes")
         return path.read_bytes()
-
-
-def _read_entry(archive: zipfile.ZipFile, name: str, limit: int) -> bytes:
-    with refusing(f"zip entry '{name[:60]}'", zipfile.BadZipFile):
-        entry = archive.getinfo(name)
-        if entry.flag_bits & 1:
-            raise InvalidInput(f"zip entry '{name[:60]}': encrypted")
-        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise InvalidInput(f"zip entry '{name[:60]}': compressed otherwise than by deflate")
-        if entry.file_size > limit:
-            raise InvalidInput(
-                f"zip entry '{name[:60]}': {entry.file_size} bytes, expected at most {limit}"
-            )
-        with archive.open(entry) as file:
-            data = file.read(entry.file_size + 1)
-    if len(data) != entry.file_size:
-        raise InvalidInput(f"zip entry '{name[:60]}': {len(data)} bytes of {entry.file_size}")
-    return data
 
 
 def read_pixels(data: bytes, name: str, most: int) -> NDArray[np.uint8]:

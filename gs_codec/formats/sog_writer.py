@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -27,6 +26,7 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.sog_files import FIRST_TAG, META, PALETTE_COLUMNS
 from gs_codec.formats.sog_palette import fit_palette
+from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
@@ -37,9 +37,6 @@ _LARGEST_SIDE = (1 << 14) - 4
 _LARGEST_SH = 2.0**12
 
 _BYTES = np.arange(256.0)
-
-#: Number of a system in a zip.
-_UNIX = 3
 
 #: What `meta.json` says of a group of attributes, and its images by name.
 _Group = tuple[dict[str, object], dict[str, NDArray[np.uint8]]]
@@ -79,20 +76,10 @@ def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, 
             images |= of_group
     written = run_all(write_webp, images.values())
     files = {META: json.dumps(meta).encode(), **dict(zip(images, written, strict=True))}
+    archive = io.BytesIO()
+    write_zip(archive, files)
     lost = "centres rounded to 16 bits, other values to 8, SH to rows of a palette"
-    return _zip_of(files), (lost, *clipped.sentences(), *left_out(scene))
-
-
-def _zip_of(files: Mapping[str, bytes]) -> bytes:
-    """A zip of files as they are: images are compressed, and viewers read parts of it."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name, data in files.items():
-            # Its date is fixed; its system would be that of this machine.
-            entry = zipfile.ZipInfo(name)
-            entry.create_system = _UNIX
-            archive.writestr(entry, data)
-    return stream.getvalue()
+    return archive.getvalue(), (lost, *clipped.sentences(), *left_out(scene))
 
 
 def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:

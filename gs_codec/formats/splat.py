@@ -45,14 +45,14 @@ def read_splat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
         check_count(len(data) // RECORD, 0, len(data), max_bytes)
         rows = np.frombuffer(bytes(data), _ROW)
     with np.errstate(divide="ignore", invalid="ignore"):  # non-finite values are reported later
-        log_scale = np.log(rows["scale"].T)
+        log_scale = np.log(rows["scale"].T.astype(np.float64))
     colour = rows["colour"].T
     return Scene(
         np.ascontiguousarray(rows["position"].T),
         sh_of_colours(colour[:3] / 255),
         np.empty((0, len(rows)), np.float32),
         opacities_of(path, colour[3]),
-        np.ascontiguousarray(log_scale),
+        np.ascontiguousarray(log_scale, np.float32),
         np.ascontiguousarray((rows["rot"].T.astype(np.float32) - 128) / 128),
     )
 

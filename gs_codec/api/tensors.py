@@ -1,0 +1,103 @@
+"""Point clouds from and to the tensors of trainers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.api.cloud import from_cloud, to_cloud
+from gs_codec.config import Option
+from gs_codec.errors import MissingTool
+from gs_codec.formats.tensors import NERFSTUDIO, by_our_names, scene_of_tensors, tensors_of
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import PointCloud
+
+
+def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
+    """A cloud of the tensors that a trainer optimises, before any activation.
+
+    Parameters
+    ----------
+    tensors : mapping of str to array or tensor
+        Floats of NumPy, or of torch on any device; they are copied and converted to float32. Names
+        and shapes are gsplat's: ``means (N, 3)``, ``quats (N, 4)`` (wxyz, of any norm), ``scales
+        (N, 3)`` (natural logarithm), ``opacities (N,)`` or ``(N, 1)`` (logit), ``sh0 (N, 1, 3)`` or
+        ``(N, 3)``, ``shN (N, K, 3)`` with K = 0, 3, 8, 15, or none. nerfstudio's ``features_dc``
+        and ``features_rest`` stand for the last two; with K = 0 they are colours before the
+        sigmoid.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        With the attributes `read` gives. Numbers are taken to be right, down, forward, as in the
+        PLY files of these trainers.
+
+    Raises
+    ------
+    InvalidInput
+        If a tensor is missing or not known, has another shape, or is not of floats.
+
+    Examples
+    --------
+    In a trainer, ``splats`` is its `ParameterDict`:
+
+    >>> splats = gs_codec.to_tensors(gs_codec.read("scene.ply"), "torch")
+    >>> data = gs_codec.encode(gs_codec.from_tensors(splats), gs_codec.Config("s"))
+    >>> len(data) < 60_000
+    True
+    """
+    named = {name: _array(tensor) for name, tensor in tensors.items()}
+    as_colours = any(name in named for name in NERFSTUDIO)
+    return to_cloud(scene_of_tensors(by_our_names(named), as_colours))
+
+
+def to_tensors(cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy") -> dict[str, Any]:
+    """The tensors of a cloud, as gsplat's trainer names and shapes them, before any activation.
+
+    Parameters
+    ----------
+    cloud : open3d.t.geometry.PointCloud
+        With the attributes that `read` gives; others are left out.
+    library : {"numpy", "torch"}
+        Arrays, or tensors on the CPU. They share no memory with the cloud.
+
+    Returns
+    -------
+    dict of str to ndarray or Tensor
+        Float32 ``means (N, 3)``, ``quats (N, 4)`` (wxyz as stored), ``scales (N, 3)`` (natural
+        logarithm), ``opacities (N,)`` (logit), ``sh0 (N, 1, 3)``, ``shN (N, K, 3)``.
+
+    Raises
+    ------
+    InvalidInput
+        If the cloud lacks an attribute, or `library` is another.
+    MissingTool
+        If torch is asked for and not installed.
+
+    Examples
+    --------
+    >>> tensors = gs_codec.to_tensors(gs_codec.read("scene.ply"))
+    >>> tensors["means"].shape, tensors["opacities"].shape, tensors["shN"].shape
+    ((2000, 3), (2000,), (2000, 15, 3))
+    """
+    Option("", values=("numpy", "torch")).check("library", library)
+    tensors: dict[str, Any] = tensors_of(from_cloud(cloud, "drop"))
+    if library == "numpy":
+        return tensors
+    try:
+        import torch
+    except ImportError as error:
+        raise MissingTool("torch: not installed, `pip install torch`") from error
+    return {name: torch.from_numpy(array) for name, array in tensors.items()}
+
+
+def _array(value: Any) -> NDArray:
+    """An array of what NumPy takes, or of a tensor, of which NumPy lacks some types."""
+    if hasattr(value, "detach"):
+        value = value.detach().cpu()
+        value = (value.float() if value.is_floating_point() else value).numpy()
+    return np.asarray(value)

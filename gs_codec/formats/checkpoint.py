@@ -1,0 +1,176 @@
+"""Checkpoints of trainers in PyTorch's files: gsplat's ``.pt``, and splatfacto's ``.ckpt``.
+
+A file is a zip of a pickle, which says what there is, and of an entry for each tensor's numbers.
+Nothing that the pickle names is run.
+"""
+
+from __future__ import annotations
+
+import logging
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.limits import check_count, most_bytes, refusing
+from gs_codec.formats.packed_values import left_out
+from gs_codec.formats.pickled import StoredTensor, parse_pickle, write_pickle
+from gs_codec.formats.tensors import (
+    NAMES,
+    NERFSTUDIO,
+    by_our_names,
+    check_shapes,
+    scene_of_tensors,
+    tensors_of,
+)
+from gs_codec.formats.zip_file import opened_zip, read_entry, write_zip
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.runtime.mapped import located
+from gs_codec.scene import SH_COEFFICIENTS, Scene
+
+log = logging.getLogger(__name__)
+
+PICKLE = "data.pkl"
+
+#: Most bytes of a pickle; those of trainers have some thousands.
+_PICKLE_BYTES = 1 << 24
+
+#: Types of the numbers of a storage. BFloat16 is the upper half of a float32.
+_TYPES = {
+    "torch FloatStorage": "<f4",
+    "torch HalfStorage": "<f2",
+    "torch DoubleStorage": "<f8",
+    "torch BFloat16Storage": "<u2",
+}
+_FLOAT = "torch FloatStorage"
+
+#: Entries of a checkpoint begin at multiples of so many bytes, as PyTorch's do.
+_MULTIPLE = 64
+
+#: What precedes splatfacto's names of tensors.
+_MODEL = "_model.gauss_params."
+
+
+def is_checkpoint(data: memoryview) -> bool:
+    """Whether the first entry of a zip file is the pickle of a checkpoint."""
+    name = bytes(data[30 : 30 + int.from_bytes(data[26:28], "little")])
+    return name.rpartition(b"/")[2] == PICKLE.encode()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[zipfile.ZipFile, str, dict[str, StoredTensor]]]:
+    """The zip, the folder in it, and the tensors of Gaussians by name."""
+    with located(path), opened_zip(path) as archive:
+        names = [name for name in archive.namelist() if name.rpartition("/")[2] == PICKLE]
+        if not names:
+            raise InvalidInput(f"a zip without {PICKLE}, expected a checkpoint of PyTorch")
+        folder = names[0].removesuffix(PICKLE)
+        if f"{folder}byteorder" in archive.namelist():
+            order = read_entry(archive, f"{folder}byteorder", 16)
+            if order != b"little":
+                raise InvalidInput(f"byte order {order!a}, expected b'little'")
+        yield archive, folder, _splats(parse_pickle(read_entry(archive, names[0], _PICKLE_BYTES)))
+
+
+def _splats(root: Any) -> dict[str, StoredTensor]:
+    """Tensors by name in the first dictionary that has ``means``, whatever precedes the names."""
+    outer = [root, *root.values()] if isinstance(root, dict) else []
+    for state in outer:
+        tensors = {
+            str(name): value
+            for name, value in (state.items() if isinstance(state, dict) else ())
+            if isinstance(value, StoredTensor)
+        }
+        for name in tensors:
+            before, dot, last = name.rpartition(".")
+            if last == "means":
+                known = (*NAMES, *NERFSTUDIO)
+                return {n: tensors[before + dot + n] for n in known if before + dot + n in tensors}
+    raise InvalidInput(
+        "a checkpoint of PyTorch without 'means', expected one of gsplat or splatfacto"
+    )
+
+
+def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
+    """Number of Gaussians, and SH degree, that a checkpoint states."""
+    with _opened(path) as (_, _, tensors):
+        return check_shapes({n: t.shape for n, t in by_our_names(tensors).items()})
+
+
+def read_checkpoint(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
+    """Read the bytes of a checkpoint; see `SceneFile.scene`."""
+    with _opened(path) as (archive, folder, tensors):
+        named = by_our_names(tensors)
+        count, degree = check_shapes({name: tensor.shape for name, tensor in named.items()})
+        check_count(count, degree, len(data), max_bytes)
+        most = most_bytes(len(data), max_bytes)
+        arrays = {name: _numbers(archive, folder, t, most) for name, t in named.items()}
+        scene = scene_of_tensors(arrays, as_colours="features_dc" in tensors)
+    other = path.with_name(path.name.replace("_rank0.", "_rank1."))
+    if other != path and other.exists():
+        log.warning("%s: of several, such as %s, which have the other Gaussians", path, other.name)
+    return scene
+
+
+def _numbers(
+    archive: zipfile.ZipFile, folder: str, tensor: StoredTensor, most: int
+) -> NDArray[np.floating]:
+    if tensor.kind not in _TYPES:
+        raise InvalidInput(f"tensor of {tensor.kind!a:.40}, expected floats")
+    dtype = np.dtype(_TYPES[tensor.kind])
+    data = read_entry(archive, f"{folder}data/{tensor.key}", most)
+    if len(data) != tensor.length * dtype.itemsize:
+        raise InvalidInput(f"storage {tensor.key[:20]!a}: {len(data)} bytes of {tensor.length}")
+    strides = tuple(dtype.itemsize * stride for stride in tensor.strides)
+    with refusing(f"storage {tensor.key[:20]!a}"):
+        array = np.ndarray(tensor.shape, dtype, data, dtype.itemsize * tensor.offset, strides)
+    if dtype.kind == "u":
+        return (array.astype("<u4") << 16).view("<f4")
+    return array
+
+
+def write_checkpoint(path: str | Path, scene: Scene) -> tuple[str, ...]:
+    """Write a checkpoint: gsplat's or, as ``.ckpt``, splatfacto's, of which SH degree is always 3.
+
+    Returns
+    -------
+    tuple of str
+        What it cannot hold, in words.
+    """
+    arrays, of_model = tensors_of(scene), Path(path).suffix.lower() == ".ckpt"
+    if of_model:
+        arrays = _splatfacto(arrays)
+    tensors: dict[str, StoredTensor] = {}
+    entries: dict[str, bytes | memoryview] = {}
+    for number, (name, array) in enumerate(arrays.items()):
+        strides = tuple(stride // array.itemsize for stride in array.strides)
+        tensors[name] = StoredTensor(_FLOAT, str(number), array.size, 0, array.shape, strides)
+        entries[f"archive/data/{number}"] = array.reshape(-1).view(np.uint8).data
+    root: dict[str, Any] = {"step": 0, "pipeline" if of_model else "splats": tensors}
+    if of_model:
+        root |= {"optimizers": {}, "schedulers": {}, "scalers": {}}
+    head: dict[str, bytes | memoryview] = {
+        f"archive/{PICKLE}": write_pickle(root),
+        "archive/byteorder": b"little",
+        "archive/version": b"3\n",
+    }
+    with atomic_writer(path) as file:
+        write_zip(file, head | entries, _MULTIPLE)
+    return tuple(left_out(scene, flag=True))
+
+
+def _splatfacto(arrays: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+    """The same by splatfacto's names; its model has SH degree 3 unless it is told otherwise."""
+    missing = SH_COEFFICIENTS[-1] - arrays["shN"].shape[1]
+    changed = {
+        "opacities": arrays["opacities"][:, None],
+        "sh0": arrays["sh0"][:, 0],
+        "shN": np.pad(arrays["shN"], ((0, 0), (0, missing), (0, 0))),
+    }
+    names = {ours: name for name, ours in NERFSTUDIO.items()}
+    return {f"{_MODEL}{names.get(n, n)}": array for n, array in {**arrays, **changed}.items()}

@@ -1,0 +1,104 @@
+"""Tensors of trainers: one array for each attribute, with a row for each Gaussian."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.packed_values import sh_of_colours, sigmoid
+from gs_codec.scene import SH_COEFFICIENTS, Scene
+
+_Tensor = TypeVar("_Tensor")
+
+#: Tensors by gsplat's names, and nerfstudio's names of two of them.
+NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
+NERFSTUDIO = {"features_dc": "sh0", "features_rest": "shN"}
+
+
+def tensors_of(scene: Scene) -> dict[str, NDArray[np.float32]]:
+    """Arrays by gsplat's names, values before activation; see `to_tensors` for shapes."""
+    rest = scene.f_rest.reshape(3, len(scene.f_rest) // 3, scene.count)
+    return {
+        "means": np.array(scene.positions.T, order="C"),
+        "quats": np.array(scene.rot.T, order="C"),
+        "scales": np.array(scene.log_scale.T, order="C"),
+        "opacities": scene.opacity[0].copy(),
+        "sh0": np.array(scene.f_dc.T[:, None], order="C"),
+        "shN": np.array(rest.transpose(2, 1, 0), order="C"),
+    }
+
+
+def by_our_names(tensors: Mapping[str, _Tensor]) -> dict[str, _Tensor]:
+    """The same by gsplat's names; `InvalidInput` if two of them become one."""
+    named = {NERFSTUDIO.get(name, name): tensor for name, tensor in tensors.items()}
+    if len(named) < len(tensors):
+        raise InvalidInput(f"tensors {', '.join(tensors)}: some by two names")
+    return named
+
+
+def check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, int]:
+    """Number of Gaussians, and SH degree, of tensors of these shapes, by gsplat's names.
+
+    Raises
+    ------
+    InvalidInput
+        If one is missing or not known, or shapes do not go together.
+    """
+    missing = [name for name in NAMES if name not in shapes and name != "shN"]
+    if missing:
+        raise InvalidInput(f"tensor '{missing[0]}': missing, expected {', '.join(NAMES)}")
+    unknown = [name for name in shapes if name not in NAMES]
+    if unknown:
+        raise InvalidInput(f"tensor '{unknown[0]}': not known, expected {', '.join(NAMES)}")
+    count = shapes["means"][0] if shapes["means"] else 0
+    coefficients = (*shapes.get("shN", (count, 0, 3)), 0, 0)[1]
+    if coefficients not in SH_COEFFICIENTS:
+        known = ", ".join(map(str, SH_COEFFICIENTS))
+        raise InvalidInput(f"tensor 'shN': {coefficients} coefficients, expected one of {known}")
+    expected: dict[str, list[tuple[int, ...]]] = {
+        "means": [(count, 3)],
+        "quats": [(count, 4)],
+        "scales": [(count, 3)],
+        "opacities": [(count,), (count, 1)],
+        "sh0": [(count, 1, 3), (count, 3)],
+        "shN": [(count, coefficients, 3)],
+    }
+    for name, shape in shapes.items():
+        if shape not in expected[name]:
+            raise InvalidInput(f"tensor '{name}': shape {shape}, expected {expected[name][0]}")
+    return count, SH_COEFFICIENTS.index(coefficients)
+
+
+def scene_of_tensors(tensors: Mapping[str, NDArray], as_colours: bool = False) -> Scene:
+    """The scene of arrays by gsplat's names, whose shapes `check_shapes` knows.
+
+    `as_colours` is for nerfstudio's without SH-AC: colours before the sigmoid, not SH-DC.
+    """
+    count, degree = check_shapes({name: array.shape for name, array in tensors.items()})
+    for name, array in tensors.items():
+        if array.dtype.kind != "f":
+            raise InvalidInput(f"tensor '{name}': {array.dtype}, expected floats")
+    coefficients = SH_COEFFICIENTS[degree]
+
+    def planes(name: str, rows: int) -> NDArray[np.float32]:
+        with np.errstate(over="ignore"):
+            return np.array(tensors[name].reshape(count, rows).T, np.float32, order="C")
+
+    f_dc = planes("sh0", 3)
+    if as_colours and not degree:
+        f_dc = sh_of_colours(sigmoid(f_dc.astype(np.float64)))
+    f_rest = np.empty((3, coefficients, count), np.float32)
+    if coefficients:
+        f_rest[:] = tensors["shN"].transpose(2, 1, 0)
+    return Scene(
+        planes("means", 3),
+        f_dc,
+        f_rest.reshape(3 * coefficients, count),
+        planes("opacities", 1),
+        planes("scales", 3),
+        planes("quats", 4),
+    )

@@ -103,6 +103,57 @@ def splat_rows(count: int, seed: int) -> np.ndarray:
     return rows
 
 
+KSPLAT_BOUNDS = (-0.75, 1.25)
+
+
+def ksplat_rows(count: int, level: int, degree: int, seed: int) -> np.ndarray:
+    """Rows of a section of a `.ksplat` file."""
+    rng = np.random.default_rng(seed)
+    centre, shape, sh = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))[level]
+    channels = 3 * SH_COEFFICIENTS[degree]
+    dtype = [("p", centre, 3), ("s", shape, 3), ("r", shape, 4), ("c", "u1", 4)]
+    rows = np.zeros(count, [*dtype, ("h", sh, (channels,))])
+    rows["p"] = rng.integers(0, 65536, (count, 3)) if level else rng.normal(size=(count, 3))
+    rows["s"] = np.exp(rng.normal(-4, 1, size=(count, 3)))
+    rows["r"] = rng.normal(size=(count, 4))
+    rows["c"] = rng.integers(0, 256, (count, 4))
+    wide = (
+        rng.integers(0, 256, (count, channels))
+        if level == 2
+        else rng.normal(size=(count, channels))
+    )
+    rows["h"] = wide
+    return rows
+
+
+def ksplat_file(
+    level: int,
+    sections: list[tuple[int, np.ndarray, int, list[int], np.ndarray]],
+    /,
+    **changes: int,
+) -> bytes:
+    """A `.ksplat` file of sections: SH degree, rows, size of full buckets, lengths of the others,
+    and the middles of all buckets, which are 4 wide; `changes` are other values in its header."""
+    total = sum(len(rows) for _, rows, *_ in sections)
+    known = {"minor": 1, "number": len(sections), "count": total, "level": level} | changes
+    head = struct.pack("<BBxx4IHxx", 0, known["minor"], known["number"], known["number"],
+                       known["count"], known["count"], known["level"])  # fmt: skip
+    head += struct.pack("<3f2f", 0, 0, 0, *KSPLAT_BOUNDS)
+    heads, bodies = head.ljust(4096, b"\0"), b""
+    for degree, rows, size, lengths, middles in sections:
+        buckets = len(middles) if level else 0
+        others = len(lengths) if level else 0
+        body = np.array(lengths if level else [], "<u4").tobytes()
+        body += middles.astype("<f4").tobytes() if level else b""
+        body += rows.tobytes()
+        values = (len(rows), len(rows), size, buckets, 4.0, 12 if level else 0, 0, len(body))
+        heads += struct.pack("<4IfHxx4IH", *values, buckets - others, others, degree).ljust(
+            1024, b"\0"
+        )
+        bodies += body
+    return heads + bodies
+
+
 def webp(pixels: np.ndarray) -> bytes:
     """A lossless image of pixels ``(H, W, 4)``."""
     from PIL import Image

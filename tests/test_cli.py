@@ -585,14 +585,17 @@ REFUSED = {
     "inspect missing": ("inspect missing.egs", "missing.egs: No such file"),
     "inspect directory": ("inspect some.dir", "some.dir: .*directory"),
     "inspect text": ("inspect text.md", "text.md: begins with b'# Ti', expected .egs, .ply"),
-    "inspect zip": ("inspect zip.pt", "zip.pt: a checkpoint of PyTorch, expected a scene: export"),
+    "inspect zip": ("inspect zip.pt", "zip.pt: pickle: 'pickle exhausted before seeing STOP'"),
     "inspect other zip": ("inspect zip.sog", "zip.sog: a zip without meta.json, expected a SOG"),
     "channels of a .ply": ("inspect scene.ply --channels", "--channels has no effect on scene.ply"),
     "decode .splat": (
         "decode a.splat out.ply",
         "a.splat: splat, not an .egs file; `convert`",
     ),
-    "verify .ply": ("verify scene.ply", "scene.ply: ply, not an .egs file; `convert` reads"),
+    "verify .ply": ("verify scene.ply --threads 2", "--threads has no effect on scene.ply, exp"),
+    "verify a cut .ply": ("verify cut.ply", "cut.ply: .*the file ends in row"),
+    "encode .pt": ("encode scene.ply a.pt", "suffix '.pt', expected .*; `convert` writes that"),
+    "coding of a .pt": ("convert scene.ply a.pt -p s", "--profile has no effect on a.pt, expected"),
     "compare missing": ("compare scene.ply missing.ply", "missing.ply: No such file"),
     "compare directory": ("compare some.dir scene.ply", "some.dir: .*directory"),
     "compare counts": ("compare scene.ply other.ply", "1500 and 7 Gaussians.* cameras see"),
@@ -667,6 +670,7 @@ def test_bad_use_is_refused(folder, name):
     Path("link.ply").symlink_to("scene.ply")
     write_ply("other.ply", random_scene(7))
     Path("text.md").write_text("# Title")
+    Path("cut.ply").write_bytes(Path("scene.ply").read_bytes()[:-1])
     Path("a.splat").write_bytes(bytes(32))
     for path, entry in (("zip.pt", "step/data.pkl"), ("zip.sog", "readme")):
         with zipfile.ZipFile(path, "w") as archive:

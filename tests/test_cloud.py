@@ -433,7 +433,7 @@ def test_compare_of_clouds_leaves_extra_attributes_out():
 
 @pytest.mark.parametrize("name", ["a.obj", "a", "a.egs.bak"])
 def test_suffix_that_is_not_known_is_refused(name, tmp_path):
-    with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .* or \.ply"):
+    with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .*\.ply, .* or \.csv"):
         gs_codec.write(tmp_path / name, to_cloud(random_scene(3)))
     assert list(tmp_path.iterdir()) == []
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +19,9 @@ from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.coding import decode_file, encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.files.scenes import inspect_file, read_scene
+from gs_codec.files.scenes import inspect_file, read_scene, write_scene
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.formats.registry import open_scene
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.scene import Scene, coordinates_comment
@@ -103,6 +104,24 @@ def test_converting_to_ply_is_decoding(ply, tmp_path):
     assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "c.ply").read_bytes()
 
 
+@pytest.mark.parametrize("count", [0, 1, 70_000])
+def test_a_table_has_every_float_exactly(count, tmp_path):
+    scene = random_scene(count, int(count < 2))
+    kept = {"label,x": np.arange(count, dtype="<i4") - 1, "w": np.linspace(0, 1, count)}
+    scene = replace(scene, extra=kept, has_normals=True, comments=("one",))
+    scene.opacity[:, :2] = [np.nan, -np.inf] if count > 1 else 0.25
+    lost = write_scene(tmp_path / "a.csv", scene, Config())
+    assert lost == ("comments left out: 1 lines",)
+    with open(tmp_path / "a.csv", newline="") as file:
+        names, *rows = csv.reader(file)
+    expected = vertex_rows(replace(scene, has_normals=False))
+    assert names == list(expected.dtype.names or ())
+    assert len(rows) == count
+    for name, column in zip(names, zip(*rows, strict=True), strict=False):
+        values = np.array(column, expected.dtype[name])
+        np.testing.assert_array_equal(values, expected[name], name)
+
+
 def test_what_splat_cannot_hold_is_said(ply, tmp_path, caplog):
     out, err = run("convert", ply, tmp_path / "a.splat", "--json")
     report = json.loads(out)
@@ -138,9 +157,9 @@ def test_what_is_not_finite_is_refused_or_dropped(tmp_path):
     np.testing.assert_array_equal(read_scene(tmp_path / "c.egs").opacity, opacity)
 
 
-@pytest.mark.parametrize("name", ["out", "out.obj", "out.ksplat", "ply", "out.spz.gz"])
+@pytest.mark.parametrize("name", ["out", "out.obj", "out.ksplat", "ply", "out.pth"])
 def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
-    with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .* or \.ply"):
+    with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .*\.ply, .* or \.csv"):
         convert_file(ply, tmp_path / name)
     assert not (tmp_path / name).exists()
 

@@ -376,6 +376,83 @@ def test_scales_that_have_no_logarithm_are_not_finite(tmp_path):
     assert np.isnan(scene.log_scale[:, 1]).all()
 
 
+# .ksplat
+
+
+def ksplat(level: int, degree: int, /, **changes: int) -> bytes:
+    """Two sections: 21 Gaussians in two full buckets of 8 and others of 4 and 1; 3 of degree 0."""
+    middles = np.random.default_rng(8).normal(size=(5, 3)).astype("<f4")
+    first = foreign.ksplat_rows(21, level, degree, seed=9)
+    second = foreign.ksplat_rows(3, level, 0, seed=10)
+    sections = [(degree, first, 8, [4, 1], middles[:4]), (0, second, 8, [3], middles[4:])]
+    return foreign.ksplat_file(level, sections, **changes)
+
+
+def ksplat_gaussian(level: int, degree: int, i: int) -> dict[str, list[float]]:
+    middles = np.random.default_rng(8).normal(size=(5, 3)).astype("<f4")
+    first = foreign.ksplat_rows(21, level, degree, seed=9)
+    row = first[i] if i < 21 else foreign.ksplat_rows(3, level, 0, seed=10)[i - 21]
+    bucket = 0 if i < 8 else 1 if i < 16 else 2 if i < 20 else 3 if i < 21 else 4
+    centre, sh = row["p"].tolist(), row["h"].tolist()
+    if level:
+        offsets = [2.0 / 32767 * (value - 32767) for value in centre]
+        centre = [float(m) + offset for m, offset in zip(middles[bucket], offsets, strict=True)]
+    if level == 2:
+        low, high = foreign.KSPLAT_BOUNDS
+        sh = [byte / 255 * (high - low) + low for byte in sh]
+    # Red, green and blue of degree 1, then those of degree 2.
+    rest = {0: [], 1: sh, 2: [v for c in range(3) for v in sh[3 * c :][:3] + sh[9 + 5 * c :][:5]]}
+    missing = 3 * SH_COEFFICIENTS[degree]
+    return {
+        "positions": centre,
+        "log_scale": [math.log(scale) for scale in row["s"].tolist()],
+        "rot": row["r"].tolist(),
+        "f_dc": [(byte / 255 - 0.5) / SH_C0 for byte in row["c"][:3].tolist()],
+        "opacity": [logit(int(row["c"][3]))],
+        "f_rest": rest[degree] if i < 21 else [0.0] * missing,
+    }
+
+
+@pytest.mark.parametrize("level", range(3))
+@pytest.mark.parametrize("degree", range(3))
+def test_ksplat_is_read_as_its_formula_says(degree, level, tmp_path):
+    path = written(tmp_path / "a.ksplat", ksplat(level, degree))
+    scene = read_scene(path)
+    assert (scene.count, scene.sh_degree) == (24, degree)
+    for i in range(24):
+        assert_gaussian(scene, i, ksplat_gaussian(level, degree, i))
+    with open_scene(path) as file:
+        assert file.stated_bytes() == scene.float_bytes
+
+
+def test_ksplat_without_gaussians_is_read(tmp_path):
+    assert read_scene(written(tmp_path / "a.ksplat", foreign.ksplat_file(1, []))).count == 0
+
+
+BAD_KSPLAT = {
+    "short": (bytes(4095), "4095 bytes, expected a header of 4096"),
+    "version": (ksplat(1, 1, minor=2), "version 0.2, level 1, expected 0.1, level 0 to 2"),
+    "level": (ksplat(1, 1, level=3), "version 0.1, level 3, expected 0.1, level 0 to 2"),
+    "sections": (ksplat(1, 1, number=9), "9 sections, which the file has no room for"),
+    "count": (ksplat(1, 1, count=25), "sections of 24 Gaussians and SH degree 1, expected 25"),
+    "degree": (patched(ksplat(1, 1), 4096 + 40, b"\3"), "SH degree 3, expected 24 and at most 2"),
+    "truncated": (ksplat(1, 1)[:-1], "section of 88 bytes at 6144|section of .* of a file of"),
+    "many": (patched(ksplat(0, 0), 4096 + 4, b"\xff\xff\xff\x7f"), "sections of 21474836"),
+    "buckets": (patched(ksplat(1, 0), 4096 + 8, b"\7"), "4 buckets of 19 .* expected 4 of 21"),
+    "full": (patched(ksplat(1, 0), 4096 + 32, b"\xff\xff\xff\xff"), "expected 4294967297 of 21"),
+    "bytes of a bucket": (patched(ksplat(1, 0), 4096 + 20, b"\x0b"), "section of .* bytes at 6144"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_KSPLAT)
+def test_bad_ksplat_is_refused_in_one_line(name, tmp_path):
+    data, message = BAD_KSPLAT[name]
+    path = written(tmp_path / "a.ksplat", data)
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_scene(path)
+    assert_one_line(caught.value, path)
+
+
 # SOG
 
 

@@ -121,9 +121,13 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
 def one_of_each(target: Path) -> list[Path]:
     """A scene in each format, with more than 1000 bytes of floats."""
     scene = random_scene(40, 0)
-    for name in ("a.ply", "a.egs", "a.splat"):
+    for name in ("a.ply", "a.egs", "a.splat", "a.pt", "a.ckpt"):
         write_scene(target / name, scene, Config())
     (target / "packed.ply").write_bytes(foreign.ply_file(list(foreign.packed_rows(40, 0).items())))
+    rows = foreign.ksplat_rows(40, 1, 0, seed=1)
+    (target / "a.ksplat").write_bytes(
+        foreign.ksplat_file(1, [(0, rows, 256, [40], np.zeros((1, 3)))])
+    )
     for name, bomb in BOMBS.items():
         (target / name).write_bytes(bomb(4000))
     header, body = (target / "a.ply").read_bytes().split(b"end_header\n")

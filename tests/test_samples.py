@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gs_codec.errors import InvalidInput
+from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 from samples import generate as module
@@ -195,3 +196,21 @@ def test_generate_refuses_bad_arguments(bad: dict) -> None:
 def test_orbit_cameras_refuses_bad_arguments(bad: dict) -> None:
     with pytest.raises(InvalidInput, match=next(iter(bad))):
         orbit_cameras(**bad)
+
+
+def test_the_loop_of_a_trainer_makes_up_for_coding(tmp_path, capsys) -> None:
+    pytest.importorskip("torch")
+    from samples import trainer
+
+    write_ply(tmp_path / "a.ply", generate(1500, 1, seed=2))
+    (tmp_path / "c.json").write_text(json.dumps(orbit_cameras(6)))
+    arguments = [str(tmp_path / name) for name in ("a.ply", "c.json", "b.pt")]
+    options = ["--iterations", "40", "--every", "25", "--width", "60"]
+    assert trainer.main([*arguments, *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [int(line.split()[0]) for line in lines] == [0, 25, 40]
+    quality = [float(line.split()[2]) for line in lines]
+    assert quality[2] > quality[1] > quality[0]
+    assert read_scene(tmp_path / "b.pt").count == 1500
+    assert trainer.main([str(tmp_path / "none.ply"), *arguments[1:]]) == 2
+    assert capsys.readouterr().err == f"trainer: {tmp_path}/none.ply: No such file or directory\n"

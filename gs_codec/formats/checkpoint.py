@@ -7,6 +7,7 @@ Nothing that the pickle names is run.
 from __future__ import annotations
 
 import logging
+import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -38,7 +39,7 @@ log = logging.getLogger(__name__)
 PICKLE = "data.pkl"
 
 #: Most bytes of a pickle; those of trainers have some thousands.
-_PICKLE_BYTES = 1 << 24
+_PICKLE_BYTES = 1 << 22
 
 #: Types of the numbers of a storage. BFloat16 is the upper half of a float32.
 _TYPES = {
@@ -80,12 +81,9 @@ def _opened(path: Path) -> Iterator[tuple[zipfile.ZipFile, str, dict[str, Stored
 def _splats(root: Any) -> dict[str, StoredTensor]:
     """Tensors by name in the first dictionary that has ``means``, whatever precedes the names."""
     outer = [root, *root.values()] if isinstance(root, dict) else []
-    for state in outer:
-        tensors = {
-            str(name): value
-            for name, value in (state.items() if isinstance(state, dict) else ())
-            if isinstance(value, StoredTensor)
-        }
+    # Each once: a hostile file may have one a million times.
+    for state in {id(state): state for state in outer if isinstance(state, dict)}.values():
+        tensors = {str(k): value for k, value in state.items() if isinstance(value, StoredTensor)}
         for name in tensors:
             before, dot, last = name.rpartition(".")
             if last == "means":
@@ -111,7 +109,8 @@ def read_checkpoint(path: Path, data: memoryview, max_bytes: int | None) -> Scen
         most = most_bytes(len(data), max_bytes)
         arrays = {name: _numbers(archive, folder, t, most) for name, t in named.items()}
         scene = scene_of_tensors(arrays, as_colours="features_dc" in tensors)
-    other = path.with_name(path.name.replace("_rank0.", "_rank1."))
+    rank = re.compile(r"_rank(\d+)\.")
+    other = path.with_name(rank.sub(lambda m: f"_rank{int(m[1] == '0')}.", path.name))
     if other != path and other.exists():
         log.warning("%s: of several, such as %s, which have the other Gaussians", path, other.name)
     return scene
@@ -119,7 +118,8 @@ def read_checkpoint(path: Path, data: memoryview, max_bytes: int | None) -> Scen
 
 def _numbers(
     archive: zipfile.ZipFile, folder: str, tensor: StoredTensor, most: int
-) -> NDArray[np.floating]:
+) -> NDArray[np.float32]:
+    """Numbers of a tensor, copied: its storage may be larger."""
     if tensor.kind not in _TYPES:
         raise InvalidInput(f"tensor of {tensor.kind!a:.40}, expected floats")
     dtype = np.dtype(_TYPES[tensor.kind])
@@ -131,7 +131,8 @@ def _numbers(
         array = np.ndarray(tensor.shape, dtype, data, dtype.itemsize * tensor.offset, strides)
     if dtype.kind == "u":
         return (array.astype("<u4") << 16).view("<f4")
-    return array
+    with np.errstate(over="ignore"):
+        return array.astype(np.float32)
 
 
 def write_checkpoint(path: str | Path, scene: Scene) -> tuple[str, ...]:

@@ -107,10 +107,9 @@ class _Machine:
 
     def collect(self, size: int) -> None:
         """A tuple of the top of the stack, of so many values."""
-        self.stack, items = self.stack[:-size], self.stack[-size:]
-        if len(items) != size:
-            raise InvalidInput("pickle: a tuple of more than there is")
-        self.stack.append(tuple(items))
+        items = tuple(self.stack[-size:])
+        del self.stack[-size:]
+        self.stack.append(items)
 
     def keep(self, number: int | None) -> None:
         self.kept[len(self.kept) if number is None else number] = self.stack[-1]
@@ -120,7 +119,7 @@ class _Machine:
             self.stack[-1].extend(items)
 
     def update(self, items: list[Any]) -> None:
-        """Items of a dictionary; a key that is a tuple might take for ever to compare."""
+        """Items of a dictionary; to hash a tuple might take for ever."""
         if isinstance(self.stack[-1], dict):
             pairs = zip(items[::2], items[1::2], strict=True)
             self.stack[-1].update({k: v for k, v in pairs if isinstance(k, str | int)})
@@ -147,7 +146,8 @@ class _Machine:
 
     def name(self, _: Any) -> None:
         name, module = self.stack.pop(), self.stack.pop()
-        self.stack.append(_Global(f"{module} {name}"))
+        known = isinstance(name, str) and isinstance(module, str)
+        self.stack.append(_Global(f"{module} {name}" if known else ""))
 
     def make(self, _: Any) -> None:
         del self.stack[-2:]
@@ -161,7 +161,8 @@ def _tensor(storage: _Storage, offset: Any, shape: Any, strides: Any) -> StoredT
 
 def _whole(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 40:
-        raise InvalidInput(f"pickle: {value!a:.40}, expected a whole number")
+        # Without the value: a tuple might take for ever to print.
+        raise InvalidInput(f"pickle: {type(value).__name__}, expected a whole number below 2^40")
     return value
 
 

@@ -8,6 +8,7 @@ import json
 import os
 import struct
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -25,7 +26,9 @@ from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
 from gs_codec.errors import GsCodecError
+from gs_codec.formats import checkpoint as of_trainers
 from gs_codec.formats.gltf import pack_gltf
+from gs_codec.formats.pickled import parse_pickle
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.sog_files import parse_meta, read_pixels
 from gs_codec.preparation.adam import AdamState, new_state
@@ -230,6 +233,29 @@ def _gltfs() -> list[bytes]:
     return [pack_gltf(random_scene(4, degree), bool(degree % 2))[0] for degree in range(4)]
 
 
+def _ksplats() -> list[bytes]:
+    files = []
+    for level, degree in ((0, 0), (1, 1), (2, 2)):
+        rows = foreign.ksplat_rows(6, level, degree, seed=level)
+        files.append(foreign.ksplat_file(level, [(degree, rows, 4, [2], np.ones((2, 3)))]))
+    return files
+
+
+def _trainers() -> list[bytes]:
+    return [
+        _to_file(partial(of_trainers.write_checkpoint, scene=random_scene(3, degree)), suffix)
+        for degree, suffix in ((0, ".pt"), (1, ".pt"), (0, ".ckpt"))
+    ]
+
+
+def _pickles() -> list[bytes]:
+    seeds = []
+    for data in _trainers():
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            seeds.append(archive.read("archive/data.pkl"))
+    return seeds
+
+
 def _sogs() -> list[bytes]:
     return [
         foreign.sog_file(*foreign.sog_parts(8, version, degree, seed=degree))
@@ -314,6 +340,9 @@ TARGETS = {
     "splat": Target(_scene_file(".splat"), _splats),
     "spz": Target(_spz, lambda: [*_spzs(), *_unzipped_spzs()]),
     "gltf": Target(_scene_file(".gltf"), _gltfs),
+    "ksplat": Target(_scene_file(".ksplat"), _ksplats),
+    "pickle": Target(parse_pickle, _pickles),
+    "trainer": Target(_scene_file(".pt"), _trainers),
     "sog": Target(_scene_file(".sog"), _sogs),
     "sog-meta": Target(parse_meta, _sog_metas),
     "sog-image": Target(partial(read_pixels, name="image", most=1 << 16), _pixels),

@@ -1,0 +1,433 @@
+"""Checkpoints of trainers, and their tensors: PyTorch's own readers and writers agree with ours."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import struct
+import sys
+import zipfile
+from collections import OrderedDict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import random_scene
+from test_ply import assert_one_line
+
+import gs_codec
+from gs_codec.api.cloud import from_cloud
+from gs_codec.config import Config
+from gs_codec.errors import GsCodecError, InvalidInput
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
+from gs_codec.formats.pickled import UNKNOWN, StoredTensor, parse_pickle, write_pickle
+from gs_codec.formats.tensors import tensors_of
+from gs_codec.scene import GROUPS, SH_C0, Scene
+
+try:
+    import torch
+except ImportError:
+    torch = None
+
+#: Of the bytes of a scene as .pt and as .ckpt: the same on every machine.
+DIGESTS = ["534b0f52cb6333d9", "102bbd423f1d8983"]
+
+needs_torch = pytest.mark.skipif(torch is None, reason="torch is not installed")
+
+
+def assert_same(first: Scene, second: Scene) -> None:
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(first, group), getattr(second, group), group)
+
+
+def trained(count: int = 30):
+    """Parameters of gsplat's trainer; its SH are two views of one tensor."""
+    generator = torch.Generator().manual_seed(1)
+
+    def some(*shape: int):
+        return torch.randn(*shape, generator=generator)
+
+    colours = some(count, 16, 3)
+    of_scene = {"means": some(count, 3), "scales": some(count, 3), "quats": some(count, 4)}
+    of_scene |= {"opacities": some(count), "sh0": colours[:, :1, :], "shN": colours[:, 1:, :]}
+    return torch.nn.ParameterDict({n: torch.nn.Parameter(t) for n, t in of_scene.items()})
+
+
+def assert_trained(scene: Scene, splats) -> None:
+    expected = {name: tensor.detach().float().numpy() for name, tensor in splats.items()}
+    for name, array in tensors_of(scene).items():
+        np.testing.assert_array_equal(array, expected[name].reshape(array.shape), name)
+
+
+def scene_of(tensors) -> Scene:
+    return from_cloud(gs_codec.from_tensors(tensors))
+
+
+# What we write
+
+
+@pytest.mark.parametrize("count", [0, 1, 300])
+@pytest.mark.parametrize("degree", range(4))
+def test_what_is_written_is_read_the_same(degree, count, tmp_path):
+    scene = random_scene(count, degree)
+    assert write_scene(tmp_path / "a.pt", scene, Config()) == ()
+    assert_same(read_scene(tmp_path / "a.pt"), scene)
+    assert stated_bytes(tmp_path / "a.pt") == scene.float_bytes
+    write_scene(tmp_path / "a.ckpt", scene, Config())
+    back = read_scene(tmp_path / "a.ckpt")
+    assert back.sh_degree == 3
+    rest = back.f_rest.reshape(3, 15, count)
+    number = len(scene.f_rest) // 3
+    np.testing.assert_array_equal(rest[:, :number], scene.f_rest.reshape(3, number, count))
+    assert not rest[:, number:].any()
+    assert_same(replace(back, f_rest=scene.f_rest), scene)
+
+
+def test_the_same_scene_gives_the_same_bytes(tmp_path):
+    scene = random_scene(5, 1, seed=3)
+    exact = {g: np.round(8 * np.clip(getattr(scene, g), -4, 4)) / 8 for g in GROUPS}
+    scene = Scene(**{group: plane.astype(np.float32) for group, plane in exact.items()})
+    digests = []
+    for name in ("a.pt", "a.ckpt"):
+        write_scene(tmp_path / name, scene, Config())
+        digests.append(hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()[:16])
+    assert digests == DIGESTS
+
+
+def test_numbers_begin_where_memory_maps_want_them(tmp_path):
+    write_scene(tmp_path / "a.pt", random_scene(7, 3), Config())
+    data = (tmp_path / "a.pt").read_bytes()
+    with zipfile.ZipFile(tmp_path / "a.pt") as archive:
+        for entry in archive.infolist():
+            at = entry.header_offset
+            name, extra = (int.from_bytes(data[at + i : at + i + 2], "little") for i in (26, 28))
+            assert (at + 30 + name + extra) % 64 == 0
+
+
+def test_what_a_checkpoint_cannot_hold_is_said(tmp_path, caplog):
+    scene = random_scene(5, 0)
+    extra = {"label": np.arange(5, dtype="<i4")}
+    scene = replace(scene, extra=extra, comments=("one", "SplatRenderMode: mip"))
+    write_scene(tmp_path / "a.ply", scene, Config())
+    report = convert_file(tmp_path / "a.ply", tmp_path / "a.ckpt")
+    assert [line.partition(" ")[0] for line in report.lost] == [
+        *("antialias", "properties", "comments")
+    ]
+    assert (report.count, report.sh_degree) == (5, 3)
+    assert report.lost[0] in caplog.text
+
+
+@needs_torch
+@pytest.mark.parametrize("mapped", [False, True])
+@pytest.mark.parametrize("degree", range(4))
+def test_pytorch_reads_what_is_written(degree, mapped, tmp_path):
+    scene = random_scene(40, degree)
+    write_scene(tmp_path / "a.pt", scene, Config())
+    loaded = torch.load(tmp_path / "a.pt", weights_only=True, mmap=mapped)
+    assert loaded["step"] == 0
+    assert {name: tuple(t.shape) for name, t in loaded["splats"].items()} == {
+        "means": (40, 3), "quats": (40, 4), "scales": (40, 3), "opacities": (40,),
+        "sh0": (40, 1, 3), "shN": (40, len(scene.f_rest) // 3, 3),
+    }  # fmt: skip
+    assert_trained(scene, loaded["splats"])
+
+
+@needs_torch
+def test_splatfacto_loads_what_is_written(tmp_path):
+    scene = random_scene(40, 3)
+    write_scene(tmp_path / "step-000000000.ckpt", scene, Config())
+    loaded = torch.load(tmp_path / "step-000000000.ckpt", weights_only=True)
+    assert list(loaded) == ["step", "pipeline", "optimizers", "schedulers", "scalers"]
+    # What nerfstudio does with it: tensors of any number of Gaussians into its model.
+    shapes = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (1,)}
+    shapes |= {"features_dc": (3,), "features_rest": (15, 3)}
+    model = torch.nn.Module()
+    model.gauss_params = torch.nn.ParameterDict({
+        name: torch.nn.Parameter(torch.zeros(40, *shape)) for name, shape in shapes.items()
+    })  # fmt: skip
+    state = {k.removeprefix("_model."): v for k, v in loaded["pipeline"].items()}
+    model.load_state_dict(state, strict=True)
+    assert_trained(
+        scene,
+        {
+            {"features_dc": "sh0", "features_rest": "shN"}.get(name, name): tensor
+            for name, tensor in model.gauss_params.items()
+        },
+    )
+
+
+# What trainers write
+
+
+@needs_torch
+def test_a_checkpoint_of_gsplat_is_read(tmp_path, caplog):
+    splats = trained()
+    path = tmp_path / "ckpt_6999_rank0.pt"
+    state = {"step": 6999, "scene_id": "garden", "splats": splats.state_dict()}
+    state["pose_adjust"] = torch.nn.Embedding(3, 9).state_dict()
+    torch.save(state, path)
+    assert_trained(read_scene(path), splats)
+    assert not caplog.messages
+    torch.save(state, tmp_path / "ckpt_6999_rank1.pt")
+    read_scene(path)
+    assert "ckpt_6999_rank1.pt, which have the other Gaussians" in caplog.text
+    torch.save(dict(splats.items()), tmp_path / "plain.zip")
+    assert_trained(read_scene(tmp_path / "plain.zip"), splats)
+
+
+@needs_torch
+@pytest.mark.parametrize("prefix", ["_model.gauss_params.", "_model.", "_model.module.gauss."])
+def test_a_checkpoint_of_splatfacto_is_read(prefix, tmp_path):
+    splats = trained()
+    sum(each.sum() for each in splats.values()).backward()
+    optimizer = torch.optim.Adam(splats.values())
+    optimizer.step()
+    renamed = {"sh0": "features_dc", "shN": "features_rest"}
+    model = OrderedDict((prefix + renamed.get(n, n), t.detach()) for n, t in splats.items())
+    model[prefix + "features_dc"] = model[prefix + "features_dc"][:, 0]
+    model[prefix + "opacities"] = model[prefix + "opacities"][:, None]
+    model["_model.lpips.net.weight"] = torch.ones(3, 3, dtype=torch.int64)
+    schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.9).state_dict()
+    state = {"step": 29999, "pipeline": model, "optimizers": {"means": optimizer.state_dict()}}
+    torch.save(state | {"schedulers": {"means": schedule}, "scalers": {}}, tmp_path / "a.ckpt")
+    assert_trained(read_scene(tmp_path / "a.ckpt"), splats)
+    # Without SH-AC splatfacto keeps colours before the sigmoid.
+    model[prefix + "features_rest"] = torch.zeros(30, 0, 3)
+    torch.save(state, tmp_path / "b.ckpt")
+    colours = 0.5 + SH_C0 * read_scene(tmp_path / "b.ckpt").f_dc.T
+    expected = torch.sigmoid(model[prefix + "features_dc"])
+    np.testing.assert_allclose(colours, expected, atol=1e-6)
+
+
+@needs_torch
+@pytest.mark.parametrize("kind", ["float16", "bfloat16", "float64"])
+def test_other_floats_are_converted(kind, tmp_path):
+    splats = {n: t.detach().to(getattr(torch, kind)) for n, t in trained().items()}
+    torch.save({"splats": splats}, tmp_path / "a.pt")
+    assert_trained(read_scene(tmp_path / "a.pt"), splats)
+    assert_trained(scene_of(splats), splats)
+
+
+# Nothing is run, nothing is believed
+
+
+class Evil:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.folder / "made"),)
+
+
+def test_what_a_pickle_calls_is_not_run(tmp_path):
+    data = pickle.dumps({"a": Evil(tmp_path), "b": [1, "x", (2.5, None)]}, 2)
+    assert parse_pickle(data) == {"a": UNKNOWN, "b": [1, "x", (2.5, None)]}
+    assert parse_pickle(pickle.dumps({"a": Evil(tmp_path), "s": {3}}, 4)) == {
+        "a": UNKNOWN,
+        "s": [3],
+    }
+    assert list(tmp_path.iterdir()) == []
+    pickle.loads(data)
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def test_keys_that_take_for_ever_to_compare_are_left_out():
+    assert parse_pickle(b"\x80\x02}" + LEAVES + b"K\x01s.") == {}
+
+
+LEAVES = b"K\x01" + b"".join(b"q%ch%c\x86" % (i, i) for i in range(60))  # 2^60 of them
+FOR_EVER = {
+    "a size": b"ctorch._utils\n_rebuild_tensor_v2\n("
+    b"(X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\0aNK\x06tQK\0" + LEAVES + b")tR.",
+    "a length": b"(X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\0aN" + LEAVES + b"tQ.",
+}
+
+
+@pytest.mark.parametrize("name", FOR_EVER)
+def test_values_that_take_for_ever_to_print_are_refused(name):
+    with pytest.raises(InvalidInput, match="pickle: tuple, expected a whole number"):
+        parse_pickle(b"\x80\x02" + FOR_EVER[name])
+    assert parse_pickle(b"\x80\x02" + LEAVES + b"K\x01\x93)R.") is UNKNOWN
+
+
+def test_one_dictionary_many_times_is_searched_once(tmp_path):
+    inner = b"}(" + b"".join(b"J%sN" % struct.pack("<i", i) for i in range(100_000)) + b"uq\0"
+    outer = b"".join(b"J%sh\0" % struct.pack("<i", i) for i in range(100_000))
+    pickled = b"\x80\x02}(K\0" + inner + outer + b"u."
+    (tmp_path / "a.zip").write_bytes(zipped(**{"data.pkl": pickled}))
+    with pytest.raises(InvalidInput, match="without 'means'"):
+        read_scene(tmp_path / "a.zip")
+
+
+def test_a_pickle_is_read_as_it_was_written():
+    tensor = StoredTensor("torch FloatStorage", "0", 12, 0, (4, 3), (3, 1))
+    value = {"step": 0, "nothing": {}, "splats": {"means": tensor}}
+    assert parse_pickle(write_pickle(value)) == value
+
+
+def zipped(**changes: bytes | None) -> bytes:
+    """A checkpoint of 2 Gaussians with some of its entries changed, or removed."""
+    scene = random_scene(2, 0)
+    arrays = tensors_of(scene)
+    tensors, entries = {}, {}
+    for number, (name, array) in enumerate(arrays.items()):
+        strides = tuple(stride // 4 for stride in array.strides)
+        tensors[name] = StoredTensor(
+            "torch FloatStorage", str(number), array.size, 0, array.shape, strides
+        )
+        entries[f"data/{number}"] = array.tobytes()
+    entries = {"data.pkl": write_pickle({"splats": tensors}), "byteorder": b"little", **entries}
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, data in (entries | changes).items():
+            if data is not None:
+                archive.writestr(f"x/{name}", data)
+    return out.getvalue()
+
+
+def with_tensors(**changes) -> bytes:
+    tensors = {
+        name: StoredTensor("torch FloatStorage", str(i), 2 * width, 0, shape, strides)
+        for i, (name, width, shape, strides) in enumerate([
+            ("means", 3, (2, 3), (3, 1)), ("quats", 4, (2, 4), (4, 1)),
+            ("scales", 3, (2, 3), (3, 1)), ("opacities", 1, (2,), (1,)),
+            ("sh0", 3, (2, 1, 3), (3, 3, 1)),
+        ])
+    }  # fmt: skip
+    tensors = {name: t for name, t in (tensors | changes).items() if t is not None}
+    return zipped(**{"data.pkl": write_pickle({"splats": tensors})})
+
+
+def stored(key: str = "0", length: int = 6, offset: int = 0, shape=(2, 3), strides=(3, 1)):
+    return StoredTensor("torch FloatStorage", key, length, offset, shape, strides)
+
+
+BAD = {
+    "no pickle": (zipped(**{"data.pkl": None}), "a zip without meta.json"),
+    "a number": (zipped(**{"data.pkl": pickle.dumps(3, 2)}), "without 'means'"),
+    "no tensors": (zipped(**{"data.pkl": write_pickle({"means": 1})}), "without 'means'"),
+    "a pickle of text": (zipped(**{"data.pkl": b"hello"}), "pickle: "),
+    "an opcode": (zipped(**{"data.pkl": b"\x80\x02}(S'a'\nu."}), "opcode STRING, which no"),
+    "big-endian": (zipped(byteorder=b"big"), "byte order b'big', expected b'little'"),
+    "no numbers": (zipped(**{"data/0": None}), "zip entry 'x/data/0': .*no item named"),
+    "few numbers": (zipped(**{"data/0": bytes(20)}), "storage '0': 20 bytes of 6"),
+    "beyond the end": (with_tensors(means=stored(offset=1)), "storage '0': 'strides is incomp"),
+    "far beyond": (with_tensors(means=stored(strides=(1 << 38, 1))), "storage '0': "),
+    "integers": (
+        with_tensors(means=replace(stored(), kind="torch LongStorage")),
+        "tensor of 'torch LongStorage', expected floats",
+    ),
+    "no quats": (with_tensors(quats=None), "tensor 'quats': missing, expected means, quats"),
+    "other shape": (
+        with_tensors(quats=stored("1", 8, 0, (4, 2), (2, 1))),
+        r"tensor 'quats': shape \(4, 2\), expected \(2, 4\)",
+    ),
+    "5 of SH": (
+        with_tensors(shN=stored(shape=(2, 5, 3), strides=(0, 0, 0))),
+        "tensor 'shN': 5 coefficients, expected one of 0, 3, 8, 15",
+    ),
+    "very many": (
+        with_tensors(
+            means=stored(shape=(1 << 39, 3), strides=(0, 0)),
+            quats=stored(shape=(1 << 39, 4), strides=(0, 0)),
+            scales=stored(shape=(1 << 39, 3), strides=(0, 0)),
+            opacities=stored(shape=(1 << 39,), strides=(0,)),
+            sh0=stored(shape=(1 << 39, 3), strides=(0, 0)),
+        ),
+        "549755813888 Gaussians, which take 30786325577728 bytes; at most",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_checkpoints_are_refused_in_one_line(name, tmp_path):
+    data, message = BAD[name]
+    path = tmp_path / "a.zip"
+    path.write_bytes(data)
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_scene(path)
+    assert_one_line(caught.value, path)
+
+
+def test_the_checkpoints_that_were_made_bad_are_good(tmp_path):
+    for data in (zipped(), with_tensors()):
+        (tmp_path / "a.zip").write_bytes(data)
+        assert read_scene(tmp_path / "a.zip").count == 2
+
+
+def test_checkpoints_cut_off_anywhere_are_refused(tmp_path):
+    write_scene(tmp_path / "a.pt", random_scene(1, 0), Config())
+    data = (tmp_path / "a.pt").read_bytes()
+    for end in range(1, len(data), 7):
+        (tmp_path / "b.pt").write_bytes(data[:end])
+        with pytest.raises(GsCodecError, match=r"b\.pt: "):
+            read_scene(tmp_path / "b.pt")
+
+
+def test_a_changed_byte_of_a_number_is_found(tmp_path):
+    scene = random_scene(3, 0)
+    write_scene(tmp_path / "a.pt", scene, Config())
+    data = bytearray((tmp_path / "a.pt").read_bytes())
+    data[data.index(scene.positions.T.tobytes())] ^= 1
+    (tmp_path / "a.pt").write_bytes(data)
+    with pytest.raises(InvalidInput, match=r"zip entry 'archive/data/0': .*Bad CRC"):
+        read_scene(tmp_path / "a.pt")
+
+
+# Tensors
+
+
+@pytest.mark.parametrize("count", [0, 1, 50])
+@pytest.mark.parametrize("degree", range(4))
+def test_tensors_there_and_back(degree, count, tmp_path):
+    write_scene(tmp_path / "a.ply", random_scene(count, degree), Config())
+    cloud = gs_codec.read(tmp_path / "a.ply")
+    tensors = gs_codec.to_tensors(cloud)
+    assert all(t.dtype == np.float32 and t.flags.c_contiguous for t in tensors.values())
+    assert_same(scene_of(tensors), from_cloud(cloud))
+    before = from_cloud(gs_codec.from_tensors(tensors))
+    cloud = gs_codec.from_tensors(tensors)
+    for tensor in tensors.values():
+        tensor += 1
+    assert_same(from_cloud(cloud), before)
+
+
+@needs_torch
+def test_parameters_of_a_trainer_are_taken_as_they_are():
+    splats = trained()
+    cloud = gs_codec.from_tensors(splats)
+    assert_trained(from_cloud(cloud), splats)
+    back = gs_codec.to_tensors(cloud, "torch")
+    assert list(back) == ["means", "quats", "scales", "opacities", "sh0", "shN"]
+    assert all(torch.equal(back[name], splats[name].detach()) for name in back)
+
+
+ARRAYS = tensors_of(random_scene(4, 1))
+BAD_TENSORS = {
+    "none": ({}, "tensor 'means': missing, expected means, quats, scales, opacities, sh0, shN"),
+    "appearance": (ARRAYS | {"features": ARRAYS["means"]}, "tensor 'features': not known"),
+    "two names": (ARRAYS | {"features_dc": ARRAYS["sh0"]}, "some by two names"),
+    "integers": (ARRAYS | {"means": np.ones((4, 3), int)}, "tensor 'means': int64, expected fl"),
+    "rows": (ARRAYS | {"sh0": np.ones((5, 3))}, r"'sh0': shape \(5, 3\), expected \(4, 1, 3\)"),
+    "a number": (ARRAYS | {"means": np.float32(1)}, r"'means': shape \(\), expected \(0, 3\)"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_TENSORS)
+def test_bad_tensors_are_refused(name):
+    tensors, message = BAD_TENSORS[name]
+    with pytest.raises(InvalidInput, match=message):
+        gs_codec.from_tensors(tensors)
+
+
+def test_libraries_of_tensors_are_numpy_and_torch(monkeypatch):
+    cloud = gs_codec.from_tensors(ARRAYS)
+    with pytest.raises(InvalidInput, match="library 'jax': expected one of numpy, torch"):
+        gs_codec.to_tensors(cloud, "jax")
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(gs_codec.MissingTool, match="torch: not installed"):
+        gs_codec.to_tensors(cloud, "torch")

@@ -56,6 +56,7 @@ class Driver:
             size=size,
         )
         self.viewer = Viewer(request)
+        self.begun = False
 
     def tick(self, count: int = 1, pause: float = 0.01, redraw: bool = False) -> None:
         """Let the window do what it has to, and draw frames that it does not need if asked."""
@@ -76,8 +77,11 @@ class Driver:
             # Few frames: a software driver draws each for long.
             self.tick(1, pause=0.09, redraw=True)
             now = grab(self.viewer.window)
-            # A frame may be on its way: a software driver takes its time on a busy machine.
-            equal = equal + 1 if before is not None and np.array_equal(now, before) else 0
+            # A frame may be on its way: a software driver takes its time on a busy machine, and
+            # the most for the first.
+            self.begun = self.begun or np.ptp(self.scenes(now)) > 0
+            same = self.begun and before is not None and np.array_equal(now, before)
+            equal = equal + 1 if same else 0
             if equal == 2:
                 return now
             before = now

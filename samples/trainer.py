@@ -22,9 +22,10 @@ import gs_codec
 from gs_codec.api.cloud import from_cloud
 from gs_codec.errors import GsCodecError
 from gs_codec.formats.tensors import tensors_of
+from gs_codec.preparation.adam import rig_radius
 from gs_codec.preparation.optimise import with_values
 from gs_codec.rendering.gradients import differentiate
-from gs_codec.scene import GROUPS
+from gs_codec.scene import channel_count
 
 #: Learning rates of gsplat's trainer; that of `means` is in radii of the camera rig.
 _RATES = {
@@ -41,7 +42,7 @@ def backward(splats: Mapping[str, torch.nn.Parameter], camera: Any, image: np.nd
     """Set the gradients of all parameters to those of a view's loss against an image."""
     scene = from_cloud(gs_codec.from_tensors(splats))
     seen = differentiate(scene, camera, image, (0.0, 0.0, 0.0))
-    planes = np.zeros((sum(len(getattr(scene, g)) for g in GROUPS), scene.count), np.float32)
+    planes = np.zeros((channel_count(len(scene.f_rest) // 3), scene.count), np.float32)
     planes[:, seen.chosen] = seen.slopes(0, len(seen.chosen))
     for name, gradient in tensors_of(with_values(scene, planes)).items():
         splats[name].grad = torch.from_numpy(gradient)
@@ -58,9 +59,7 @@ def train(
     views = [(camera, view.colour) for camera, view in gs_codec.render(cloud, cameras, width=width)]
     lossy = gs_codec.decode(gs_codec.encode(cloud, gs_codec.Config("s", coarseness=2)))
     splats = torch.nn.ParameterDict(gs_codec.to_tensors(lossy, "torch"))
-    places = np.array([camera.position for camera, _ in views])
-    radius = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
-    rates = _RATES | {"means": _RATES["means"] * radius}
+    rates = _RATES | {"means": _RATES["means"] * rig_radius([camera for camera, _ in views])}
     adam = torch.optim.Adam(
         [{"params": [splats[name]], "lr": rate} for name, rate in rates.items()], eps=1e-15
     )

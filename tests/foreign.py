@@ -117,12 +117,8 @@ def ksplat_rows(count: int, level: int, degree: int, seed: int) -> np.ndarray:
     rows["s"] = np.exp(rng.normal(-4, 1, size=(count, 3)))
     rows["r"] = rng.normal(size=(count, 4))
     rows["c"] = rng.integers(0, 256, (count, 4))
-    wide = (
-        rng.integers(0, 256, (count, channels))
-        if level == 2
-        else rng.normal(size=(count, channels))
-    )
-    rows["h"] = wide
+    shape_of_sh = (count, channels)
+    rows["h"] = rng.integers(0, 256, shape_of_sh) if level == 2 else rng.normal(size=shape_of_sh)
     return rows
 
 

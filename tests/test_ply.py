@@ -16,6 +16,7 @@ from scenes import assert_same_floats, random_scene, shared_scene_path
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
+from gs_codec.files.scenes import read_scene
 from gs_codec.formats import ply_header
 from gs_codec.formats.ply import read_ply, scene_of, vertex_rows, write_ply
 from gs_codec.formats.ply_body import ply_of
@@ -586,6 +587,13 @@ def assert_one_line(error: BaseException, path: Path | str) -> None:
     assert str(error).startswith(f"{path}: ")
     assert len(str(error).splitlines()) == 1
     assert len(str(error)) - len(str(path)) < 400
+
+
+def assert_refused(path: Path, message: str) -> None:
+    """Reading a scene fails with one line that `message` matches."""
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_scene(path)
+    assert_one_line(caught.value, path)
 
 
 class Counted(str):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.api.cloud import from_cloud, to_cloud
 from gs_codec.config import Option
 from gs_codec.errors import MissingTool
-from gs_codec.formats.tensors import NERFSTUDIO, by_our_names, scene_of_tensors, tensors_of
+from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -50,9 +50,7 @@ def from_tensors(tensors: Mapping[str, Any]) -> PointCloud:
     >>> len(data) < 60_000
     True
     """
-    named = {name: _array(tensor) for name, tensor in tensors.items()}
-    as_colours = any(name in named for name in NERFSTUDIO)
-    return to_cloud(scene_of_tensors(by_our_names(named), as_colours))
+    return to_cloud(scene_of_tensors({name: _array(each) for name, each in tensors.items()}))
 
 
 def to_tensors(cloud: PointCloud, library: Literal["numpy", "torch"] = "numpy") -> dict[str, Any]:

@@ -24,7 +24,6 @@ from gs_codec.formats.pickled import StoredTensor, parse_pickle, write_pickle
 from gs_codec.formats.tensors import (
     NAMES,
     NERFSTUDIO,
-    by_our_names,
     check_shapes,
     scene_of_tensors,
     tensors_of,
@@ -97,18 +96,15 @@ def _splats(root: Any) -> dict[str, StoredTensor]:
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
     """Number of Gaussians, and SH degree, that a checkpoint states."""
     with _opened(path) as (_, _, tensors):
-        return check_shapes({n: t.shape for n, t in by_our_names(tensors).items()})
+        return check_shapes(tensors)
 
 
 def read_checkpoint(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a checkpoint; see `SceneFile.scene`."""
     with _opened(path) as (archive, folder, tensors):
-        named = by_our_names(tensors)
-        count, degree = check_shapes({name: tensor.shape for name, tensor in named.items()})
-        check_count(count, degree, len(data), max_bytes)
+        check_count(*check_shapes(tensors), len(data), max_bytes)
         most = most_bytes(len(data), max_bytes)
-        arrays = {name: _numbers(archive, folder, t, most) for name, t in named.items()}
-        scene = scene_of_tensors(arrays, as_colours="features_dc" in tensors)
+        scene = scene_of_tensors({n: _numbers(archive, folder, tensors[n], most) for n in tensors})
     rank = re.compile(r"_rank(\d+)\.")
     other = path.with_name(rank.sub(lambda m: f"_rank{int(m[1] == '0')}.", path.name))
     if other != path and other.exists():

@@ -76,16 +76,19 @@ def _headers(data: memoryview) -> tuple[np.void, NDArray]:
 def stated_size(path: Path, data: memoryview) -> tuple[int, int]:
     """Number of Gaussians, and SH degree, that a file states."""
     with located(path):
-        header, sections = _headers(data)
-        return int(header["count"]), int(sections["degree"].max(initial=0))
+        return _size(*_headers(data))
+
+
+def _size(header: np.void, sections: NDArray) -> tuple[int, int]:
+    return int(header["count"]), int(sections["degree"].max(initial=0))
 
 
 def read_ksplat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     """Read the bytes of a `.ksplat` file; see `SceneFile.scene`."""
-    count, degree = stated_size(path, data)
     with located(path):
-        check_count(count, degree, len(data), max_bytes)
         header, sections = _headers(data)
+        count, degree = _size(header, sections)
+        check_count(count, degree, len(data), max_bytes)
         found = _sections(data, header, sections)
     planes = {
         "positions": np.empty((3, count), np.float32),
@@ -108,7 +111,7 @@ def read_ksplat(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
     return Scene(
         planes["positions"],
         sh_of_colours(colour[:3] / 255),
-        planes["f_rest"].reshape(-1, count) if count else np.empty((0, 0), np.float32),
+        planes["f_rest"].reshape(3 * SH_COEFFICIENTS[degree], count),
         opacities_of(path, colour[3]),
         planes["log_scale"],
         planes["rot"],

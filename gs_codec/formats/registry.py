@@ -76,8 +76,8 @@ class SceneFile:
         known = _BY_CONTENT if plain else _BY_CONTENT + _BY_LITTLE
         for begin, name in known:
             if head.startswith(begin):
-                both = name == "sog" and checkpoint.is_checkpoint(self.data)
-                return "pt" if both else name
+                of_trainer = begin == ZIP and checkpoint.is_checkpoint(self.data)
+                return "pt" if of_trainer else name
         if suffix not in _BY_SUFFIX:
             listed = ", ".join(_BY_SUFFIX)
             raise InvalidInput(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.packed_values import sh_of_colours, sigmoid
 from gs_codec.scene import SH_COEFFICIENTS, Scene
-
-_Tensor = TypeVar("_Tensor")
 
 #: Tensors by gsplat's names, and nerfstudio's names of two of them.
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -32,7 +30,7 @@ def tensors_of(scene: Scene) -> dict[str, NDArray[np.float32]]:
     }
 
 
-def by_our_names(tensors: Mapping[str, _Tensor]) -> dict[str, _Tensor]:
+def _by_our_names(tensors: Mapping[str, Any]) -> dict[str, Any]:
     """The same by gsplat's names; `InvalidInput` if two of them become one."""
     named = {NERFSTUDIO.get(name, name): tensor for name, tensor in tensors.items()}
     if len(named) < len(tensors):
@@ -40,14 +38,15 @@ def by_our_names(tensors: Mapping[str, _Tensor]) -> dict[str, _Tensor]:
     return named
 
 
-def check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, int]:
-    """Number of Gaussians, and SH degree, of tensors of these shapes, by gsplat's names.
+def check_shapes(tensors: Mapping[str, Any]) -> tuple[int, int]:
+    """Number of Gaussians, and SH degree, of what has shapes by either trainer's names.
 
     Raises
     ------
     InvalidInput
-        If one is missing or not known, or shapes do not go together.
+        If one is missing, there twice or not known, or shapes do not go together.
     """
+    shapes: dict[str, tuple[int, ...]] = {n: t.shape for n, t in _by_our_names(tensors).items()}
     missing = [name for name in NAMES if name not in shapes and name != "shN"]
     if missing:
         raise InvalidInput(f"tensor '{missing[0]}': missing, expected {', '.join(NAMES)}")
@@ -73,27 +72,26 @@ def check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, int]:
     return count, SH_COEFFICIENTS.index(coefficients)
 
 
-def scene_of_tensors(tensors: Mapping[str, NDArray], as_colours: bool = False) -> Scene:
-    """The scene of arrays by gsplat's names, whose shapes `check_shapes` knows.
-
-    `as_colours` is for nerfstudio's without SH-AC: colours before the sigmoid, not SH-DC.
-    """
-    count, degree = check_shapes({name: array.shape for name, array in tensors.items()})
-    for name, array in tensors.items():
+def scene_of_tensors(tensors: Mapping[str, NDArray]) -> Scene:
+    """The scene of arrays by gsplat's or nerfstudio's names; raises as `check_shapes` does."""
+    count, degree = check_shapes(tensors)
+    named = _by_our_names(tensors)
+    for name, array in named.items():
         if array.dtype.kind != "f":
             raise InvalidInput(f"tensor '{name}': {array.dtype}, expected floats")
     coefficients = SH_COEFFICIENTS[degree]
 
     def planes(name: str, rows: int) -> NDArray[np.float32]:
         with np.errstate(over="ignore"):
-            return np.array(tensors[name].reshape(count, rows).T, np.float32, order="C")
+            return np.array(named[name].reshape(count, rows).T, np.float32, order="C")
 
     f_dc = planes("sh0", 3)
-    if as_colours and not degree:
+    # Without SH-AC, nerfstudio's are colours before the sigmoid.
+    if "features_dc" in tensors and not degree:
         f_dc = sh_of_colours(sigmoid(f_dc.astype(np.float64)))
     f_rest = np.empty((3, coefficients, count), np.float32)
     if coefficients:
-        f_rest[:] = tensors["shN"].transpose(2, 1, 0)
+        f_rest[:] = named["shN"].transpose(2, 1, 0)
     return Scene(
         planes("means", 3),
         f_dc,

@@ -400,7 +400,7 @@ class Config:
     )
     coarseness: float = option(
         1.0,
-        "With profiles l, m, s: multiplies all step sizes, 1/64-64.",
+        "With profiles l, m, s: multiplies all step sizes that they choose, 1/64-64.",
         kind=float, low=1 / 64, high=64, expected="1/64 to 64",
     )  # fmt: skip
     geometry: Literal["octree", "gpcc", "auto"] = option(
@@ -513,6 +513,11 @@ class Config:
         if self.profile not in PROFILES:
             raise InvalidInput(f"profile '{self.profile}': has no depths, expected a paper profile")
         return {**PROFILES[self.profile], **self.asked_depths()}
+
+    @property
+    def has_steps(self) -> bool:
+        """Whether what is written follows the step sizes of profile ``l``, ``m`` or ``s``."""
+        return self.profile in ADAPTIVE_PROFILES and self.format in (EGS, *ROUNDED_FORMATS)
 
     def adaptive_profile(self) -> AdaptiveProfile:
         """The parameters of profile ``l``, ``m`` or ``s``, with the coarseness applied."""

@@ -123,6 +123,9 @@ class EncodeReport:
         Gaussians left out because they held NaN or infinity.
     seconds : dict of str to float
         Wall time of each stage.
+    coarseness : float
+        Factor on the step sizes of profile ``l``, ``m`` or ``s``: what was asked for, times what
+        the scene needs without cameras, or what met a target.
     lost : tuple of str
         What a format other than `.egs` cannot hold, in words.
     rate : RateReport, optional
@@ -144,6 +147,7 @@ class EncodeReport:
     zero_quaternions: int = 0
     dropped: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    coarseness: float = 1.0
     lost: tuple[str, ...] = ()
     rate: RateReport | None = None
     prepared: dict[str, Any] | None = None

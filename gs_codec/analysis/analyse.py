@@ -17,6 +17,7 @@ from gs_codec.codecs import encode_scene
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import PROFILE_CHOICES, PROFILES, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.preparation.reference_views import evenly
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import Progress, step_counter
@@ -212,7 +213,7 @@ def _encode(
     entropy, bits = {}, {}
     for profile in PROFILE_CHOICES:
         config = Config(profile)
-        report = encode_scene(scene, config)[1]
+        report = encode_camera_free(scene, config)[1]
         bits[profile] = bits_by_attribute(report, scene.sh_degree)
         if profile in PROFILES:
             depths = depths_by_group(config, scene.sh_degree)

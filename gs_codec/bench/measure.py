@@ -14,10 +14,10 @@ from gs_codec.bench.beside import measure_beside, our_codecs
 from gs_codec.bench.host import machine
 from gs_codec.bench.peers import find_peers
 from gs_codec.bench.sources import MeasuredScene, open_scene
-from gs_codec.codecs import encode_scene
 from gs_codec.config import Config, changed_options
 from gs_codec.files.scenes import compare_files
 from gs_codec.formats.ply import write_ply
+from gs_codec.guidance.planned import encode_camera_free
 
 
 def measure_scenes(
@@ -52,7 +52,7 @@ def _details(measured: MeasuredScene, config: Config) -> Iterator[dict[str, Any]
     with tempfile.TemporaryDirectory() as folder:
         ply, back = Path(folder) / "scene.ply", Path(folder) / "back.ply"
         write_ply(ply, scene)
-        report = encode_scene(scene, config)[1]
+        report = encode_camera_free(scene, config)[1]
         identity = {"scene": measured.name, "profile": config.profile, "gaussians": scene.count}
         yield {
             "kind": "codec",

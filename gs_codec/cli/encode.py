@@ -83,6 +83,8 @@ def _print_report(target: Path, report: EncodeReport) -> None:
         print_prepared(report.prepared)
     if report.rate is not None:
         _print_rate(report.rate)
+    elif report.coarseness != 1:
+        print_text(f"steps {report.coarseness:.2f} times the profile's")
 
 
 def _print_rate(rate: RateReport) -> None:

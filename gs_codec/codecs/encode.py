@@ -78,7 +78,7 @@ def encode_parts(
             parts, report = encode_lossless(scene, config, times, progress)
         else:
             parts, report = encode_channels(scene, config, times, progress)
-    return parts, replace(report, **changed)
+    return parts, replace(report, **changed, coarseness=config.coarseness)
 
 
 def shape_scene(

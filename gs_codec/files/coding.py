@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gs_codec.codecs import encode_parts
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import EGS, Config, RateTarget
@@ -19,7 +18,7 @@ from gs_codec.files.suffixes import ENCODED, config_for
 from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
-from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
 from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arrays import bounded, current
 from gs_codec.runtime.atomic import atomic_writer
@@ -121,7 +120,7 @@ def encode_file(
             scene, input_bytes, counted = _read_source(source, config, max_bytes)
         with located(source):
             if plan is None and rate is None:
-                parts, report = encode_parts(scene, config, progress)
+                parts, report = encode_camera_free(scene, config, progress)
             else:
                 data, report = encode_by_plan(scene, counted, config, plan, rate, progress)
                 parts = [data]

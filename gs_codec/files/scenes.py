@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs import decode_part, encode_parts, matching
+from gs_codec.codecs import decode_part, matching
 from gs_codec.codecs.costs import gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
@@ -27,6 +27,7 @@ from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.sog_files import META
+from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
@@ -57,7 +58,7 @@ def write_scene(
         lost = _WRITERS[suffix](path, scene)
     else:
         with located(path):
-            parts, report = encode_parts(scene, config_for(path, config))
+            parts, report = encode_camera_free(scene, config_for(path, config))
         write_parts(path, parts)
         lost = report.lost
     tell_lost(path, lost)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from gs_codec.codecs.encode import encode_scene, encode_shaped, shape_scene
+from gs_codec.codecs.encode import encode_parts, encode_shaped, shape_scene
 from gs_codec.coding.clean import clean_scene
 from gs_codec.config import (
     ADAPTIVE_PROFILES,
@@ -118,19 +118,19 @@ def encode_planned(
     """
     fixed = config.profile not in ADAPTIVE_PROFILES or config.format in EXACT_FORMATS
     if plan is None or fixed or not scene.count:
-        return encode_scene(scene, config, progress)
+        return _camera_free(scene, config, progress)
     from gs_codec.guidance.guide import guide
     from gs_codec.preparation.pipeline import guiding_views
 
     references = guiding_views(scene, plan, progress, references)
     if references is None:
-        return encode_scene(scene, config, progress)
+        return _camera_free(scene, config, progress)
     times = StageTimes()
     with using_threads(config.threads):
         with times.stage("check"):
             clean, changed = clean_scene(scene, config)
         if not clean.count:
-            return encode_scene(scene, config, progress)
+            return _camera_free(scene, config, progress)
         with times.stage("views"):
             guidance = guide(clean, references, progress)
         profile = config.adaptive_profile()
@@ -139,4 +139,31 @@ def encode_planned(
             shaped = shaped.with_colours(guidance.recolour(shaped, profile))
         del guidance  # It holds large arrays: a weight for each Gaussian in each view.
         parts, report = encode_shaped(shaped, times, progress)
-    return b"".join(parts), replace(report, **changed)
+    return b"".join(parts), replace(report, **changed, coarseness=config.coarseness)
+
+
+def _camera_free(
+    scene: Scene, config: Config, progress: Progress | None
+) -> tuple[bytes, EncodeReport]:
+    parts, report = encode_camera_free(scene, config, progress)
+    return b"".join(parts), report
+
+
+def encode_camera_free(
+    scene: Scene, config: Config, progress: Progress | None = None
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """Encode a scene to the consecutive pieces of a file, as coarsely as it needs.
+
+    Raises
+    ------
+    InvalidInput, MissingTool, ToolFailed
+        As `encode_scene`.
+    """
+    times = StageTimes()
+    if config.has_steps and scene.count:
+        from gs_codec.guidance.calibrate import calibrated
+
+        with times.stage("calibrate"), using_threads(config.threads, scene.count):
+            config = calibrated(scene, config)
+    parts, report = encode_parts(scene, config, progress)
+    return parts, replace(report, seconds={**times.seconds, **report.seconds})

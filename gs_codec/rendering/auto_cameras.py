@@ -64,7 +64,7 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
     middle = np.median(points, axis=1)
     # Behind the places that a scene tells may be walls.
     back = _BACK[:1] if seen.telling else _BACK
-    views = [_look(middle + k * (place - middle), middle, seen) for k in back for place in some]
+    views = [look_at(middle + k * (place - middle), middle, seen) for k in back for place in some]
 
     def judge(view: Camera) -> float:
         score, weight = _judge(seen, view)
@@ -89,7 +89,7 @@ def _others(seen: Evidence, count: int, rng: np.random.Generator) -> list[Camera
     some = seen.places[rng.choice(number, tried, replace=tried > number)]
     thumb = seen.thumb
     aims = thumb.positions.T[rng.integers(thumb.count, size=tried)].astype(np.float64)
-    views = [_look(place, aim, seen) for place, aim in zip(some, aims, strict=True)]
+    views = [look_at(place, aim, seen) for place, aim in zip(some, aims, strict=True)]
     judged = run_all(lambda view: _judge(seen, view), views)
     scores = np.array([score for score, _ in judged])
     left = [i for i in np.argsort(-scores, kind="stable") if np.isfinite(scores[i])]
@@ -105,7 +105,7 @@ def _others(seen: Evidence, count: int, rng: np.random.Generator) -> list[Camera
     return [views[i] for i in chosen]
 
 
-def _look(position: NDArray, target: NDArray, seen: Evidence) -> Camera:
+def look_at(position: NDArray, target: NDArray, seen: Evidence) -> Camera:
     """A camera that looks at a target; at tiny scenes from farther away, with a longer lens."""
     zoom = max(1.0, 2 * NEAR / (0.3 * seen.size)) if seen.size < NEAR else 1.0
     position = target + zoom * (position - target)

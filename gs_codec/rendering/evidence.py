@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,17 @@ _THUMB_GAUSSIANS = 50_000
 #: Gaussians below this logit (opacity 0.3) say little about where surfaces are.
 _SOLID = -0.85
 
-#: Places that are tried, the Gaussians that each is tried on, and the share of the places that
-#: stay: with fewer, views would be too much alike.
-_PLACES, _WITNESSES, _STAY = 6000, 2500, 0.1
+
+class _Tried(NamedTuple):
+    """Places that are tried, the Gaussians that each is tried on, and the share that stays."""
+
+    places: int
+    witnesses: int
+    stay: float
+
+
+#: If fewer stay, views are too much alike.
+_THOROUGH, _QUICK = _Tried(6000, 2500, 0.1), _Tried(3000, 800, 0.05)
 
 #: Distances of places from a Gaussian: from this part of the scene's size to that of its reach; and
 #: the largest distance from the scene's centre in units of its reach.
@@ -77,10 +86,10 @@ class Evidence:
     telling: bool
 
 
-def gather_evidence(scene: Scene) -> Evidence | None:
+def gather_evidence(scene: Scene, quick: bool = False) -> Evidence | None:
     """Gather what a scene tells about its cameras; None if it has no finite Gaussians.
 
-    The same scene gives the same places.
+    The same scene gives the same places. A `quick` look tries fewer, and takes -y for up.
     """
     thumb = _thinned(scene)
     if not thumb.count:
@@ -92,10 +101,11 @@ def gather_evidence(scene: Scene) -> Evidence | None:
     size = max(float(np.median(distance)), float(np.exp(np.median(sizes))), 1e-6)
     reach = max(float(np.quantile(distance, 0.75)), size)
     shown = _shown(thumb)
-    places, shows = _places(points, shown, centre, size, reach)
-    order = np.argsort(-shows, kind="stable")[: max(1, int(_STAY * _PLACES))]
+    tried = _QUICK if quick else _THOROUGH
+    places, shows = _places(points, shown, centre, size, reach, tried)
+    order = np.argsort(-shows, kind="stable")[: max(1, int(tried.stay * tried.places))]
     telling = bool(shows[order].mean() - shows.mean() > _TELLING)
-    up = _vertical(thumb, shown, places[order], telling)
+    up = -np.eye(3)[1] if quick else _vertical(thumb, shown, places[order], telling)
     subject = (sizes <= np.quantile(sizes, 0.1)) | (not telling)
     return Evidence(thumb, size, subject, places[order], up, telling)
 
@@ -136,17 +146,18 @@ def _places(
     centre: NDArray[np.float64],
     size: float,
     reach: float,
+    tried: _Tried,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Random places ``(P, 3)``, and for each the mean logarithm of what Gaussians show there."""
     rng = np.random.default_rng(0)
     inner = points[np.linalg.norm(points - centre, axis=1) <= 1.5 * reach]
-    sides = rng.standard_normal((_PLACES, 3))
+    sides = rng.standard_normal((tried.places, 3))
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     low, high = np.log([_NEAREST * size, _FARTHEST * reach])
-    away = np.exp(rng.uniform(low, high, (_PLACES, 1)))
-    places = inner[rng.integers(len(inner), size=_PLACES)] + away * sides
+    away = np.exp(rng.uniform(low, high, (tried.places, 1)))
+    places = inner[rng.integers(len(inner), size=tried.places)] + away * sides
     places = places[np.linalg.norm(places - centre, axis=1) <= _FARTHEST * reach]
-    some = rng.integers(len(points), size=_WITNESSES)
+    some = rng.integers(len(points), size=tried.witnesses)
     shows, soft = np.zeros(len(places)), (_NEAREST * size) ** 2
     seen, around = np.ascontiguousarray(shown[:, :, some]), np.ascontiguousarray(points[some])
     if seen.any():

@@ -1,0 +1,140 @@
+"""The coarseness that camera-free profiles need: the same loss in views of any scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, random_scene, shared_scene_path, with_threads
+
+from gs_codec.codecs.decode import decode_as
+from gs_codec.codecs.encode import encode_scene
+from gs_codec.config import Config
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.ply import read_ply
+from gs_codec.guidance.calibrate import calibrated
+from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.inria import as_camera
+from gs_codec.rendering.renderer import render
+from samples.captures.capture import capture
+from samples.generate import generate, orbit_cameras
+
+#: Own PSNR, dB, of which a scene of 30 dB loses 0.026 to 0.078 dB; wanted is 0.05.
+LEAST, MOST = 47.4, 52.2
+
+
+def own_psnr(scene, cameras, config):
+    """PSNR of the decoded scene's views against its own, mean of the errors."""
+    decoded = decode_as(config, b"".join(encode_camera_free(scene, config)[0]))
+    pairs = [[render(s, view, device="cpu").colour for s in (scene, decoded)] for view in cameras]
+    return -10 * np.log10(np.mean([np.mean((a - b) ** 2, dtype=np.float64) for a, b in pairs]))
+
+
+@pytest.fixture(scope="module")
+def still_life():
+    return generate(12_000, 3, 1)
+
+
+@pytest.fixture(scope="module")
+def views():
+    return [as_camera(camera) for camera in orbit_cameras(24, 200, 133)[::3]]
+
+
+@pytest.mark.parametrize("contrast", [0.2, 1.0])
+def test_m_loses_the_same_at_any_contrast(still_life, views, contrast):
+    """Steps of colours follow from nothing else, so those of faint colours would be too fine."""
+    scene = replace(
+        still_life,
+        f_dc=np.float32(contrast) * still_life.f_dc,
+        f_rest=np.float32(contrast) * still_life.f_rest,
+    )
+    assert LEAST < own_psnr(scene, views, Config("m")) < MOST
+
+
+def test_m_loses_the_same_of_a_small_capture():
+    made = capture("forward", 6000, seed=3, iterations=40, width=120)
+    cameras = [camera for camera in made.cameras if camera.split == "test"]
+    assert LEAST < own_psnr(made.scene, cameras, Config("m")) < MOST
+
+
+@pytest.mark.parametrize(
+    ("name", "format"), [("bonsai", "egs"), ("mouse", "egs"), ("mouse", "spz")]
+)
+def test_m_loses_the_same_of_real_scenes(name, format):  # noqa: A002
+    scene = read_ply(shared_scene_path(f"{name}/point_cloud.ply"))
+    cameras = find_cameras(shared_scene_path(f"{name}/cameras.json"), scene, "test", 200, None)
+    assert LEAST < own_psnr(scene, cameras[::4], Config("m", format=format)) < MOST
+
+
+def test_profiles_change_by_the_same_factor_and_coarseness_multiplies_it(still_life):
+    found = calibrated(still_life, Config("m")).coarseness
+    assert found != 1
+    assert calibrated(still_life, Config("s")).coarseness == found
+    assert calibrated(still_life, Config("m", coarseness=1.5)).coarseness == 1.5 * found
+    assert calibrated(still_life, Config("m", coarseness=1 / 64)).coarseness == 1 / 64
+
+
+def test_files_are_those_of_the_coarseness_that_the_report_tells(still_life):
+    parts, report = encode_camera_free(still_life, Config("l"))
+    assert report.coarseness == calibrated(still_life, Config("l")).coarseness
+    told = Config("l", coarseness=report.coarseness)
+    assert b"".join(parts) == encode_scene(still_life, told)[0]
+    assert encode_by_plan(still_life, 1, Config("l"))[0] == b"".join(parts)
+    assert "calibrate" in report.seconds
+
+
+def test_threads_order_and_other_columns_do_not_matter(still_life):
+    found = calibrated(still_life, Config())
+    assert with_threads(1, calibrated, still_life, Config()) == found
+    assert with_threads(3, calibrated, still_life, Config()) == found
+    extra = {"label": np.full(still_life.count, np.nan, np.float32)}
+    assert calibrated(replace(still_life, extra=extra), Config()) == found
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        Config("lossless"),
+        Config("paper-m"),
+        Config(format="compressed.ply"),
+        Config(format="splat"),
+        Config(format="glb"),
+    ],
+    ids=lambda config: f"{config.format} {config.profile}",
+)
+def test_what_has_no_step_sizes_is_not_looked_at(still_life, config):
+    assert "calibrate" not in encode_camera_free(still_life, config)[1].seconds
+
+
+def test_few_gaussians_are_not_looked_at():
+    few = random_scene(4999)
+    assert calibrated(few, Config()) == Config()
+
+
+@pytest.mark.parametrize("name", edge_scenes())
+def test_scenes_at_the_limits(name):
+    """Nothing is said, and the coarseness stays within two octaves."""
+    scene = edge_scenes()[name]
+    many = scene.take(np.arange(6000) % max(scene.count, 1)) if scene.count else scene
+    assert 0.25 <= calibrated(many, Config()).coarseness <= 4
+
+
+def test_scenes_that_views_do_not_show_stay_as_they_are(still_life):
+    clear = replace(still_life, opacity=np.full_like(still_life.opacity, -20))
+    assert calibrated(clear, Config()) == Config()
+    # Each would show all Gaussians: as many splats as there are, in every window.
+    fog = replace(still_life, log_scale=np.full_like(still_life.log_scale, 5))
+    assert calibrated(fog, Config()) == Config()
+
+
+def test_values_that_are_not_finite_are_refused_or_dropped_as_ever(still_life):
+    broken = replace(still_life, f_rest=still_life.f_rest.copy(), opacity=still_life.opacity.copy())
+    broken.f_rest[4, ::7] = np.nan
+    broken.opacity[0, 1::7] = np.inf
+    with pytest.raises(InvalidInput, match="not finite"):
+        encode_camera_free(broken, Config())
+    _, report = encode_camera_free(broken, Config(nonfinite="drop"))
+    assert report.dropped == np.count_nonzero(np.arange(12_000) % 7 < 2)
+    assert 0.25 <= report.coarseness <= 4

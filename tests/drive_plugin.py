@@ -17,6 +17,11 @@ import gs_codec
 import viewer
 
 
+def changes(before: np.ndarray, after: np.ndarray) -> int:
+    """Number of pixels that differ."""
+    return int((np.abs(after - before).max(axis=2) > 12).sum())
+
+
 def run(folder: Path) -> dict:
     app = gui.Application.instance
     app.initialize()
@@ -24,14 +29,26 @@ def run(folder: Path) -> dict:
     app.add_window(visualizer)
     actions = viewer.attach(visualizer)
 
-    def shown() -> np.ndarray:
-        for _ in range(10):
+    pictures: list[np.ndarray] = []
+
+    def show() -> None:
+        """Add what the window shows once it is another picture than before, and at rest."""
+        equal, before = 0, None
+        for _ in range(500):
             visualizer.post_redraw()
             app.run_one_tick()
             time.sleep(0.06)
-        return grab(visualizer)
+            now = grab(visualizer)
+            # A software driver on a busy machine may take long for a frame.
+            new = bool(now.any()) if not pictures else bool(changes(pictures[-1], now))
+            equal = equal + 1 if new and before is not None and np.array_equal(now, before) else 0
+            if equal == 5:
+                pictures.append(now)
+                return
+            before = now
+        raise SystemExit("the window shows nothing new, or never rests")
 
-    pictures = [shown()]
+    show()
     try:
         actions.compare(folder / "b.egs")
     except gs_codec.GsCodecError as error:
@@ -42,22 +59,19 @@ def run(folder: Path) -> dict:
         lambda: actions.compare(folder / "b.egs"),
     ):
         action()
-        pictures.append(shown())
+        show()
     count, titles = actions.scene.count, [visualizer.title]
     named = ["centres", "pruned"]
     left = [name for name in named if visualizer.scene.has_geometry(f"gs_codec {name}")]
     actions.detach()
-    pictures.append(shown())
+    show()
     titles.append(visualizer.title)
     try:
         actions.open(folder / "a.ply")
     except gs_codec.GsCodecError as error:
         detached = str(error)
     left.append([name for name in named if visualizer.scene.has_geometry(f"gs_codec {name}")])
-    changed = [
-        int((np.abs(after - before).max(axis=2) > 12).sum())
-        for before, after in zip(pictures, pictures[1:], strict=False)
-    ]
+    changed = [changes(*pair) for pair in zip(pictures, pictures[1:], strict=False)]
     return {
         "changed": changed,
         "refused": refused,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.binary import bit_length
-from gs_codec.coding.context_rans import PRECISION, SPAN_BITS
+from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS
 from gs_codec.coding.rans import LANES, pull
 from gs_codec.runtime.kernels import inlined, kernel
 
@@ -59,7 +59,8 @@ def read_token(words, position, states, symbol, spans, slots, row, bits, used, r
     """
     token, position = pull(
         words, position, states, symbol & (LANES - 1),
-        spans, slots, np.int64(row) << SPAN_BITS, np.int64(row) << PRECISION, PRECISION,
+        spans, slots, np.int64(row) << SPAN_BITS, np.int64(row) << (PRECISION - RUN_BITS),
+        PRECISION, RUN_BITS,
     )  # fmt: skip
     size = token >> 1
     # Before the branch: of an array that is used only within, references would be counted.

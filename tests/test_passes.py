@@ -29,6 +29,7 @@ from gs_codec.coding.context_rans import (
     MORE_BITS,
     OUT_OF_WORDS,
     PRECISION,
+    RUN_BITS,
     SPAN_BITS,
     CodedPass,
     PassReader,
@@ -144,8 +145,8 @@ def random_passes(seed: int, sizes: list[int]) -> tuple[PassTables, list[CodedPa
     none = np.zeros(0, np.int64)
     for i, size in enumerate(sizes):
         rows = rng.integers(0, 50, size).astype(np.uint16)
-        slots = rng.integers(0, 1 << PRECISION, size)
-        tokens = tables.slots.reshape(-1, 1 << PRECISION)[rows, slots]
+        runs = rng.integers(0, 1 << (PRECISION - RUN_BITS), size)
+        tokens = tables.slots.reshape(-1, 1 << (PRECISION - RUN_BITS))[rows, runs]
         made.append(
             CodedPass(
                 (f"s{i}",), np.zeros(1, np.int64), np.arange(50), tokens, rows, none, none, none

@@ -25,7 +25,7 @@ from gs_codec.runtime.threads import available_threads, using_threads
 from gs_codec.scene import Scene
 
 #: Gaussians decoded at once, or two blocks for each thread if that is more.
-_SLAB = 1 << 19
+_SLAB = 1 << 18
 
 
 @dataclass

@@ -29,6 +29,9 @@ MORE_BITS = 8 + 4 * LANES
 #: Base-2 logarithm of the number of spans that a table has room for.
 SPAN_BITS = 8
 
+#: Base-2 logarithm of the slots that share an entry: tables are read from the caches.
+RUN_BITS = 4
+
 #: What a kernel can find wrong.
 FAULTS = (
     "",
@@ -45,7 +48,7 @@ class PassTables:
     """Tables of all passes, one after another.
 
     ``spans`` have start << 16 | frequency of each symbol, ``2**SPAN_BITS`` for each table;
-    ``slots`` the symbol of each slot, ``2**PRECISION`` for each.
+    ``slots`` the symbol of the first of every ``2**RUN_BITS`` slots.
     """
 
     spans: NDArray[np.uint32]
@@ -55,7 +58,7 @@ class PassTables:
     def pack(cls, tables: Sequence[FrequencyTable]) -> PassTables:
         """Pack tables of precision `PRECISION`."""
         spans = np.zeros((len(tables), 1 << SPAN_BITS), np.uint32)
-        slots = np.zeros((len(tables), 1 << PRECISION), np.uint8)
+        slots = np.zeros((len(tables), 1 << (PRECISION - RUN_BITS)), np.uint8)
         for span, slot, table in zip(spans, slots, tables, strict=True):
             _pack(table.frequencies, span, slot)
         return cls(spans.ravel(), slots.ravel())
@@ -67,8 +70,8 @@ def _pack(frequencies, spans, slots):
     for symbol in range(len(frequencies)):
         frequency = np.int64(frequencies[symbol])
         spans[symbol] = (start << 16) | frequency
-        slots[start : start + frequency] = symbol
-        start += frequency
+        first, start = start, start + frequency
+        slots[-(-first >> RUN_BITS) : -(-start >> RUN_BITS)] = symbol
 
 
 @dataclass(frozen=True)

@@ -85,17 +85,23 @@ def push(words, position, states, lane, span, precision):
 
 
 @inlined
-def pull(words, position, states, lane, spans, slots, of_span, of_slot, precision):
+def pull(words, position, states, lane, spans, slots, of_span, of_slot, precision, run_bits):
     """Decode a symbol under the table whose spans and slots begin at these places.
 
-    Returns it and the position after the words it reads. Arrays are not sliced for a symbol: their
-    references would be counted.
+    ``slots`` have the symbol of the first of every ``2**run_bits`` slots. Returns the symbol and
+    the position after the words it reads. Arrays are not sliced for a symbol: their references
+    would be counted.
     """
     # Unsigned: a signed index is tested for < 0.
     state = states[np.uint64(lane)]
     slot = state & ((1 << precision) - 1)
-    symbol = np.int64(slots[np.uint64(of_slot + slot)])
+    symbol = np.int64(slots[np.uint64(of_slot + (slot >> run_bits))])
     span = np.int64(spans[np.uint64(of_span + symbol)])
+    if run_bits > 0:
+        # Few runs of slots have several symbols, so a processor guesses right.
+        while slot - (span >> 16) >= span & 0xFFFF:
+            symbol += 1
+            span = np.int64(spans[np.uint64(of_span + symbol)])
     state = (span & 0xFFFF) * (state >> precision) + slot - (span >> 16)
     short = np.int64(state < LOWEST)
     # No branch: it would often be mispredicted.
@@ -132,7 +138,7 @@ def _decode(words, bounds, closed, states, precisions, spans, slots, offsets, sy
             for i in range(first, min(first + LANES, count)):
                 lane = i & (LANES - 1)
                 out[i], position = pull(
-                    words, position, states, lane, flat, slots, of_span, of_slot, precision
+                    words, position, states, lane, flat, slots, of_span, of_slot, precision, 0
                 )
         if position > bounds[channel] or (closed[channel] and position != bounds[channel]):
             return channel

@@ -80,15 +80,24 @@ def take_colours(
 
 
 @kernel
-def _fill(levels, units, steps, limit, out):
-    largest = 0.0
+def _fill(levels, units, steps, limit, out, first):
+    count, beyond = len(steps), 0
     for k in range(len(units)):
-        for i in range(len(steps)):
-            step = units[k] * steps[i]
-            y, o, g = levels[0, k, i] * step, levels[1, k, i] * step, levels[2, k, i] * step
-            largest = max(largest, abs(y), abs(o), abs(g))
-            out[0, k, i], out[1, k, i], out[2, k, i] = red_green_blue(y, o, g)
-    return largest < limit
+        unit = units[k]
+        # Contiguous rows, and no maximum of floats: so LLVM computes eight colours at once.
+        luma, orange, other = levels[0, k], levels[1, k], levels[2, k]
+        red, green, blue = (
+            out[0, k, first : first + count],
+            out[1, k, first : first + count],
+            out[2, k, first : first + count],
+        )
+        for i in range(count):
+            step = unit * steps[i]
+            y, o, g = luma[i] * step, orange[i] * step, other[i] * step
+            beyond |= np.int64(abs(y) >= limit) | np.int64(abs(o) >= limit)
+            beyond |= np.int64(abs(g) >= limit)
+            red[i], green[i], blue[i] = red_green_blue(y, o, g)
+    return beyond == 0
 
 
 def fill_colours(
@@ -97,10 +106,11 @@ def fill_colours(
     shifts: NDArray[np.int64],
     limit: float,
     out: NDArray[np.float32],
+    first: int = 0,
 ) -> bool:
-    """Write R, G, B of ``levels (3, K, n)`` of Y, Co, Cg to ``out (3, K, n)``.
+    """Write R, G, B of ``levels (3, K, n)`` of Y, Co, Cg to ``out (3, K, N)``, from `first` on.
 
     The value of a level is ``level * (units[k] << shifts[i])``, in 1 / 2**20: exact below
     2**33. Returns whether all are below `limit`. Same operations as `from_ycocg`.
     """
-    return _fill(levels, units.astype(np.float64), 2.0 ** (shifts - 20), limit, out)
+    return _fill(levels, units.astype(np.float64), 2.0 ** (shifts - 20), limit, out, first)

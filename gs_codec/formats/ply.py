@@ -19,6 +19,7 @@ from gs_codec.formats.ply_body import Ply, ply_of, to_planes, to_rows
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
+from gs_codec.runtime.threads import work_behind
 from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, property_names
 
 log = logging.getLogger(__name__)
@@ -26,8 +27,8 @@ log = logging.getLogger(__name__)
 _NORMALS = ("nx", "ny", "nz")
 _COLOURS = ("red", "green", "blue")
 
-#: Rows written at once.
-_ROWS = 1 << 17
+#: Rows written at once: 4 MB with SH of degree 3, memory that the C library keeps for the next.
+_ROWS = 1 << 14
 
 
 def read_ply(path: str | Path, extra: Extra = "error", max_bytes: int | None = None) -> Scene:
@@ -170,12 +171,18 @@ def write_ply(path: str | Path, scene: Scene) -> tuple[()]:
 
 
 def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
-    """Write a PLY of `count` Gaussians from slabs of the same layout, one after another."""
-    for number, slab in enumerate(slabs):
+    """Write a PLY of `count` Gaussians from slabs of the same layout, one after another.
+
+    If threads may be used, another one writes a slab while the next one is made.
+    """
+
+    def write(number: int, slab: Scene) -> None:
         if not number:
             file.write(_header(slab, count).encode("ascii"))
         for start in range(0, slab.count, _ROWS):
             file.write(vertex_rows(slab.between(start, start + _ROWS)).data)
+
+    work_behind(write, slabs)
 
 
 def _header(scene: Scene, count: int) -> str:

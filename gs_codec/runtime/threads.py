@@ -101,3 +101,22 @@ def run_all(
             pool.shutdown(cancel_futures=True)
             raise
     return results
+
+
+def work_behind(function: Callable[[int, Item], None], items: Iterable[Item]) -> None:
+    """Call `function` with the number of each item and the item, in order, in another thread.
+
+    Meanwhile the next item is made. With one thread in use, all is done in the caller's.
+    """
+    if available_threads() == 1:
+        for number, item in enumerate(items):
+            function(number, item)
+        return
+    with ThreadPoolExecutor(1) as behind:
+        working: Future[None] | None = None
+        for number, item in enumerate(items):
+            if working is not None:
+                working.result()
+            working = behind.submit(function, number, item)
+        if working is not None:
+            working.result()

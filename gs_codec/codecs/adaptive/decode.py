@@ -134,6 +134,7 @@ class Blocks:
         kept = found.levels.shape[1]
         if kept:
             units = [self.lattice.units[f"sh{n}"] for n, b in enumerate(self.bands, 1) for _ in b]
-            rows = groups["f_rest"].reshape(3, kept, -1)[:, :, span]
-            if not fill_colours(found.levels, np.array(units), found.shifts, TOO_LARGE, rows):
+            rows = groups["f_rest"].reshape(3, kept, -1)
+            lattice = np.array(units), found.shifts
+            if not fill_colours(found.levels, *lattice, TOO_LARGE, rows, span.start):
                 raise CorruptStream(f"block {block}: a value out of range")

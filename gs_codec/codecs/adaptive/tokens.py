@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.binary import bit_length
-from gs_codec.coding.context_rans import PRECISION, SPAN_BITS
+from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS
 from gs_codec.coding.rans import LANES, pull
 from gs_codec.runtime.kernels import inlined, kernel
 
@@ -59,17 +59,19 @@ def read_token(words, position, states, symbol, spans, slots, row, bits, used, r
     """
     token, position = pull(
         words, position, states, symbol & (LANES - 1),
-        spans, slots, np.int64(row) << SPAN_BITS, np.int64(row) << PRECISION, PRECISION,
+        spans, slots, np.int64(row) << SPAN_BITS, np.int64(row) << (PRECISION - RUN_BITS),
+        PRECISION, RUN_BITS,
     )  # fmt: skip
     size = token >> 1
+    # Before the branch: of an array that is used only within, references would be counted.
+    at = used >> 3
+    window = np.int64(bits[np.uint64(at)]) << 32 | np.int64(bits[np.uint64(at + 1)]) << 24
+    window |= np.int64(bits[np.uint64(at + 2)]) << 16 | np.int64(bits[np.uint64(at + 3)]) << 8
+    window |= np.int64(bits[np.uint64(at + 4)])
     if not rarely or size >= _DIRECT:
         beyond = size - _DIRECT
         large = ~(beyond >> 63)
         width = ((beyond >> _KEPT_BITS) + _DIRECT_BITS - _KEPT_BITS) & large
-        at = used >> 3
-        window = np.int64(bits[np.uint64(at)]) << 32 | np.int64(bits[np.uint64(at + 1)]) << 24
-        window |= np.int64(bits[np.uint64(at + 2)]) << 16 | np.int64(bits[np.uint64(at + 3)]) << 8
-        window |= np.int64(bits[np.uint64(at + 4)])
         rest = (window >> (40 - (used & 7) - width)) & ((1 << width) - 1)
         size = (size & ~large) | (((4 + (beyond & 3)) << width) & large) | rest
         used += width

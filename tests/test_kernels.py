@@ -87,6 +87,51 @@ def test_cached_kernels_start_without_the_compiler(tmp_path):
     assert compiled[1] == loaded[1] == "[14] [1. 1.]", "what is not cached has to compile"
 
 
+USES = """
+from gs_codec.runtime.kernels import kernel
+from helpers import OFFSET, change
+@kernel
+def changed(value):
+    return change(value) + OFFSET
+print(changed(1), len(changed.stats.cache_hits))
+"""
+
+HELPERS = """
+from gs_codec.runtime.kernels import inlined
+from deeper import FACTOR
+OFFSET = {offset}
+@inlined
+def change(value):
+    return value {sign} FACTOR
+"""
+
+
+def test_kernels_are_compiled_again_when_what_they_use_changes(tmp_path):
+    """Of other modules too, which numba does not look at: a decoder would read files wrongly."""
+    (tmp_path / "uses.py").write_text(USES)
+    environment = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def run() -> str:
+        return subprocess.run(
+            [sys.executable, str(tmp_path / "uses.py")],
+            env=os.environ | environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+
+    def change(offset: int, sign: str, factor: int) -> str:
+        (tmp_path / "helpers.py").write_text(HELPERS.format(offset=offset, sign=sign))
+        (tmp_path / "deeper.py").write_text(f"FACTOR = {factor}\n")
+        return run()
+
+    assert change(10, "+", 5) == "16 0\n"
+    assert run() == "16 1\n"
+    assert change(20, "+", 5) == "26 0\n"
+    assert change(20, "-", 5) == "16 0\n"
+    assert change(20, "-", 4) == "17 0\n"
+
+
 def test_processes_that_start_together_compile_once(tmp_path):
     script = tmp_path / "started.py"
     script.write_text(STARTED)

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 
@@ -30,7 +31,7 @@ def kernel(function: Callable) -> Any:
         return compiled
     with suppress(RuntimeError):  # no folder for a cache: each process compiles again
         compiled.enable_caching()
-        _go_by_cache(compiled._cache)
+        _go_by_cache(compiled._cache, function)
         compiled.compile = _alone(compiled.compile, function.__code__.co_filename)
     return compiled
 
@@ -65,11 +66,13 @@ def _locked(source: str) -> Iterator[None]:
             os.close(descriptor)
 
 
-def _go_by_cache(cache: Any) -> None:
+def _go_by_cache(cache: Any, function: Callable) -> None:
     """Load quickly from the cache, and ignore its failures: a kernel can be compiled again."""
     load, save = cache.load_overload, cache.save_overload
 
     def try_to_load(signature: Any, target: Any) -> Any:
+        # Only now are all globals of the function's module there.
+        cache._cache_file._source_stamp = _stamp(function)
         with suppress(*_CACHE_ERRORS):
             return load(signature, _Loading(target))
         return None
@@ -79,6 +82,31 @@ def _go_by_cache(cache: Any) -> None:
             save(*arguments)
 
     cache.load_overload, cache.save_overload = try_to_load, try_to_save
+
+
+def _stamp(function: Callable) -> list[Any]:
+    """What a kernel is compiled from; numba's own stamp is that of its source file alone.
+
+    These are the source files of all kernels that it calls, and the values of globals of all.
+    """
+    stamp: dict[str, Any] = {}
+
+    def add(function: Any) -> None:
+        source, names = function.__code__.co_filename, function.__code__.co_names
+        with suppress(OSError):
+            status = os.stat(source)
+            stamp[source] = status.st_mtime, status.st_size
+        for name in names:
+            value, key = function.__globals__.get(name), f"{source}:{name}"
+            called = getattr(value, "py_func", None)
+            if called is not None and key not in stamp:
+                stamp[key] = None
+                add(called)
+            elif isinstance(value, bool | int | float | tuple | np.generic | np.ndarray):
+                stamp[key] = value.tobytes() if isinstance(value, np.ndarray) else repr(value)
+
+    add(function)
+    return sorted(stamp.items(), key=str)
 
 
 def inlined(function: Callable) -> Any:

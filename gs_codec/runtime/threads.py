@@ -117,6 +117,6 @@ def work_behind(function: Callable[[int, Item], None], items: Iterable[Item]) ->
         for number, item in enumerate(items):
             if working is not None:
                 working.result()
-            working = behind.submit(function, number, item)
+            working = behind.submit(copy_context().run, function, number, item)
         if working is not None:
             working.result()

@@ -173,7 +173,7 @@ class AdaptiveProfile:
         )
 
 
-_M = AdaptiveProfile(error=2e-5, compaction=1.5e-5, fineness=0.0063, of_loss=0.3)
+_M = AdaptiveProfile(error=2.6e-5, compaction=1.5e-5, fineness=0.0063, of_loss=0.3)
 
 #: Half, once and 2.25 times the step sizes of `m`.
 ADAPTIVE_PROFILES: Mapping[str, AdaptiveProfile] = {
@@ -328,7 +328,7 @@ class Config:
         With ``lossless``, keep the order of the Gaussians too, at some cost. Default False.
     coarseness : float
         With ``l``, ``m``, ``s``: factor on all step sizes (their rate control) except those of
-        `depths`, 1/64-64. Default 1.
+        `depths`, 1/64-64; without cameras, times what the scene needs. Default 1.
     geometry : {"octree", "gpcc", "auto"}
         With a paper profile, the coder of positions and SH-DC: ours (``octree``) or MPEG's
         reference software ``tmc3`` (``gpcc``), for depths up to 18 and 8. ``auto`` is ``gpcc`` if

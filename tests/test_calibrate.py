@@ -121,6 +121,14 @@ def test_scenes_at_the_limits(name):
     assert 0.25 <= calibrated(many, Config()).coarseness <= 4
 
 
+@pytest.mark.parametrize("factor", [1e-38, 1e30])
+@pytest.mark.parametrize("group", ["positions", "f_dc", "log_scale", "rot"])
+def test_extreme_numbers(still_life, group, factor):
+    planes = (getattr(still_life, group) * np.float32(factor)).astype(np.float32)
+    extreme = replace(still_life, **{group: planes}).between(0, 6000)
+    assert 0.25 <= calibrated(extreme, Config()).coarseness <= 4
+
+
 def test_scenes_that_views_do_not_show_stay_as_they_are(still_life):
     clear = replace(still_life, opacity=np.full_like(still_life.opacity, -20))
     assert calibrated(clear, Config()) == Config()

@@ -208,12 +208,12 @@ def _look(scene: Scene, seen: Evidence) -> tuple[Scene, list[_Part]]:
 
 
 def _images(scene: Scene, parts: list[_Part]) -> list[tuple[NDArray[np.float32], float]]:
-    """Colour ``(H, W, 3)``, at most 1, and the mean transmittance of each window."""
+    """Colour ``(H, W, 3)``, at most 1 (so if NaN), and the mean transmittance of each window."""
 
     def draw(part: _Part) -> tuple[NDArray[np.float32], float]:
         frame = make_frame(scene.between(part.start, part.stop), part.window)
         colour, (left, _, _) = frame.draw_rows((0.0, 0.0, 0.0))
-        return np.minimum(colour, 1), float(np.mean(np.abs(left)))
+        return np.fmin(colour, 1), float(np.mean(np.abs(left)))
 
     return run_all(draw, parts)
 

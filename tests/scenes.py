@@ -134,9 +134,18 @@ def told(scene: Scene, sensitivity: Sensitivity, loss: float = 0.0) -> Guidance:
     return Guidance(adding, loss, 1000 * scene.count, nothing, weights)
 
 
-def made_up_guide(seed: int = 0, spread: float = 3.0) -> Guide:
-    """Step sizes by what views could say of a scene; see `made_up_sensitivity`."""
-    return lambda scene, config: steps_for(scene, config, made_up_sensitivity(scene, seed, spread))
+def made_up_guide(seed: int = 0, spread: float = 3.0, error: float | None = None) -> Guide:
+    """Step sizes by what views could say of a scene; see `made_up_sensitivity`.
+
+    They may add the error that the profile allows, unless another is given.
+    """
+
+    def guide(scene: Scene, config: Config) -> StepSizes:
+        profile, sensitivity = config.adaptive_profile(), made_up_sensitivity(scene, seed, spread)
+        allowed = profile if error is None else replace(profile, error=error)
+        return told(scene, sensitivity).steps(allowed)
+
+    return guide
 
 
 def encode_by(scene: Scene, config: Config, guide: Guide | None = None) -> bytes:

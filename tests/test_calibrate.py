@@ -85,7 +85,7 @@ def test_files_are_those_of_the_coarseness_that_the_report_tells(still_life):
     assert "calibrate" in report.seconds
 
 
-def test_threads_order_and_other_columns_do_not_matter(still_life):
+def test_threads_and_other_columns_do_not_matter(still_life):
     found = calibrated(still_life, Config())
     assert with_threads(1, calibrated, still_life, Config()) == found
     assert with_threads(3, calibrated, still_life, Config()) == found

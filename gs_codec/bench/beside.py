@@ -19,11 +19,7 @@ from gs_codec.codecs.decode import decode_as
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, PROFILE_CHOICES, Config, RateTarget
 from gs_codec.errors import InvalidInput, ToolFailed
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
-from gs_codec.guidance.planned import (
-    encode_by_plan,
-    encode_camera_free,
-    encode_planned,
-)
+from gs_codec.guidance.planned import encode_by_plan, encode_planned
 from gs_codec.metrics.views import compare_views
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
@@ -78,7 +74,7 @@ def camera_free(config: Config) -> Peer:
     """A profile without cameras."""
 
     def encode(ply: Path) -> bytes:
-        return b"".join(encode_camera_free(read_ply(ply, config.extra), config)[0])
+        return encode_planned(read_ply(ply, config.extra), config, None)[0]
 
     def decode(data: bytes) -> Scene:
         scene = decode_as(config, data)

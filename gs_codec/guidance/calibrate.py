@@ -23,6 +23,7 @@ from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import ADAPTIVE_PROFILES, Config
 from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.guidance.search import COARSEST, FINEST
 from gs_codec.rendering.auto_cameras import look_at
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.evidence import Evidence, gather_evidence
@@ -82,7 +83,8 @@ def calibrated(scene: Scene, config: Config) -> Config:
         return config
     with np.errstate(all="ignore"):
         octaves = _octaves(replace(scene, extra={}))
-    return replace(config, coarseness=min(max(config.coarseness * 2.0**octaves, 1 / 64), 64))
+    coarseness = config.coarseness * 2.0**octaves
+    return replace(config, coarseness=min(max(coarseness, 2.0**FINEST), 2.0**COARSEST))
 
 
 def _octaves(scene: Scene) -> float:
@@ -93,19 +95,18 @@ def _octaves(scene: Scene) -> float:
     if seen is None:
         return 0.0
     shown, parts = _look(scene, seen)
-    images = _images(shown, parts)
-    telling = [k for k, (_, left) in enumerate(images) if left <= _MOST_LEFT]
+    drawn = zip(parts, _images(shown, parts), strict=True)
+    telling = [(part, colour) for part, (colour, left) in drawn if left <= _MOST_LEFT]
     if len(telling) < _LEAST_TELLING:
         return 0.0
-    parts = [parts[k] for k in telling]
     _, scales, _ = sort_axes(sample.log_scale, sample.rot)
     octaves = 0.0
     for _ in range(_ROUNDS):
         rules = blind_coefficients(scales, ADAPTIVE_PROFILES["m"].fineness * 2.0**octaves)
-        rounded = _images(_rounded(shown, rules), parts)
+        rounded = _images(_rounded(shown, rules), [part for part, _ in telling])
         errors = [
-            np.mean((images[k][0] - colour) ** 2, dtype=np.float64)
-            for k, (colour, _) in zip(telling, rounded, strict=True)
+            np.mean((before - after) ** 2, dtype=np.float64)
+            for (_, before), (after, _) in zip(telling, rounded, strict=True)
         ]
         step = math.log2(_WANTED / max(float(np.quantile(errors, _QUANTILE)), 1e-12)) / _POWER
         octaves = min(max(octaves + step, -_FARTHEST), _FARTHEST)

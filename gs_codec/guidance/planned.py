@@ -166,4 +166,4 @@ def encode_camera_free(
         with times.stage("calibrate"), using_threads(config.threads, scene.count):
             config = calibrated(scene, config)
     parts, report = encode_parts(scene, config, progress)
-    return parts, replace(report, seconds={**times.seconds, **report.seconds})
+    return parts, replace(report, seconds=times.seconds | report.seconds)

@@ -21,9 +21,8 @@ from gs_codec.codecs.adaptive.wanted_steps import wanted_steps
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.ycocg import from_ycocg, to_ycocg
-from gs_codec.config import ADAPTIVE_PROFILES, Config
+from gs_codec.config import ADAPTIVE_PROFILES, Config, options_of
 from gs_codec.formats.attribute_steps import AttributeSteps
-from gs_codec.guidance.search import COARSEST, FINEST
 from gs_codec.rendering.auto_cameras import look_at
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.evidence import Evidence, gather_evidence
@@ -83,8 +82,8 @@ def calibrated(scene: Scene, config: Config) -> Config:
         return config
     with np.errstate(all="ignore"):
         octaves = _octaves(replace(scene, extra={}))
-    coarseness = config.coarseness * 2.0**octaves
-    return replace(config, coarseness=min(max(coarseness, 2.0**FINEST), 2.0**COARSEST))
+    coarseness, bounds = config.coarseness * 2.0**octaves, options_of(Config)["coarseness"]
+    return replace(config, coarseness=min(max(coarseness, bounds.low), bounds.high))
 
 
 def _octaves(scene: Scene) -> float:

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.rendering.camera import facing
+
 #: Default camera: focal length in heights of the frame (60 degrees vertically); frame in pixels.
 _FOCAL, _FRAME = 0.866, (600, 400)
 
 #: Wider frames are measured at this width, pixels, because the trainer shrinks photographs to it.
 _MEASURED_WIDTH = 1600
-
-#: Cross products of unit vectors shorter than this have no reliable direction.
-_LEVEL = 1e-6
 
 #: Unit vectors of up axes, by name. The first, -y, is the default, as in trainers.
 UPS = {
@@ -123,7 +122,7 @@ def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) ->
     centre = np.median(seen, axis=0).astype(np.float64)
     reach = float(np.quantile(np.linalg.norm(seen - centre, axis=1), 0.8)) or 1.0
     # The front is -z if -y is up (as for trainers' cameras), z if y is up, -y if z is up.
-    front = np.cross(_other_than(up), up)
+    front = np.cross(np.eye(3)[int(abs(up[0]) > 1 - 1e-6)], up)
     front /= np.linalg.norm(front)
     away = 0.35 * np.cross(up, front) + 0.45 * up + 0.82 * front
     return look_at(centre + 2.5 * reach * away, centre, up)
@@ -131,24 +130,12 @@ def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) ->
 
 def look_at(position: NDArray, target: NDArray, up: NDArray = UPS["-y"]) -> Pose:
     """An upright pose that looks from a position at a target; `up` is a unit vector ``(3,)``."""
-    forward = np.subtract(target, position)
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, up)
-    if not np.linalg.norm(right) > _LEVEL:
-        right = np.cross(forward, _other_than(up))
-    right = right / np.linalg.norm(right)
-    return Pose(np.stack([right, np.cross(forward, right), forward]), np.asarray(position))
-
-
-def _other_than(up: NDArray) -> NDArray[np.float64]:
-    """The x axis, or the y axis if x is up."""
-    return np.eye(3)[int(abs(up[0]) > 1 - _LEVEL)]
+    return Pose(facing(np.subtract(target, position), up), np.asarray(position))
 
 
 def upright(pose: Pose, up: NDArray) -> Pose:
     """The same pose, rolled so that `up` points up in the picture."""
-    turned = look_at(pose.position, pose.position + pose.rotation[2], up)
-    return replace(pose, rotation=turned.rotation)
+    return replace(pose, rotation=facing(pose.rotation[2], up))
 
 
 def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gs_codec.coding.linear import combine
 from gs_codec.errors import InvalidInput
-from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.evidence import Evidence, gather_evidence
 from gs_codec.rendering.project import NEAR
 from gs_codec.rendering.renderer import render
@@ -28,6 +28,9 @@ _FOCAL = 1.04 * WIDTH
 
 #: Places tried for an overview, and how many times as far from the subject views are.
 _OVERVIEWS, _BACK = 48, (1.0, 1.6, 2.5)
+
+#: Of large scenes, this many overviews are judged in full, the best by about so many Gaussians.
+_FINALISTS, _ROUGH = 16, 6_000
 
 #: Views that are tried for each that is asked for, their least number, and the share that is good.
 _TRIED, _LEAST_TRIED, _GOOD = 3, 96, 0.6
@@ -46,25 +49,52 @@ def auto_cameras(scene: Scene, count: int = 24) -> list[Camera]:
     InvalidInput
         If no view shows anything.
     """
-    seen = gather_evidence(scene)
+    return estimate_views(scene, count)[0]
+
+
+def estimate_views(
+    scene: Scene, count: int = 24, up: NDArray | None = None
+) -> tuple[list[Camera], NDArray[np.float64]]:
+    """The same cameras, and the unit vector ``(3,)`` that is up in the scene.
+
+    If `up` is given, also a unit vector, cameras are upright by that one instead.
+
+    Raises
+    ------
+    InvalidInput
+        If no view shows anything.
+    """
+    found = gather_evidence(scene)
     chosen: list[Camera] = []
-    if seen is not None and count > 0:
+    if found is not None and count > 0:
         rng = np.random.default_rng(1)
+        seen = found if up is None else replace(found, up=up)
         chosen = _overview(seen, rng)
         chosen += _others(seen, count - len(chosen), rng)
-    if not chosen:
+    if found is None or not chosen:
         raise InvalidInput("cameras 'auto': no view shows anything of the scene")
-    return [replace(view, name=f"auto_{n:02d}") for n, view in enumerate(chosen)]
+    return [replace(view, name=f"auto_{n:02d}") for n, view in enumerate(chosen)], found.up
 
 
 def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
     """The level view with most of the subject in it, if any shows anything."""
     some = seen.places[rng.integers(len(seen.places), size=_OVERVIEWS)]
-    points = seen.thumb.positions[:, seen.subject].astype(np.float64)
-    middle = np.median(points, axis=1)
+    middle = np.median(_subject(seen), axis=1)
     # Behind the places that a scene tells may be walls.
     back = _BACK[:1] if seen.telling else _BACK
     views = [look_at(middle + k * (place - middle), middle, seen) for k in back for place in some]
+    rough = _thinned(seen)
+    if rough is not seen:
+        best = np.argsort(-_rate_overviews(rough, views), kind="stable")[:_FINALISTS]
+        views = [views[i] for i in np.sort(best)]
+    scores = _rate_overviews(seen, views)
+    best = int(np.argmax(scores))
+    return [views[best]] if math.isfinite(scores[best]) else []
+
+
+def _rate_overviews(seen: Evidence, views: list[Camera]) -> NDArray[np.float64]:
+    """Score of each view as an overview, higher is better."""
+    points = _subject(seen)
 
     def judge(view: Camera) -> float:
         score, weight = _judge(seen, view)
@@ -77,13 +107,30 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
         shares = inside.mean() ** 2, shown.mean(), level
         return score + 3 * sum(math.log(share + 0.01) for share in shares)
 
-    scores = run_all(judge, views)
-    best = int(np.argmax(scores))
-    return [views[best]] if math.isfinite(scores[best]) else []
+    return np.array(run_all(judge, views))
+
+
+def _subject(seen: Evidence) -> NDArray[np.float64]:
+    """Centres of the subject ``(3, n)``."""
+    return seen.thumb.positions[:, seen.subject].astype(np.float64)
+
+
+def _thinned(seen: Evidence) -> Evidence:
+    """The evidence with about `_ROUGH` Gaussians, some of the subject; all, if it has few."""
+    step = seen.thumb.count // _ROUGH
+    if step < 2:
+        return seen
+    own, others = np.flatnonzero(seen.subject), np.flatnonzero(~seen.subject)
+    left = np.sort(np.concatenate([own[::step], others[::step]]))
+    thumb = seen.thumb.take(left)
+    thumb = replace(thumb, log_scale=thumb.log_scale + np.float32(0.5 * np.log(step)))
+    return replace(seen, thumb=thumb, subject=seen.subject[left])
 
 
 def _others(seen: Evidence, count: int, rng: np.random.Generator) -> list[Camera]:
     """Views of random Gaussians; of the better ones, those that together see most."""
+    if count < 1:
+        return []
     tried = max(_TRIED * count, _LEAST_TRIED)
     number = len(seen.places)
     some = seen.places[rng.choice(number, tried, replace=tried > number)]
@@ -109,12 +156,7 @@ def look_at(position: NDArray, target: NDArray, seen: Evidence) -> Camera:
     """A camera that looks at a target; at tiny scenes from farther away, with a longer lens."""
     zoom = max(1.0, 2 * NEAR / (0.3 * seen.size)) if seen.size < NEAR else 1.0
     position = target + zoom * (position - target)
-    forward = (target - position) / max(float(np.linalg.norm(target - position)), 1e-12)
-    right = np.cross(forward, seen.up)
-    if np.linalg.norm(right) < 1e-3:
-        right = np.cross(forward, np.roll(seen.up, 1) + forward[::-1])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    rotation = facing(target - position, seen.up)
     focal = zoom * _FOCAL
     return Camera("auto", WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, rotation, position)
 

@@ -17,6 +17,9 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 #: How far it is from the identity by rounding alone.
 _ROUNDING = 1e-14
 
+#: Sine of the angle from straight up or down below which a direction has no side of its own.
+_LEVEL = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
@@ -92,6 +95,39 @@ class Camera:
             cx=self.cx * x,
             cy=self.cy * y,
         )
+
+
+def facing(direction: NDArray, up: NDArray) -> NDArray[np.float64]:
+    """Rotation of an upright camera: rows right, down, forward.
+
+    Straight up or down, it looks as if tilted from -z, or from -y if the z axis is up.
+
+    Parameters
+    ----------
+    direction, up : ndarray, shape (3,)
+        Of any length; `up` points up in the image.
+
+    Raises
+    ------
+    InvalidInput
+        If one of them is zero or not finite.
+    """
+    forward, up = _scaled("direction", direction), _scaled("up", up)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    if not np.linalg.norm(right) > _LEVEL * np.linalg.norm(up):
+        side = np.cross(up, np.eye(3)[2 if abs(up[2]) < np.linalg.norm(up[:2]) else 1])
+        right = side - (side @ forward) * forward
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _scaled(name: str, vector: NDArray) -> NDArray[np.float64]:
+    """A vector times a power of two, which rounds nothing, so that squares keep in range."""
+    vector = np.asarray(vector, np.float64)
+    if not (np.isfinite(vector).all() and vector.any()):
+        raise InvalidInput(f"{name} {vector.tolist()}: expected finite numbers, not all 0")
+    return np.ldexp(vector, -np.frexp(np.abs(vector).max())[1])
 
 
 def _nearest_rotation(where: str, matrix: NDArray) -> NDArray[np.float64]:

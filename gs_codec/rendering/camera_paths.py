@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.rendering.camera import facing
 from gs_codec.rendering.json_fields import (
     as_angle,
     as_list,
@@ -34,8 +35,8 @@ WIDTH, HEIGHT, FIELD_OF_VIEW = 1280, 720, 60.0
 #: From SuperSplat's world to that of the scene, and back.
 _TURN = np.array([-1.0, -1.0, 1.0])
 
-#: Views that are closer than this to straight up or down have no upright direction.
-_LEVEL = 1e-6
+#: Up, in the scene's world.
+_UP = np.array([0.0, -1.0, 0.0])
 
 
 def read_camera_path(path: Path, whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -146,16 +147,9 @@ def _view(index: int, width: int, height: int, focal: float) -> dict[str, Any]:
 
 
 def _facing(where: str, position: NDArray, target: NDArray) -> NDArray[np.float64]:
-    """World-to-camera rotation of an upright view; y is down in the scene's world."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        forward = target - position
-        # Divided twice: squares of the largest or smallest floats would overflow or vanish.
-        forward = forward / np.abs(forward).max()
-        forward = forward / np.linalg.norm(forward)
-    if not np.isfinite(forward).all():
+    """World-to-camera rotation of an upright view."""
+    with np.errstate(over="ignore"):
+        direction = target - position
+    if not (np.isfinite(direction).all() and direction.any()):
         raise InvalidInput(f"{where}: position and target do not differ, expected a direction")
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    if np.linalg.norm(right) < _LEVEL:
-        right = np.array([-1.0, 0.0, 0.0])
-    right = right / np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
+    return facing(direction, _UP)

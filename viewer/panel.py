@@ -64,7 +64,7 @@ class Panel:
         self.mode = self._choice(
             "two scenes", _MODE_NAMES, lambda index: viewer.set_mode(MODES[index])
         )
-        self.up = self._choice("up axis", UPS, lambda index: viewer.set_up(viewer.ups[index]))
+        self.up = self._choice("up axis", UPS, lambda index: viewer.set_up(viewer.views.ups[index]))
         self.turned = gui.Checkbox("reverse B's y and z axes (T)")
         self.turned.set_on_checked(lambda _: viewer.turn())
         self.widget.add_child(self.turned)
@@ -129,7 +129,7 @@ class Panel:
 
     def next_up(self) -> None:
         """Select the next up axis."""
-        names = self.viewer.ups
+        names = self.viewer.views.ups
         self.viewer.set_up(names[(names.index(self.viewer.choice.up) + 1) % len(names)])
 
     def refresh(self) -> None:
@@ -147,11 +147,11 @@ class Panel:
         self.mode.selected_index = MODES.index(choice.mode)
         self.turned.visible = two
         self.turned.checked = two and stage.scenes[1].system != CONVENTION
-        if self.up.number_of_items != len(viewer.ups):
+        if self.up.number_of_items != len(viewer.views.ups):
             self.up.clear_items()
-            for name in viewer.ups:
+            for name in viewer.views.ups:
                 self.up.add_item(name)
-        self.up.selected_index = viewer.ups.index(choice.up)
+        self.up.selected_index = viewer.views.ups.index(choice.up)
         self._views.visible = self._view.visible = bool(viewer.viewpoints)
         self._view.text = "\n".join(folded(viewer.where, 34))
         self._bar.update_image(self._bars[bool(stage.legends)])

@@ -13,8 +13,8 @@ from viewer.choice import OctreeChoice
 from viewer.device import find_device
 from viewer.layers import Points, centres, pruned_centres
 from viewer.opened import Opened, open_scene, read_pruned
-from viewer.pose import overview
 from viewer.request import Request, parse_layers
+from viewer.viewpoints import choose_views, find_viewpoints
 
 
 def draw(
@@ -132,11 +132,13 @@ class Actions:
         scene = open_scene(path)
         self._show(centres=centres(scene, "colour", [scene]))
         self.scene = scene
-        pose = overview(scene.positions, scene.opacities)
+        views = choose_views(scene, count=1)
+        pose = find_viewpoints(scene, views, views.ups[0])[0].pose
         _, down, forward = pose.rotation
         middle = np.median(scene.positions, axis=0) if scene.count else pose.position + forward
         centre = pose.position + forward * np.linalg.norm(middle - pose.position)
-        self._visualizer.setup_camera(60.0, centre, pose.position, -down)
+        angle = float(np.degrees(2 * np.arctan(0.5 / pose.focal[1])))
+        self._visualizer.setup_camera(angle, centre, pose.position, -down)
 
     def pruned(self, folder: str | Path) -> None:
         """Show the Gaussians that preparation removed, coloured by reason, and the others."""

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import gs_codec
+from gs_codec.rendering.auto_cameras import COUNT
 from viewer.choice import CELL_COLOURINGS, DEPTHS, MODES, OctreeChoice
 from viewer.layers import COLOURINGS, LAYERS
 from viewer.opened import Opened, Progress, Pruned, open_scene, read_pruned
 from viewer.pose import UPS
+from viewer.viewpoints import Views, choose_views, given_views
 
 #: Largest side of a picture, pixels.
 _MAX_SIDE = 1 << 14
@@ -123,27 +125,27 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
             raise gs_codec.GsCodecError(f"{name} '{each}': expected {', '.join(known)}")
 
 
-def find_views(request: Request, scene: Opened) -> list[Any]:
-    """The cameras to look from; empty if none were requested.
+def find_views(request: Request, scene: Opened) -> Views:
+    """The cameras to look from; of those chosen from the scene the overview, or all for `view`.
 
     Raises
     ------
     gs_codec.GsCodecError
         If they cannot be read, or the requested view does not exist.
     """
-    if request.cameras is None:
-        return []
-    cameras = gs_codec.render(scene.cloud, request.cameras).cameras
-    if request.view is not None and not 0 <= request.view < len(cameras):
-        raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {len(cameras) - 1}")
-    return cameras
+    if request.chosen:
+        views = choose_views(scene, request.up, 1 if request.view is None else COUNT)
+    else:
+        views = given_views(gs_codec.render(scene.cloud, request.cameras).cameras)
+    number = len(views.cameras)
+    if request.view is not None and not 0 <= request.view < number:
+        raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {number - 1}")
+    return views
 
 
-def first_view(request: Request, cameras: list[Any]) -> int:
+def first_view(request: Request, views: Views) -> int:
     """Index of the first view in `find_viewpoints`: the requested camera, or the first, if any."""
-    if request.view is not None:
-        return 1 + request.view
-    return 1 if cameras and not request.chosen else 0
+    return views.first + (request.view or 0) if views.cameras else 0
 
 
 def find_pruned(request: Request, scene: Opened) -> Pruned | None:

@@ -30,7 +30,7 @@ from viewer.picture import (
 )
 from viewer.pose import Pose
 from viewer.request import Request, find_pruned, find_views, first_view
-from viewer.viewpoints import find_viewpoints, known_ups
+from viewer.viewpoints import find_viewpoints
 
 
 def write_screenshot(request: Request, path: Path) -> str:
@@ -62,10 +62,9 @@ def draw_request(request: Request) -> tuple[Image.Image, str]:
     scenes = request.scenes()
     if not scenes:
         raise gs_codec.GsCodecError("screenshot: no scene to draw")
-    cameras = find_views(request, scenes[0])
-    up = request.up or known_ups(cameras)[0]
-    viewpoints = find_viewpoints(scenes[0], cameras, request.chosen, up)
-    viewpoint = viewpoints[first_view(request, cameras)]
+    views = find_views(request, scenes[0])
+    viewpoints = find_viewpoints(scenes[0], views, request.up or views.ups[0])
+    viewpoint = viewpoints[first_view(request, views)]
     pruned = find_pruned(request, scenes[0])
     shown = Shown(request.layers, request.colouring, tuple(scenes), pruned, request.octree)
     photograph, missing = None, ""

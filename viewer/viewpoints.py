@@ -3,14 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import gs_codec
+from gs_codec.api.viewing import scene_of
+from gs_codec.rendering.auto_cameras import COUNT, estimate_views
 from viewer.opened import Opened
 from viewer.pose import UPS, Pose, of_camera, overview, up_of, upright
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Cameras to look from, and what is up for them.
+
+    Attributes
+    ----------
+    cameras : sequence of gs_codec's Camera
+    up : ndarray, shape (3,), or None
+        Unit vector; None if there are no cameras.
+    chosen : bool
+        Whether cameras were chosen from the scene: the first is an overview, and all are rolled
+        until they are upright.
+    """
+
+    cameras: Sequence[Any] = field(default_factory=list)
+    up: NDArray[np.float64] | None = None
+    chosen: bool = False
+
+    @property
+    def first(self) -> int:
+        """Index of the first camera in `find_viewpoints`."""
+        return 0 if self.chosen else 1
+
+    @property
+    def ups(self) -> list[str]:
+        """Names of the possible up axes; the first is the default."""
+        return [*UPS] if self.up is None else [BY_CAMERAS, *UPS]
+
+    def up_axis(self, up: str) -> NDArray[np.float64]:
+        """The unit vector of an up axis, by its name."""
+        return UPS[up] if up != BY_CAMERAS or self.up is None else self.up
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,33 +71,46 @@ class Viewpoint:
 BY_CAMERAS = "cameras"
 
 
-def find_viewpoints(
-    scene: Opened, cameras: Sequence[Any], chosen: bool, up: str
-) -> list[Viewpoint]:
+def given_views(cameras: Sequence[Any]) -> Views:
+    """Cameras that were given; at least one."""
+    return Views(cameras, up_of([camera.rotation for camera in cameras]))
+
+
+def choose_views(scene: Opened, up: str | None = None, count: int = COUNT) -> Views:
+    """Cameras chosen from the scene, as ``auto`` chooses them; none if no view shows anything.
+
+    Parameters
+    ----------
+    scene : Opened
+    up : str, optional
+        Which axis is up, of `UPS`; by default what the scene tells.
+    count : int
+    """
+    whole, axis = scene_of(scene.cloud), None if up is None else UPS[up]
+    try:
+        cameras, estimate = estimate_views(whole, count, axis)
+    except gs_codec.InvalidInput:
+        return Views()
+    return Views(cameras, estimate, chosen=True)
+
+
+def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
     """The overview first, then the cameras.
 
     Parameters
     ----------
     scene : Opened
-    cameras : sequence of gs_codec's Camera
-    chosen : bool
-        Whether cameras were chosen from the scene; these are rolled until they are upright.
+    views : Views
     up : str
-        One of `known_ups`.
+        One of `views.ups`.
     """
-    axis = up_axis(up, cameras)
-    viewpoints = [Viewpoint("overview", overview(scene.positions, scene.opacities, axis))]
-    for camera in cameras:
-        pose = of_camera(camera)
-        viewpoints.append(Viewpoint(camera.name, upright(pose, axis) if chosen else pose, camera))
-    return viewpoints
-
-
-def known_ups(cameras: Sequence[Any]) -> list[str]:
-    """Names of the possible up axes; the first is the default."""
-    return [BY_CAMERAS, *UPS] if cameras else [*UPS]
-
-
-def up_axis(up: str, cameras: Sequence[Any]) -> NDArray[np.float64]:
-    """The unit vector of an up axis, by a name of `known_ups`."""
-    return up_of([camera.rotation for camera in cameras]) if up == BY_CAMERAS else UPS[up]
+    axis = views.up_axis(up)
+    if not views.chosen:
+        pose = overview(scene.positions, scene.opacities, axis)
+        others = [Viewpoint(view.name, of_camera(view), view) for view in views.cameras]
+        return [Viewpoint("overview", pose), *others]
+    names = ["overview", *(view.name for view in views.cameras[1:])]
+    return [
+        Viewpoint(name, upright(of_camera(view), axis), view)
+        for name, view in zip(names, views.cameras, strict=True)
+    ]

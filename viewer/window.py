@@ -22,7 +22,7 @@ from viewer.panel import Panel, monospace
 from viewer.request import Request, find_pruned, find_views, first_view
 from viewer.screenshot import compose, save_picture
 from viewer.stage import Stage
-from viewer.viewpoints import Viewpoint, find_viewpoints, known_ups, up_axis
+from viewer.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
 from viewer.worker import Stale, Worker
 
 #: Width of the panel, in font sizes.
@@ -45,6 +45,7 @@ class Viewer:
     ----------
     choice : Choice
     stage : Stage
+    views : Views
     viewpoints : list of Viewpoint
         The overview, and cameras.
     number : int
@@ -62,12 +63,12 @@ class Viewer:
         self.choice = Choice(
             set(request.layers), request.colouring, request.mode, octree=request.octree
         )
-        self.cameras: list[Any] = []
+        self.views = Views()
         self.viewpoints: list[Viewpoint] = []
         self.number = 0
         self._moved = False
         self.message: tuple[str, str] | None = None
-        self._without_cameras = False
+        self._more_views = False
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
         self.modal = dialogs.Modal(self.window)
@@ -97,10 +98,17 @@ class Viewer:
 
         def read(stale: Stale) -> Any:
             scenes = request.scenes(self.worker.progress(stale, self.panel.show_progress))
-            return scenes, find_views(request, scenes[0]), find_pruned(request, scenes[0])
+            return scenes, self._first_views(stale, scenes), find_pruned(request, scenes[0])
 
         self.panel.say("loading ...", progress=0)
         self.worker.submit("load", read, lambda found: self.show(*found), self.fail)
+
+    def _first_views(self, stale: Stale, scenes: list[Opened]) -> Views:
+        """The cameras to begin with; part of the job that loads scenes."""
+        if self.request.chosen:
+            told = "choosing the first view ..."
+            self.worker.progress(stale, partial(self.panel.say, told))("views", 1, 1)
+        return find_views(self.request, scenes[0])
 
     def open(self, path: str, pane: int | None = None) -> None:
         """Open a file as the first scene, the second, or in place of one of two (0 or 1).
@@ -114,17 +122,16 @@ class Viewer:
             return
         pane = len(before) if pane is None else pane
 
-        def read(stale: Stale) -> list[Opened]:
-            progress = self.worker.progress(stale, self.panel.show_progress)
-            return [
-                *before[:pane],
-                open_scene(Path(path), progress=progress),
-                *before[pane + 1 :],
-            ]
+        views, chosen = self.views, self.request.chosen
 
-        def done(scenes: list[Opened]) -> None:
-            cameras = [] if self.request.chosen else self.cameras
-            self.show(scenes, cameras, self.stage.pruned if pane else None)
+        def read(stale: Stale) -> tuple[list[Opened], Views]:
+            progress = self.worker.progress(stale, self.panel.show_progress)
+            opened = open_scene(Path(path), progress=progress)
+            scenes = [*before[:pane], opened, *before[pane + 1 :]]
+            return scenes, self._first_views(stale, scenes) if chosen and not pane else views
+
+        def done(found: tuple[list[Opened], Views]) -> None:
+            self.show(*found, self.stage.pruned if pane else None)
 
         self.panel.say(f"loading {Path(path).name} ...", progress=0)
         self.worker.submit("load", read, done, self.fail)
@@ -134,7 +141,7 @@ class Viewer:
         self.worker.cancel("load")
         self.panel.say("")
 
-    def show(self, scenes: list[Opened], cameras: list[Any], pruned: Pruned | None) -> None:
+    def show(self, scenes: list[Opened], views: Views, pruned: Pruned | None) -> None:
         """Show opened scenes instead of the present ones."""
         same = self.stage.scenes[:1] == scenes[:1]
         self.stage.put(scenes, pruned)
@@ -143,45 +150,38 @@ class Viewer:
             self.refresh()
             return
         self.worker.cancel("cameras")
-        self.cameras = cameras
-        self.choice.up = self.request.up or self.ups[0]
+        self.views = views
+        self.choice.up = self.request.up or views.ups[0]
         self._find_viewpoints()
         self.refresh()
-        self.go_to(first_view(self.request, cameras))
-        # Choosing cameras takes seconds; if the rasteriser draws, do it after the first picture.
-        self._without_cameras = not cameras
+        self.go_to(first_view(self.request, views))
+        # Choosing views takes seconds; if the rasteriser draws, do it after the first picture.
+        self._more_views = views.chosen and len(views.cameras) == 1
         if not self.stage.by_hand:
-            self._choose_cameras()
-
-    @property
-    def ups(self) -> list[str]:
-        """Names of the possible up axes."""
-        return known_ups(self.cameras)
+            self._choose_views()
 
     def _find_viewpoints(self) -> None:
-        scene, chosen = self.stage.scenes[0], self.request.chosen
-        self.viewpoints = find_viewpoints(scene, self.cameras, chosen, self.choice.up)
-        self.stage.navigator.up = up_axis(self.choice.up, self.cameras)
+        self.viewpoints = find_viewpoints(self.stage.scenes[0], self.views, self.choice.up)
+        self.stage.navigator.up = self.views.up_axis(self.choice.up)
 
     def _pictured(self) -> None:
         self.panel.refresh()
-        self._choose_cameras()
+        self._choose_views()
 
-    def _choose_cameras(self) -> None:
-        """Choose cameras from the scene if there are none; the overview does not change."""
-        if not self._without_cameras:
+    def _choose_views(self) -> None:
+        """Choose other views of the scene after the overview, which does not change."""
+        if not self._more_views:
             return
-        self._without_cameras = False
-        scene = self.stage.scenes[0]
+        self._more_views = False
+        scene, up = self.stage.scenes[0], self.request.up
 
-        def choose(stale: Stale) -> list[Any]:
-            return gs_codec.render(scene.cloud, "auto").cameras
+        def choose(stale: Stale) -> Views:
+            return choose_views(scene, up)
 
-        def done(cameras: list[Any]) -> None:
+        def done(views: Views) -> None:
             self.panel.say("")
             here = self.viewpoints[0]
-            self.cameras = cameras
-            self.choice.up = self.request.up or self.ups[0]
+            self.views = views
             self._find_viewpoints()
             self.viewpoints[0] = here
             self.panel.refresh()
@@ -257,7 +257,7 @@ class Viewer:
         first, second = self.stage.scenes
 
         def done(scene: Opened) -> None:
-            self.show([first, scene], self.cameras, self.stage.pruned)
+            self.show([first, scene], self.views, self.stage.pruned)
 
         self.worker.submit("load", lambda stale: turned(second), done, self.fail)
 
@@ -294,7 +294,8 @@ class Viewer:
         count = len(self.viewpoints) - 1
         text = f"overview; {count} views"
         if self.number:
-            text = f"view {self.number - 1} of {count}: {self.viewpoints[self.number].name}"
+            index, count = self.number - self.views.first, len(self.views.cameras)
+            text = f"view {index} of {count}: {self.viewpoints[self.number].name}"
         return f"moved away from {text} (R goes back)" if self.moved else text
 
     def _tick(self) -> bool:

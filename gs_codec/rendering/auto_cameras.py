@@ -22,6 +22,9 @@ from gs_codec.rendering.renderer import render
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
+#: Number of cameras, unless another is asked for.
+COUNT = 24
+
 #: Size of the images, pixels; the field of view is 51 degrees wide.
 WIDTH, HEIGHT = 420, 280
 _FOCAL = 1.04 * WIDTH
@@ -39,7 +42,7 @@ _TRIED, _LEAST_TRIED, _GOOD = 3, 96, 0.6
 _THUMB, _COMPARED = (96, 64), 10_000
 
 
-def auto_cameras(scene: Scene, count: int = 24) -> list[Camera]:
+def auto_cameras(scene: Scene, count: int = COUNT) -> list[Camera]:
     """Choose cameras near those that a scene was trained with: first an overview, then others.
 
     The same scene gives the same cameras, of `WIDTH` x `HEIGHT` pixels.
@@ -53,7 +56,7 @@ def auto_cameras(scene: Scene, count: int = 24) -> list[Camera]:
 
 
 def estimate_views(
-    scene: Scene, count: int = 24, up: NDArray | None = None
+    scene: Scene, count: int = COUNT, up: NDArray | None = None
 ) -> tuple[list[Camera], NDArray[np.float64]]:
     """The same cameras, and the unit vector ``(3,)`` that is up in the scene.
 
@@ -85,8 +88,8 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
     views = [look_at(middle + k * (place - middle), middle, seen) for k in back for place in some]
     rough = _thinned(seen)
     if rough is not seen:
-        best = np.argsort(-_rate_overviews(rough, views), kind="stable")[:_FINALISTS]
-        views = [views[i] for i in np.sort(best)]
+        finalists = np.argsort(-_rate_overviews(rough, views), kind="stable")[:_FINALISTS]
+        views = [views[i] for i in np.sort(finalists)]
     scores = _rate_overviews(seen, views)
     best = int(np.argmax(scores))
     return [views[best]] if math.isfinite(scores[best]) else []

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.errors import InvalidInput
-from gs_codec.rendering.auto_cameras import auto_cameras
+from gs_codec.rendering.auto_cameras import COUNT, auto_cameras
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.camera_paths import read_camera_path, read_supersplat
 from gs_codec.rendering.colmap import find_model, read_colmap
@@ -195,7 +195,7 @@ def find_cameras(
     scene: Scene,
     split: str = "all",
     width: int | None = None,
-    auto: int = 24,
+    auto: int = COUNT,
 ) -> list[Camera]:
     """Cameras of a file or folder (see `read_cameras`), ``auto`` ones, or those given.
 

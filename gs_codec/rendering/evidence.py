@@ -275,7 +275,7 @@ def _above(
     points: NDArray[np.float32], places: NDArray[np.float64], axis: NDArray[np.float64]
 ) -> float:
     """Log of how many more points are below places, along `axis`, than above them, on average."""
-    heights = np.sort(combine(axis, points))
+    heights = np.sort(combine(axis, points.astype(np.float64)))
     below = np.searchsorted(heights, combine(axis, places.T)).mean() + 1
     return float(np.log(below / (len(heights) + 2 - below)))
 

@@ -35,6 +35,10 @@ _OVERVIEWS, _BACK = 48, (1.0, 1.6, 2.5)
 #: Of large scenes, this many overviews are judged in full, the best by about so many Gaussians.
 _FINALISTS, _ROUGH = 16, 6_000
 
+#: Space around a subject, and how much farther than for 0.9 of it a camera has to be for 0.99 where
+#: nothing surrounds it: things, people and plants have 1.2 to 1.3, things in a room above 2.
+_MARGIN, _COMPACT = 1.05, 1.5
+
 #: Views that are tried for each that is asked for, their least number, and the share that is good.
 _TRIED, _LEAST_TRIED, _GOOD = 3, 96, 0.6
 
@@ -92,7 +96,26 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
         views = [views[i] for i in np.sort(finalists)]
     scores = _rate_overviews(seen, views)
     best = int(np.argmax(scores))
-    return [views[best]] if math.isfinite(scores[best]) else []
+    if not math.isfinite(scores[best]):
+        return []
+    return [views[best] if seen.telling else _whole(seen, views[best])]
+
+
+def _whole(seen: Evidence, view: Camera) -> Camera:
+    """The view from farther back, if needed, where all of a subject without surroundings is inside.
+
+    What surrounds a subject may be cut off; all of it inside would make the subject small.
+    """
+    points = _subject(seen)
+    middle = np.median(points, axis=1)
+    x, y, z = (combine(row, points - middle[:, None]) for row in view.rotation)
+    # From so far behind the middle a point is at the image's edge.
+    back = np.maximum(np.abs(view.fx * x) / view.cx, np.abs(view.fy * y) / view.cy) - z
+    most, whole = np.quantile(back, [0.9, 0.99])
+    away = float(np.sum(view.rotation[2] * (middle - view.position)))
+    if not away < _MARGIN * whole < _MARGIN * _COMPACT * most:
+        return view
+    return replace(view, position=middle - _MARGIN * whole * view.rotation[2])
 
 
 def _rate_overviews(seen: Evidence, views: list[Camera]) -> NDArray[np.float64]:

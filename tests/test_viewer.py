@@ -45,9 +45,9 @@ from viewer.numbers import quality_text
 from viewer.opened import Opened, open_scene, read_pruned, turned
 from viewer.picture import Shown, draw_points, draw_scene, measure, outlined, wipe_line, wiped
 from viewer.pose import UPS, Pose, look_at, of_camera, overview, up_of
-from viewer.request import Request, parse_layers
+from viewer.request import Request, find_views, first_view, parse_layers
 from viewer.screenshot import draw_request
-from viewer.viewpoints import find_viewpoints, known_ups
+from viewer.viewpoints import Views, choose_views, find_viewpoints, given_views
 from viewer.worker import Worker
 
 STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
@@ -263,27 +263,69 @@ def test_poses_draw_what_their_cameras_draw(files):
 
 @pytest.fixture(scope="module")
 def seen(files):
-    """A scene, and cameras chosen from it."""
+    """A scene, and views chosen from it."""
     scene = open_scene(files / "a.ply")
-    return scene, gs_codec.render(scene.cloud, "auto").cameras[:4]
+    return scene, choose_views(scene, count=5)
+
+
+def test_without_cameras_the_first_viewpoint_is_the_first_estimated_camera(seen, files):
+    scene, views = seen
+    expected = gs_codec.render(scene.cloud, "auto").cameras
+    for request in (Request(files / "a.ply"), Request(files / "a.ply", cameras="auto")):
+        found = find_views(request, scene)
+        [first] = find_viewpoints(scene, found, found.ups[0])
+        assert first.name == "overview"
+        assert first_view(request, found) == 0
+        np.testing.assert_array_equal(first.pose.position, expected[0].position)
+        np.testing.assert_allclose(first.pose.rotation, expected[0].rotation, atol=1e-12)
+        assert first.pose.frame == (expected[0].width, expected[0].height)
+    names = [viewpoint.name for viewpoint in find_viewpoints(scene, views, views.ups[0])]
+    assert names == ["overview", "auto_01", "auto_02", "auto_03", "auto_04"]
+
+
+def test_a_view_chosen_from_the_scene_is_asked_for_by_its_number(seen, files):
+    scene, _ = seen
+    request = Request(files / "a.ply", cameras="auto", view=3)
+    views = find_views(request, scene)
+    viewpoint = find_viewpoints(scene, views, views.ups[0])[first_view(request, views)]
+    assert viewpoint.name == "auto_03"
+    expected = gs_codec.render(scene.cloud, "auto").cameras
+    np.testing.assert_array_equal(viewpoint.pose.position, expected[3].position)
+    with pytest.raises(gs_codec.GsCodecError, match=f"view 99: expected 0 to {len(expected) - 1}"):
+        find_views(replace(request, view=99), scene)
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_the_overview_is_upright_and_the_first_viewpoint(seen, up):
-    scene, cameras = seen
-    viewpoints = find_viewpoints(scene, cameras, True, up)
-    assert [viewpoint.name for viewpoint in viewpoints] == [
-        "overview",
-        *(camera.name for camera in cameras),
-    ]
-    for viewpoint in viewpoints:
+def test_viewpoints_are_upright_by_the_axis_asked_for(seen, up):
+    scene, views = seen
+    asked = find_views(Request(up=up), scene)
+    for viewpoint in (*find_viewpoints(scene, views, up), *find_viewpoints(scene, asked, up)):
         right, down, _ = viewpoint.pose.rotation
         assert right @ UPS[up] == pytest.approx(0, abs=1e-9)
         assert down @ UPS[up] <= 0
         assert np.linalg.det(viewpoint.pose.rotation) == pytest.approx(1)
-    np.testing.assert_allclose(viewpoints[1].pose.rotation[2], cameras[0].rotation[2], atol=1e-9)
-    inside = viewpoints[0].pose.project(np.median(scene.positions, axis=0)[None], 60, 40)[0]
-    np.testing.assert_allclose(inside, [[30, 20]], atol=1)
+    turned_by_hand = find_viewpoints(scene, views, up)[1].pose
+    np.testing.assert_allclose(turned_by_hand.rotation[2], views.cameras[1].rotation[2], atol=1e-9)
+    [first] = find_viewpoints(scene, asked, up)
+    pixels, depth = first.pose.project(scene.positions, 60, 40)
+    inside = (pixels > 0) & (pixels < [60, 40]) & (depth[:, None] > 0)
+    assert inside.all(axis=1).mean() > 0.5
+    np.testing.assert_array_equal(asked.up, views.up)
+
+
+@pytest.mark.parametrize("up", [None, "z"])
+@pytest.mark.parametrize("name", ["empty", "invisible"])
+def test_what_shows_nothing_has_an_overview_all_the_same(name, up):
+    scene = random_scene(50, 0, seed=304)
+    scene.opacity[:] = -20
+    shown = Opened(name, to_cloud(scene.take(np.arange(0)) if name == "empty" else scene))
+    views = find_views(Request(up=up), shown)
+    assert not views.cameras
+    assert views.ups == [*UPS]
+    [first] = find_viewpoints(shown, views, up or views.ups[0])
+    expected = overview(shown.positions, shown.opacities, UPS[up or "-y"])
+    np.testing.assert_array_equal(first.pose.extrinsics, expected.extrinsics)
+    assert first_view(Request(up=up), views) == 0
 
 
 def test_cameras_of_a_file_say_what_is_up(files):
@@ -292,9 +334,12 @@ def test_cameras_of_a_file_say_what_is_up(files):
     cameras = [replace(look_at(np.zeros(3), look, up), frame=(60, 40)) for look in looks]
     np.testing.assert_allclose(up_of([camera.rotation for camera in cameras]), up, atol=1e-6)
     given = gs_codec.render(files / "a.ply", [camera.camera(60, 40) for camera in cameras]).cameras
-    assert known_ups(given)[0] == "cameras"
-    assert known_ups([])[0] == "-y"
-    viewpoints = find_viewpoints(open_scene(files / "a.ply"), given, False, "cameras")
+    views = given_views(given)
+    assert views.ups[0] == "cameras"
+    assert Views().ups[0] == "-y"
+    viewpoints = find_viewpoints(open_scene(files / "a.ply"), views, "cameras")
+    assert [viewpoint.name for viewpoint in viewpoints[:2]] == ["overview", "view"]
+    assert first_view(Request(cameras=given), views) == 1
     assert viewpoints[0].pose.rotation[1] @ up < -0.5
     np.testing.assert_array_equal(viewpoints[3].pose.rotation, given[2].rotation)
 

@@ -14,8 +14,9 @@ from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.guidance.planned import encode_planned
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras
-from gs_codec.rendering.evidence import tells_cameras
+from gs_codec.rendering import auto_cameras as module
+from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras, estimate_views
+from gs_codec.rendering.evidence import gather_evidence, tells_cameras
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 from samples.generate import generate
@@ -83,6 +84,101 @@ def test_auto_cameras_are_upright(table):
     assert np.median(ups[:, 0]) > 0.7
     rights = np.array([view.rotation[0] for view in auto_cameras(table, 24)])
     assert np.abs(rights[:, 0]).max() < 0.2
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_up_is_where_cameras_were_if_floors_do_not_say(table, sign):
+    f_rest, positions = table.f_rest.copy(), table.positions.copy()
+    f_rest[:, 2500:] = 0
+    positions[0] *= sign
+    # SH-AC of odd order in x change their signs where x does.
+    directions = np.random.default_rng(53).standard_normal((40, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    bases = [np.array([sh_basis(d * [s, 1, 1])[1:] for d in directions]) for s in (1, sign)]
+    turn = np.rint(np.linalg.lstsq(bases[0], bases[1], rcond=None)[0])
+    mirrored = np.einsum("cki,kj->cji", f_rest.reshape(3, 15, -1), turn.T)
+    scene = replace(table, positions=positions, f_rest=mirrored.reshape(45, -1).astype(np.float32))
+    found = gather_evidence(scene)
+    assert found.telling
+    assert sign * found.up[0] > 0.9
+
+
+def test_auto_cameras_are_upright_by_the_axis_asked_for(table):
+    up = np.array([0.0, 0.6, 0.8])
+    views, estimate = estimate_views(table, 12, up)
+    for view in views:
+        assert view.rotation[0] @ up == pytest.approx(0, abs=1e-9)
+        assert view.rotation[1] @ up < 0
+    np.testing.assert_array_equal(estimate, gather_evidence(table).up)
+
+
+def slab(normal: np.ndarray, share: float) -> Scene:
+    """Gaussians without SH-AC, a share of them flat on a floor, the others turned anyhow."""
+    rng = np.random.default_rng(54)
+    count = 4000
+    axes = np.linalg.svd(normal[None])[2]
+    positions = rng.uniform(-1, 1, (count, 3)) * [0.05, 1, 1] @ axes
+    scene = random_scene(count, 0, seed=55)
+    log_scale = np.full((3, count), -3.0, np.float32)
+    log_scale[2] = -6.0
+    rot = rng.standard_normal((4, count))
+    flat = rng.random(count) < share
+    half = np.cross([0.0, 0.0, 1.0], normal)
+    turn = np.array([1 + normal[2], *half])
+    rot[:, flat] = (turn / np.linalg.norm(turn))[:, None]
+    return replace(
+        scene,
+        positions=positions.T.astype(np.float32),
+        log_scale=log_scale,
+        rot=rot.astype(np.float32),
+        opacity=np.full((1, count), 4.0, np.float32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("normal", "share", "up"),
+    [
+        ([0.0, 0.0, 1.0], 0.3, [0.0, 0.0, 1.0]),
+        ([0.0, 0.1, -0.995], 0.3, [0.0, -0.1, 0.995]),
+        ([0.1, 0.995, 0.0], 0.3, [-0.1, -0.995, 0.0]),
+        ([0.0, 0.0, 1.0], 0.01, [0.0, -1.0, 0.0]),
+    ],
+)
+def test_where_nothing_tells_up_is_that_of_a_floor_or_of_trainers(normal, share, up):
+    found = gather_evidence(slab(np.array(normal), share))
+    assert not found.telling
+    np.testing.assert_allclose(found.up, up, atol=0.05)
+
+
+def test_the_overview_of_many_gaussians_is_that_of_the_best_judged_in_full(
+    still_life, monkeypatch
+):
+    full = auto_cameras(still_life, 2)
+    monkeypatch.setattr(module, "_ROUGH", 1000)
+    judged, rate = [], module._rate_overviews
+    monkeypatch.setattr(
+        module, "_rate_overviews", lambda seen, views: judged.append(views) or rate(seen, views)
+    )
+    quick = auto_cameras(still_life, 2)
+    assert len(judged[1]) == module._FINALISTS < len(judged[0])
+    for a, b in zip(full, quick, strict=True):
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+        np.testing.assert_array_equal(a.position, b.position)
+
+
+def test_the_overview_shows_all_of_a_thing_with_nothing_around():
+    rng = np.random.default_rng(95)
+    tower = replace(
+        random_scene(5000, 0, seed=96),
+        positions=(rng.uniform(-1, 1, (3, 5000)) * [[0.3], [2.0], [0.3]]).astype(np.float32),
+        log_scale=np.full((3, 5000), -4.0, np.float32),
+        opacity=np.full((1, 5000), 4.0, np.float32),
+    )
+    [view] = auto_cameras(tower, 1)
+    x, y, z = view.rotation @ (tower.positions - view.position[:, None])
+    inside = np.maximum(np.abs(view.fx * x) / view.cx, np.abs(view.fy * y) / view.cy) < z
+    assert inside.mean() > 0.98
+    assert np.ptp(view.fy * y / z) > 0.6 * view.height
 
 
 def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):

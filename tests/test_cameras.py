@@ -16,7 +16,7 @@ import pytest
 from scenes import shared_scene_path
 
 from gs_codec.errors import InvalidInput, printable
-from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.cameras import read_cameras
 
 MODELS = {
@@ -248,6 +248,42 @@ def test_largest_ids_are_read(suffix, tmp_path):
     largest = 2**32 - 1
     image = Image(camera_id=largest, image_id=largest)
     assert len(read_cameras(write_model(tmp_path, suffix, [image], [Intrinsics(largest)]))) == 1
+
+
+# Upright cameras
+
+AXES = {sign + "xyz"[k]: (-1 if sign else 1) * np.eye(3)[k] for k in range(3) for sign in ("", "-")}
+
+
+@pytest.mark.parametrize("up", AXES)
+@pytest.mark.parametrize("scale", [5e-324, 1e-300, 1.0, 1e300])
+def test_cameras_that_face_somewhere_are_upright_seed7(up, scale):
+    direction = np.random.default_rng(7).normal(size=3) if scale > 1e-300 else np.ones(3)
+    rotation = facing(scale * direction, scale * AXES[up])
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    np.testing.assert_allclose(rotation[2], direction / np.linalg.norm(direction), atol=1e-12)
+    assert rotation[0] @ AXES[up] == pytest.approx(0, abs=1e-12)
+    assert rotation[1] @ AXES[up] < 0
+
+
+@pytest.mark.parametrize("up", [*AXES.values(), np.ones(3), np.array([1, 2, -3])])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("off", [0, 1e-13, 1e-8])
+def test_cameras_that_face_straight_up_or_down_have_one_side(up, sign, off):
+    direction = sign * (up + off * np.array([0.3, -0.4, 0.2]))
+    rotation = facing(direction, up)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(rotation[2], direction / np.linalg.norm(direction), atol=1e-12)
+    np.testing.assert_allclose(rotation[0], facing(up, up)[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("bad", [[0, 0, 0], [0, math.nan, 1], [math.inf, 0, 0]], ids=str)
+def test_cameras_face_a_direction_and_have_an_up(bad):
+    with pytest.raises(InvalidInput, match=r"direction .*: expected finite numbers, not all 0"):
+        facing(np.array(bad), np.eye(3)[1])
+    with pytest.raises(InvalidInput, match=r"up .*: expected finite numbers, not all 0"):
+        facing(np.eye(3)[1], np.array(bad))
 
 
 # INRIA files

@@ -41,12 +41,16 @@ def tell(found: dict) -> NoReturn:
 
 class Driver:
     def __init__(
-        self, folder: Path, images: Path | None = None, size: tuple[int, int] = (760, 480)
+        self,
+        folder: Path,
+        images: Path | None = None,
+        size: tuple[int, int] = (760, 480),
+        request: Request | None = None,
     ) -> None:
         self.folder = folder
         self.app = gui.Application.instance
         self.app.initialize()
-        request = Request(
+        request = request or Request(
             folder / "a.ply",
             folder / "b.egs",
             cameras=str(folder / "cameras.json"),

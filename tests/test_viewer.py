@@ -314,10 +314,12 @@ def test_viewpoints_are_upright_by_the_axis_asked_for(seen, up):
 
 
 @pytest.mark.parametrize("up", [None, "z"])
-@pytest.mark.parametrize("name", ["empty", "invisible"])
+@pytest.mark.parametrize("name", ["empty", "invisible", "nowhere"])
 def test_what_shows_nothing_has_an_overview_all_the_same(name, up):
     scene = random_scene(50, 0, seed=304)
     scene.opacity[:] = -20
+    if name == "nowhere":
+        scene.positions[0] = np.nan
     shown = Opened(name, to_cloud(scene.take(np.arange(0)) if name == "empty" else scene))
     views = find_views(Request(up=up), shown)
     assert not views.cameras
@@ -325,6 +327,7 @@ def test_what_shows_nothing_has_an_overview_all_the_same(name, up):
     [first] = find_viewpoints(shown, views, up or views.ups[0])
     expected = overview(shown.positions, shown.opacities, UPS[up or "-y"])
     np.testing.assert_array_equal(first.pose.extrinsics, expected.extrinsics)
+    assert np.isfinite(expected.extrinsics).all()
     assert first_view(Request(up=up), views) == 0
 
 

@@ -218,6 +218,40 @@ def test_loading_is_stopped(found):
 
 
 @pytest.fixture(scope="module")
+def chosen(display, folder) -> dict:
+    return drive("drive_chosen.py", display, folder)
+
+
+def test_without_cameras_the_first_picture_is_upright_and_stays(chosen, folder):
+    steps = ["loading ...", "choosing the first view ...", "", "choosing views ...", ""]
+    assert chosen["said"] == steps
+    assert chosen["where"][0] == "overview; 0 views"
+    assert chosen["where"][1] == "overview; 23 views"
+    first = gs_codec.render(folder / "a.ply", "auto").cameras[0]
+    [model] = np.array(chosen["at_first"])  # the axes of Open3D's cameras are right, up, back
+    np.testing.assert_allclose(model[:3, 3], first.position, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(model[:3, :3].T, first.rotation * [[1], [-1], [-1]], atol=1e-4)
+    np.testing.assert_array_equal(chosen["after"], chosen["at_first"])
+    assert chosen["drawn"] > 10
+
+
+def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(chosen):
+    assert chosen["where"][2] == "view 1 of 24: auto_01"
+    assert np.abs(np.array(chosen["n"]) - chosen["at_first"]).max() > 0.05
+    np.testing.assert_allclose(chosen["Home"], chosen["at_first"], atol=1e-5)
+    [model] = np.array(chosen["u"])  # by -y, the first axis after that of the cameras
+    assert model[1, 0] == pytest.approx(0, abs=1e-5)
+    assert model[1, 1] < 0
+    np.testing.assert_allclose(model[:3, 2], np.array(chosen["at_first"])[0, :3, 2], atol=1e-5)
+
+
+def test_another_scene_in_its_place_begins_with_its_own_overview(chosen):
+    number, where, up = chosen["other"]
+    assert (number, up) == (0, "cameras")
+    assert where.startswith("overview; ")
+
+
+@pytest.fixture(scope="module")
 def keyed(display, folder) -> dict:
     return drive("drive_keys.py", display, folder)
 

@@ -116,7 +116,9 @@ def of_camera(camera: Any) -> Pose:
 
 def overview(positions: NDArray, opacities: NDArray, up: NDArray = UPS["-y"]) -> Pose:
     """A pose that sees most of a scene from above its front; `up` is a unit vector ``(3,)``."""
-    seen = positions[opacities > 0.3] if np.any(opacities > 0.3) else positions
+    finite = np.isfinite(positions).all(axis=1)
+    solid = finite & (opacities > 0.3)
+    seen = positions[solid if solid.any() else finite]
     if not len(seen):
         return Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
     centre = np.median(seen, axis=0).astype(np.float64)

@@ -155,7 +155,7 @@ class Viewer:
         self._find_viewpoints()
         self.refresh()
         self.go_to(first_view(self.request, views))
-        # Choosing views takes seconds; if the rasteriser draws, do it after the first picture.
+        # Choosing views takes seconds; if the rasteriser draws, do it after the first full picture.
         self._more_views = views.chosen and len(views.cameras) == 1
         if not self.stage.by_hand:
             self._choose_views()
@@ -166,7 +166,8 @@ class Viewer:
 
     def _pictured(self) -> None:
         self.panel.refresh()
-        self._choose_views()
+        if self.stage.resting:
+            self._choose_views()
 
     def _choose_views(self) -> None:
         """Choose other views of the scene after the overview, which does not change."""

@@ -68,7 +68,7 @@ def command(
         str | None,
         typer.Option(
             metavar="AXIS",
-            help=f"Up axis: {', '.join(UPS)}; by default from the cameras, else -y.",
+            help=f"Up axis: {', '.join(UPS)}; by default from cameras, given or estimated.",
             show_default=False,
         ),
     ] = None,

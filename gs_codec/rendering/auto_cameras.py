@@ -37,7 +37,7 @@ _FINALISTS, _ROUGH = 16, 6_000
 
 #: Space around a subject, and how much farther than for 0.9 of it a camera has to be for 0.99 where
 #: nothing surrounds it: things, people and plants have 1.2 to 1.3, things in a room above 2.
-_MARGIN, _COMPACT = 1.05, 1.5
+_MARGIN, _COMPACT = 1.2, 1.5
 
 #: Views that are tried for each that is asked for, their least number, and the share that is good.
 _TRIED, _LEAST_TRIED, _GOOD = 3, 96, 0.6
@@ -102,20 +102,24 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
 
 
 def _whole(seen: Evidence, view: Camera) -> Camera:
-    """The view from farther back, if needed, where all of a subject without surroundings is inside.
+    """The view with all of a subject without surroundings in its middle, from farther back if so.
 
     What surrounds a subject may be cut off; all of it inside would make the subject small.
     """
     points = _subject(seen)
-    middle = np.median(points, axis=1)
-    x, y, z = (combine(row, points - middle[:, None]) for row in view.rotation)
-    # From so far behind the middle a point is at the image's edge.
+    target = np.median(points, axis=1)
+    # The middle of the subject in the image, at the depth of the target.
+    for row in view.rotation[:2]:
+        low, high = np.quantile(combine(row, points - target[:, None]), [0.005, 0.995])
+        target = target + (low + high) / 2 * row
+    x, y, z = (combine(row, points - target[:, None]) for row in view.rotation)
+    # From so far behind the target a point is at the image's edge.
     back = np.maximum(np.abs(view.fx * x) / view.cx, np.abs(view.fy * y) / view.cy) - z
     most, whole = np.quantile(back, [0.9, 0.99])
-    away = float(np.sum(view.rotation[2] * (middle - view.position)))
-    if not away < _MARGIN * whole < _MARGIN * _COMPACT * most:
+    away = float(np.sum(view.rotation[2] * (target - view.position)))
+    if whole > _COMPACT * most:
         return view
-    return replace(view, position=middle - _MARGIN * whole * view.rotation[2])
+    return replace(view, position=target - max(away, _MARGIN * whole) * view.rotation[2])
 
 
 def _rate_overviews(seen: Evidence, views: list[Camera]) -> NDArray[np.float64]:

@@ -54,6 +54,9 @@ _TELLING = 0.35
 #: how many directions of normals are compared.
 _DIRECTIONS, _ALIKE, _MODES = 1000, 0.99, 4
 
+#: Most that one-sidedness counts for an axis, in powers of e: cameras see walls from one side too.
+_ONE_SIDED = 1.0
+
 #: Preference for axes near -y in scenes that tell nothing, in powers of e of more flat Gaussians.
 _PREFERENCE = 0.8
 
@@ -244,7 +247,7 @@ def _vertical(
         flat = np.abs(combine(axis, normals.T)) > _ALIKE - 0.04
         if telling:
             side = _side(shown[:, :, flat], axis)
-            score += abs(side)
+            score += min(abs(side), _ONE_SIDED)
             side += _above(scene.positions[:, subject], places, axis)
         else:
             upside = abs(axis[1]) > 0.8

@@ -12,11 +12,17 @@ from scenes import edge_scenes, random_scene
 from gs_codec.codecs.encode import encode_scene
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
-from gs_codec.guidance.planned import encode_planned
+from gs_codec.guidance.planned import encode_by_plan, encode_planned
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering import auto_cameras as module
-from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, auto_cameras, estimate_views
-from gs_codec.rendering.evidence import gather_evidence, tells_cameras
+from gs_codec.rendering.auto_cameras import (
+    HEIGHT,
+    WIDTH,
+    auto_cameras,
+    estimate_views,
+    guiding_cameras,
+)
+from gs_codec.rendering.evidence import gather_evidence
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import Scene
 from samples.generate import generate
@@ -76,7 +82,7 @@ def table():
 
 
 def test_auto_cameras_are_where_gaussians_were_seen_from(table):
-    assert tells_cameras(table)
+    assert estimate_views(table, 1).telling
     positions = np.array([view.position for view in auto_cameras(table, 24)])
     sides = positions / np.linalg.norm(positions, axis=1)[:, None]
     assert (sides[:, 1] > 0.3).mean() > 0.8
@@ -103,11 +109,11 @@ def test_up_is_where_cameras_were_if_the_floor_does_not_say(sign):
 
 def test_auto_cameras_are_upright_by_the_axis_asked_for(table):
     up = np.array([0.0, 0.6, 0.8])
-    views, estimate = estimate_views(table, 12, up)
-    for view in views:
+    found = estimate_views(table, 12, up)
+    for view in found.cameras:
         assert view.rotation[0] @ up == pytest.approx(0, abs=1e-9)
         assert view.rotation[1] @ up < 0
-    np.testing.assert_array_equal(estimate, gather_evidence(table).up)
+    np.testing.assert_array_equal(found.up, gather_evidence(table).up)
 
 
 def slab(normal: np.ndarray, share: float) -> Scene:
@@ -188,12 +194,59 @@ def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_noise_does_not_tell_where_cameras_were(degree, caplog):
     scene = random_scene(3000, degree, seed=9)
-    assert not tells_cameras(scene)
+    assert not estimate_views(scene, 1).telling
     plan = Plan(Steps(), "auto")
     assert encode_planned(scene, Config("m"), plan)[0] == encode_scene(scene, Config("m"))[0]
     assert [record.getMessage() for record in caplog.records] == [
         "cameras 'auto': the scene does not tell where they were, encoded without"
     ]
+
+
+def test_views_to_work_by_are_many_and_small(table):
+    found = guiding_cameras(table, 5)
+    assert [(view.width, view.height) for view in found.cameras] == [(WIDTH // 2, HEIGHT // 2)] * 20
+    assert len({view.name for view in found.cameras}) == 20
+    assert found.telling
+
+
+def test_views_to_work_by_are_larger_where_gaussians_are_many():
+    found = guiding_cameras(generate(40_000, 1, 0), 3)
+    [size] = {(view.width, view.height) for view in found.cameras}
+    assert WIDTH // 2 < size[0] < WIDTH
+    assert size[1] == round(size[0] * HEIGHT / WIDTH)
+    pixels = size[0] * size[1]
+    assert pixels == pytest.approx(3 * 40_000 * found.shown, rel=0.01)
+    assert len(found.cameras) == int(np.ceil(12 * WIDTH / 2 / size[0]))
+
+
+@pytest.mark.parametrize(("width", "number"), [(60, 12), (WIDTH, 6), (900, 6)])
+def test_views_to_work_by_have_the_width_asked_for(still_life, width, number):
+    found = guiding_cameras(still_life, 3, width)
+    assert [view.width for view in found.cameras] == [width] * number
+
+
+def test_cameras_that_see_most_are_those_of_a_greedy_choice():
+    rng = np.random.default_rng(97)
+    weights = (rng.random((40, 300)) ** 8).astype(np.float32)
+    views = list(rng.permutation(40))
+    expected: list[int] = []
+    left, total = views.copy(), np.zeros(300)
+    for _ in range(12):
+        gains = [np.sqrt(total + weights[view]).sum() for view in left]
+        expected.append(left.pop(int(np.argmax(gains))))
+        total += weights[expected[-1]]
+    assert module._see_most(weights, views, 12) == expected
+    assert sorted(module._see_most(weights, views, 99)) == sorted(views)
+
+
+def test_evidence_of_cameras_is_gathered_once(table, monkeypatch):
+    gathered = []
+    monkeypatch.setattr(
+        module, "gather_evidence", lambda scene: gathered.append(scene) or gather_evidence(scene)
+    )
+    plan = Plan(Steps(prune=10), "auto", width=24, views=2)
+    encode_by_plan(table, table.float_bytes, Config("m"), plan)
+    assert len(gathered) == 1
 
 
 def test_auto_cameras_go_around_an_object():

@@ -175,6 +175,28 @@ def test_gaussians_of_the_background_s_colour_are_worth_nothing():
     assert leave_one_out(scene, references(scene), "").min() > 0
 
 
+def test_views_from_anywhere_are_not_all_that_counts():
+    scene = visible_scene(80, 117)
+    views = references(scene)
+    seen = leave_one_out(scene, views, "")
+    scores = leave_one_out(scene, replace(views, origin="anywhere"), "")
+    expected = scores - seen
+    assert expected.min() > 0
+    assert expected.mean() == pytest.approx(0.05 / 0.95 * seen.mean())
+    unseen = np.flatnonzero(seen == 0)
+    assert len(unseen) > 3
+    larger = replace(scene, log_scale=scene.log_scale.copy())
+    larger.log_scale[:, unseen[0]] += 0.1
+    more = leave_one_out(larger, replace(views, origin="anywhere"), "")
+    assert more[unseen[0]] > 1.1 * scores[unseen[0]]
+    np.testing.assert_array_equal(
+        leave_one_out(scene, replace(views, origin="estimated"), ""), seen
+    )
+    broken = replace(scene, log_scale=scene.log_scale.copy())
+    broken.log_scale[:, unseen[0]] = np.nan
+    assert np.isfinite(leave_one_out(broken, replace(views, origin="anywhere"), "")).all()
+
+
 def references(scene: Scene, background=BLACK) -> ReferenceViews:
     return draw_reference_views(scene, CAMERAS, background)
 

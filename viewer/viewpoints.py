@@ -88,10 +88,10 @@ def choose_views(scene: Opened, up: str | None = None, count: int = COUNT) -> Vi
     """
     whole, axis = scene_of(scene.cloud), None if up is None else UPS[up]
     try:
-        cameras, estimate = estimate_views(whole, count, axis)
+        found = estimate_views(whole, count, axis)
     except gs_codec.InvalidInput:
         return Views()
-    return Views(cameras, estimate, chosen=True)
+    return Views(found.cameras, found.up, chosen=True)
 
 
 def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:

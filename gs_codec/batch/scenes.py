@@ -53,18 +53,19 @@ class Options:
         if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
             return 0
         from gs_codec.preparation.steps import Plan
-        from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH
+        from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, guiding_number
         from gs_codec.rendering.cameras import read_cameras
 
         plan = plan or Plan()
-        sizes = [(WIDTH, HEIGHT)]
-        if plan.cameras != "auto":
+        views, width = plan.views, plan.width
+        if plan.estimates:
+            views, sizes = guiding_number(views, width or WIDTH), [(WIDTH, HEIGHT)]
+        else:
             given = plan.cameras
             cameras = read_cameras(given) if isinstance(given, str | Path) else given
             sizes = [(camera.width, camera.height) for camera in cameras]
-        width = plan.width
         areas = [w * h if width is None else width * width * h // w for w, h in sizes]
-        return plan.views * max(areas, default=0)
+        return views * max(areas, default=0)
 
     def absolute(self) -> Options:
         """The same options with absolute paths, for processes with another working folder."""

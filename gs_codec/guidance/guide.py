@@ -180,7 +180,7 @@ class Guidance:
         Others see what held-out views see: every fourth is left out.
         """
         cameras = self.views.cameras
-        if self.views.estimated:
+        if self.views.origin == "estimated":
             return [[int(i) for i in region] for region in regions(cameras, _HALVINGS)]
         firsts = range(0, min(_FOLD, len(cameras)), 2)
         return [list(range(first, len(cameras), _FOLD)) for first in firsts]
@@ -214,7 +214,7 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
     release_freed()  # Preparation had many images.
     loss = views.error(scene, progress)
     found, weights = sensitivity(scene, views, progress)
-    share = blind_share(scene, weights, views.cameras, views.estimated)
+    share = blind_share(scene, weights, views.cameras, views.origin == "estimated")
     adding = steps_adding(scene, found, share)
     pixels = sum(camera.width * camera.height for camera in views.cameras)
     return Guidance(adding, loss, pixels, views, weights, progress)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ from gs_codec.preparation.prune import (
     prune_leave_one_out,
 )
 from gs_codec.preparation.reference_views import (
+    Origin,
     ReferenceViews,
     ViewSplit,
     draw_reference_views,
@@ -36,10 +36,10 @@ from gs_codec.preparation.reference_views import (
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.report import LABELS, PrepareReport, StepReport
 from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.auto_cameras import guiding_cameras
 from gs_codec.rendering.between import cameras_between
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
-from gs_codec.rendering.evidence import tells_cameras
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
@@ -114,15 +114,16 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     InvalidInput
         If there are no cameras, no photograph of them is found, or one is broken.
     """
-    rest, test = _split(scene, plan)
-    renders = draw_reference_views(scene, _enough(rest, plan.views), plan.background, progress)
+    known = _split(scene, plan)
+    rest, test, _ = known
+    renders = _draw_guiding(scene, known, plan, progress)
     photographs = targets = None
     most = plan.views * (_TARGETS if plan.steps.refine else 1)
     if plan.gt_images is not None:
         found = evenly(photographed(rest, plan.gt_images), most)
         photographs = read_photographs(found, plan.background)
     if plan.steps.refine:
-        targets = _targets(scene, rest, photographs, most, plan, progress)
+        targets = _targets(scene, _enough(known, most), photographs, plan, progress)
     if test == rest:
         held_out = photographs or renders.first(len(rest))
     elif plan.gt_images is not None:
@@ -132,27 +133,34 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     return ViewSplit(renders, photographs, held_out, targets)
 
 
+def _draw_guiding(
+    scene: Scene, known: _Split, plan: Plan, progress: Progress | None
+) -> ReferenceViews:
+    """Renders of a scene by the cameras that guide the steps."""
+    cameras = _enough(known, plan.views)
+    drawn = draw_reference_views(scene, cameras, plan.background, progress)
+    return replace(drawn, origin=known.origin)
+
+
 def _targets(
     scene: Scene,
     cameras: list[Camera],
     photographs: ReferenceViews | None,
-    most: int,
     plan: Plan,
     progress: Progress | None,
 ) -> ReferenceViews:
-    """Photographs, and renders of the scene from cameras without one: `most`, or almost.
+    """Photographs, and renders of the scene from those of the cameras that have none.
 
     A scene with few photographs fits them better than what lies between; on bonsai, renders from
     its other cameras keep a third of the loss away.
     """
     if photographs is None:
-        cameras = _enough(cameras, most)
         return draw_reference_views(scene, cameras, plan.background, progress, fast=True)
     taken = {camera.name: camera for camera in photographs.cameras}
     scale = max(taken[c.name].width / c.width for c in cameras if c.name in taken)
     others = [
         c.resized(max(1, round(scale * c.width)), max(1, round(scale * c.height)))
-        for c in _enough(cameras, most)
+        for c in cameras
         if c.name not in taken
     ]
     renders = draw_reference_views(scene, others, plan.background, progress, fast=True)
@@ -175,38 +183,56 @@ def guiding_views(
     of `choose_views`. There are none for a scene that does not tell where its cameras were and
     comes without: guessed ones would mislead.
     """
-    estimated = isinstance(plan.cameras, str | Path) and str(plan.cameras) == "auto"
-    if estimated and not tells_cameras(scene):
-        log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
-        return None
-    if references is None or plan.steps.refine:
-        known = None if references is None else references.cameras
-        cameras = known or _enough(_split(scene, plan)[0], plan.views)
-        references = draw_reference_views(scene, cameras, plan.background, progress)
-    return replace(references, estimated=estimated)
+    if references is None:
+        known = _split(scene, plan)
+        if known.origin != "anywhere":
+            references = _draw_guiding(scene, known, plan, progress)
+    elif plan.steps.refine:
+        drawn = draw_reference_views(scene, references.cameras, plan.background, progress)
+        references = replace(drawn, origin=references.origin)
+    if references is not None and references.origin != "anywhere":
+        return references
+    log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
+    return None
 
 
-def _enough(cameras: list[Camera], most: int) -> list[Camera]:
-    """At most this many cameras; if there are fewer, views between them as well.
+def _enough(known: _Split, most: int) -> list[Camera]:
+    """Of given cameras at most this many; if there are fewer, views between them as well.
 
     These are at most four for each that is missing: all of them where cameras are few.
     """
+    cameras = known.rest
+    if known.origin != "given":
+        return cameras
     if len(cameras) >= most:
         return evenly(cameras, most)
     return [*cameras, *evenly(cameras_between(cameras), _BETWEEN * (most - len(cameras)))]
 
 
-def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
-    """Cameras that guide the steps, and held-out ones.
+class _Split(NamedTuple):
+    """Cameras that guide the steps, held-out ones, and where they come from."""
 
-    If none or all are marked, they are the same, but refinement, which would fit what it is
-    measured by, keeps every 8th out.
+    rest: list[Camera]
+    test: list[Camera]
+    origin: Origin
+
+
+def _split(scene: Scene, plan: Plan) -> _Split:
+    """Find the cameras of a plan.
+
+    If none or all are marked, the same cameras guide and measure, but refinement, which would fit
+    what it is measured by, keeps every 8th out.
     """
-    cameras = find_cameras(plan.cameras, scene, "all", plan.width, plan.views)
+    origin: Origin = "given"
+    if plan.estimates:
+        found = guiding_cameras(scene, plan.views, plan.width)
+        cameras, origin = found.cameras, "estimated" if found.telling else "anywhere"
+    else:
+        cameras = find_cameras(plan.cameras, scene, "all", plan.width)
     test = [camera for camera in cameras if camera.split == "test"]
     rest = [camera for camera in cameras if camera.split != "test"]
     if rest and test:
-        return rest, test
+        return _Split(rest, test, origin)
     if plan.steps.refine and len(cameras) > 1:
         log.warning(
             "cameras: none or all are marked 'test', so every 8th is kept out of refinement"
@@ -215,8 +241,9 @@ def _split(scene: Scene, plan: Plan) -> tuple[list[Camera], list[Camera]]:
         if plan.gt_images is not None:
             known = [camera for camera, _ in photographed(cameras, plan.gt_images)]
         test = known[::_EVERY]
-        return [camera for camera in cameras if all(camera is not out for out in test)], test
-    return cameras, cameras
+        rest = [camera for camera in cameras if all(camera is not out for out in test)]
+        return _Split(rest, test, origin)
+    return _Split(cameras, cameras, origin)
 
 
 def _report(

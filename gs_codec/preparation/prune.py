@@ -8,6 +8,9 @@ is the light of everything behind it. The squared change is summed over pixels a
 
 Errors of single Gaussians do not add up where they cover each other, so scores are computed
 again after each round.
+
+Views from anywhere around a scene leave out what its own cameras saw, so what is expected of a
+Gaussian of its opacity and size counts as well.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codecs.adaptive.step_sizes import expected_sensitivity
+from gs_codec.coding.axes import sort_axes
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.balance import Balance
 from gs_codec.preparation.reference_views import ReferenceViews, ViewSplit
@@ -34,6 +39,9 @@ _VOLUME_POWER, _VOLUME_QUANTILE = 0.1, 0.9
 
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.2
+
+#: Share of what is expected of a Gaussian, where views are from anywhere.
+_EXPECTED = 0.05
 
 #: Bisections of the last round, where the loss reaches its limit.
 _BISECTIONS = 6
@@ -114,7 +122,18 @@ def leave_one_out(
         frame.over_tiles(leave_out_rows, camera.width, camera.height, behind, errors)
         scores += frame.sum_pairs(scene.count, errors)[:, 0]
         advance()
+    if views.origin == "anywhere":
+        scores += _EXPECTED / (1 - _EXPECTED) * scores.mean() * _expected(scene)
     return scores
+
+
+def _expected(scene: Scene) -> NDArray[np.float64]:
+    """Weight ``(N,)`` that camera-free rules expect of each Gaussian, 1 in the mean."""
+    finite = np.isfinite(scene.log_scale).all(axis=0) & np.isfinite(scene.opacity[0])
+    usable, expected = scene.take(np.flatnonzero(finite)), np.zeros(scene.count)
+    scales = sort_axes(usable.log_scale, usable.rot)[1]
+    expected[finite] = expected_sensitivity(usable.opacity[0], scales).colour
+    return expected / max(expected.mean(), 1e-300)
 
 
 def prune_leave_one_out(

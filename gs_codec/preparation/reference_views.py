@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ from gs_codec.scene import Scene
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+#: Where cameras come from: given, estimated from what the scene tells, or anywhere around it, if it
+#: does not tell.
+Origin = Literal["given", "estimated", "anywhere"]
+
 #: MSE against photographs that is assumed where there are none: 30 dB.
 _NOMINAL_ERROR = 1e-3
 
@@ -34,7 +38,7 @@ class ReferenceViews:
     """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter.
 
     `photographs` tells whether the images are photographs or renders of the scene to be prepared;
-    `source` is that scene, if it is known; `estimated`, whether the cameras were guessed from it.
+    `source` is that scene, if it is known; `origin`, where its cameras come from.
     """
 
     cameras: tuple[Camera, ...]
@@ -42,7 +46,7 @@ class ReferenceViews:
     photographs: bool
     background: tuple[float, float, float]
     source: Scene | None = None
-    estimated: bool = False
+    origin: Origin = "given"
 
     def first(self, number: int) -> ReferenceViews:
         """The first views, at most this many."""

@@ -165,7 +165,8 @@ class Plan:
     cameras : path, "auto", or sequence of Camera
         Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced,
         guide the steps; if they are fewer, views between them do, too. If none or all are marked,
-        the same cameras do both, but with `refine` every 8th is kept out to measure by.
+        the same cameras do both, but with `refine` every 8th is kept out to measure by. ``auto``
+        are four times `views` of half the size, or twice as many of full size.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
         measured against them, and `refine` fits to them, and to renders of the input for cameras
@@ -225,3 +226,8 @@ class Plan:
         if self.gt_images is not None and self.width is not None:
             raise InvalidInput("width: given by the ground-truth images, expected one of the two")
         check_options(self)
+
+    @property
+    def estimates(self) -> bool:
+        """Whether cameras are estimated from the scene."""
+        return isinstance(self.cameras, str | Path) and str(self.cameras) == "auto"

@@ -1,14 +1,16 @@
 """Virtual cameras for a scene that comes without any.
 
 Views look from places where cameras may have been at random Gaussians, as these are densest where
-cameras looked. Those that show holes or close-ups go; of the others, those stay that together see
-most.
+cameras looked, and at the finest. Those that show holes or close-ups go; of the others, those stay
+that together see most.
 """
 
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,18 +34,47 @@ _FOCAL = 1.04 * WIDTH
 #: Places tried for an overview, and how many times as far from the subject views are.
 _OVERVIEWS, _BACK = 48, (1.0, 1.6, 2.5)
 
-#: Of large scenes, this many overviews are judged in full, the best by about so many Gaussians.
-_FINALISTS, _ROUGH = 16, 6_000
+#: Views are judged by about so many Gaussians, and of overviews the best in full.
+_ROUGH, _FINALISTS = 10_000, 16
 
 #: Space around a subject, and how much farther than for 0.9 of it a camera has to be for 0.99 where
 #: nothing surrounds it: things, people and plants have 1.2 to 1.3, things in a room above 2.
 _MARGIN, _COMPACT = 1.2, 1.5
 
-#: Views that are tried for each that is asked for, their least number, and the share that is good.
-_TRIED, _LEAST_TRIED, _GOOD = 3, 96, 0.6
+#: Views that are tried for each that is asked for, their least number, and how many are good.
+_TRIED, _LEAST_TRIED, _GOOD = 3, 96, 2.7
 
-#: Views are judged at this size; about this many Gaussians say which of them together see most.
-_THUMB, _COMPARED = (96, 64), 10_000
+#: Share of views that look at the subject, and that of the places after which they are likely to be
+#: tried only 1/e as often.
+_AT_SUBJECT, _LIKELY = 0.5, 0.5
+
+#: Views are judged at this size.
+_THUMB = (96, 64)
+
+#: Views to work by are this many times as many, at half the size; larger, and so fewer, if there
+#: are fewer pixels than this for each Gaussian that they show.
+_MANY, _PIXELS = 4, 3.0
+
+
+class Estimate(NamedTuple):
+    """Cameras that were chosen for a scene.
+
+    Attributes
+    ----------
+    cameras : list of Camera
+        Those that together see most come first, after an overview.
+    up : ndarray, shape (3,)
+        Unit vector: what is up in the scene.
+    telling : bool
+        As for `Evidence`: whether cameras are near those that the scene was trained with.
+    shown : float
+        Share of the Gaussians that a view shows, on average.
+    """
+
+    cameras: list[Camera]
+    up: NDArray[np.float64]
+    telling: bool
+    shown: float
 
 
 def auto_cameras(scene: Scene, count: int = COUNT) -> list[Camera]:
@@ -56,13 +87,11 @@ def auto_cameras(scene: Scene, count: int = COUNT) -> list[Camera]:
     InvalidInput
         If no view shows anything.
     """
-    return estimate_views(scene, count)[0]
+    return estimate_views(scene, count).cameras
 
 
-def estimate_views(
-    scene: Scene, count: int = COUNT, up: NDArray | None = None
-) -> tuple[list[Camera], NDArray[np.float64]]:
-    """The same cameras, and the unit vector ``(3,)`` that is up in the scene.
+def estimate_views(scene: Scene, count: int = COUNT, up: NDArray | None = None) -> Estimate:
+    """The same cameras, and what is known of them.
 
     If `up` is given, also a unit vector, cameras are upright by that one instead.
 
@@ -73,14 +102,42 @@ def estimate_views(
     """
     found = gather_evidence(scene)
     chosen: list[Camera] = []
+    shown = 0.0
     if found is not None and count > 0:
         rng = np.random.default_rng(1)
         seen = found if up is None else replace(found, up=up)
         chosen = _overview(seen, rng)
-        chosen += _others(seen, count - len(chosen), rng)
+        others, shown = _others(seen, count - len(chosen), rng)
+        chosen += others
     if found is None or not chosen:
         raise InvalidInput("cameras 'auto': no view shows anything of the scene")
-    return [replace(view, name=f"auto_{n:02d}") for n, view in enumerate(chosen)], found.up
+    cameras = [replace(view, name=f"auto_{n:02d}") for n, view in enumerate(chosen)]
+    return Estimate(cameras, found.up, found.telling, shown)
+
+
+def guiding_cameras(scene: Scene, views: int, width: int | None = None) -> Estimate:
+    """Cameras to work by: `views` times four small ones, or twice as many of full size.
+
+    What all places see counts for more than pixels that show nothing smaller. The width of the
+    images can be given.
+
+    Raises
+    ------
+    InvalidInput
+        If no view shows anything.
+    """
+    found = estimate_views(scene, _MANY * views)
+    if width is None:
+        fine = math.sqrt(_PIXELS * found.shown * scene.count * WIDTH / HEIGHT)
+        width = round(min(max(fine, WIDTH / 2), WIDTH))
+    size = width, max(1, round(width * HEIGHT / WIDTH))
+    some = found.cameras[: guiding_number(views, width)]
+    return found._replace(cameras=[view.resized(*size) for view in some])
+
+
+def guiding_number(views: int, width: int) -> int:
+    """How many `guiding_cameras` there are of this width."""
+    return math.ceil(_MANY * views * WIDTH / 2 / min(max(width, WIDTH / 2), WIDTH))
 
 
 def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
@@ -157,29 +214,51 @@ def _thinned(seen: Evidence) -> Evidence:
     return replace(seen, thumb=thumb, subject=seen.subject[left])
 
 
-def _others(seen: Evidence, count: int, rng: np.random.Generator) -> list[Camera]:
-    """Views of random Gaussians; of the better ones, those that together see most."""
+def _others(seen: Evidence, count: int, rng: np.random.Generator) -> tuple[list[Camera], float]:
+    """Views of random Gaussians and the subject; of the better ones, those that together see most.
+
+    Also the share of the Gaussians that each shows, on average.
+    """
     if count < 1:
-        return []
+        return [], 0.0
     tried = max(_TRIED * count, _LEAST_TRIED)
     number = len(seen.places)
-    some = seen.places[rng.choice(number, tried, replace=tried > number)]
-    thumb = seen.thumb
-    aims = thumb.positions.T[rng.integers(thumb.count, size=tried)].astype(np.float64)
-    views = [look_at(place, aim, seen) for place, aim in zip(some, aims, strict=True)]
-    judged = run_all(lambda view: _judge(seen, view), views)
+    likely = np.exp(-np.arange(number) / (_LIKELY * number))
+    some = seen.places[rng.choice(number, tried, p=likely / likely.sum())]
+    aims = rng.integers(seen.thumb.count, size=tried)
+    subject = np.flatnonzero(seen.subject)
+    finest = rng.random(tried) < _AT_SUBJECT
+    aims[finest] = subject[rng.integers(len(subject), size=int(finest.sum()))]
+    targets = seen.thumb.positions.T[aims].astype(np.float64)
+    views = [look_at(place, target, seen) for place, target in zip(some, targets, strict=True)]
+    rough = _thinned(seen)
+    judged = run_all(lambda view: _judge(rough, view), views)
     scores = np.array([score for score, _ in judged])
-    left = [i for i in np.argsort(-scores, kind="stable") if np.isfinite(scores[i])]
-    left = left[: max(int(_GOOD * len(left)), count)]
-    every = max(1, thumb.count // _COMPARED)
-    weights = np.array([weight[::every] for _, weight in judged])
+    good = [int(i) for i in np.argsort(-scores, kind="stable") if np.isfinite(scores[i])]
+    weights = np.array([weight for _, weight in judged])
+    chosen = _see_most(weights, good[: math.ceil(_GOOD * count)], count)
+    shown = float((weights[chosen] > 0).mean()) if chosen else 0.0
+    return [views[i] for i in chosen], shown
+
+
+def _see_most(weights: NDArray[np.float32], views: list[int], count: int) -> list[int]:
+    """Of views with ``weights (V, N)`` those that together see most: greedily, the best first.
+
+    What a view adds to the sum of roots of weights only falls as others are chosen, so that one
+    whose last value is no longer the largest need not be looked at again.
+    """
     chosen: list[int] = []
     total = np.zeros(weights.shape[1], np.float32)
+    left = [(-math.inf, view) for view in views]
     while left and len(chosen) < count:
-        gains = [float(np.sqrt(total + weights[i]).sum()) for i in left]
-        chosen.append(left.pop(int(np.argmax(gains))))
-        total += weights[chosen[-1]]
-    return [views[i] for i in chosen]
+        _, view = heapq.heappop(left)
+        gain = float((np.sqrt(total + weights[view]) - np.sqrt(total)).sum(dtype=np.float64))
+        if left and gain < -left[0][0]:
+            heapq.heappush(left, (-gain, view))
+            continue
+        chosen.append(view)
+        total += weights[view]
+    return chosen
 
 
 def look_at(position: NDArray, target: NDArray, seen: Evidence) -> Camera:

@@ -118,12 +118,6 @@ def gather_evidence(scene: Scene, quick: bool = False) -> Evidence | None:
     return Evidence(thumb, size, subject, likely, up, telling)
 
 
-def tells_cameras(scene: Scene) -> bool:
-    """Whether a scene tells where its cameras were."""
-    found = gather_evidence(scene)
-    return found is not None and found.telling
-
-
 def _thinned(scene: Scene) -> Scene:
     """See `Evidence.thumb`."""
     finite = np.all([np.isfinite(getattr(scene, group)).all(axis=0) for group in GROUPS], axis=0)

@@ -148,3 +148,21 @@ def test_up_is_what_most_cameras_have_up():
         look_at(np.array(p), TARGET).rotation for p in ((3, -1, 0), (-3, -1, 1), (0, -1, 5))
     ]
     np.testing.assert_allclose(up_of(rotations), [0, -1, 0], atol=0.2)
+
+
+@pytest.mark.parametrize("pitch", [-0.6, 0.0, 0.6])
+def test_up_of_cameras_that_look_one_way_is_their_own(pitch):
+    rng = np.random.default_rng(6)
+    rotations = [
+        look_at(np.zeros(3), np.append(rng.normal([0, pitch], 0.02), 1.0)).rotation
+        for _ in range(20)
+    ]
+    down = np.mean([rotation[1] for rotation in rotations], axis=0)
+    assert up_of(rotations) @ down < -0.7
+    assert abs(up_of(rotations)[0]) < 0.1
+
+
+def test_up_of_cameras_that_are_upside_down_as_often_is_across_their_right_axes():
+    rotations = [np.eye(3), np.diag([-1.0, -1.0, 1.0]), np.eye(3)[[2, 1, 0]] * [[1], [1], [-1]]]
+    rotations.append(rotations[2] * [[-1], [-1], [1]])
+    np.testing.assert_allclose(np.abs(up_of(rotations)), [0, 1, 0], atol=1e-9)

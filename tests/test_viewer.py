@@ -335,7 +335,7 @@ def test_cameras_of_a_file_say_what_is_up(files):
     up = np.array([0.36, -0.48, 0.8])
     looks = np.random.default_rng(303).normal(size=(20, 3))
     cameras = [replace(look_at(np.zeros(3), look, up), frame=(60, 40)) for look in looks]
-    np.testing.assert_allclose(up_of([camera.rotation for camera in cameras]), up, atol=1e-6)
+    np.testing.assert_allclose(up_of([camera.rotation for camera in cameras]), up, atol=2e-3)
     given = gs_codec.render(files / "a.ply", [camera.camera(60, 40) for camera in cameras]).cameras
     views = given_views(given)
     assert views.ups[0] == "cameras"

@@ -17,6 +17,9 @@ _FOCAL, _FRAME = 0.866, (600, 400)
 #: Wider frames are measured at this width, pixels, because the trainer shrinks photographs to it.
 _MEASURED_WIDTH = 1600
 
+#: Least mean square of right axes along a direction that is not level.
+_LOOSE = 1e-3
+
 #: Unit vectors of up axes, by name. The first, -y, is the default, as in trainers.
 UPS = {
     sign + axis: np.eye(3)[k] * (-1 if sign else 1)
@@ -141,7 +144,13 @@ def upright(pose: Pose, up: NDArray) -> Pose:
 
 
 def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:
-    """The up vector of upright cameras with these rotations: orthogonal to their right axes."""
+    """The up vector of upright cameras with these rotations: orthogonal to their right axes.
+
+    Where these leave several, as cameras that look one way do, it is the nearest to their own.
+    """
     right, down, _ = np.moveaxis(np.array(rotations), 1, 0)
-    up = np.linalg.eigh(right.T @ right)[1][:, 0]
-    return -up if np.sum(down @ up) > 0 else up
+    level = right.T @ right / len(right)
+    up = -np.linalg.solve(level + _LOOSE * np.eye(3), down.mean(axis=0))
+    if not np.linalg.norm(up) > _LOOSE:
+        up = np.linalg.eigh(level)[1][:, 0]
+    return up / np.linalg.norm(up)

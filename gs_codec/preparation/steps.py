@@ -207,7 +207,7 @@ class Plan:
     )
     views: int = option(
         64,
-        "Most views to work by; refinement fits four times as many.",
+        "Most views to work by; of estimated ones, and for refinement, four times as many.",
         kind=int,
         low=1,
         high=1 << 30,

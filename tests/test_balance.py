@@ -103,6 +103,20 @@ def test_error_of_the_steps_of_a_size(seen):
     assert found[1](1.0, 0.0) > found[0](1.0, 0.0) == pytest.approx(found[1](0.5, 0.0))
 
 
+def test_error_of_the_steps_of_a_size_without_cameras_to_trust(seen):
+    scene, plan = seen
+    views = choose_views(scene, plan)
+    guided, *blind = (
+        step_error_for(scene, 1, Config(), RateTarget(bits=60), views._replace(renders=renders))
+        for renders in (
+            views.renders,
+            replace(views.renders, origin="anywhere"),
+            replace(views.renders.first(1), origin="anywhere"),
+        )
+    )
+    assert blind[0](1.0, 0.0) == blind[1](1.0, 0.0) > guided(1.0, 0.0)
+
+
 def test_error_of_the_steps_of_a_loss(seen):
     scene, plan = seen
     views = choose_views(scene, plan)

@@ -100,8 +100,10 @@ def step_error_for(
         allowed = references.error_for(float(target.psnr_drop or 0), before) - before
         return lambda size, left: max(allowed - left, 0.0) / ADDED
     clean, _ = clean_scene(scene, config)
-    trials = Trials(clean, RateSearch(config, target, limit, views.renders, None, progress))
-    trials.compact(0.0)
+    guiding = None if views.renders.origin == "anywhere" else views.renders
+    trials = Trials(clean, RateSearch(config, target, limit, guiding, None, progress))
+    if guiding is not None:
+        trials.compact(0.0)
     whole = trials.size(0.0)
 
     def error(size: float, left: float) -> float:

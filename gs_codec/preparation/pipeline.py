@@ -183,17 +183,16 @@ def guiding_views(
     of `choose_views`. There are none for a scene that does not tell where its cameras were and
     comes without: guessed ones would mislead.
     """
-    if references is None:
-        known = _split(scene, plan)
-        if known.origin != "anywhere":
-            references = _draw_guiding(scene, known, plan, progress)
-    elif plan.steps.refine:
-        drawn = draw_reference_views(scene, references.cameras, plan.background, progress)
-        references = replace(drawn, origin=references.origin)
-    if references is not None and references.origin != "anywhere":
-        return references
-    log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
-    return None
+    known = references or _split(scene, plan)
+    if known.origin == "anywhere":
+        log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
+        return None
+    if isinstance(known, _Split):
+        return _draw_guiding(scene, known, plan, progress)
+    if plan.steps.refine:
+        drawn = draw_reference_views(scene, known.cameras, plan.background, progress)
+        return replace(drawn, origin=known.origin)
+    return known
 
 
 def _enough(known: _Split, most: int) -> list[Camera]:

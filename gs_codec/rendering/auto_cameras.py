@@ -224,13 +224,16 @@ def _others(seen: Evidence, count: int, rng: np.random.Generator) -> tuple[list[
     tried = max(_TRIED * count, _LEAST_TRIED)
     number = len(seen.places)
     likely = np.exp(-np.arange(number) / (_LIKELY * number))
-    some = seen.places[rng.choice(number, tried, p=likely / likely.sum())]
+    some = rng.choice(number, tried, replace=tried > number, p=likely / likely.sum())
     aims = rng.integers(seen.thumb.count, size=tried)
     subject = np.flatnonzero(seen.subject)
     finest = rng.random(tried) < _AT_SUBJECT
     aims[finest] = subject[rng.integers(len(subject), size=int(finest.sum()))]
     targets = seen.thumb.positions.T[aims].astype(np.float64)
-    views = [look_at(place, target, seen) for place, target in zip(some, targets, strict=True)]
+    views = [
+        look_at(place, target, seen)
+        for place, target in zip(seen.places[some], targets, strict=True)
+    ]
     rough = _thinned(seen)
     judged = run_all(lambda view: _judge(rough, view), views)
     scores = np.array([score for score, _ in judged])

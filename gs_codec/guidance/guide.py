@@ -23,7 +23,7 @@ from gs_codec.coding.ycocg import from_ycocg, to_ycocg
 from gs_codec.config import AdaptiveProfile
 from gs_codec.guidance.round_sh import round_rgb, round_sh
 from gs_codec.guidance.sensitivity import sensitivity
-from gs_codec.guidance.trust import blend, blind_share, regions
+from gs_codec.guidance.trust import blend, blind_share
 from gs_codec.preparation.compact_sh import compact_sh
 from gs_codec.preparation.image_operator import ImageOperator
 from gs_codec.preparation.reference_views import ReferenceViews
@@ -38,8 +38,8 @@ from gs_codec.scene import Scene, channel_count
 _REFIT = 10
 
 #: Cross-validation over views that decides whether compaction pays: a fold is every fourth view,
-#: and every other fold is left out once; of regions, the times that the views are halved.
-_FOLD, _HALVINGS = 4, 2
+#: and every other fold is left out once.
+_FOLD = 4
 
 #: Most by which compaction may multiply the largest error of the left-out views.
 _WORST = 16.0
@@ -162,7 +162,8 @@ class Guidance:
             return False
         operator = self._operator_of(decoded)
         plain, plain_bits, levels = _rounded(decoded, steps)
-        for others in self._folds():
+        for first in range(0, min(_FOLD, count), 2):
+            others = range(first, count, _FOLD)
             most = sorted(set(range(count)) - set(others))
             sparse, sparse_bits, _ = _rounded(compacted(most), steps)
             lost, before = (self._errors(coded, operator, others) for coded in (sparse, plain))
@@ -173,17 +174,6 @@ class Guidance:
             if lost.max() > _WORST * before.max():
                 return False
         return True
-
-    def _folds(self) -> list[list[int]]:
-        """Views that are left out together: a part of the space of estimated cameras.
-
-        Others see what held-out views see: every fourth is left out.
-        """
-        cameras = self.views.cameras
-        if self.views.origin == "estimated":
-            return [[int(i) for i in region] for region in regions(cameras, _HALVINGS)]
-        firsts = range(0, min(_FOLD, len(cameras)), 2)
-        return [list(range(first, len(cameras), _FOLD)) for first in firsts]
 
     def _errors(
         self, scene: Scene, operator: ImageOperator, seen: Sequence[int]

@@ -278,6 +278,12 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
     plan, targets = context.plan, context.views.targets
     assert targets is not None
     fitted, details = optimise(scene, targets, plan.steps.refine, plan.checkpoint, context.progress)
+    held_out, progress = context.views.held_out, context.progress
+    before, after = (held_out.errors(each, progress) for each in (scene, fitted))
+    lost = held_out.drop(after, before)
+    if lost > 0:
+        log.warning("refine: held-out views would lose %.3f dB, so it is left out", lost)
+        return None, scene, {**details, "left_out": True}
     return None, fitted, details
 
 

@@ -256,13 +256,24 @@ def test_compaction_saves_bits_where_it_may_cost(scene):
 
 
 def test_optimisation_goes_on_from_its_checkpoint(scene, tmp_path):
-    chosen = replace(plan(refine=12), checkpoint=tmp_path / "state")
-    first, _ = prepare_scene(scene, chosen)
+    chosen = replace(plan(prune=90, refine=30), checkpoint=tmp_path / "state")
+    first, report = prepare_scene(scene, chosen)
+    assert report.steps[-1].quality.psnr > report.steps[-2].quality.psnr
     again, _ = prepare_scene(scene, chosen)
     for group in GROUPS:
         np.testing.assert_array_equal(getattr(first, group), getattr(again, group))
     with pytest.raises(InvalidInput, match="state"):
-        prepare_scene(scene, replace(chosen, steps=Steps(refine=13)))
+        prepare_scene(scene, replace(chosen, steps=Steps(prune=90, refine=31)))
+
+
+def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog):
+    """Of a scene that its views show as it is there is nothing to win."""
+    same, report = prepare_scene(scene, plan(prune=0, refine=5))
+    assert same is scene
+    assert report.steps[-1].details["left_out"]
+    assert report.steps[-1].quality == report.steps[0].quality
+    [message] = [record.getMessage() for record in caplog.records if "lose" in record.getMessage()]
+    assert message.startswith("refine: held-out views would lose ")
 
 
 def test_steps_that_need_something_to_see_refuse_an_empty_scene():

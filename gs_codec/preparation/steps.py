@@ -60,7 +60,8 @@ class Steps:
         Stop leave-one-out pruning at this PSNR loss of rendered views, dB. Without `prune`,
         only this limits it.
     refine : int
-        Iterations of Adam on all attributes of the remaining Gaussians.
+        Iterations of Adam on all attributes of the remaining Gaussians. Left out, with a warning,
+        if held-out views lose by it.
     compact_sh : float
         Strength of SH energy compaction, 0 and up: about the mean squared error of an image value
         (0-1) that it may cost; 3e-5 is usual.

@@ -703,9 +703,9 @@ def test_views_are_counted(tmp_path):
     file = str(write_json(tmp_path / "cameras.json", inria_entry(width=90, height=60)))
     assert Options(Config()).pixels() == 0
     assert Options(Config(), rate=RateTarget(ratio=9)).pixels() == 0
-    assert Options(Config(), rate=RateTarget(psnr_drop=1)).pixels() == 128 * WIDTH * HEIGHT
-    assert Options(Config(), Plan(Steps(), views=3)).pixels() == 6 * WIDTH * HEIGHT
-    assert Options(Config(), Plan(Steps(), views=3, width=300)).pixels() == 9 * 300 * 200
+    assert Options(Config(), rate=RateTarget(psnr_drop=1)).pixels() == 64 * WIDTH * HEIGHT
+    assert Options(Config(), Plan(Steps(), views=3)).pixels() == 3 * WIDTH * HEIGHT
+    assert Options(Config(), Plan(Steps(), views=3, width=300)).pixels() == 6 * 300 * 200
     assert Options(Config(), Plan(Steps(), file, views=2)).pixels() == 2 * 90 * 60
     with pytest.raises(InvalidInput, match="missing"):
         Options(Config(), Plan(Steps(), "missing.json")).pixels()

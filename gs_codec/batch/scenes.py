@@ -53,13 +53,14 @@ class Options:
         if plan is None and (rate is None or not (rate.psnr_drop or rate.allow_prune)):
             return 0
         from gs_codec.preparation.steps import Plan
-        from gs_codec.rendering.auto_cameras import HEIGHT, WIDTH, guiding_number
+        from gs_codec.rendering.auto_cameras import HEIGHT, SMALL, WIDTH, guiding_number
         from gs_codec.rendering.cameras import read_cameras
 
         plan = plan or Plan()
         views, width = plan.views, plan.width
         if plan.estimates:
-            views, sizes = guiding_number(views, width or WIDTH), [(WIDTH, HEIGHT)]
+            width = width or SMALL
+            views, sizes = guiding_number(views, width), [(WIDTH, HEIGHT)]
         else:
             given = plan.cameras
             cameras = read_cameras(given) if isinstance(given, str | Path) else given

@@ -167,7 +167,7 @@ class Plan:
         Cameras marked ``test`` measure quality; at most `views` of the others, evenly spaced,
         guide the steps; if they are fewer, views between them do, too. If none or all are marked,
         the same cameras do both, but with `refine` every 8th is kept out to measure by. ``auto``
-        are four times `views` of half the size, or twice as many of full size.
+        are two to four times `views`, of as many pixels together as `views` of 420 x 280.
     gt_images : path, optional
         Folder of the cameras' ground-truth images; some may be missing. Quality and losses are
         measured against them, and `refine` fits to them, and to renders of the input for cameras
@@ -208,7 +208,7 @@ class Plan:
     )
     views: int = option(
         64,
-        "Most views to work by; of estimated ones, and for refinement, four times as many.",
+        "Most views to work by; of estimated ones, and for refinement, up to four times as many.",
         kind=int,
         low=1,
         high=1 << 30,

@@ -51,9 +51,9 @@ _AT_SUBJECT, _LIKELY = 0.5, 0.5
 #: Views are judged at this size.
 _THUMB = (96, 64)
 
-#: Views to work by are this many times as many, at half the size; larger, and so fewer, if there
-#: are fewer pixels than this for each Gaussian that they show.
-_MANY, _PIXELS = 4, 3.0
+#: Views to work by are this many times as many, of this width: half the size. They are up to so
+#: many times as wide, and so fewer, if there are fewer pixels than this for a Gaussian they show.
+_MANY, SMALL, _LARGER, _PIXELS = 4, WIDTH // 2, math.sqrt(2), 3.0
 
 
 class Estimate(NamedTuple):
@@ -116,7 +116,7 @@ def estimate_views(scene: Scene, count: int = COUNT, up: NDArray | None = None) 
 
 
 def guiding_cameras(scene: Scene, views: int, width: int | None = None) -> Estimate:
-    """Cameras to work by: `views` times four small ones, or twice as many of full size.
+    """Cameras to work by: two to four for each of the `views`, with no more pixels together.
 
     What all places see counts for more than pixels that show nothing smaller. The width of the
     images can be given.
@@ -129,7 +129,7 @@ def guiding_cameras(scene: Scene, views: int, width: int | None = None) -> Estim
     found = estimate_views(scene, _MANY * views)
     if width is None:
         fine = math.sqrt(_PIXELS * found.shown * scene.count * WIDTH / HEIGHT)
-        width = round(min(max(fine, WIDTH / 2), WIDTH))
+        width = round(min(max(fine, SMALL), SMALL * _LARGER))
     size = width, max(1, round(width * HEIGHT / WIDTH))
     some = found.cameras[: guiding_number(views, width)]
     return found._replace(cameras=[view.resized(*size) for view in some])
@@ -137,7 +137,7 @@ def guiding_cameras(scene: Scene, views: int, width: int | None = None) -> Estim
 
 def guiding_number(views: int, width: int) -> int:
     """How many `guiding_cameras` there are of this width."""
-    return math.ceil(_MANY * views * WIDTH / 2 / min(max(width, WIDTH / 2), WIDTH))
+    return math.ceil(_MANY * views / min(max(width / SMALL, 1.0), _LARGER) ** 2)
 
 
 def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:

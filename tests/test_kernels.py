@@ -109,7 +109,12 @@ def change(value):
 def test_kernels_are_compiled_again_when_what_they_use_changes(tmp_path):
     """Of other modules too, which numba does not look at: a decoder would read files wrongly."""
     (tmp_path / "uses.py").write_text(USES)
-    environment = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    environment = {
+        "PYTHONPATH": str(ROOT),
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        # Python takes a .pyc for that of a source of the same size and second.
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
 
     def run() -> str:
         return subprocess.run(

@@ -43,7 +43,7 @@ def backward(splats: Mapping[str, torch.nn.Parameter], camera: Any, image: np.nd
     scene = from_cloud(gs_codec.from_tensors(splats))
     seen = differentiate(scene, camera, image, (0.0, 0.0, 0.0))
     planes = np.zeros((channel_count(len(scene.f_rest) // 3), scene.count), np.float32)
-    planes[:, seen.chosen] = seen.slopes(0, len(seen.chosen))
+    planes[:, seen.chosen] = seen.slopes(0, len(seen.chosen)).T
     for name, gradient in tensors_of(with_values(scene, planes)).items():
         splats[name].grad = torch.from_numpy(gradient)
 

@@ -112,7 +112,7 @@ def gradients(
     slopes = result.slopes(0, len(result.chosen))
     ends = np.cumsum([len(getattr(scene, group)) for group in GROUPS])
     found = {}
-    for group, rows in zip(GROUPS, np.split(slopes, ends[:-1]), strict=True):
+    for group, rows in zip(GROUPS, np.split(slopes.T, ends[:-1]), strict=True):
         found[group] = np.zeros(getattr(scene, group).shape)
         found[group][:, result.chosen] = rows
     return result.squared_error, found
@@ -302,19 +302,20 @@ def test_adam_is_that_of_the_paper(seed):
     first, second = np.zeros((2, 5, 9))
     for step in range(1, 20):
         slopes = rng.normal(size=(5, 9)) * (rng.random(9) < 0.6)
+        by_gaussian = slopes.T.astype(np.float32)
         for start, stop in ((0, 4), (4, 9)):
             chosen = start + np.flatnonzero(slopes[0, start:stop])
-            adam_step(*state, step, rates, slopes[:, chosen], chosen, start, stop)
+            adam_step(*state, step, rates, by_gaussian[chosen], chosen, start, stop)
         first = 0.9 * first + 0.1 * slopes
         second = 0.999 * second + 0.001 * slopes**2
         mean, square = first / (1 - 0.9**step), second / (1 - 0.999**step)
         expected -= rates[:, None] * mean / (np.sqrt(square) + 1e-15)
-    np.testing.assert_allclose(state.values, expected, rtol=1e-4, atol=1e-4)
-    np.testing.assert_array_equal(state.values[2], values[2])
+    np.testing.assert_allclose(state.values.T, expected, rtol=1e-4, atol=1e-4)
+    np.testing.assert_array_equal(state.values[:, 2], values[2])
 
 
 def test_adam_leaves_values_finite():
-    slopes = np.array([[np.nan, np.inf, -np.inf, 1e300, 1e14, -1e14, 1e-30, 0.0]])
+    slopes = np.array([[np.nan, np.inf, -np.inf, 1e30, 1e14, -1e14, 1e-30, 0.0]], np.float32).T
     state = new_state(np.full((1, 8), 3e38, np.float32))
     for step in range(1, 4):
         adam_step(*state, step, np.array([3e38]), slopes, np.arange(8), 0, 8)

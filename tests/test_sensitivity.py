@@ -176,7 +176,8 @@ def test_a_gaussian_of_the_background_s_colour_may_have_any_opacity():
     places = [(0, 0, 0.2 * i) for i in range(9)]
     scene = splats(places, f_dc=1.0, opacity=4.0, log_scale=1.0)
     found = summed(scene, CAMERAS, (0.5 + SH_C0,) * 3)
-    assert found.opacity.max() < 1e-20
+    # The square of what float32 rounds.
+    assert found.opacity.max() < 1e-12
     assert found.colour[:2].all()
 
 

@@ -35,7 +35,7 @@ from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, channel_count
 
 #: Conjugate-gradient iterations of the refit.
-_REFIT = 10
+_REFIT = 6
 
 #: Cross-validation over views that decides whether compaction pays: a fold is every fourth view,
 #: and every other fold is left out once.
@@ -43,6 +43,9 @@ _FOLD = 4
 
 #: Most by which compaction may multiply the largest error of the left-out views.
 _WORST = 16.0
+
+#: Share of what it may cost up to which one fold decides.
+_CLEAR = 0.5
 
 #: Values of a Gaussian without SH-AC; each takes one more bit when steps are halved.
 _OTHERS = 14
@@ -154,8 +157,8 @@ class Guidance:
 
         Each fold compacts with most of the views and measures in the others. Compaction pays if,
         in every fold, it saves more bits than finer steps would take to win back the error, and
-        the largest error stays within `_WORST`. Where views are few or far apart it does not pay:
-        it keeps only the colours that these views see.
+        the largest error stays within `_WORST`; one fold is enough if it costs much less. Where
+        views are few or far apart it does not pay: it keeps only the colours that these views see.
         """
         count = len(self.weights)
         if count < 2:
@@ -169,19 +172,21 @@ class Guidance:
             lost, before = (self._errors(coded, operator, others) for coded in (sparse, plain))
             # Halving all steps takes one bit for each non-zero value and divides the error by 4.
             octaves = 0.5 * math.log2(lost.mean() / before.mean())
-            if sparse_bits + (_OTHERS + levels) * octaves >= plain_bits:
+            saved, worst = plain_bits - sparse_bits, _WORST * before.max()
+            cost = (_OTHERS + levels) * octaves
+            if cost >= saved or lost.max() > worst:
                 return False
-            if lost.max() > _WORST * before.max():
-                return False
+            if cost < _CLEAR * saved and lost.max() < _CLEAR * worst:
+                break
         return True
 
     def _errors(
         self, scene: Scene, operator: ImageOperator, seen: Sequence[int]
     ) -> NDArray[np.float64]:
         """Mean squared errors in some of the views."""
-        values = [self.views.images[view].size for view in seen]
         advance = step_counter(self.progress, "measure", len(seen))
         errors = operator.errors(coefficients_of(scene), seen, advance)
+        values = [3 * operator.pixels(view) for view in seen]
         return np.maximum(errors / values, _EPS)
 
     def _operator_of(self, scene: Scene) -> ImageOperator:
@@ -200,10 +205,17 @@ def _same_shapes(first: Scene, second: Scene) -> bool:
 
 
 def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None) -> Guidance:
-    """Measure what the encoder needs to know from the views of a scene."""
+    """Measure what the encoder needs to know from the views of a scene.
+
+    Views without images have those of the scene itself.
+    """
     release_freed()  # Preparation had many images.
-    loss = views.error(scene, progress)
-    found, weights = sensitivity(scene, views, progress)
+    found, weights, images = sensitivity(scene, views, progress)
+    loss = 0.0
+    if views.images:
+        loss = views.error(scene, progress)
+    else:
+        views = replace(views, images=images)
     share = blind_share(scene, weights, views.cameras, views.origin == "estimated")
     adding = steps_adding(scene, found, share)
     pixels = sum(camera.width * camera.height for camera in views.cameras)

@@ -122,7 +122,7 @@ def encode_planned(
     from gs_codec.guidance.guide import guide
     from gs_codec.preparation.pipeline import guiding_views
 
-    references = guiding_views(scene, plan, progress, references)
+    references = guiding_views(scene, plan, references)
     if references is None:
         return _camera_free(scene, config, progress)
     times = StageTimes()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,29 +48,40 @@ _POSITIONS, _LOG_SCALE, _ROT, _OPACITY, _COLOUR, _COLUMNS = 0, 1, 4, 7, 8, 9
 _VIEWS_A_THREAD = 4
 
 
-def sensitivity(
-    scene: Scene, views: ReferenceViews, progress: Progress | None = None
-) -> tuple[Sensitivity, NDArray[np.float32]]:
+class Seen(NamedTuple):
+    """What views tell of a scene.
+
+    Attributes
+    ----------
+    sensitivity : Sensitivity
+        0 for Gaussians that are not drawn in any view, and so for those with values that are
+        not finite.
+    weights : ndarray, shape (views, N), float32
+        What each view adds to `sensitivity.colour`, as in `squared_weights`.
+    images : tuple of ndarray, each shape (H, W, 3), float32
+        Of the scene.
+    """
+
+    sensitivity: Sensitivity
+    weights: NDArray[np.float32]
+    images: tuple[NDArray[np.float32], ...]
+
+
+def sensitivity(scene: Scene, views: ReferenceViews, progress: Progress | None = None) -> Seen:
     """Squared error over views, pixels and colours from small changes of each attribute.
 
     Which splats are drawn in which pixels, and in what order, is treated as constant. Pixels where
     a change takes a splat over the least visible alpha add an error that is not counted; it matters
     most for very small changes. A change of position moves the centre of the splat; its effect on
     the splat's shape and on view-dependent colour is left out. An alpha at its limit does not
-    change. `colour` is the sum of (alpha T)^2, also where a colour is clamped at black.
-
-    Returns
-    -------
-    Sensitivity
-        0 for Gaussians that are not drawn in any view, and so for those with values that are
-        not finite.
-    ndarray, shape (views, N), float32
-        What each view adds to `colour`, as in `squared_weights`.
+    change. `colour` is the sum of (alpha T)^2, also where a colour is clamped at black. The images
+    of `views` are not used.
     """
     cameras = views.cameras
     advance = step_counter(progress, "sensitivity", len(cameras))
     totals = np.zeros((scene.count, _COLUMNS))
     weights = np.zeros((len(cameras), scene.count), np.float32)
+    images: list[NDArray[np.float32]] = []
     size = _VIEWS_A_THREAD * available_threads()
     for start in range(0, len(cameras), size):
         looks = run_all(
@@ -77,9 +89,9 @@ def sensitivity(
             cameras[start : start + size],
             advance=advance,
         )
-        for view, (gaussians, found) in enumerate(looks, start):
-            totals[gaussians] += found
-            weights[view, gaussians] = found[:, _COLOUR]
+        for gaussians, found, image in looks:
+            _add_up(gaussians, found, totals, weights[len(images)])
+            images.append(image)
     columns = np.ascontiguousarray(totals.T)
     summed = Sensitivity(
         columns[_POSITIONS],
@@ -88,19 +100,19 @@ def sensitivity(
         columns[_OPACITY],
         columns[_COLOUR],
     )
-    return summed, weights
+    return Seen(summed, weights, tuple(images))
 
 
 def _look(
     scene: Scene, camera: Camera, background: Sequence[float]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The Gaussians ``(V,)`` that a view draws, and what it adds to their sums ``(V, 9)``."""
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]]:
+    """Gaussians ``(V,)`` of a view, what it adds to their sums ``(V, 9)``, and its image."""
     frame = make_frame(scene, camera)
     fields, gaussians = frame.splats.fields, frame.splats.gaussians
     sums = np.zeros((len(fields), SQUARED_WEIGHT + 1))
-    behind = np.array(background, np.float64)
-    sum_moments(fields, *frame.lists, frame.columns, camera.width, camera.height, behind, sums)
-    found = np.empty((len(fields), _COLUMNS))
+    image = np.empty((camera.height, camera.width, 3), np.float32)
+    sum_moments(fields, *frame.lists, frame.columns, np.array(background, np.float64), image, sums)
+    found = np.zeros((len(fields), _COLUMNS))
     _to_attributes(
         scene.positions,
         scene.opacity,
@@ -113,7 +125,16 @@ def _look(
         sums,
         found,
     )
-    return gaussians, found
+    return gaussians, found, image
+
+
+@kernel
+def _add_up(gaussians, found, totals, weights):
+    for splat in range(len(gaussians)):
+        i = gaussians[splat]
+        weights[i] = found[splat, _COLOUR]
+        for column in range(_COLUMNS):
+            totals[i, column] += found[splat, column]
 
 
 @kernel
@@ -121,13 +142,15 @@ def _to_attributes(
     positions, opacity, log_scale, rot, rotation, position, intrinsics, width, height,
     antialiased, fields, gaussians, sums, found,
 ):  # fmt: skip
-    """Fill ``found (V, 9)`` from the sums over the pixels of each splat."""
+    """Fill ``found (V, 9)``, zeros, from the sums over the pixels of each splat."""
     fx, fy, cx, cy = intrinsics
     variances, axes = np.empty(3), np.empty((3, 2))
     units, offsets = np.empty((3, 2)), np.empty((3, 2))
     for splat in range(len(gaussians)):
         i = gaussians[splat]
         field, total, row = fields[splat], sums[splat], found[splat]
+        if total[SQUARED_WEIGHT] == 0.0:
+            continue
         x, y, z = rotated(
             rotation,
             positions[0, i] - position[0],
@@ -157,8 +180,8 @@ def _to_attributes(
         row[_OPACITY] = total[G] / (1.0 + math.exp(np.float64(opacity[0, i]))) ** 2
         row[_COLOUR] = total[SQUARED_WEIGHT]
         for column in range(_COLUMNS):
-            # Products of very large values may overflow.
-            if not row[column] < np.inf:
+            # Products of very large values may overflow, and moments are rounded.
+            if not 0.0 <= row[column] < np.inf:
                 row[column] = 0.0
 
 

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from gs_codec.rendering.project import (
-    BLUE,
-    CENTRE_X,
-    CENTRE_Y,
-    FACTOR_XX,
-    FACTOR_XY,
-    FACTOR_YY,
-    GREEN,
-    MIN_ALPHA,
-    RED,
-    TILE,
+from gs_codec.rendering.project import FACTOR_YY, TILE
+from gs_codec.rendering.rows import (
+    BEHIND,
+    BLUE_PLANE,
+    GREEN_PLANE,
+    LEAST_LEFT,
+    MOST_ALPHA,
+    PIXELS,
+    RED_PLANE,
+    alpha_at,
+    draw_tile,
+    lift,
+    open_tile,
+    put_tile,
+    row_of,
+    rows_of,
+    splat_of,
+    total_of,
+    turn_back,
 )
-from gs_codec.rendering.trace import MAX_ALPHA, MIN_TRANSMITTANCE, tile_bounds, trace_splat
+from gs_codec.rendering.trace import tile_bounds
 from gs_codec.runtime.kernels import inlined, kernel
 
 #: Columns of the sums over a splat's pixels. g is the squared derivative of the pixel by ln alpha;
@@ -26,96 +32,67 @@ from gs_codec.runtime.kernels import inlined, kernel
 #: g f^2, g e^4, g e^3 f, g e^2 f^2, g e f^3, g f^4, and (alpha T)^2.
 G, G_EE, G_EF, G_FF, G_EEEE, G_EEEF, G_EEFF, G_EFFF, G_FFFF, SQUARED_WEIGHT = range(10)
 
-
-#: Most splats that are added to one pixel: each takes at least `MIN_ALPHA` of its transmittance.
-_LAYERS = math.ceil(math.log(MIN_TRANSMITTANCE) / math.log(1.0 - MIN_ALPHA))
+_ZERO = np.float32(0)
 
 
 @kernel
-def sum_moments(fields, splats, starts, columns, width, height, background, sums):
-    """Add all tiles of a view, in order, to ``sums (V, 10)``.
-
-    A tile is traced front to back, then summed back to front.
-    """
-    # A tile touches only as much of these as it has layers.
-    pixels = np.empty(_LAYERS * TILE * TILE, np.int64)
-    alphas = np.empty(_LAYERS * TILE * TILE)
-    before = np.empty(_LAYERS * TILE * TILE)
-    left = np.empty(TILE * TILE)
-    behind = np.empty((TILE * TILE, 3))
+def sum_moments(fields, splats, starts, columns, background, colour, sums):
+    """Draw all tiles of a view into an image ``(H, W, 3)``, and add them to ``sums (V, 10)``."""
+    height, width, _ = colour.shape
+    light, ends = np.empty(BEHIND, np.float32), np.empty(PIXELS, np.int32)
+    by_column = np.empty((SQUARED_WEIGHT + 1) * TILE, np.float32)
     for tile in range(len(starts) - 1):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        left[:] = 1.0
-        still_open = (x1 - x0) * (y1 - y0)
-        nearest = pair = starts[tile]
-        ends = np.zeros(starts[tile + 1] - nearest + 1, np.int64)
-        while pair < starts[tile + 1] and still_open > 0:
-            used = ends[pair - nearest]
-            count, done = trace_splat(
-                fields[splats[pair]], x0, x1, y0, y1, left,
-                pixels[used:], alphas[used:], before[used:],
-            )  # fmt: skip
-            still_open -= done
-            pair += 1
-            ends[pair - nearest] = used + count
-        for pixel in range(TILE * TILE):
-            for channel in range(3):
-                behind[pixel, channel] = abs(left[pixel]) * background[channel]
-        while pair > nearest:
-            pair -= 1
-            start, stop = ends[pair - nearest], ends[pair - nearest + 1]
-            field, total = fields[splats[pair]], sums[splats[pair]]
-            _add_pixels(field, x0, y0, start, stop, pixels, alphas, before, behind, total)
+        open_tile(x0, x1, y0, y1, light, ends)
+        start, stop = starts[tile], starts[tile + 1]
+        reached = draw_tile(fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, ends)
+        put_tile(light, x0, x1, y0, y1, background, colour)
+        turn_back(background, light)
+        _add_tile(fields, splats, start, reached, x0, y0, height, light, ends, by_column, sums)
 
 
-@inlined
-def _add_pixels(field, x0, y0, start, stop, pixels, alphas, before, behind, total):
-    """Add the pixels of one splat in one tile, and its light to `behind` for the next splat."""
-    red, green, blue = field[RED], field[GREEN], field[BLUE]
-    u, v = field[CENTRE_X] - x0, field[CENTRE_Y] - y0
-    fxx, fxy, fyy = field[FACTOR_XX], field[FACTOR_XY], field[FACTOR_YY]
-    sum_g = sum_ee = sum_ef = sum_ff = squared_weight = 0.0
-    sum_eeee = sum_eeef = sum_eeff = sum_efff = sum_ffff = 0.0
-    for i in range(start, stop):
-        # Unsigned, so that numba does not test each index for being negative.
-        pixel = np.uint64(pixels[i])
-        alpha = alphas[i]
-        weight = alpha * before[i]
-        squared_weight += weight * weight
-        own_red, own_green, own_blue = weight * red, weight * green, weight * blue
-        # An alpha at its limit does not change.
-        if alpha < MAX_ALPHA:
-            uncovered = alpha / (1.0 - alpha)
-            by_red = own_red - behind[pixel, 0] * uncovered
-            by_green = own_green - behind[pixel, 1] * uncovered
-            by_blue = own_blue - behind[pixel, 2] * uncovered
-            g = by_red * by_red + by_green * by_green + by_blue * by_blue
-            dy = np.int64(pixel // np.uint64(TILE)) - v
-            e = fxx * (np.int64(pixel % np.uint64(TILE)) - u) + fxy * dy
-            f = fyy * dy
-            ee, ef, ff = e * e, e * f, f * f
-            sum_g += g
-            sum_ee += g * ee
-            sum_ef += g * ef
-            sum_ff += g * ff
-            sum_eeee += g * ee * ee
-            sum_eeef += g * ee * ef
-            sum_eeff += g * ee * ff
-            sum_efff += g * ef * ff
-            sum_ffff += g * ff * ff
-        behind[pixel, 0] += own_red
-        behind[pixel, 1] += own_green
-        behind[pixel, 2] += own_blue
-    total[G] += sum_g
-    total[G_EE] += sum_ee
-    total[G_EF] += sum_ef
-    total[G_FF] += sum_ff
-    total[G_EEEE] += sum_eeee
-    total[G_EEEF] += sum_eeef
-    total[G_EEFF] += sum_eeff
-    total[G_EFFF] += sum_efff
-    total[G_FFFF] += sum_ffff
-    total[SQUARED_WEIGHT] += squared_weight
+@kernel
+def _add_tile(fields, splats, start, end, x0, y0, height, light, ends, columns, sums):
+    """Add the pairs of a tile, back to front; red, green and blue are the light behind."""
+    for pair in range(end - 1, start - 1, -1):
+        field, number = fields[splats[pair]], np.int32(pair - start)
+        slope, reach, opacity, red, green, blue = splat_of(field)
+        top, bottom, u, v = rows_of(field, x0, y0, height)
+        columns[:] = _ZERO
+        for y in range(top, bottom):
+            offset, across = row_of(field, u, v, y)
+            f, ff = np.float32(field[FACTOR_YY] * (y - v)), across
+            row = light[y * TILE : y * TILE + BEHIND]
+            done = ends[y * TILE : y * TILE + TILE]
+            for x in range(TILE):
+                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
+                alpha = alpha if drawn & (done[x] > number) else _ZERO
+                weight, uncovered = lift(row, x, alpha)
+                by_red = row[x + RED_PLANE] * uncovered - weight * red
+                by_green = row[x + GREEN_PLANE] * uncovered - weight * green
+                by_blue = row[x + BLUE_PLANE] * uncovered - weight * blue
+                row[x + RED_PLANE] += weight * red
+                row[x + GREEN_PLANE] += weight * green
+                row[x + BLUE_PLANE] += weight * blue
+                g = by_red * by_red + by_green * by_green + by_blue * by_blue
+                # An alpha at its limit does not change.
+                g = g if alpha < MOST_ALPHA else _ZERO
+                e = slope * np.float32(x) + offset
+                ge, gf = g * e, g * f
+                gee, gef, gff = ge * e, ge * f, gf * f
+                columns[x] += g
+                columns[x + G_EE * TILE] += gee
+                columns[x + G_EF * TILE] += gef
+                columns[x + G_FF * TILE] += gff
+                columns[x + G_EEEE * TILE] += gee * e * e
+                columns[x + G_EEEF * TILE] += gee * e * f
+                columns[x + G_EEFF * TILE] += gee * ff
+                columns[x + G_EFFF * TILE] += gef * ff
+                columns[x + G_FFFF * TILE] += gff * ff
+                columns[x + SQUARED_WEIGHT * TILE] += weight * weight
+        total = sums[splats[pair]]
+        for k in range(SQUARED_WEIGHT + 1):
+            total[k] += total_of(columns, k)
 
 
 @inlined

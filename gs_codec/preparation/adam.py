@@ -16,7 +16,7 @@ _BETA_1, _BETA_2 = 0.9, 0.999
 _EPSILON = np.float32(1e-15)
 
 #: Larger derivatives count as 0: float32 cannot hold their squares.
-_LARGEST = 1e15
+_LARGEST = np.float32(1e15)
 
 #: Smaller means become 0: processors are slow with denormal floats.
 _SMALLEST = np.float32(1e-30)
@@ -54,7 +54,7 @@ def step_sizes(scene: Scene, cameras: Sequence[Camera]) -> NDArray[np.float64]:
 class AdamState(NamedTuple):
     """Values of the attributes, and the means that Adam keeps of their derivatives.
 
-    ``values``, ``first`` and ``second``, each ``(C, N)`` float32: the channels, the decaying means
+    ``values``, ``first`` and ``second``, each ``(N, C)`` float32: the channels, the decaying means
     of their derivatives, and those of the squared derivatives.
     """
 
@@ -65,7 +65,8 @@ class AdamState(NamedTuple):
 
 def new_state(values: NDArray[np.float32]) -> AdamState:
     """The state before the first step from ``values (C, N)``, which are copied."""
-    return AdamState(values.copy(), np.zeros_like(values), np.zeros_like(values))
+    values = values.T.copy()
+    return AdamState(values, np.zeros_like(values), np.zeros_like(values))
 
 
 @kernel
@@ -76,26 +77,26 @@ def adam_step(values, first, second, step, rates, slopes, chosen, start, stop):
     follow the mean of their earlier derivatives. On bonsai this fits better than to skip them
     (Mallick et al. 2024).
 
-    ``rates (C,)`` are the step sizes. ``slopes (C, M)`` are the derivatives of Gaussians
-    ``chosen (M,)``; those of the others are 0. A value that would become infinite or NaN is not
-    changed.
+    ``rates (C,)`` are the step sizes. ``slopes (M, C)`` are the derivatives of Gaussians
+    ``chosen (M,)``, ascending; those of the others are 0. A value that would become infinite or NaN
+    is not changed.
     """
-    scale = 1.0 / (1.0 - _BETA_1**step)
     root = np.float32(1.0 / (1.0 - _BETA_2**step))
     old_1, new_1 = np.float32(_BETA_1), np.float32(1.0 - _BETA_1)
     old_2, new_2 = np.float32(_BETA_2), np.float32(1.0 - _BETA_2)
-    slope = np.zeros(stop - start, np.float32)
-    for c in range(len(values)):
-        for j in range(len(chosen)):
-            found = slopes[c, j]
-            slope[chosen[j] - start] = found if abs(found) < _LARGEST else 0.0
-        rate = np.float32(rates[c] * scale)
-        value, mean, square = values[c, start:stop], first[c, start:stop], second[c, start:stop]
-        for j in range(len(slope)):
-            m = old_1 * mean[j] + new_1 * slope[j]
+    scaled = (rates / (1.0 - _BETA_1**step)).astype(np.float32)
+    none, number = np.zeros(values.shape[1], np.float32), 0
+    for i in range(start, stop):
+        seen = number < len(chosen) and chosen[number] == i
+        slope = slopes[number] if seen else none
+        number += seen
+        value, mean, square = values[i], first[i], second[i]
+        for c in range(len(none)):
+            by = slope[c] if abs(slope[c]) < _LARGEST else np.float32(0.0)
+            m = old_1 * mean[c] + new_1 * by
             m = m if abs(m) > _SMALLEST else np.float32(0.0)
-            v = old_2 * square[j] + new_2 * (slope[j] * slope[j])
-            mean[j] = m
-            square[j] = v
-            after = value[j] - rate * m / (np.sqrt(v * root) + _EPSILON)
-            value[j] = after if abs(after) < np.inf else value[j]
+            v = old_2 * square[c] + new_2 * (by * by)
+            mean[c] = m
+            square[c] = v
+            after = value[c] - scaled[c] * m / (np.sqrt(v * root) + _EPSILON)
+            value[c] = after if abs(after) < np.inf else value[c]

@@ -19,7 +19,7 @@ from gs_codec.preparation.sh_weights import (
 )
 from gs_codec.rendering.camera import Camera
 from gs_codec.report import Progress, step_counter
-from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
@@ -31,6 +31,9 @@ _ROUNDS = 12
 
 #: If nothing moves by this share of `smallest`, only the last two rounds follow.
 _STILL = 0.02
+
+#: From this round on, SH-AC below this share of `smallest` become 0: that leaves little to solve.
+_TINY_FROM, _TINY = 2, 0.1
 
 #: Weight that holds a solution to the one before it, as a share of the weight of all views.
 _INERTIA = 1e-9
@@ -169,7 +172,7 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
     while turn < _ROUNDS:
         if dark:
             _sum_up(rows, seen, solution, targets, sums)
-        least, moved = smallest if turn >= _ROUNDS - 2 else 0.0, 0.0
+        least, moved = _least(turn) * smallest, 0.0
         for channel in range(3):
             now, number = solution[channel], 0
             for k in range(size):
@@ -190,6 +193,14 @@ def _sparsify(rows, seen, shared, penalty, smallest, solution):
         if moved < _STILL * smallest:
             turn = max(turn, _ROUNDS - 2)
     return True
+
+
+@inlined
+def _least(turn):
+    """What SH-AC have to reach in a round, as a share of `smallest`; else they become 0."""
+    if turn < _TINY_FROM:
+        return 0.0
+    return 1.0 if turn >= _ROUNDS - 2 else _TINY
 
 
 @kernel

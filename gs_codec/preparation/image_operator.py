@@ -6,15 +6,17 @@ Gaussians' colours, weighted by alpha T. The rasteriser's trace gives these weig
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.ycocg import luma_chroma, red_green_blue
-from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.preparation.reference_views import ReferenceViews, evenly
 from gs_codec.preparation.sh_weights import sh_row
 from gs_codec.rendering.traced_view import SQUARED, TraceBuffers, TracedView, trace_view
 from gs_codec.runtime.kernels import kernel
@@ -30,8 +32,11 @@ _CHUNK = 1 << 14
 #: Views processed at the same time; each takes about 300 bytes a Gaussian.
 _MOST_AT_ONCE = 4
 
-#: Traced views are kept up to this many bytes; the others are traced again each time.
+#: About how many bytes all traced views may take; a part of their tiles is left out beyond.
 _KEPT_BYTES = 1 << 30
+
+#: Views that tell how many bytes one takes.
+_SAMPLE = 8
 
 
 class Linear(NamedTuple):
@@ -93,6 +98,10 @@ class ImageOperator:
 
         return np.array([error for *_, error in self._of_each(measure, chosen, advance)])
 
+    def pixels(self, view: int) -> int:
+        """Pixels of a view that count, once it is traced."""
+        return self.kept[view].pixels
+
     def apply(self, direction: NDArray, lit: NDArray[np.uint8], advance: Advance = None) -> NDArray:
         """Apply the normal equations to a change of SH: the operator, then its transpose."""
         product = np.zeros_like(direction)
@@ -109,13 +118,13 @@ class ImageOperator:
         summed: bool = True,
     ) -> tuple[NDArray[np.float64], float]:
         """Residual of a view, as `TracedView.residual`; without `clamp`, minus its change by SH."""
-        colours = np.empty((len(traced.seen), 3))
+        colours = np.empty((len(traced.seen), 3), np.float32)
         seen = (self.scene.positions, traced.camera.position, traced.seen)
         _fill_colours(*seen, coefficients, clamp, lit, colours)
         target, background = self.views.images[view], np.array(self.views.background, np.float64)
         if not clamp:
             target, background = np.zeros_like(target), np.zeros(3)
-        return traced.residual(colours, target, background, summed)
+        return traced.residual(colours, target, background, summed=summed, faint=clamp)
 
     def _add_up(
         self,
@@ -148,26 +157,36 @@ class ImageOperator:
         self, function: Callable[[int, TracedView], Result], chosen: Sequence[int], advance: Advance
     ) -> Iterator[tuple[int, TracedView, Result]]:
         """Call a function for the `chosen` views, a few at a time; yield its results in order."""
+        every = self._every
 
         def run(view: int) -> tuple[int, TracedView, Result]:
-            traced = self.kept[view] if view in self.kept else self._trace(view)
+            if view not in self.kept:
+                self.kept[view] = self._trace(view, every)
+            traced = self.kept[view]
             return view, traced, function(view, traced)
 
-        at_once = min(available_threads(), _MOST_AT_ONCE)
+        at_once = min(2 * available_threads(), _MOST_AT_ONCE)
         for first in range(0, len(chosen), at_once):
-            for found in run_all(run, chosen[first : first + at_once], advance=advance):
-                view, traced, _ = found
-                taken = sum(known.nbytes for known in self.kept.values())
-                if view not in self.kept and taken + traced.nbytes <= _KEPT_BYTES:
-                    self.kept[view] = traced
-                yield found
+            yield from run_all(run, chosen[first : first + at_once], advance=advance)
 
-    def _trace(self, view: int) -> TracedView:
+    @cached_property
+    def _every(self) -> int:
+        """Of how many tiles of a view one is traced, so that all views fit into memory."""
+        count = len(self.views.cameras)
+        some = evenly(range(count), _SAMPLE)
+        traced = run_all(lambda view: self._trace(view, 1), some)
+        taken = sum(each.nbytes for each in traced) / max(len(some), 1) * count
+        every = max(1, math.ceil(taken / _KEPT_BYTES))
+        if every == 1:
+            self.kept.update(zip(some, traced, strict=True))
+        return every
+
+    def _trace(self, view: int, every: int) -> TracedView:
         try:
             buffers = self.all_buffers.pop()
         except IndexError:
             buffers = None
-        traced, buffers = trace_view(self.scene, self.views.cameras[view], buffers)
+        traced, buffers = trace_view(self.scene, self.views.cameras[view], every, view, buffers)
         self.all_buffers.append(buffers)
         return traced
 

@@ -116,7 +116,9 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     """
     known = _split(scene, plan)
     rest, test, _ = known
-    renders = _draw_guiding(scene, known, plan, progress)
+    cameras = _enough(known, plan.views)
+    renders = draw_reference_views(scene, cameras, plan.background, progress)
+    renders = replace(renders, origin=known.origin)
     photographs = targets = None
     most = plan.views * (_TARGETS if plan.steps.refine else 1)
     if plan.gt_images is not None:
@@ -131,15 +133,6 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     else:
         held_out = draw_reference_views(scene, test, plan.background, progress)
     return ViewSplit(renders, photographs, held_out, targets)
-
-
-def _draw_guiding(
-    scene: Scene, known: _Split, plan: Plan, progress: Progress | None
-) -> ReferenceViews:
-    """Renders of a scene by the cameras that guide the steps."""
-    cameras = _enough(known, plan.views)
-    drawn = draw_reference_views(scene, cameras, plan.background, progress)
-    return replace(drawn, origin=known.origin)
 
 
 def _targets(
@@ -172,27 +165,23 @@ def _targets(
 
 
 def guiding_views(
-    scene: Scene,
-    plan: Plan,
-    progress: Progress | None = None,
-    references: ReferenceViews | None = None,
+    scene: Scene, plan: Plan, references: ReferenceViews | None = None
 ) -> ReferenceViews | None:
     """The reference views of a plan that guide the encoder.
 
-    If the scene was optimised, they are its own renders; else `references`, by default the renders
-    of `choose_views`. There are none for a scene that does not tell where its cameras were and
-    comes without: guessed ones would mislead.
+    If the scene was optimised or not prepared, they have no images: those are its own, which
+    `guide` draws. Else they are `references`, by default the renders of `choose_views`. There are
+    none for a scene that does not tell where its cameras were and comes without: guessed ones would
+    mislead.
     """
     known = references or _split(scene, plan)
     if known.origin == "anywhere":
         log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
         return None
-    if isinstance(known, _Split):
-        return _draw_guiding(scene, known, plan, progress)
-    if plan.steps.refine:
-        drawn = draw_reference_views(scene, known.cameras, plan.background, progress)
-        return replace(drawn, origin=known.origin)
-    return known
+    if isinstance(known, ReferenceViews):
+        return replace(known, images=(), source=scene) if plan.steps.refine else known
+    cameras = tuple(_enough(known, plan.views))
+    return ReferenceViews(cameras, (), False, plan.background, scene, known.origin)
 
 
 def _enough(known: _Split, most: int) -> list[Camera]:

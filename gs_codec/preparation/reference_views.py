@@ -35,7 +35,7 @@ _NOMINAL_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class ReferenceViews:
-    """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter.
+    """Cameras, and for each its image ``(H, W, 3)`` float32, 0-1 or brighter; or none is drawn yet.
 
     `photographs` tells whether the images are photographs or renders of the scene to be prepared;
     `source` is that scene, if it is known; `origin`, where its cameras come from.

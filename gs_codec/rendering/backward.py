@@ -40,10 +40,10 @@ def differentiate_gaussians(
     positions, f_dc, f_rest, opacity, log_scale, rot, rotation, position, intrinsics,
     width, height, antialiased, sums, chosen, start, stop, slopes,
 ):  # fmt: skip
-    """Fill columns of ``slopes (14 + 3 K, stop - start)``, rows in the order of `GROUPS`.
+    """Fill ``slopes (stop - start, 14 + 3 K)``, columns in the order of `GROUPS`.
 
     They are the derivatives for Gaussians ``chosen[start:stop]``, computed from ``sums (N, 9)`` of
-    `differentiate_tiles`.
+    `take_back_rows`.
     """
     fx, fy, cx, cy = intrinsics
     to_world = rotation.T
@@ -53,11 +53,13 @@ def differentiate_gaussians(
     after = _F_REST + len(f_rest)
     for j in range(stop - start):
         i = chosen[start + j]
-        total = sums[i]
+        total, slope = sums[i], slopes[j]
         dx = positions[0, i] - position[0]
         dy = positions[1, i] - position[1]
         dz = positions[2, i] - position[2]
-        _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j)
+        by_dx, by_dy, by_dz = _differentiate_colour(
+            f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slope
+        )
         x, y, z = rotated(rotation, dx, dy, dz)
         x /= z
         y /= z
@@ -73,7 +75,7 @@ def differentiate_gaussians(
         by_x, by_y, by_z = fx * by_u, fy * by_v, 0.0
         for k in range(3):
             along = axes[k, 0] * by_axes[k, 0] + axes[k, 1] * by_axes[k, 1]
-            slopes[after + 1 + k, j] = along
+            slope[after + 1 + k] = along
             by_z -= along / z
             by_qx = turned[k, 0] * by_axes[k, 0]
             by_qy = turned[k, 1] * by_axes[k, 1]
@@ -85,16 +87,14 @@ def differentiate_gaussians(
             by_turn[k, 0], by_turn[k, 1], by_turn[k, 2] = rotated(to_world, by_qx, by_qy, by_qz)
         by_z -= (x * by_x + y * by_y) / z
         world_x, world_y, world_z = rotated(to_world, by_x / z, by_y / z, by_z)
-        slopes[0, j] += world_x
-        slopes[1, j] += world_y
-        slopes[2, j] += world_z
-        slopes[after, j] = total[MOMENT] / (1.0 + math.exp(np.float64(opacity[0, i])))
-        _differentiate_turn(rot, i, quaternion, by_turn, slopes, after + 4, j)
+        slope[0], slope[1], slope[2] = by_dx + world_x, by_dy + world_y, by_dz + world_z
+        slope[after] = total[MOMENT] / (1.0 + math.exp(np.float64(opacity[0, i])))
+        _differentiate_turn(rot, i, quaternion, by_turn, slope[after + 4 :])
 
 
 @inlined
-def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slopes, j):
-    """Fill the rows of f_dc and f_rest, and in those of positions the effect of view direction."""
+def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, slope):
+    """Fill the columns of f_dc and f_rest; return the effect of the view's direction."""
     coefficients = len(f_rest) // 3
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     x, y, z = dx / distance, dy / distance, dz / distance
@@ -106,15 +106,17 @@ def _differentiate_colour(f_dc, f_rest, i, dx, dy, dz, total, basis, weights, sl
         for k in range(coefficients):
             value += basis[k] * f_rest[row + k, i]
         by_value = total[BY_RED + channel] if value > 0.0 else 0.0
-        slopes[_F_DC + channel, j] = SH_C0 * by_value
+        slope[_F_DC + channel] = SH_C0 * by_value
         for k in range(coefficients):
-            slopes[_F_REST + row + k, j] = basis[k] * by_value
+            slope[_F_REST + row + k] = basis[k] * by_value
             weights[k] += f_rest[row + k, i] * by_value
     by_x, by_y, by_z = sh_slope(x, y, z, coefficients, weights)
     along = x * by_x + y * by_y + z * by_z
-    slopes[0, j] = (by_x - along * x) / distance
-    slopes[1, j] = (by_y - along * y) / distance
-    slopes[2, j] = (by_z - along * z) / distance
+    return (
+        (by_x - along * x) / distance,
+        (by_y - along * y) / distance,
+        (by_z - along * z) / distance,
+    )
 
 
 @inlined
@@ -144,7 +146,7 @@ def _differentiate_conic(axes, total, antialiased, by_axes):
 
 
 @inlined
-def _differentiate_turn(rot, i, quaternion, columns, slopes, row, j):
+def _differentiate_turn(rot, i, quaternion, columns, slope):
     """Derivative by the stored quaternion, from the derivative by the rotation's columns."""
     norm, a, b, c, d = quaternion
     (g00, g10, g20), (g01, g11, g21), (g02, g12, g22) = (
@@ -160,7 +162,7 @@ def _differentiate_turn(rot, i, quaternion, columns, slopes, row, j):
     # A zero quaternion counts as the identity; its derivative is 0.
     size = max(abs(rot[0, i]), abs(rot[1, i]), abs(rot[2, i]), abs(rot[3, i]))
     factor = 2.0 / norm if size > 0.0 else 0.0
-    slopes[row + 0, j] = factor * (by_a - along * a)
-    slopes[row + 1, j] = factor * (by_b - along * b)
-    slopes[row + 2, j] = factor * (by_c - along * c)
-    slopes[row + 3, j] = factor * (by_d - along * d)
+    slope[0] = factor * (by_a - along * a)
+    slope[1] = factor * (by_b - along * b)
+    slope[2] = factor * (by_c - along * c)
+    slope[3] = factor * (by_d - along * d)

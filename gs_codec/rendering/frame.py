@@ -120,10 +120,19 @@ def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
         range(0, scene.count, _CHUNK),
     )
     parts.append(project(scene, camera, antialiased, 0, 0))
-    fields = np.concatenate([part.fields for part in parts])
-    order = np.argsort(fields[:, DEPTH], kind="stable")
-    tiles, gaussians = (np.concatenate([part[i] for part in parts])[order] for i in (1, 2))
-    return Splats(fields[order], tiles, gaussians)
+    order = _nearest_first(np.concatenate([part.fields[:, DEPTH] for part in parts]))
+    # Indices are in range, so nothing is clipped: it is faster than to check them.
+    return Splats(
+        *(np.take(np.concatenate(x), order, 0, mode="clip") for x in zip(*parts, strict=True))
+    )
+
+
+def _nearest_first(depths: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The order of depths; equal ones stay as they are."""
+    order = np.argsort(depths)
+    ordered = depths[order]
+    # Rarely needed, and several times slower.
+    return np.argsort(depths, kind="stable") if (ordered[1:] == ordered[:-1]).any() else order
 
 
 def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
@@ -150,8 +159,9 @@ def _list_tiles(splats: Splats, columns: int, rows: int) -> TileLists:
 @kernel
 def _count(fields, tiles, columns, start, stop, counts):
     for i in range(start, stop):
-        for row in range(tiles[i, 2], tiles[i, 3]):
-            first, end = _span(fields[i], tiles[i], row)
+        box, ellipse = tiles[i], _ellipse(fields[i])
+        for row in range(box[2], box[3]):
+            first, end = _span(ellipse, box, row)
             for column in range(first, end):
                 counts[row * columns + column] += 1
 
@@ -159,8 +169,9 @@ def _count(fields, tiles, columns, start, stop, counts):
 @kernel
 def _fill(fields, tiles, columns, start, stop, cursors, splats):
     for i in range(start, stop):
-        for row in range(tiles[i, 2], tiles[i, 3]):
-            first, end = _span(fields[i], tiles[i], row)
+        box, ellipse = tiles[i], _ellipse(fields[i])
+        for row in range(box[2], box[3]):
+            first, end = _span(ellipse, box, row)
             for column in range(first, end):
                 tile = row * columns + column
                 splats[cursors[tile]] = i
@@ -168,31 +179,34 @@ def _fill(fields, tiles, columns, start, stop, cursors, splats):
 
 
 @inlined
-def _span(field, box, row):
-    """First and end tile of a row of tiles that the ellipse q <= REACH meets."""
-    fxx = field[FACTOR_XX]
-    fyy = field[FACTOR_YY]
+def _ellipse(field):
+    """Centre, factors, and reach of a splat; heights over its centre of its ends and its turn.
+
+    The ellipse q <= REACH ends at `top`, and reaches farthest right at `turn`.
+    """
+    fxx, fyy, reach = field[FACTOR_XX], field[FACTOR_YY], field[REACH]
     slope = -field[FACTOR_XY] / fxx
-    # Heights over the centre where the ellipse ends, and where it reaches farthest right.
-    top = math.sqrt(field[REACH]) / fyy
+    top = math.sqrt(reach) / fyy
     turn = top * slope / math.sqrt(slope * slope + (fyy / fxx) ** 2)
-    low = max(row * TILE - field[CENTRE_Y], -top)
-    high = min(row * TILE + TILE - 1 - field[CENTRE_Y], top)
+    return field[CENTRE_X], field[CENTRE_Y], fxx, fyy, slope, reach, top, turn
+
+
+@inlined
+def _span(ellipse, box, row):
+    """First and end tile of a row of tiles that an ellipse meets."""
+    u, v, fxx, fyy, slope, reach, top, turn = ellipse
+    low = max(row * TILE - v, -top)
+    high = min(row * TILE + TILE - 1 - v, top)
     if low > high:
         return 0, 0
-    left = _edge(field, fxx, fyy, slope, min(high, max(low, -turn)), -1.0)
-    right = _edge(field, fxx, fyy, slope, min(high, max(low, turn)), 1.0)
+    y = min(high, max(low, -turn))
+    left = u + slope * y - math.sqrt(max(0.0, reach - (fyy * y) ** 2)) / fxx
+    y = min(high, max(low, turn))
+    right = u + slope * y + math.sqrt(max(0.0, reach - (fyy * y) ** 2)) / fxx
     # One pixel of margin, so that rounding has no effect.
     first = max(box[0], to_tile(left - 1.0, box[1]))
     end = min(box[1], to_tile(right + 1.0 + TILE, box[1]))
     return first, end
-
-
-@inlined
-def _edge(field, fxx, fyy, slope, y, side):
-    """Column of the ellipse's boundary at height `y` over its centre."""
-    left = field[REACH] - (fyy * y) ** 2
-    return field[CENTRE_X] + slope * y + side * math.sqrt(max(0.0, left)) / fxx
 
 
 @kernel

@@ -31,12 +31,13 @@ class Differentiated(NamedTuple):
     sums: NDArray[np.float64]
     chosen: NDArray[np.int64]
 
-    def slopes(self, start: int, stop: int) -> NDArray[np.float64]:
-        """Derivatives ``(14 + 3 K, stop - start)`` by attributes of ``chosen[start:stop]``.
+    def slopes(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Derivatives ``(stop - start, 14 + 3 K)`` by attributes of ``chosen[start:stop]``.
 
-        Rows are the channels of the groups, in the order of `GROUPS`.
+        Columns are the channels of the groups, in the order of `GROUPS`.
         """
-        slopes = np.empty((channel_count(len(self.scene.f_rest) // 3), stop - start))
+        channels = channel_count(len(self.scene.f_rest) // 3)
+        slopes = np.empty((stop - start, channels), np.float32)
         differentiate_gaussians(
             *(getattr(self.scene, group) for group in GROUPS),
             *camera_arguments(self.camera),

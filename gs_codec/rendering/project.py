@@ -29,6 +29,12 @@ MIN_ALPHA = 1.0 / 255.0
 #: Side of a tile, pixels.
 TILE = 16
 
+#: Largest exponent q of a splat that is drawn: its alpha is `MIN_ALPHA` there.
+_FARTHEST = 2.0 * math.log(1.0 / MIN_ALPHA)
+
+#: Gaussians whose colours are computed together.
+_BLOCK = 128
+
 #: Fields of a splat: centre (pixel index), conic as a triangular factor, largest exponent q,
 #: opacity, colour, depth.
 CENTRE_X, CENTRE_Y, FACTOR_XX, FACTOR_XY, FACTOR_YY, REACH, OPACITY, RED, GREEN, BLUE, DEPTH = (
@@ -83,7 +89,6 @@ def _project(
     fx, fy, cx, cy = intrinsics
     columns = (width + TILE - 1) // TILE
     rows = (height + TILE - 1) // TILE
-    basis = np.zeros(15)
     axes = np.empty((3, 2))
     seen = 0
     for i in range(start, stop):
@@ -93,10 +98,18 @@ def _project(
         x, y, z = rotated(rotation, dx, dy, dz)
         if not NEAR < z < np.inf or not _are_finite(opacity, log_scale, i):
             continue
-        alpha = 1.0 / (1.0 + math.exp(-np.float64(opacity[0, i])))
         x /= z
         y /= z
-        _screen_axes(log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height, axes)
+        u = fx * x + cx - 0.5
+        v = fy * y + cy - 0.5
+        near_x, near_y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
+        widest = math.exp(2.0 * max(log_scale[0, i], log_scale[1, i], log_scale[2, i]))
+        if _is_outside(u, widest * (fx / z) ** 2 * (1.0 + near_x * near_x), columns):
+            continue
+        if _is_outside(v, widest * (fy / z) ** 2 * (1.0 + near_y * near_y), rows):
+            continue
+        alpha = 1.0 / (1.0 + math.exp(-np.float64(opacity[0, i])))
+        _screen_axes(log_scale, rot, i, rotation, near_x, near_y, fx / z, fy / z, axes)
         xx, xy, yy, sharp = covariance(axes)
         determinant = sharp + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
         xx += LOW_PASS
@@ -107,8 +120,6 @@ def _project(
             alpha *= math.sqrt(max(0.000025, sharp / determinant))
         if not alpha >= MIN_ALPHA:
             continue
-        u = fx * x + cx - 0.5
-        v = fy * y + cy - 0.5
         reach = 2.0 * math.log(alpha / MIN_ALPHA)
         box = tiles[seen]
         if not _cover(u, v, xx, yy, determinant, reach, columns, rows, box):
@@ -122,11 +133,55 @@ def _project(
         field[REACH] = reach
         field[OPACITY] = alpha
         field[DEPTH] = z
-        if not _colour(f_dc, f_rest, i, dx, dy, dz, basis, field):
-            continue
         gaussians[seen] = i
         seen += 1
-    return seen
+    _fill_colours(positions, f_dc, f_rest, position, gaussians[:seen], fields)
+    return _keep_finite(fields, tiles, gaussians, seen)
+
+
+@kernel
+def _fill_colours(positions, f_dc, f_rest, position, gaussians, fields):
+    """Fill in the colours seen from the camera, channel by channel, as they lie in memory."""
+    coefficients = len(f_rest) // 3
+    basis, bases, colours = np.zeros(15), np.zeros((15, _BLOCK)), np.empty((3, _BLOCK))
+    for first in range(0, len(gaussians), _BLOCK):
+        block = gaussians[first : first + _BLOCK]
+        for j in range(len(block)):
+            i = block[j]
+            dx = positions[0, i] - position[0]
+            dy = positions[1, i] - position[1]
+            dz = positions[2, i] - position[2]
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            sh_basis(dx / distance, dy / distance, dz / distance, coefficients, basis)
+            bases[:, j] = basis
+        for channel in range(3):
+            colour = colours[channel]
+            for j in range(len(block)):
+                colour[j] = 0.5 + SH_C0 * f_dc[channel, block[j]]
+            for k in range(coefficients):
+                values, weights = f_rest[channel * coefficients + k], bases[k]
+                for j in range(len(block)):
+                    colour[j] += weights[j] * values[block[j]]
+        for j in range(len(block)):
+            for channel in range(3):
+                fields[first + j, RED + channel] = colours[channel, j]
+
+
+@kernel
+def _keep_finite(fields, tiles, gaussians, count):
+    """Remove splats whose colours are not finite, and return how many are left."""
+    kept = 0
+    for j in range(count):
+        field = fields[j]
+        finite = (abs(field[RED]) < np.inf) & (abs(field[GREEN]) < np.inf)
+        if not finite & (abs(field[BLUE]) < np.inf):
+            continue
+        if kept < j:
+            fields[kept], tiles[kept], gaussians[kept] = field, tiles[j], gaussians[j]
+        for channel in range(RED, BLUE + 1):
+            fields[kept, channel] = max(0.0, field[channel])
+        kept += 1
+    return kept
 
 
 @inlined
@@ -152,17 +207,25 @@ def covariance(axes):
 
 
 @inlined
-def _screen_axes(
-    log_scale, rot, i, rotation, x, y, z, fx, fy, cx, cy, width, height, axes
-):  # fmt: skip
+def _is_outside(centre, variance, tiles):
+    """Whether a splat of at most this variance along an axis of the image meets none of its tiles.
+
+    It is what `_cover` would find, at once.
+    """
+    # Tiles begin a pixel early, with one of margin; one more, so that rounding has no effect.
+    gap = max(centre - tiles * TILE, -centre - TILE) - 2.0
+    return (gap > 0.0) & (gap * gap > _FARTHEST * (variance + LOW_PASS))
+
+
+@inlined
+def _screen_axes(log_scale, rot, i, rotation, x, y, pixels_x, pixels_y, axes):
     """Fill ``axes (3, 2)``: the Gaussian's axes in the image, pixels (EWA splatting)."""
-    x, y = clamped_slopes(x, y, fx, fy, cx, cy, width, height)
     _, turn = quaternion_turn(rot, i)
     for axis in range(3):
-        scale = math.exp(np.float64(log_scale[axis, i])) / z
+        scale = math.exp(np.float64(log_scale[axis, i]))
         qx, qy, qz = rotated(rotation, turn[0][axis], turn[1][axis], turn[2][axis])
-        axes[axis, 0] = fx * scale * (qx - x * qz)
-        axes[axis, 1] = fy * scale * (qy - y * qz)
+        axes[axis, 0] = pixels_x * scale * (qx - x * qz)
+        axes[axis, 1] = pixels_y * scale * (qy - y * qz)
 
 
 @inlined
@@ -226,19 +289,3 @@ def _cover(u, v, xx, yy, determinant, reach, columns, rows, box):
 def to_tile(pixel, tiles):
     """Tile of a pixel, 0 to `tiles`; of NaN, 0."""
     return np.int64(min(np.float64(tiles), max(0.0, pixel / TILE)))
-
-
-@inlined
-def _colour(f_dc, f_rest, i, dx, dy, dz, basis, field):
-    """Fill in the colour seen from the camera; return whether it is finite."""
-    coefficients = len(f_rest) // 3
-    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-    sh_basis(dx / distance, dy / distance, dz / distance, coefficients, basis)
-    finite = True
-    for channel in range(3):
-        value = 0.5 + SH_C0 * f_dc[channel, i]
-        for k in range(coefficients):
-            value += basis[k] * f_rest[channel * coefficients + k, i]
-        finite = finite and abs(value) < np.inf
-        field[RED + channel] = max(0.0, value)
-    return finite

@@ -1,4 +1,4 @@
-"""Tiles drawn in float32, a row of 16 pixels at once: for steps of optimisation and for pruning.
+"""Tiles drawn in float32, a row of 16 pixels at once: for what views teach, not what they measure.
 
 Whatever is measured goes through `trace`, in float64; this is several times faster. What happens to
 a pixel depends on no other one, and sums are kept by column until a splat is done, so that
@@ -34,8 +34,8 @@ from gs_codec.runtime.kernels import inlined, kernel
 BY_RED, BY_GREEN, BY_BLUE, MOMENT, MOMENT_X, MOMENT_Y, MOMENT_XX, MOMENT_XY, MOMENT_YY = range(9)
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_LEAST_ALPHA, _MOST_ALPHA = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
-_LEAST_LEFT = np.float32(MIN_TRANSMITTANCE)
+_LEAST_ALPHA, MOST_ALPHA = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
+LEAST_LEFT = np.float32(MIN_TRANSMITTANCE)
 
 #: The same where splats are left out: an opaque splat's removal shows what it hid.
 _LEAST_HIDDEN = np.float32(1e-6)
@@ -43,8 +43,8 @@ _LEAST_HIDDEN = np.float32(1e-6)
 #: Planes of a tile, one after another in one array, so that the compiler sees that they differ:
 #: transmittance, negative where a pixel is done; red, green and blue, or derivatives by them; and
 #: the light behind the splats that are still to be taken back, times these derivatives.
-_PIXELS = TILE * TILE
-_RED, _GREEN, _BLUE, _BEHIND, _PLANES = (k * _PIXELS for k in range(1, 6))
+PIXELS = TILE * TILE
+RED_PLANE, GREEN_PLANE, BLUE_PLANE, BEHIND, _PLANES = (k * PIXELS for k in range(1, 6))
 
 #: Sums by column of the tile: by red, green, blue; s, s dy, s dy^2.
 _BY_COLUMN = 6 * TILE
@@ -72,16 +72,16 @@ def _exp_minus_half(q):
 
 
 @inlined
-def _alpha(x, slope, offset, across, reach, opacity):
+def alpha_at(x, slope, offset, across, reach, opacity):
     """Alpha of a splat in column `x` of a row, and whether the splat is drawn there."""
     along = slope * np.float32(x) + offset
     q = along * along + across
-    alpha = min(_MOST_ALPHA, opacity * _exp_minus_half(min(q, reach)))
+    alpha = min(MOST_ALPHA, opacity * _exp_minus_half(min(q, reach)))
     return alpha, (q <= reach) & (alpha >= _LEAST_ALPHA)
 
 
 @inlined
-def _splat(field):
+def splat_of(field):
     """What is the same in all rows: slope of the offset, largest q, opacity, and colour."""
     return (
         np.float32(field[FACTOR_XX]), np.float32(field[REACH]), np.float32(field[OPACITY]),
@@ -90,7 +90,7 @@ def _splat(field):
 
 
 @inlined
-def _rows(field, x0, y0, height):
+def rows_of(field, x0, y0, height):
     """First and end row of a splat in a tile, and its centre there."""
     v = field[CENTRE_Y] - y0
     high = math.sqrt(field[REACH]) / field[FACTOR_YY]
@@ -99,15 +99,23 @@ def _rows(field, x0, y0, height):
 
 
 @inlined
-def _row(field, u, v, y):
-    """What `_alpha` needs of a row: offset and q across, from float64, where they would cancel."""
+def row_of(field, u, v, y):
+    """What `alpha_at` needs of a row: offset, q across; from float64, where they would cancel."""
     dy = y - v
     across = (field[FACTOR_YY] * dy) ** 2
     return np.float32(field[FACTOR_XY] * dy - field[FACTOR_XX] * u), np.float32(across)
 
 
+@inlined
+def lift(row, x, alpha):
+    """Take a splat off pixel `x`; return its weight, and what share of it shows what is behind."""
+    over = _ONE / (_ONE - alpha)
+    row[x] *= over
+    return alpha * row[x], alpha * over
+
+
 @kernel
-def _draw(fields, splats, start, end, x0, y0, height, least, light, ends):
+def draw_tile(fields, splats, start, end, x0, y0, height, least, light, ends):
     """Draw a tile front to back; return the end of the pairs that its pixels need.
 
     A pixel is done before its transmittance falls below `least`; ``ends (256,)`` receives the
@@ -116,14 +124,14 @@ def _draw(fields, splats, start, end, x0, y0, height, least, light, ends):
     still_open = 0
     for pair in range(start, end):
         field, number = fields[splats[pair]], np.int32(pair - start)
-        slope, reach, opacity, red, green, blue = _splat(field)
-        top, bottom, u, v = _rows(field, x0, y0, height)
+        slope, reach, opacity, red, green, blue = splat_of(field)
+        top, bottom, u, v = rows_of(field, x0, y0, height)
         for y in range(top, bottom):
-            offset, across = _row(field, u, v, y)
-            row = light[y * TILE : y * TILE + _BEHIND]
+            offset, across = row_of(field, u, v, y)
+            row = light[y * TILE : y * TILE + BEHIND]
             done = ends[y * TILE : y * TILE + TILE]
             for x in range(TILE):
-                alpha, drawn = _alpha(x, slope, offset, across, reach, opacity)
+                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
                 left = row[x]
                 after = left * (_ONE - alpha)
                 drawn &= left > _ZERO
@@ -131,13 +139,13 @@ def _draw(fields, splats, start, end, x0, y0, height, least, light, ends):
                 drawn &= after >= least
                 weight = alpha * left if drawn else _ZERO
                 row[x] = -left if last else (after if drawn else left)
-                row[x + _RED] += weight * red
-                row[x + _GREEN] += weight * green
-                row[x + _BLUE] += weight * blue
+                row[x + RED_PLANE] += weight * red
+                row[x + GREEN_PLANE] += weight * green
+                row[x + BLUE_PLANE] += weight * blue
                 done[x] = number if last else done[x]
-        while still_open < _PIXELS and light[still_open] <= _ZERO:
+        while still_open < PIXELS and light[still_open] <= _ZERO:
             still_open += 1
-        if still_open == _PIXELS:
+        if still_open == PIXELS:
             return pair + 1
     return end
 
@@ -147,32 +155,31 @@ def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns,
     """Sums of the pairs of a tile, back to front."""
     for pair in range(end - 1, start - 1, -1):
         field, number = fields[splats[pair]], np.int32(pair - start)
-        slope, reach, opacity, red, green, blue = _splat(field)
-        top, bottom, u, v = _rows(field, x0, y0, height)
+        slope, reach, opacity, red, green, blue = splat_of(field)
+        top, bottom, u, v = rows_of(field, x0, y0, height)
         columns[:] = _ZERO
         for y in range(top, bottom):
-            offset, across = _row(field, u, v, y)
+            offset, across = row_of(field, u, v, y)
             dy = np.float32(y - v)
-            row = light[y * TILE : y * TILE + _BEHIND + TILE]
+            row = light[y * TILE : y * TILE + BEHIND + TILE]
             done = ends[y * TILE : y * TILE + TILE]
             for x in range(TILE):
-                alpha, drawn = _alpha(x, slope, offset, across, reach, opacity)
+                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
                 alpha = alpha if drawn & (done[x] > number) else _ZERO
-                over = _ONE / (_ONE - alpha)
-                left = row[x] * over
-                weight = alpha * left
+                weight, uncovered = lift(row, x, alpha)
                 own = weight * (
-                    row[x + _RED] * red + row[x + _GREEN] * green + row[x + _BLUE] * blue
+                    row[x + RED_PLANE] * red
+                    + row[x + GREEN_PLANE] * green
+                    + row[x + BLUE_PLANE] * blue
                 )
-                behind = row[x + _BEHIND]
-                change = own - behind * (alpha * over)
+                behind = row[x + BEHIND]
+                change = own - behind * uncovered
                 # An alpha at its limit does not change.
-                change = change if alpha < _MOST_ALPHA else _ZERO
-                row[x] = left
-                row[x + _BEHIND] = behind + own
-                columns[x] += weight * row[x + _RED]
-                columns[x + TILE] += weight * row[x + _GREEN]
-                columns[x + 2 * TILE] += weight * row[x + _BLUE]
+                change = change if alpha < MOST_ALPHA else _ZERO
+                row[x + BEHIND] = behind + own
+                columns[x] += weight * row[x + RED_PLANE]
+                columns[x + TILE] += weight * row[x + GREEN_PLANE]
+                columns[x + 2 * TILE] += weight * row[x + BLUE_PLANE]
                 columns[x + 3 * TILE] += change
                 columns[x + 4 * TILE] += change * dy
                 columns[x + 5 * TILE] += change * dy * dy
@@ -193,8 +200,20 @@ def _take_back(fields, splats, start, end, x0, y0, height, light, ends, columns,
 
 
 @inlined
-def _open_tile(x0, x1, y0, y1, light, ends):
-    """Prepare the planes of a tile for `_draw`; pixels outside the image are done."""
+def total_of(columns, number):
+    """Total of a sum by column, added up in the same order everywhere."""
+    a = b = c = d = _ZERO
+    for x in range(number * TILE, (number + 1) * TILE, 4):
+        a += columns[x]
+        b += columns[x + 1]
+        c += columns[x + 2]
+        d += columns[x + 3]
+    return np.float64((a + b) + (c + d))
+
+
+@inlined
+def open_tile(x0, x1, y0, y1, light, ends):
+    """Prepare the planes of a tile for `draw_tile`; pixels outside the image are done."""
     light[:] = _ZERO
     ends[:] = np.int32(-1)
     for y in range(y1 - y0):
@@ -214,18 +233,24 @@ def draw_rows(fields, splats, starts, first, end, columns, background, colour, l
     light = np.empty(_PLANES, np.float32)
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        _open_tile(x0, x1, y0, y1, light, ends[tile])
+        open_tile(x0, x1, y0, y1, light, ends[tile])
         start, stop = starts[tile], starts[tile + 1]
-        reached[tile] = _draw(
-            fields, splats, start, stop, x0, y0, height, _LEAST_LEFT, light, ends[tile]
+        reached[tile] = draw_tile(
+            fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, ends[tile]
         )
-        left[tile] = np.abs(light[:_PIXELS])
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                pixel = (y - y0) * TILE + x - x0
-                for channel in range(3):
-                    behind = left[tile, pixel] * np.float32(background[channel])
-                    colour[y, x, channel] = light[pixel + (channel + 1) * _PIXELS] + behind
+        left[tile] = np.abs(light[:PIXELS])
+        put_tile(light, x0, x1, y0, y1, background, colour)
+
+
+@inlined
+def put_tile(light, x0, x1, y0, y1, background, colour):
+    """Put a tile that `draw_tile` drew into an image ``(H, W, 3)``."""
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            pixel = (y - y0) * TILE + x - x0
+            for channel in range(3):
+                behind = abs(light[pixel]) * np.float32(background[channel])
+                colour[y, x, channel] = light[pixel + (channel + 1) * PIXELS] + behind
 
 
 @kernel
@@ -242,16 +267,16 @@ def take_back_rows(
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
         light[:] = _ZERO
-        light[:_PIXELS] = left[tile]
+        light[:PIXELS] = left[tile]
         for y in range(y0, y1):
             for x in range(x0, x1):
                 pixel = (y - y0) * TILE + x - x0
                 behind = 0.0
                 for channel in range(3):
                     slope = by_colour[y, x, channel]
-                    light[pixel + (channel + 1) * _PIXELS] = slope
+                    light[pixel + (channel + 1) * PIXELS] = slope
                     behind += slope * background[channel]
-                light[pixel + _BEHIND] = left[tile, pixel] * behind
+                light[pixel + BEHIND] = left[tile, pixel] * behind
         start, stop = starts[tile], reached[tile]
         sums[stop : starts[tile + 1]] = 0.0
         _take_back(fields, splats, start, stop, x0, y0, height, light, ends[tile], by_column, sums)
@@ -260,20 +285,26 @@ def take_back_rows(
 @kernel
 def leave_out_rows(fields, splats, starts, first, end, columns, width, height, background, errors):
     """Squared error of tiles `first` to `end` without each single splat: ``errors (pairs, 1)``."""
-    light, ends = np.empty(_PLANES, np.float32), np.empty(_PIXELS, np.int32)
+    light, ends = np.empty(BEHIND, np.float32), np.empty(PIXELS, np.int32)
     by_column = np.empty(TILE, np.float32)
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        _open_tile(x0, x1, y0, y1, light, ends)
+        open_tile(x0, x1, y0, y1, light, ends)
         start, stop = starts[tile], starts[tile + 1]
-        reached = _draw(fields, splats, start, stop, x0, y0, height, _LEAST_HIDDEN, light, ends)
-        for pixel in range(_PIXELS):
-            light[pixel] = abs(light[pixel])
-            for channel in range(3):
-                behind = light[pixel] * np.float32(background[channel])
-                light[pixel + (channel + 1) * _PIXELS] = behind
+        reached = draw_tile(fields, splats, start, stop, x0, y0, height, _LEAST_HIDDEN, light, ends)
+        turn_back(background, light)
         errors[reached:stop] = 0.0
         _leave_out(fields, splats, start, reached, x0, y0, height, light, ends, by_column, errors)
+
+
+@inlined
+def turn_back(background, light):
+    """After `draw_tile`, to go back to front: only the light behind all splats is left."""
+    for pixel in range(PIXELS):
+        light[pixel] = abs(light[pixel])
+        for channel in range(3):
+            behind = light[pixel] * np.float32(background[channel])
+            light[pixel + (channel + 1) * PIXELS] = behind
 
 
 @kernel
@@ -281,28 +312,22 @@ def _leave_out(fields, splats, start, end, x0, y0, height, light, ends, columns,
     """Errors of the pairs of a tile, back to front; red, green and blue are the light behind."""
     for pair in range(end - 1, start - 1, -1):
         field, number = fields[splats[pair]], np.int32(pair - start)
-        slope, reach, opacity, red, green, blue = _splat(field)
-        top, bottom, u, v = _rows(field, x0, y0, height)
+        slope, reach, opacity, red, green, blue = splat_of(field)
+        top, bottom, u, v = rows_of(field, x0, y0, height)
         columns[:] = _ZERO
         for y in range(top, bottom):
-            offset, across = _row(field, u, v, y)
-            row = light[y * TILE : y * TILE + _BEHIND]
+            offset, across = row_of(field, u, v, y)
+            row = light[y * TILE : y * TILE + BEHIND]
             done = ends[y * TILE : y * TILE + TILE]
             for x in range(TILE):
-                alpha, drawn = _alpha(x, slope, offset, across, reach, opacity)
+                alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
                 alpha = alpha if drawn & (done[x] > number) else _ZERO
-                over = _ONE / (_ONE - alpha)
-                left = row[x] * over
-                weight, uncovered = alpha * left, alpha * over
-                by_red = row[x + _RED] * uncovered - weight * red
-                by_green = row[x + _GREEN] * uncovered - weight * green
-                by_blue = row[x + _BLUE] * uncovered - weight * blue
-                row[x] = left
-                row[x + _RED] += weight * red
-                row[x + _GREEN] += weight * green
-                row[x + _BLUE] += weight * blue
+                weight, uncovered = lift(row, x, alpha)
+                by_red = row[x + RED_PLANE] * uncovered - weight * red
+                by_green = row[x + GREEN_PLANE] * uncovered - weight * green
+                by_blue = row[x + BLUE_PLANE] * uncovered - weight * blue
+                row[x + RED_PLANE] += weight * red
+                row[x + GREEN_PLANE] += weight * green
+                row[x + BLUE_PLANE] += weight * blue
                 columns[x] += by_red * by_red + by_green * by_green + by_blue * by_blue
-        added = 0.0
-        for x in range(TILE):
-            added += columns[x]
-        errors[pair, 0] = added
+        errors[pair, 0] = total_of(columns, 0)

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import TILE
-from gs_codec.rendering.trace import tile_bounds, tile_buffers, trace_splat
+from gs_codec.rendering.rows import (
+    LEAST_LEFT,
+    PIXELS,
+    alpha_at,
+    row_of,
+    rows_of,
+    splat_of,
+    total_of,
+)
+from gs_codec.rendering.trace import tile_bounds
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import Scene
 
@@ -19,42 +28,52 @@ SQUARED = 3
 
 #: Weights are kept in 16 bits: to 1/500 of what an image of 8 bits shows.
 _UNITS = 65535.0
+_UNIT, _MOST, _HALF = np.float32(1 / _UNITS), np.float32(_UNITS), np.float32(0.5)
+_ZERO, _ONE, _WIDTH = np.float32(0), np.float32(1), np.int32(TILE)
 
-_PIXELS = TILE * TILE
-_GREEN, _BLUE = np.uint64(_PIXELS), np.uint64(2 * _PIXELS)
+#: A row whose weights are all below this is faint, in units.
+_FAINT = np.int32(_UNITS / 512)
 
-#: Initial size of the buffers, entries; at least those of one splat in a tile.
-_FIRST_ENTRIES = 1 << 16
+#: Planes of a tile, and sums by column. Indices are unsigned, so that numba does not test each for
+#: being negative.
+_GREEN, _BLUE = np.uint64(PIXELS), np.uint64(2 * PIXELS)
+_BY_GREEN, _BY_BLUE, _BY_SQUARE = np.uint64(TILE), np.uint64(2 * TILE), np.uint64(3 * TILE)
+
+#: Initial size of the buffers; at least what one splat in a tile takes.
+_FIRST_ROWS, _FIRST_WEIGHTS = 1 << 14, 1 << 16
 
 
 class TracedView(NamedTuple):
-    """Weights of a view, by splat-tile pair; the pairs of a tile are nearest first.
+    """Weights of a view, by splat-tile pair and row; the pairs of a tile are nearest first.
 
     Attributes
     ----------
     camera : Camera
     seen : ndarray, shape (V,), int64
-        Gaussians that may be seen, ascending.
+        Gaussians that may be seen in the tiles, ascending.
+    tiles : ndarray, shape (tiles,), int64
+        Numbers of the tiles that are traced, row by row.
     pairs : ndarray, shape (pairs,), int32
         Index in `seen` of each pair's Gaussian.
     starts : ndarray, shape (tiles + 1,), int64
         Where the pairs of each tile start.
     ends : ndarray, shape (pairs,), int64
-        Where the entries of each pair end.
-    pixels : ndarray, shape (entries,), uint8
-        Pixel in the tile.
-    weights : ndarray, shape (entries,), uint16
-        In units of 1 / 65535.
+        Where the rows of each pair end.
+    rows : ndarray, shape (rows,), uint16
+        By bits: row in the tile (4), first column (4), last column (4), whether it is faint.
+    weights : ndarray, shape (16 + weights + 16,), uint16
+        From the first to the last column of each row, in units of 1 / 65535.
     left : ndarray, shape (tiles, 256), float32
         Transmittance of each pixel behind all splats.
     """
 
     camera: Camera
     seen: NDArray[np.int64]
+    tiles: NDArray[np.int64]
     pairs: NDArray[np.int32]
     starts: NDArray[np.int64]
     ends: NDArray[np.int64]
-    pixels: NDArray[np.uint8]
+    rows: NDArray[np.uint16]
     weights: NDArray[np.uint16]
     left: NDArray[np.float32]
 
@@ -63,135 +82,217 @@ class TracedView(NamedTuple):
         """Memory it takes."""
         return sum(array.nbytes for array in self[1:])
 
+    @property
+    def pixels(self) -> int:
+        """Pixels that are traced."""
+        rows, columns = np.divmod(self.tiles, -(-self.camera.width // TILE))
+        wide = np.minimum(self.camera.width - TILE * columns, TILE)
+        high = np.minimum(self.camera.height - TILE * rows, TILE)
+        return int(np.sum(wide * high))
+
     def residual(
         self,
-        colours: NDArray[np.float64],
+        colours: NDArray[np.float32],
         target: NDArray,
         background: NDArray[np.float64],
+        *,
         summed: bool,
+        faint: bool,
     ) -> tuple[NDArray[np.float64], float]:
         """Sums ``(V, 4)`` of alpha T times the residual and of (alpha T)^2, and the squared error.
 
         Parameters
         ----------
-        colours : ndarray, shape (V, 3)
+        colours : ndarray, shape (V, 3), float32
             Of the Gaussians in ``seen``.
         target : ndarray, shape (H, W, 3)
-            The residual is this minus the image.
+            The residual is this minus the image, in the pixels that are traced.
         background : ndarray, shape (3,)
         summed : bool
             Whether to sum; without, the sums are empty, and it takes half the time.
+        faint : bool
+            Whether faint rows count, a third of all; they hold less than a hundredth of the weight.
         """
         sums = np.zeros((len(self.seen) if summed else 0, SQUARED + 1))
         columns = -(-self.camera.width // TILE)
-        return sums, _residual(*self[2:], columns, colours, target, background, sums)
+        return sums, _residual(*self[2:], columns, colours, target, background, faint, sums)
 
 
-#: Pixels and weights of entries, reused because new memory takes longer than tracing.
-TraceBuffers = tuple[NDArray[np.uint8], NDArray[np.uint16]]
+#: Rows and weights, reused because new memory takes longer than tracing.
+TraceBuffers = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
 
 def trace_view(
-    scene: Scene, camera: Camera, buffers: TraceBuffers | None = None
+    scene: Scene,
+    camera: Camera,
+    every: int = 1,
+    first: int = 0,
+    buffers: TraceBuffers | None = None,
 ) -> tuple[TracedView, TraceBuffers]:
-    """Trace a view, see `render`; and the buffers that took, for the next."""
+    """Trace one of every so many tiles of a view; return also the buffers that took, for the next.
+
+    Tiles are on diagonals, `first` of which is the first that is traced.
+    """
     frame = make_frame(scene, camera)
-    order = np.argsort(frame.splats.gaussians)
-    rank = np.empty(len(order), np.int32)
+    splats, starts = frame.lists
+    rows, columns = np.divmod(np.arange(len(starts) - 1), frame.columns)
+    chosen = (rows + columns) % every == first % every
+    counts = np.diff(starts)
+    splats, starts = splats[np.repeat(chosen, counts)], np.append(0, np.cumsum(counts[chosen]))
+    gaussians = frame.splats.gaussians
+    used = np.zeros(len(gaussians), bool)
+    used[splats] = True
+    order = np.flatnonzero(used)
+    order = order[np.argsort(gaussians[order])]
+    rank = np.empty(len(gaussians), np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
-    ends = np.zeros(frame.pairs, np.int64)
-    left = np.zeros((frame.columns * frame.rows, TILE * TILE), np.float32)
-    size = (frame.columns, camera.width, camera.height)
+    tiles = np.flatnonzero(chosen)
+    ends, left = np.zeros(len(splats), np.int64), np.zeros((len(tiles), PIXELS), np.float32)
     if buffers is None:
-        buffers = np.empty(_FIRST_ENTRIES, np.uint8), np.empty(_FIRST_ENTRIES, np.uint16)
-    buffers = _trace(frame.splats.fields, *frame.lists, *size, left, ends, *buffers)
-    pixels, weights = buffers
-    used = ends.max(initial=0)
-    traced = TracedView(
-        camera,
-        frame.splats.gaussians[order],
-        rank[frame.lists.splats],
-        frame.lists.starts,
-        ends,
-        pixels[:used].copy(),
-        weights[:used].copy(),
-        left,
-    )
-    return traced, buffers
+        buffers = np.empty(_FIRST_ROWS, np.uint16), np.empty(_FIRST_WEIGHTS, np.uint16)
+    size = (frame.columns, camera.width, camera.height)
+    *buffers, end = _trace(frame.splats.fields, splats, starts, tiles, *size, left, ends, *buffers)
+    own = buffers[0][: ends.max(initial=0)].copy(), buffers[1][: end + TILE].copy()
+    traced = TracedView(camera, gaussians[order], tiles, rank[splats], starts, ends, *own, left)
+    return traced, (buffers[0], buffers[1])
 
 
 @kernel
-def _trace(fields, splats, starts, columns, width, height, left_of, ends, pixels, weights):
-    """Fill the outputs; return `pixels` and `weights`, which are enlarged if needed."""
-    left, traced, alphas, before = tile_buffers()
-    used = 0
-    for tile in range(len(starts) - 1):
-        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        left[:] = 1.0
-        still_open = (x1 - x0) * (y1 - y0)
+def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends, rows, weights):
+    """Fill the outputs; return `rows` and `weights`, enlarged if needed, and the end of weights."""
+    light, row_weights = np.empty(PIXELS, np.float32), np.zeros(2 * TILE, np.int32)
+    used, used_rows = TILE, 0
+    for tile in range(len(tiles)):
+        x0, x1, y0, y1 = tile_bounds(tiles[tile], columns, width, height)
+        light[:] = _ZERO
+        for y in range(y1 - y0):
+            light[y * TILE : y * TILE + x1 - x0] = _ONE
+        still_open = 0
         for pair in range(starts[tile], starts[tile + 1]):
-            if still_open > 0:
+            if used_rows + TILE > len(rows):
+                rows = np.concatenate((rows, np.empty_like(rows)))
+            if used + PIXELS + TILE > len(weights):
+                weights = np.concatenate((weights, np.empty_like(weights)))
+            while still_open < PIXELS and light[still_open] <= _ZERO:
+                still_open += 1
+            if still_open < PIXELS:
                 field = fields[splats[pair]]
-                count, done = trace_splat(field, x0, x1, y0, y1, left, traced, alphas, before)
-                still_open -= done
-                if used + count > len(pixels):
-                    pixels = np.concatenate((pixels, np.empty_like(pixels)))
-                    weights = np.concatenate((weights, np.empty_like(weights)))
-                for i in range(count):
-                    pixels[used] = traced[i]
-                    weights[used] = np.uint16(_UNITS * alphas[i] * before[i] + 0.5)
-                    used += 1
-            ends[pair] = used
-        for pixel in range(len(left)):
-            left_of[tile, pixel] = abs(left[pixel])
-    return pixels, weights
+                slope, reach, opacity, _, _, _ = splat_of(field)
+                top, bottom, u, v = rows_of(field, x0, y0, height)
+                for y in range(top, bottom):
+                    offset, across = row_of(field, u, v, y)
+                    row = light[y * TILE : y * TILE + TILE]
+                    first_column, last_column, largest = _WIDTH, np.int32(-1), np.int32(0)
+                    for x in range(TILE):
+                        alpha, drawn = alpha_at(x, slope, offset, across, reach, opacity)
+                        left = row[x]
+                        after = left * (_ONE - alpha)
+                        drawn &= left > _ZERO
+                        last = drawn & (after < LEAST_LEFT)
+                        drawn &= after >= LEAST_LEFT
+                        weight = alpha * left if drawn else _ZERO
+                        row[x] = -left if last else (after if drawn else left)
+                        units, column = np.int32(weight * _MOST + _HALF), np.int32(x)
+                        row_weights[x] = units
+                        first_column = min(first_column, column if units > 0 else _WIDTH)
+                        last_column = max(last_column, column if units > 0 else np.int32(-1))
+                        largest = max(largest, units)
+                    if last_column >= 0:
+                        rows[used_rows] = (
+                            y | first_column << 4 | last_column << 8 | (largest < _FAINT) << 12
+                        )
+                        used_rows += 1
+                        at, begin = np.uint64(used), np.uint64(first_column)
+                        for x in range(TILE):
+                            weights[at + np.uint64(x)] = row_weights[begin + np.uint64(x)]
+                        used += last_column - first_column + 1
+            ends[pair] = used_rows
+        left_of[tile] = np.abs(light)
+    return rows, weights, used
 
 
 @kernel
 def _residual(
-    pairs, starts, ends, pixels, weights, left, columns, colours, target, background, sums
-):
+    tiles, pairs, starts, ends, rows, weights, left, columns, colours, target, background, faint,
+    sums,
+):  # fmt: skip
     """Fill ``sums (V, 4)``, if it is not empty; returns the squared error."""
     height, width = target.shape[:2]
-    # Red, green and blue, one after another. Indices are unsigned, so that numba does not test each
-    # for being negative.
-    residual = np.zeros(3 * _PIXELS)
-    error = 0.0
-    start = 0
-    for tile in range(len(starts) - 1):
-        x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
-        residual[:] = 0.0
+    # Red, green and blue, one after another.
+    residual = np.zeros(3 * PIXELS, np.float32)
+    by_column = np.zeros((SQUARED + 1) * TILE, np.float32)
+    error, row, start, most = 0.0, 0, TILE, 1 << (16 if faint else 12)
+    for tile in range(len(tiles)):
+        x0, x1, y0, y1 = tile_bounds(tiles[tile], columns, width, height)
+        residual[:] = _ZERO
         for y in range(y0, y1):
             for x in range(x0, x1):
                 pixel = (y - y0) * TILE + x - x0
                 for channel in range(3):
                     behind = left[tile, pixel] * background[channel]
-                    residual[pixel + channel * _PIXELS] = target[y, x, channel] - behind
-        first = start
-        for pair in range(starts[tile], starts[tile + 1]):
-            red, green, blue = colours[pairs[pair]] / _UNITS
-            for j in range(start, ends[pair]):
-                pixel, weight = np.uint64(pixels[np.uint64(j)]), np.float64(weights[np.uint64(j)])
-                residual[pixel] -= weight * red
-                residual[pixel + _GREEN] -= weight * green
-                residual[pixel + _BLUE] -= weight * blue
-            start = ends[pair]
-        error += np.sum(residual * residual)
-        if len(sums) == 0:
-            continue
-        start = first
-        for pair in range(starts[tile], starts[tile + 1]):
-            red = green = blue = squared = 0.0
-            for j in range(start, ends[pair]):
-                pixel, weight = np.uint64(pixels[np.uint64(j)]), np.float64(weights[np.uint64(j)])
-                red += weight * residual[pixel]
-                green += weight * residual[pixel + _GREEN]
-                blue += weight * residual[pixel + _BLUE]
-                squared += weight * weight
-            total = sums[pairs[pair]]
-            total[0] += red / _UNITS
-            total[1] += green / _UNITS
-            total[2] += blue / _UNITS
-            total[SQUARED] += squared / _UNITS**2
-            start = ends[pair]
+                    residual[pixel + channel * PIXELS] = target[y, x, channel] - behind
+        own, place = slice(starts[tile], starts[tile + 1]), (row, start)
+        row, start = _subtract(
+            pairs[own], ends[own], rows, weights, most, colours, *place, residual
+        )
+        for value in residual:
+            error += np.float64(value) * value
+        if len(sums) > 0:
+            _add_up(pairs[own], ends[own], rows, weights, most, residual, *place, by_column, sums)
     return error
+
+
+@kernel
+def _subtract(pairs, ends, rows, weights, most, colours, row, start, residual):
+    """Subtract the pairs of a tile from its residual; return where the next tile's begin."""
+    for pair in range(len(pairs)):
+        colour = colours[pairs[pair]]
+        red, green, blue = _UNIT * colour[0], _UNIT * colour[1], _UNIT * colour[2]
+        while row < ends[pair]:
+            code = rows[row]
+            first, last, line, at = _unpack(code, start)
+            start += last - first + 1
+            row += 1
+            if code >= most:
+                continue
+            for x in range(TILE):
+                k, column = np.uint64(x), np.int32(x)
+                inside = (column >= first) & (column <= last)
+                weight = np.float32(weights[at + k]) if inside else _ZERO
+                residual[line + k] -= weight * red
+                residual[line + k + _GREEN] -= weight * green
+                residual[line + k + _BLUE] -= weight * blue
+    return row, start
+
+
+@kernel
+def _add_up(pairs, ends, rows, weights, most, residual, row, start, by_column, sums):
+    """Add the pairs of a tile to ``sums (V, 4)``."""
+    for pair in range(len(pairs)):
+        by_column[:] = _ZERO
+        while row < ends[pair]:
+            code = rows[row]
+            first, last, line, at = _unpack(code, start)
+            start += last - first + 1
+            row += 1
+            if code >= most:
+                continue
+            for x in range(TILE):
+                k, column = np.uint64(x), np.int32(x)
+                inside = (column >= first) & (column <= last)
+                weight = np.float32(weights[at + k]) if inside else _ZERO
+                by_column[k] += weight * residual[line + k]
+                by_column[k + _BY_GREEN] += weight * residual[line + k + _GREEN]
+                by_column[k + _BY_BLUE] += weight * residual[line + k + _BLUE]
+                by_column[k + _BY_SQUARE] += weight * weight
+        total = sums[pairs[pair]]
+        for channel in range(3):
+            total[channel] += total_of(by_column, channel) / _UNITS
+        total[SQUARED] += total_of(by_column, SQUARED) / _UNITS**2
+
+
+@kernel
+def _unpack(code, start):
+    """First and last column of a row, where it starts in a plane, and where its column 0 is."""
+    first, last = np.int32(code >> 4 & 15), np.int32(code >> 8 & 15)
+    return first, last, np.uint64((code & 15) * TILE), np.uint64(start - first)

@@ -59,15 +59,17 @@ def run_all(
 
     An item is taken when a thread is free, so a generator of items needs little memory. Threads
     see the caller's context variables. Within an item, `run_all` uses one thread, which is faster
-    than several threads for each item; a single item may use all threads.
+    than several threads for each item; if there are fewer items than threads, they share these.
     """
     number = threads or available_threads()
     results: list[Result] = []
+    share = 1
     if number > 1:
         items = iter(items)
-        first = list(islice(items, 2))
-        items, number = chain(first, items), number if len(first) > 1 else 1
-    if number == 1:  # run in the caller's thread
+        first = list(islice(items, number))
+        share = number // max(len(first), 1)
+        items, number = chain(first, items), len(first)
+    if number <= 1:  # run in the caller's thread
         for item in items:
             results.append(function(item))
             if advance is not None:
@@ -78,7 +80,7 @@ def run_all(
 
     def work(item: Item) -> Result:
         try:
-            with using_threads(1):
+            with using_threads(share):
                 return function(item)
         finally:
             free.release()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.preparation.adam import new_state, rig_radius
-from gs_codec.preparation.optimise import take_step, view_of, with_values
+from gs_codec.preparation.optimise import take_steps, view_of, with_values
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.gradients import differentiate
 from gs_codec.scene import GROUPS, Scene
@@ -40,7 +40,7 @@ def train(
 ) -> Scene:
     """Fit all attributes of a scene's Gaussians to images, one view an iteration."""
     state = new_state(np.concatenate([getattr(scene, group) for group in GROUPS]))
-    fitted = with_values(scene, state.values)
+    fitted = with_values(scene, state.values.T)
     rates = _RATES | {"positions": _RATES["positions"] * rig_radius(cameras)}
     sizes = np.concatenate([np.full(len(getattr(scene, group)), rates[group]) for group in GROUPS])
     fine = list(zip(cameras, images, strict=True))
@@ -49,7 +49,7 @@ def train(
         view = view_of(i, len(fine))
         camera, image = (coarse if i < _COARSE * iterations else fine)[view]
         result = differentiate(fitted, camera, image, (0.0, 0.0, 0.0))
-        take_step(state, result, i + 1, sizes * _LAST ** (i / iterations))
+        take_steps(state, [result], i + 1, [sizes * _LAST ** (i / iterations)])
     return fitted
 
 

@@ -130,8 +130,8 @@ def test_luma_and_chroma_are_solved_as_by_brute_force(degree):
                 right = known @ seen[channel] + inertia * solution
                 solutions[channel] = 0.0
                 solutions[channel, used] = np.linalg.solve(system, right[used])
-            if turn >= 10:
-                solutions[:, 1:][np.abs(solutions[:, 1:]) < smallest] = 0.0
+            least = smallest * (0.0 if turn < 2 else 0.1 if turn < 10 else 1.0)
+            solutions[:, 1:][np.abs(solutions[:, 1:]) < least] = 0.0
             turn += 1
             if np.abs(solutions - start).max() < 0.02 * smallest:
                 turn = max(turn, 10)

@@ -17,6 +17,7 @@ from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.sh_weights import coefficients_of, with_coefficients
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.project import TILE
 from gs_codec.scene import GROUPS, Scene
 
 TEAL = (0.1, 0.7, 0.6)
@@ -61,8 +62,8 @@ def test_residual_is_the_references(seed, bright, opacity):
     drawn = [render_reference(scene, camera, TEAL) for camera in cameras]
     expected = sum(np.sum((t - d.colour) ** 2) for t, d in zip(targets, drawn, strict=True))
     coefficients = coefficients_of(scene).astype(np.float64)
-    assert operator.linearise(coefficients).error == pytest.approx(expected, rel=1e-7)
-    assert errors(operator, coefficients) == pytest.approx(expected, rel=1e-7)
+    assert operator.linearise(coefficients).error == pytest.approx(expected, rel=1e-6)
+    assert errors(operator, coefficients) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -75,8 +76,10 @@ def test_gradient_is_the_difference_of_the_objective(degree):
     gradient = -2 * operator.linearise(at).gradient
     for _ in range(5):
         direction = rng.normal(size=at.shape)
-        above, below = (errors(operator, at + h * direction) for h in (1e-7, -1e-7))
-        assert (above - below) / 2e-7 == pytest.approx(np.sum(gradient * direction), rel=1e-5)
+        # The images are float32.
+        above, below = (errors(operator, at + h * direction) for h in (3e-4, -3e-4))
+        expected = np.sum(gradient * direction)
+        assert (above - below) / 6e-4 == pytest.approx(expected, rel=2e-3, abs=0.02)
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -88,7 +91,7 @@ def test_normal_equations_are_symmetric_and_those_of_the_images(seed):
     rng = np.random.default_rng(seed)
     x, y = rng.normal(size=(2, *at.shape))
     on_x, on_y = operator.apply(x, near.lit), operator.apply(y, near.lit)
-    assert np.sum(y * on_x) == pytest.approx(np.sum(x * on_y), rel=1e-9)
+    assert np.sum(y * on_x) == pytest.approx(np.sum(x * on_y), rel=1e-6)
     assert np.sum(x * on_x) > 0
 
 
@@ -110,7 +113,7 @@ def test_transpose_is_the_adjoint(seed):
     forth = 0.0
     for coefficients, sign in ((moved, 1), (at, -1)):
         forth -= sign * 0.5 * (errors(to_targets, coefficients) - errors(to_black, coefficients))
-    assert forth == pytest.approx(np.sum(change * back), rel=1e-9)
+    assert forth == pytest.approx(np.sum(change * back), rel=1e-4)
 
 
 def test_curvature_is_the_diagonal_of_the_normal_equations():
@@ -123,7 +126,7 @@ def test_curvature_is_the_diagonal_of_the_normal_equations():
         unit = np.zeros_like(at)
         unit[tuple(place)] = 1.0
         product = operator.apply(unit, near.lit)
-        assert product[tuple(place)] == pytest.approx(near.curvature[tuple(place)], rel=1e-9)
+        assert product[tuple(place)] == pytest.approx(near.curvature[tuple(place)], rel=1e-4)
 
 
 def test_colours_at_black_have_no_gradient():
@@ -136,21 +139,25 @@ def test_colours_at_black_have_no_gradient():
     assert near.gradient[1::2, :, 0].any()
 
 
-def test_views_that_are_not_kept_are_traced_anew(monkeypatch):
+@pytest.mark.parametrize("every", [2, 3])
+def test_part_of_the_tiles_counts_where_not_all_can_be_kept(monkeypatch, every):
     scene, cameras = visible_scene(40, 8), orbit(4)
-    at = coefficients_of(scene).astype(np.float64)
-    results = []
-    for limit, number in ((1 << 31, 4), (40_000, 2), (0, 0)):
-        monkeypatch.setattr(module, "_KEPT_BYTES", limit)
-        operator = ImageOperator(scene, references(cameras, black(cameras)))
-        near = operator.linearise(at)
-        results.append((near, operator.apply(at, near.lit), errors(operator, at)))
-        assert list(operator.kept) == list(range(number))
-    for near, product, error in results[1:]:
-        np.testing.assert_array_equal(near.gradient, results[0][0].gradient)
-        np.testing.assert_array_equal(near.curvature, results[0][0].curvature)
-        np.testing.assert_array_equal(product, results[0][1])
-        assert error == results[0][2]
+    targets = [np.random.default_rng(8).uniform(size=(40, 40, 3)) for _ in cameras]
+    views, at = references(cameras, targets), coefficients_of(scene)
+    whole = ImageOperator(scene, views)
+    errors(whole, at)
+    taken = sum(traced.nbytes for traced in whole.kept.values())
+    monkeypatch.setattr(module, "_KEPT_BYTES", int(taken / (every - 0.5)))
+    operator = ImageOperator(scene, views)
+    found = operator.errors(at, range(4))
+    tiles = np.arange(40) // TILE
+    for view, camera in enumerate(cameras):
+        counts = (tiles[:, None] + tiles) % every == view % every
+        assert operator.pixels(view) == np.count_nonzero(counts)
+        image = render_reference(scene, camera, (0.0, 0.0, 0.0)).colour
+        expected = np.sum((targets[view] - image)[counts] ** 2)
+        assert found[view] == pytest.approx(expected, rel=1e-6)
+    assert sum(traced.nbytes for traced in operator.kept.values()) < taken
 
 
 def test_more_fragments_than_first_room_for():

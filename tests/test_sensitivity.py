@@ -228,11 +228,13 @@ def test_weights_of_views_are_those_of_drawing(opaque):
     plain = cloud(9, 50, size=-2.0 + opaque / 5)
     plain = replace(plain, opacity=plain.opacity + opaque)
     scene = replace(plain, f_rest=np.zeros((9, 50), np.float32))
-    total, weights = sensitivity(scene, references(CAMERAS, TEAL))
+    total, weights, images = sensitivity(scene, references(CAMERAS, TEAL))
     np.testing.assert_array_equal(rows_of(total), rows_of(summed(plain, CAMERAS, TEAL)))
     np.testing.assert_allclose(weights, squared_weights(scene, CAMERAS), rtol=1e-5)
     np.testing.assert_allclose(weights.sum(axis=0), total.colour, rtol=1e-5)
     assert weights.any()
+    for image, camera in zip(images, CAMERAS, strict=True):
+        np.testing.assert_array_equal(image, make_frame(scene, camera).draw_rows(TEAL)[0])
     assert sensitivity(plain, references(CAMERAS))[1].shape == (3, 50)
 
 

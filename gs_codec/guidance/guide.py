@@ -34,8 +34,8 @@ from gs_codec.runtime.arrays import release_freed
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, channel_count
 
-#: Conjugate-gradient iterations of the refit.
-_REFIT = 6
+#: Conjugate-gradient iterations of the refit, and where pruning took something: more can be won.
+_REFIT, _REFIT_PRUNED = 6, 10
 
 #: Cross-validation over views that decides whether compaction pays: a fold is every fourth view,
 #: and every other fold is left out once.
@@ -109,8 +109,9 @@ class Guidance:
         compacting = compacting and (other is None or other.is_sparse)
         decoded = self.compact(shaped, profile) if compacting else shaped.decoded()
         operator, progress = self._operator_of(decoded), self.progress
+        iterations = _REFIT_PRUNED if self.loss > 0 else _REFIT
         refitted, _ = refit_colour(
-            decoded, self.views, _REFIT, operator=operator, progress=progress
+            decoded, self.views, iterations, operator=operator, progress=progress
         )
         error = self._error(profile) / (refitted.count * channel_count(len(refitted.f_rest) // 3))
         weights, cameras = self.weights[:, shaped.order], self.views.cameras

@@ -179,7 +179,8 @@ def guiding_views(
         log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
         return None
     if isinstance(known, ReferenceViews):
-        return replace(known, images=(), source=scene) if plan.steps.refine else known
+        own = plan.steps.refine or known.source is scene
+        return replace(known, images=(), source=scene) if own else known
     cameras = tuple(_enough(known, plan.views))
     return ReferenceViews(cameras, (), False, plan.background, scene, known.origin)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.adam import LAST, RATES, AdamState, adam_step, new_state, step_sizes
 from gs_codec.preparation.checkpoint import Checkpoint, digest_of, read_checkpoint, write_checkpoint
-from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
 from gs_codec.rendering.gradients import Differentiated, differentiate
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import check_writable
@@ -28,6 +29,14 @@ _CHUNK = 1000
 #: Views that are differentiated together, each by its own threads: that takes two thirds of the
 #: time, and what the second would have seen of the first's step makes no difference.
 _TOGETHER = 2
+
+#: One step at full rates changes images by this share of what there is to win, as roots of mean
+#: squared errors; where it would change more, rates are lower. On orbit, room and aerial captures,
+#: pruned by 40 and 65 %, 1/3 and 1/10 were no better.
+_SHARE = 1 / 6
+
+#: Views that tell what there is to win.
+_VIEWS = 16
 
 #: Iterations from one checkpoint to the next.
 _CHECKPOINT_EVERY = 500
@@ -77,33 +86,46 @@ def optimise(
     save = None
     if checkpoint is not None:
         check_writable(checkpoint)
-        settings = (iterations, RATES, LAST, views.background, scene.antialiased)
+        settings = (iterations, RATES, LAST, _SHARE, views.background, scene.antialiased)
         digest = digest_of(_inputs(values, views, repr(settings)))
         run = read_checkpoint(Path(checkpoint), digest, run.state) or run
         save = partial(write_checkpoint, Path(checkpoint), digest)
     fitted = with_values(scene, run.state.values.T)
-    sizes, behind = step_sizes(scene, views.cameras), views.background
+    sizes = step_sizes(scene, views.cameras)
+    sizes *= _rates(scene, values, views.evenly(_VIEWS), sizes)
+
+    def look(view: int) -> Differentiated:
+        return differentiate(fitted, views.cameras[view], views.images[view], views.background)
 
     def step(start: int, stop: int) -> list[float]:
-        chosen = [view_of(i, len(views.cameras)) for i in range(start, stop)]
-        seen = run_all(
-            lambda v: differentiate(fitted, views.cameras[v], views.images[v], behind), chosen
-        )
-        take_steps(
-            run.state,
-            seen,
-            start + 1,
-            [sizes * LAST ** (i / iterations) for i in range(start, stop)],
-        )
+        seen = run_all(look, [view_of(i, len(views.cameras)) for i in range(start, stop)])
+        decayed = [sizes * LAST ** (i / iterations) for i in range(start, stop)]
+        take_steps(run.state, seen, start + 1, decayed)
         return [each.squared_error for each in seen]
 
     run = _iterate(run, iterations, step, save, step_counter(progress, "optimise", iterations))
     return fitted, {
         "iterations": iterations,
-        "updated": int(run.state.second.any(axis=0).sum()),
+        "updated": int(run.state.second.any(axis=1).sum()),
         "seconds": float(run.seconds[-1]) if iterations else 0.0,
         "curve": _curve(run),
     }
+
+
+def _rates(
+    scene: Scene, values: NDArray[np.float32], views: ReferenceViews, sizes: NDArray[np.float64]
+) -> float:
+    """Factor on all step sizes, at most 1.
+
+    Steps of Adam are as large where little is to win, and there cost more than they win.
+    """
+    signs = np.random.default_rng(0).integers(0, 2, values.shape, np.int8)
+    with np.errstate(over="ignore"):
+        moved = values + sizes.astype(np.float32)[:, None] * (2 * signs - 1)
+    own = draw_reference_views(scene, views.cameras, views.background, fast=True)
+    changed = own.error(with_values(scene, moved))
+    wanted = np.mean([np.mean((x - t) ** 2) for x, t in zip(own.images, views.images, strict=True)])
+    return min(1.0, _SHARE * math.sqrt(wanted / changed)) if changed > 0 else 1.0
 
 
 def _iterate(

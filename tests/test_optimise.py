@@ -356,11 +356,11 @@ def garden(seed: int, sh_degree: int = 1, count: int = 60) -> Scene:
     return replace(scene, comments=("a garden",), extra={"label": np.arange(count, dtype=np.int32)})
 
 
-def changed(scene: Scene, seed: int) -> Scene:
+def changed(scene: Scene, seed: int, scale: float = 0.05) -> Scene:
     rng = np.random.default_rng(seed)
     planes = {
         group: (
-            getattr(scene, group) + rng.normal(scale=0.05, size=getattr(scene, group).shape)
+            getattr(scene, group) + rng.normal(scale=scale, size=getattr(scene, group).shape)
         ).astype(np.float32)
         for group in GROUPS
     }
@@ -407,6 +407,21 @@ def test_refitting_wins_back_most_of_what_was_lost(seed):
     np.testing.assert_array_equal(fitted.extra["label"], scene.extra["label"])
 
 
+@pytest.mark.parametrize("scale", [0.02, 1e-3, 1e-4])
+def test_steps_are_small_where_little_is_to_win(scale):
+    """Full steps would turn 45 dB into 42, and 65 dB too."""
+    original = garden(32)
+    targets = views(original, CAMERAS)
+    scene = changed(original, 32, scale)
+    before = psnr(scene, CAMERAS, targets)
+    assert psnr(refit(100, scene, targets)[0], CAMERAS, targets) > before + 0.5
+
+
+def test_what_fits_already_stays():
+    fitted, _ = refit(10, SCENE, [make_frame(SCENE, c).draw_rows((0, 0, 0))[0] for c in CAMERAS])
+    assert_same_floats(fitted, SCENE)
+
+
 def test_a_pruned_real_scene_wins_back_most_of_what_it_lost():
     scene = read_ply(shared_scene_path("bonsai/point_cloud.ply"))
     cameras = [camera.resized(100, 66) for camera in real_cameras()[::4]]
@@ -437,7 +452,7 @@ class Watched(list):
 
 def test_each_view_comes_once_before_any_comes_again():
     seen: list[int] = []
-    fitted, _ = refit(15, targets=Watched(renders(), seen))
+    fitted, _ = with_threads(1, lambda: refit(15, targets=Watched(renders(), seen)))
     for epoch in range(3):
         assert sorted(seen[5 * epoch : 5 * epoch + 5]) == list(range(5))
     assert seen[:5] != seen[5:10]
@@ -459,7 +474,7 @@ def test_what_no_view_sees_stays():
     planes = {group: np.hstack([getattr(SCENE, group), getattr(behind, group)]) for group in GROUPS}
     fitted, report = refit(scene=Scene(**planes))
     assert_same_floats(fitted.take(np.array([60, 61])), behind)
-    assert report["updated"] <= 60
+    assert 50 <= report["updated"] <= 60
     assert (fitted.positions[:, :60] != SCENE.positions).any()
 
 

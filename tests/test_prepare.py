@@ -21,6 +21,7 @@ from gs_codec.files.preparing import prepare_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.metrics.images import compare_images
+from gs_codec.preparation import optimise, pipeline
 from gs_codec.preparation.pipeline import Plan, choose_views, prepare_scene
 from gs_codec.preparation.reference_views import draw_reference_views, evenly
 from gs_codec.preparation.report import LABELS
@@ -166,12 +167,23 @@ def test_refinement_fits_photographs_and_renders_of_the_other_cameras(scene, tmp
     assert len(views.renders.cameras) == 1
 
 
+@pytest.mark.parametrize(("megabytes", "number"), [(1000, 11), (6, 5), (0, 2)])
+def test_refinement_fits_as_many_views_as_memory_holds(scene, monkeypatch, megabytes, number):
+    monkeypatch.setattr(pipeline, "_TARGET_BYTES", megabytes << 20)
+    wide = [camera(f"{i}", 0.1 * i).resized(350, 250) for i in range(9)]
+    views = choose_views(scene, Plan(Steps(refine=1), wide, views=2))
+    assert len(views.targets.cameras) == number
+
+
 def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog, tmp_path):
     unmarked = [camera(f"{i}", 0.1 * i) for i in range(10)]
     views = choose_views(scene, Plan(Steps(refine=1), unmarked))
     assert "every 8th is kept out" in caplog.text
     assert [c.name for c in views.held_out.cameras] == ["0", "8"]
     assert [c.name for c in views.targets.cameras[:8]] == [*"1234567", "9"]
+    caplog.clear()
+    choose_views(scene, Plan(Steps(refine=1), "auto", views=4))
+    assert "every 8th" not in caplog.text
     views = choose_views(scene, Plan(Steps(refine=1), unmarked[:1]))
     assert views.targets.cameras == views.held_out.cameras
     for name in ("3", "5"):
@@ -266,14 +278,21 @@ def test_optimisation_goes_on_from_its_checkpoint(scene, tmp_path):
         prepare_scene(scene, replace(chosen, steps=Steps(prune=90, refine=31)))
 
 
-def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog):
-    """Of a scene that its views show as it is there is nothing to win."""
+def test_refinement_is_left_out_where_nothing_is_to_win(scene, caplog):
     same, report = prepare_scene(scene, plan(prune=0, refine=5))
     assert same is scene
     assert report.steps[-1].details["left_out"]
-    assert report.steps[-1].quality == report.steps[0].quality
-    [message] = [record.getMessage() for record in caplog.records if "lose" in record.getMessage()]
-    assert message.startswith("refine: held-out views would lose ")
+    assert report.steps[-1].details["iterations"] == 0
+    assert "refine: nothing is to win, so it is left out" in caplog.text
+
+
+def test_refinement_that_costs_held_out_views_is_left_out(scene, caplog, monkeypatch):
+    monkeypatch.setattr(optimise, "_SHARE", 1e9)
+    _, report = prepare_scene(scene, plan(prune=30, refine=5))
+    pruned, refined = report.steps[-2:]
+    assert refined.details["left_out"]
+    assert refined.quality == pruned.quality
+    assert "refine: held-out views would lose " in caplog.text
 
 
 def test_steps_that_need_something_to_see_refuse_an_empty_scene():

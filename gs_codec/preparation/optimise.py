@@ -52,7 +52,8 @@ def optimise(
     """Fit the attributes of a scene's Gaussians to images, one view an iteration.
 
     Views come in random order, each once before any comes again. The result is the same
-    however often it was interrupted and taken up from `checkpoint`.
+    however often it was interrupted and taken up from `checkpoint`. There are no iterations if the
+    views show the scene as their images do.
 
     Parameters
     ----------
@@ -92,7 +93,9 @@ def optimise(
         save = partial(write_checkpoint, Path(checkpoint), digest)
     fitted = with_values(scene, run.state.values.T)
     sizes = step_sizes(scene, views.cameras)
-    sizes *= _rates(scene, values, views.evenly(_VIEWS), sizes)
+    share = _rates(scene, values, views.evenly(_VIEWS), sizes)
+    sizes *= share
+    iterations = iterations if share > 0 else 0
 
     def look(view: int) -> Differentiated:
         return differentiate(fitted, views.cameras[view], views.images[view], views.background)
@@ -122,10 +125,17 @@ def _rates(
     signs = np.random.default_rng(0).integers(0, 2, values.shape, np.int8)
     with np.errstate(over="ignore"):
         moved = values + sizes.astype(np.float32)[:, None] * (2 * signs - 1)
-    own = draw_reference_views(scene, views.cameras, views.background, fast=True)
-    changed = own.error(with_values(scene, moved))
-    wanted = np.mean([np.mean((x - t) ** 2) for x, t in zip(own.images, views.images, strict=True)])
+    behind = views.background
+    own = draw_reference_views(scene, views.cameras, behind, fast=True)
+    other = draw_reference_views(with_values(scene, moved), views.cameras, behind, fast=True)
+    wanted, changed = (_apart(own.images, images) for images in (views.images, other.images))
     return min(1.0, _SHARE * math.sqrt(wanted / changed)) if changed > 0 else 1.0
+
+
+def _apart(first: Sequence[NDArray], second: Sequence[NDArray]) -> float:
+    """Mean squared difference of images, of what is shown of them."""
+    pairs = zip(first, second, strict=True)
+    return float(np.mean([np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2) for a, b in pairs]))
 
 
 def _iterate(

@@ -45,9 +45,9 @@ from gs_codec.scene import Scene
 
 log = logging.getLogger(__name__)
 
-#: How many times more views refinement fits than other steps work by: its time does not depend on
-#: their number.
-_TARGETS = 4
+#: How many times more views refinement fits than other steps work by, as its time does not depend
+#: on their number; and about the most bytes that images may take for it to be more.
+_TARGETS, _TARGET_BYTES = 4, 1 << 30
 
 #: Most views between cameras for each that is missing.
 _BETWEEN = 4
@@ -120,7 +120,10 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     renders = draw_reference_views(scene, cameras, plan.background, progress)
     renders = replace(renders, origin=known.origin)
     photographs = targets = None
-    most = plan.views * (_TARGETS if plan.steps.refine else 1)
+    most = plan.views
+    if plan.steps.refine:
+        taken = max(12 * camera.width * camera.height for camera in cameras)
+        most = max(most, min(_TARGETS * most, _TARGET_BYTES // taken))
     if plan.gt_images is not None:
         found = evenly(photographed(rest, plan.gt_images), most)
         photographs = read_photographs(found, plan.background)
@@ -223,9 +226,10 @@ def _split(scene: Scene, plan: Plan) -> _Split:
     if rest and test:
         return _Split(rest, test, origin)
     if plan.steps.refine and len(cameras) > 1:
-        log.warning(
-            "cameras: none or all are marked 'test', so every 8th is kept out of refinement"
-        )
+        if origin == "given":
+            log.warning(
+                "cameras: none or all are marked 'test', so every 8th is kept out of refinement"
+            )
         known = cameras
         if plan.gt_images is not None:
             known = [camera for camera, _ in photographed(cameras, plan.gt_images)]
@@ -268,13 +272,19 @@ def _optimise(scene: Scene, context: _Context) -> _Outcome:
     plan, targets = context.plan, context.views.targets
     assert targets is not None
     fitted, details = optimise(scene, targets, plan.steps.refine, plan.checkpoint, context.progress)
+    against = _against(scene, fitted, context) if details["iterations"] else "nothing is to win"
+    if against:
+        log.warning("refine: %s, so it is left out", against)
+        return None, scene, {**details, "left_out": True}
+    return None, fitted, details
+
+
+def _against(scene: Scene, fitted: Scene, context: _Context) -> str | None:
+    """What held-out views have against a refined scene."""
     held_out, progress = context.views.held_out, context.progress
     before, after = (held_out.errors(each, progress) for each in (scene, fitted))
     lost = held_out.drop(after, before)
-    if lost > 0:
-        log.warning("refine: held-out views would lose %.3f dB, so it is left out", lost)
-        return None, scene, {**details, "left_out": True}
-    return None, fitted, details
+    return f"held-out views would lose {lost:.3f} dB" if lost > 0 else None
 
 
 def _compact(scene: Scene, context: _Context) -> _Outcome:

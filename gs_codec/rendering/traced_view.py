@@ -57,7 +57,7 @@ class TracedView(NamedTuple):
         Index in `seen` of each pair's Gaussian.
     starts : ndarray, shape (tiles + 1,), int64
         Where the pairs of each tile start.
-    ends : ndarray, shape (pairs,), int64
+    ends : ndarray, shape (pairs,), int32
         Where the rows of each pair end.
     rows : ndarray, shape (rows,), uint16
         By bits: row in the tile (4), first column (4), last column (4), whether it is faint.
@@ -72,7 +72,7 @@ class TracedView(NamedTuple):
     tiles: NDArray[np.int64]
     pairs: NDArray[np.int32]
     starts: NDArray[np.int64]
-    ends: NDArray[np.int64]
+    ends: NDArray[np.int32]
     rows: NDArray[np.uint16]
     weights: NDArray[np.uint16]
     left: NDArray[np.float32]
@@ -147,7 +147,7 @@ def trace_view(
     rank = np.empty(len(gaussians), np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
     tiles = np.flatnonzero(chosen)
-    ends, left = np.zeros(len(splats), np.int64), np.zeros((len(tiles), PIXELS), np.float32)
+    ends, left = np.zeros(len(splats), np.int32), np.zeros((len(tiles), PIXELS), np.float32)
     if buffers is None:
         buffers = np.empty(_FIRST_ROWS, np.uint16), np.empty(_FIRST_WEIGHTS, np.uint16)
     size = (frame.columns, camera.width, camera.height)

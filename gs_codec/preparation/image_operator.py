@@ -33,7 +33,7 @@ _CHUNK = 1 << 14
 _MOST_AT_ONCE = 4
 
 #: About how many bytes all traced views may take; a part of their tiles is left out beyond.
-_KEPT_BYTES = 1 << 30
+_KEPT_BYTES = 1 << 31
 
 #: Views that tell how many bytes one takes.
 _SAMPLE = 8

@@ -31,8 +31,7 @@ _CHUNK = 1000
 _TOGETHER = 2
 
 #: One step at full rates changes images by this share of what there is to win, as roots of mean
-#: squared errors; where it would change more, rates are lower. On orbit, room and aerial captures,
-#: pruned by 40 and 65 %, 1/3 and 1/10 were no better.
+#: squared errors; where it would change more, rates are lower (bench/RESULTS.md).
 _SHARE = 1 / 6
 
 #: Views that tell what there is to win.

@@ -63,9 +63,9 @@ def refit_colour(
     Minimises the sum over views, pixels and colours of the squared residual, `_RIDGE` times the
     squared change of SH, and the penalty on SH-AC of `compact_sh`, by conjugate gradients on the
     normal equations, with their diagonal as preconditioner. Memory is six times the size of the
-    SH, plus about 1 GiB for the weights alpha T of views: where these would take more, only a part
-    of each view's tiles counts. A colour that is clamped at black in a view has no gradient there;
-    which colours are clamped is decided once, at the start.
+    SH, plus about 2 GiB at most for the weights alpha T of views: where these would take more, only
+    a part of each view's tiles counts. A colour that is clamped at black in a view has no gradient
+    there; which colours are clamped is decided once, at the start.
 
     Parameters
     ----------

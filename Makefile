@@ -79,15 +79,20 @@ fuzz: $(VENV)/installed-test
 	$(PIP) install -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz.py $(TARGET) --minutes $(MINUTES) --corpus fuzz
 
-# Other codecs, for `gs-codec bench peers` and `bench suite`; says which could not be installed.
-# spz brings its own zstd: Debian's library cannot be linked into a module. SPZ=FOLDER: from a checkout.
+# Other programs: codecs for `gs-codec bench peers` and `bench suite`, and viewers, and tests that they
+# read what we write. Says which could not be installed. spz brings its own zstd: Debian's library
+# cannot be linked into a module. SPZ=FOLDER: from a checkout.
 SPZ ?= git+https://github.com/nianticlabs/spz
 PEERS_LOG := $(VENV)/peers.log
-peers: $(VENV)/installed
+NODE_PACKAGES := @playcanvas/splat-transform@3 playcanvas@2 @sparkjsdev/spark@2 three gltf-validator playwright-core@1.56
+peers: $(VENV)/installed-test
+	@.ci/system-packages peers || true
 	@CMAKE_ARGS="-DCMAKE_DISABLE_FIND_PACKAGE_zstd=ON $$CMAKE_ARGS" $(PIP) install "$(SPZ)" >$(PEERS_LOG) 2>&1 \
 	    || echo "spz: not installed, it needs git, a C++ compiler and GitHub; $(PEERS_LOG) says why"
-	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund @playcanvas/splat-transform@2 \
-	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform: not installed, it needs Node 18 and npm; $(PEERS_LOG) says why"
+	@$(PIP) install 'gsply[sogs]' >>$(PEERS_LOG) 2>&1 || echo "gsply: not installed; $(PEERS_LOG) says why"
+	@npm install --prefix $(VENV)/peers --ignore-scripts --no-audit --no-fund $(NODE_PACKAGES) \
+	    >>$(PEERS_LOG) 2>&1 || echo "splat-transform, PlayCanvas, Spark, gltf-validator: not installed, they need Node 18 and npm; $(PEERS_LOG) says why"
+	$(PYTEST) tests/test_peers.py tests/test_programs.py
 
 # Every index of every kernel checked; kernels so compiled are kept apart from the others.
 boundscheck: $(VENV)/installed-test

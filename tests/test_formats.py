@@ -326,7 +326,21 @@ def test_splat_that_is_read_is_written_the_same(tmp_path):
     np.testing.assert_array_equal(again["p"], rows["p"])
     np.testing.assert_array_equal(again["c"], rows["c"])
     np.testing.assert_allclose(again["s"], rows["s"], rtol=1e-6)
-    np.testing.assert_allclose(again["r"].astype(int), rows["r"], atol=1)
+    # Its negative, where 1 would have to be 256.
+    old, new = rows["r"].astype(int), again["r"].astype(int)
+    assert (new[:, 0] < 2).any()
+    np.testing.assert_allclose(np.where(new[:, :1] < 2, 256 - new, new), old, atol=1)
+
+
+@pytest.mark.parametrize("axis", range(4))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_splat_holds_rotations_by_nothing_and_half_turns_exactly(axis, sign, tmp_path):
+    rot = np.zeros((4, 1), np.float32)
+    rot[axis] = sign
+    back = read_scene(
+        written(tmp_path / "a.splat", pack_splat(replace(random_scene(1, 0), rot=rot))[0])
+    )
+    np.testing.assert_array_equal(np.abs(back.rot), np.abs(rot))
 
 
 def test_splat_says_what_it_cannot_hold(tmp_path):

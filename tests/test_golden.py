@@ -1,4 +1,4 @@
-"""Files written by earlier builds decode to the floats they decoded to then."""
+"""Files written by earlier builds decode to the floats they decoded to then, in every format."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from golden.make import GUIDES, golden_scenes
+from golden.make_other import HOME, written
+from other_programs import check, stored_numbers
 from reference_decoder import decode as reference_decode
 from scenes import encode_by
 
 from gs_codec.codecs import decode_scene
 from gs_codec.egs.file import VERSION
-from gs_codec.scene import GROUPS
+from gs_codec.scene import GROUPS, Scene
 
-FILES = sorted((Path(__file__).parent / "golden").glob("*.egs"))
+FOLDER = Path(__file__).parent / "golden"
+FILES = sorted(FOLDER.glob("*.egs"))
 
 
 def test_there_are_golden_files_of_this_version():
@@ -43,5 +46,23 @@ def test_reference_decoder_agrees_on_golden_files(path):
 @pytest.mark.parametrize("name", golden_scenes())
 def test_encoder_still_writes_the_same_bytes(name):
     scene, config = golden_scenes()[name]
-    golden = Path(__file__).parent / "golden" / f"v{VERSION}-{name}.egs"
+    golden = FOLDER / f"v{VERSION}-{name}.egs"
     assert encode_by(scene, config, GUIDES.get(name)) == golden.read_bytes()
+
+
+@pytest.mark.parametrize("form", HOME)
+def test_our_reader_sees_what_a_program_of_the_format_saw(form):
+    with np.load(FOLDER / f"other.{form}.npz") as planes:
+        theirs = Scene(**planes)
+    assert theirs.count == HOME[form][1]
+    check(theirs, stored_numbers(FOLDER / f"other.{form}"), form, exact=True)
+
+
+@pytest.mark.parametrize("form", HOME)
+def test_writers_of_other_formats_still_write_the_same_numbers(form, tmp_path):
+    """Bytes may differ with the version of what packs them."""
+    now, golden = (
+        stored_numbers(path) for path in (written(form, tmp_path), FOLDER / f"other.{form}")
+    )
+    for group in GROUPS:
+        np.testing.assert_array_equal(getattr(now, group), getattr(golden, group))

@@ -472,3 +472,17 @@ def test_they_are_compared_gaussian_by_gaussian(form, ply, tmp_path):
         errors = {group.name: group.max for group in one.groups}
         assert errors["positions"] < 0.02
         assert errors["f_dc"] < 0.1
+
+
+@pytest.mark.parametrize("suffix", ["spz", "sog"])
+def test_rotations_rounded_coarsely_are_of_unit_length(suffix, tmp_path):
+    """Those of equal components too, where every component has likelier values that are larger."""
+    likely = np.array([[0.72, 0.69, 0, 0], [0.72, 0, 0.69, 0], [0.72, 0, 0, 0.69]])
+    rot = np.concatenate([np.repeat(likely, 300, axis=0), np.full((9, 4), 0.5)])
+    scene = replace(usual(len(rot), 0), rot=np.ascontiguousarray(rot.T, np.float32))
+    steps = AttributeSteps.least(scene)
+    for octave in range(-8, 4):
+        coarse = replace(steps, rot=np.full(scene.count, 2.0**octave))
+        data = (pack_spz(scene, 4, coarse) if suffix == "spz" else pack_sog(scene, coarse))[0]
+        back = read_scene(written(tmp_path / f"a.{suffix}", data)).rot.astype(np.float64)
+        np.testing.assert_allclose((back * back).sum(axis=0), 1, atol=1e-6)

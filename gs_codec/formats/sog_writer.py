@@ -121,7 +121,11 @@ def _scales(scene: Scene, steps: AttributeSteps) -> _Group:
 def _rotations(scene: Scene, steps: AttributeSteps) -> _Group:
     three, largest = largest_omitted(scene.rot)
     by_unit = 255 * math.sqrt(0.5)
-    levels = _levels(by_unit * three + 127.5, [by_unit * steps.rot] * 3, _BYTES)
+    exact = by_unit * three + 127.5
+    levels = np.array(_levels(exact, [by_unit * steps.rot] * 3, _BYTES))
+    # Rounded coarsely, they may leave nothing for the largest: readers take the root of the rest.
+    long = ((levels - 127.5) ** 2).sum(axis=0) > by_unit**2
+    levels[:, long] = np.rint(exact[:, long])
     return {}, {"quats.webp": _image([*levels, FIRST_TAG + largest])}
 
 

@@ -78,7 +78,9 @@ def pack_splat(scene: Scene) -> tuple[bytes, tuple[str, ...]]:
     clipped = Clipped()
     rows["colour"][:, :3] = clipped.limited("colours", np.rint(colour), 0, 255).T
     rows["colour"][:, 3] = np.rint(255 * sigmoid(scene.opacity[0].astype(np.float64)))
-    rows["rot"] = np.clip(np.rint(128 * unit_quaternions(scene.rot) + 128), 0, 255).T
+    rot = np.rint(128 * unit_quaternions(scene.rot))
+    # A byte holds -128 but not 128; the negative quaternion is the same rotation.
+    rows["rot"] = 128 + np.where((rot > 127).any(axis=0), -rot, rot).T
     lost = ["opacity, colour and rotation rounded to 8 bits", *clipped.sentences()]
     if scene.sh_degree:
         lost.append(f"SH of degrees 1 to {scene.sh_degree} left out")

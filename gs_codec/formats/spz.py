@@ -165,10 +165,12 @@ def _bytes_of(
     )
 
 
-def _multiples(levels: NDArray[np.floating], steps: NDArray[np.floating]) -> NDArray[np.float64]:
+def _multiples(
+    levels: NDArray[np.floating], steps: NDArray[np.floating], rounded: np.ufunc = np.rint
+) -> NDArray[np.float64]:
     """Levels rounded to whole numbers, or to multiples of the power of two next below a step."""
     factor = np.exp2(np.floor(np.log2(np.clip(steps, 1.0, 2.0**_COARSEST))))
-    return np.rint(levels.astype(np.float64) / factor) * factor
+    return rounded(levels.astype(np.float64) / factor) * factor
 
 
 def _packed_rotations(rot: NDArray[np.float32], steps: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -176,6 +178,9 @@ def _packed_rotations(rot: NDArray[np.float32], steps: NDArray[np.floating]) -> 
     three, largest = largest_omitted(rot[[1, 2, 3, 0]])
     by_unit = _LONGEST / np.sqrt(0.5)
     levels = _multiples(three * by_unit, steps * by_unit)
+    # Rounded coarsely, they may leave nothing for the largest: readers take the root of the rest.
+    long = (levels * levels).sum(axis=0) > by_unit**2
+    levels[:, long] = _multiples(three[:, long] * by_unit, steps[long] * by_unit, np.trunc)
     levels = np.clip(levels, -_LONGEST, _LONGEST).astype(np.int32)
     fields = np.where(levels < 0, 512, 0) | np.abs(levels)
     packed = largest << 30 | fields[0] << 20 | fields[1] << 10 | fields[2]

@@ -28,7 +28,7 @@ _NAME = "splat-transform"
 #: Where `make peers` puts it.
 _FOLDER = "peers/node_modules/.bin"
 
-_HOW = f"'make peers', or npm install -g @playcanvas/splat-transform@2; found by {VARIABLE} or PATH"
+_HOW = f"'make peers', or npm install -g @playcanvas/splat-transform@3; found by {VARIABLE} or PATH"
 
 #: Its formats, by the ends of their names. SOG clusters SH, which takes minutes on a CPU.
 _SUFFIXES = {"compressed.ply": ".compressed.ply", "spz": ".spz", "SOG": ".sog"}

@@ -1,0 +1,106 @@
+"""Other programs read the files that we write, and see the Gaussians that our reader sees."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from other_programs import FORMATS, PACKAGES, PROGRAMS, check, stored_numbers
+from scenes import random_scene
+from test_guide import cameras
+
+from gs_codec.errors import MissingTool
+from gs_codec.files.coding import encode_file
+from gs_codec.files.conversion import convert_file
+from gs_codec.formats.ply import write_ply
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.scene import Scene
+from samples.generate import generate
+
+
+def wide(scene: Scene) -> Scene:
+    """The scene with values beyond what formats hold, many of them."""
+    rng = np.random.default_rng(3)
+
+    def spread(plane: np.ndarray, by: float) -> np.ndarray:
+        factor = np.where(rng.random(plane.shape) < 0.1, by, 1)
+        return (plane * factor).astype(np.float32)
+
+    return replace(
+        scene,
+        positions=spread(scene.positions, 1e3),
+        f_dc=spread(scene.f_dc, 9),
+        f_rest=spread(scene.f_rest, 30),
+        opacity=spread(scene.opacity, 9),
+        log_scale=spread(scene.log_scale, 4),
+    )
+
+
+def scenes() -> dict[str, Scene]:
+    each = {f"degree{degree}": random_scene(700, degree, seed=degree) for degree in range(4)}
+    one = random_scene(1, 3, seed=9)
+    return {**each, "one": one, "wide": wide(each["degree3"]), "guided": generate(900, 3, seed=5)}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> dict[str, list[Path]]:
+    """Each scene in each format, by the format."""
+    folder = tmp_path_factory.mktemp("written")
+    made: dict[str, list[Path]] = {name: [] for name in FORMATS}
+    for name, scene in scenes().items():
+        source = folder / f"{name}.ply"
+        write_ply(source, scene)
+        for form, (suffix, config) in FORMATS.items():
+            target = folder / name / "meta.json" if suffix == "json" else folder / f"{name}.{form}"
+            target.parent.mkdir(exist_ok=True)
+            if name == "guided":
+                encode_file(source, target, config, Plan(Steps(), cameras(24)))
+            else:
+                convert_file(source, target, config)
+            made[form].append(target)
+    return made
+
+
+CASES = [
+    (program, form)
+    for program, of in PROGRAMS.items()
+    for form in FORMATS
+    if form in of.formats.split()
+]
+
+
+@pytest.mark.parametrize(("program", "form"), CASES)
+def test_a_program_sees_what_our_reader_sees(program, form, request):
+    of = PROGRAMS[program]
+    try:
+        of.read([])
+    except (ModuleNotFoundError, MissingTool) as error:
+        pytest.skip(f"{program}: not installed ('make peers'), {error}")
+    paths = request.getfixturevalue("files")[form]
+    for path, theirs in zip(paths, of.read(paths), strict=True):
+        print(path)  # shown if it fails
+        check(theirs, stored_numbers(path), form, of.exact)
+
+
+@pytest.mark.parametrize("form", ["glb", "gltf"])
+def test_the_validator_of_gltf_finds_nothing_but_an_unknown_extension(form, request):
+    node = shutil.which("node")
+    if not (node and (PACKAGES / "gltf-validator").is_dir()):
+        pytest.skip("gltf-validator: not installed ('make peers')")
+    code = (
+        "const [packages, path] = process.argv.slice(1);"
+        "require(packages + '/gltf-validator').validateBytes(require('fs').readFileSync(path))"
+        ".then((report) => console.log(JSON.stringify(report.issues)));"
+    )
+    for path in request.getfixturevalue("files")[form]:
+        command = [node, "-e", code, str(PACKAGES), str(path)]
+        ended = subprocess.run(command, check=True, capture_output=True)
+        issues = json.loads(ended.stdout)
+        assert not issues["truncated"]
+        for issue in issues["messages"]:
+            assert "KHR_gaussian_splatting" in issue["message"] + issue["pointer"], issue

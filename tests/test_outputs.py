@@ -157,6 +157,14 @@ def test_errors_say_what_came_through_a_pipe(folder, given):
     assert done.stderr.startswith(b"gs-codec: error: -: ")
 
 
+def test_warnings_say_what_goes_to_stdout(folder, trio):
+    done = piped("encode", "-", "-", "--format", "splat", given=trio.ply.read_bytes())
+    assert done.returncode == 0
+    warnings = [line for line in done.stderr.decode().splitlines() if "warning" in line]
+    assert warnings[0].startswith("gs-codec: warning: -: opacity, colour and rotation rounded")
+    assert all(line.startswith("gs-codec: warning: -: ") for line in warnings)
+
+
 def test_scene_is_not_written_to_a_terminal(folder):
     folder.monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     assert "-: stdout is a terminal" in folder.refuse("encode", "scene.ply", "-")

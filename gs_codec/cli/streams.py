@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import stat
@@ -65,10 +66,24 @@ def _copy_from(source: Path, file: Path) -> None:
 
 @contextmanager
 def _stand_in(path: Path, name: str) -> Iterator[Path]:
-    """A temporary file; errors call it by the path it stands in for."""
+    """A temporary file; errors and warnings call it by the path it stands in for."""
     with tempfile.TemporaryDirectory(prefix="gs-codec-") as folder:
         file = Path(folder, name)
+
+        def renamed(text: str) -> str:
+            return text.replace(str(file), str(path))
+
+        def rename(record: logging.LogRecord) -> bool:
+            record.msg, record.args = renamed(record.getMessage()), ()
+            return True
+
+        handlers = tuple(logging.getLogger().handlers)
+        for handler in handlers:
+            handler.addFilter(rename)
         try:
             yield file
         except GsCodecError as error:
-            raise type(error)(str(error).replace(str(file), str(path))) from error
+            raise type(error)(renamed(str(error))) from error
+        finally:
+            for handler in handlers:
+                handler.removeFilter(rename)

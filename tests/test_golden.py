@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from golden.make import GUIDES, golden_scenes
-from golden.make_other import HOME, written
+from golden.make_other import COUNT, HOME, written
 from other_programs import check, stored_numbers
 from reference_decoder import decode as reference_decode
 from scenes import encode_by
@@ -54,7 +54,7 @@ def test_encoder_still_writes_the_same_bytes(name):
 def test_our_reader_sees_what_a_program_of_the_format_saw(form):
     with np.load(FOLDER / f"other.{form}.npz") as planes:
         theirs = Scene(**planes)
-    assert theirs.count == HOME[form][1]
+    assert theirs.count == COUNT
     check(theirs, stored_numbers(FOLDER / f"other.{form}"), form, exact=True)
 
 

@@ -486,3 +486,15 @@ def test_rotations_rounded_coarsely_are_of_unit_length(suffix, tmp_path):
         data = (pack_spz(scene, 4, coarse) if suffix == "spz" else pack_sog(scene, coarse))[0]
         back = read_scene(written(tmp_path / f"a.{suffix}", data)).rot.astype(np.float64)
         np.testing.assert_allclose((back * back).sum(axis=0), 1, atol=1e-6)
+
+
+def test_steps_are_no_coarser_than_those_of_an_egs():
+    """Where views see nothing of a Gaussian, its step would be endless."""
+    scene = usual(50, 3)
+    known = camera_free_steps(scene, ADAPTIVE_PROFILES["m"])
+    endless = {rule: np.array([30.0, 0, 0, 0, 0]) for rule in known.coefficients}
+    wanted = wanted_steps(scene, replace(known, coefficients=endless))
+    assert wanted.opacity.max() == wanted.log_scale.max() == 2
+    assert wanted.rot.max() == pytest.approx(2)
+    assert wanted.f_dc.max() == 4
+    assert wanted.positions.max() == 2**30

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,35 +18,40 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
-from other_programs import FORMATS, PROGRAMS  # noqa: E402
+from other_programs import PROGRAMS  # noqa: E402
 from scenes import random_scene  # noqa: E402
 
-from gs_codec.files.conversion import convert_file  # noqa: E402
-from gs_codec.formats.ply import write_ply  # noqa: E402
+from gs_codec.formats.gltf import pack_gltf  # noqa: E402
+from gs_codec.formats.packed_ply import pack_ply  # noqa: E402
+from gs_codec.formats.sog_writer import pack_sog  # noqa: E402
+from gs_codec.formats.splat import pack_splat  # noqa: E402
+from gs_codec.formats.spz import pack_spz  # noqa: E402
 from gs_codec.scene import GROUPS  # noqa: E402
 
-#: What reads the golden file of a format; its number of Gaussians, more than a chunk has.
+#: The writer of each format, as fine as the format is, and what reads its golden file.
 HOME = {
-    "spz": ("spz", 40),
-    "v4.spz": ("spz", 40),
-    "sog": ("splat-transform", 40),
-    "compressed.ply": ("splat-transform", 300),
-    "splat": ("splat-transform", 40),
-    "glb": ("playcanvas", 40),
+    "spz": (pack_spz, "spz"),
+    "v4.spz": (partial(pack_spz, version=4), "spz"),
+    "sog": (pack_sog, "splat-transform"),
+    "compressed.ply": (pack_ply, "splat-transform"),
+    "splat": (pack_splat, "splat-transform"),
+    "glb": (pack_gltf, "playcanvas"),
 }
+
+#: Gaussians of a golden file; more than one chunk in a .compressed.ply.
+COUNT = 260
 
 
 def written(form: str, folder: Path) -> Path:
     """The scene of the golden file, written to a folder."""
-    source, target = folder / "scene.ply", folder / f"other.{form}"
-    write_ply(source, random_scene(HOME[form][1], 3, seed=105))
-    convert_file(source, target, FORMATS[form][1])
+    target = folder / f"other.{form}"
+    target.write_bytes(HOME[form][0](random_scene(COUNT, 3, seed=105))[0])
     return target
 
 
 def main() -> None:
     """Write each file, have it read, and store what was read."""
-    for form, (program, _) in HOME.items():
+    for form, (_, program) in HOME.items():
         golden = HERE / f"other.{form}"
         if golden.exists():
             print(f"{golden.name}: exists already, left as it is")

@@ -18,6 +18,7 @@ from gs_codec.codecs.adaptive.lattice import (
     grid_codes,
 )
 from gs_codec.codecs.adaptive.step_sizes import (
+    COARSEST,
     SH_RATIO,
     SHAPE_RULES,
     StepSizes,
@@ -33,9 +34,6 @@ from gs_codec.config import Config
 from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
-
-#: Log2 of the coarsest step sizes: of logits, log-scales, sines of half angles, colours.
-_COARSEST = {"opacity": 1, "scaling": 1, "rotation": 1, "colour": 2}
 
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18
@@ -124,7 +122,7 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: StepS
 
     rules, units = {}, {}
     for group, members in {**SHAPE_RULES, "colour": ("colour",)}.items():
-        coarsest = _COARSEST[group]
+        coarsest = COARSEST[group]
         finest = min(finest_step(wanted(name), _FINEST, coarsest) for name in members)
         units[group] = round(2.0 ** (finest + FRACTION_BITS))
         for name in members:

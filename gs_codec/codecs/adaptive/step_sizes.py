@@ -35,6 +35,9 @@ from gs_codec.scene import SH_C0
 #: Number of classes: what these views hardly see must not become too coarse for others.
 _CLASSES = 9
 
+#: Log2 of the coarsest step sizes: of logits, log-scales, sines of half angles, colours.
+COARSEST = {"opacity": 1, "scaling": 1, "rotation": 1, "colour": 2}
+
 #: Share of Gaussians more sensitive than the finest class; share whose sensitivity is raised.
 _FINEST, _LEAST_SEEN = 1e-4, 0.02
 

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.lattice import LARGEST, to_fixed
 from gs_codec.codecs.adaptive.rotation import TURN_RULES, likeness
 from gs_codec.codecs.adaptive.step_sizes import (
+    COARSEST,
     SH_RATIO,
+    SHAPE_RULES,
     StepSizes,
     blind_coefficients,
     features,
@@ -19,8 +21,11 @@ from gs_codec.config import AdaptiveProfile
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.scene import Scene
 
-#: Log2 of the smallest and of the largest step.
-_OCTAVES = (-40.0, 40.0)
+#: Log2 of the smallest step, and of the largest by the rule that it follows: as in an `.egs`.
+_FINEST = -40.0
+_COARSEST = {"position": 40, "colour": COARSEST["colour"]} | {
+    rule: COARSEST[group] for group, rules in SHAPE_RULES.items() for rule in rules
+}
 
 #: Its multiples are spread evenly between whole numbers.
 _GOLDEN = 0.6180339887498949
@@ -48,7 +53,7 @@ def wanted_steps(scene: Scene, steps: StepSizes) -> AttributeSteps:
         whole = octaves + combine(row, known) + more
         if octaves.any() and not row[1:].any():
             whole += between
-        return np.exp2(np.clip(whole, *_OCTAVES))
+        return np.exp2(np.clip(whole, _FINEST, _COARSEST[rule]))
 
     alike = likeness(to_fixed(scales, LARGEST)[0])
     turns = np.stack([wanted(rule, more) for rule, more in zip(TURN_RULES, alike, strict=True)])

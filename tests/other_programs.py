@@ -18,23 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from gs_codec.bench.peers.splat_transform import find_program
-from gs_codec.config import Config
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, turn_axes
 from gs_codec.formats.packed_values import sigmoid, unit_quaternions
 from gs_codec.formats.ply import read_ply
 from gs_codec.scene import Scene
-
-#: Suffix and options of each format that other programs read.
-FORMATS = {
-    **{
-        name: (name, Config(extra="keep"))
-        for name in ("sog", "compressed.ply", "splat", "glb", "gltf")
-    },
-    "json": ("json", Config()),
-    "spz": ("spz", Config(format="spz")),
-    "v4.spz": ("spz", Config(format="spz", spz_version=4)),
-}
 
 #: Where `make peers` puts packages of Node.
 PACKAGES = Path(sys.prefix) / "peers/node_modules"

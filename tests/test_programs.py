@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from other_programs import FORMATS, PACKAGES, PROGRAMS, check, stored_numbers
+from other_programs import PACKAGES, PROGRAMS, check, stored_numbers
 from scenes import random_scene
 from test_guide import cameras
 
+from gs_codec.config import Config
 from gs_codec.errors import MissingTool
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
@@ -21,6 +22,8 @@ from gs_codec.formats.ply import write_ply
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.scene import Scene
 from samples.generate import generate
+
+FORMATS = ("sog", "json", "compressed.ply", "splat", "glb", "gltf", "spz", "v4.spz")
 
 
 def wide(scene: Scene) -> Scene:
@@ -55,9 +58,10 @@ def files(tmp_path_factory) -> dict[str, list[Path]]:
     for name, scene in scenes().items():
         source = folder / f"{name}.ply"
         write_ply(source, scene)
-        for form, (suffix, config) in FORMATS.items():
-            target = folder / name / "meta.json" if suffix == "json" else folder / f"{name}.{form}"
+        for form in FORMATS:
+            target = folder / name / "meta.json" if form == "json" else folder / f"{name}.{form}"
             target.parent.mkdir(exist_ok=True)
+            config = Config(format="spz", spz_version=4) if form == "v4.spz" else Config()
             if name == "guided":
                 encode_file(source, target, config, Plan(Steps(), cameras(24)))
             else:

@@ -24,6 +24,7 @@ from gs_codec.formats.packed_values import (
     sigmoid,
     unit_quaternions,
 )
+from gs_codec.formats.similarity import move_scene, rotation_of
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, sh_bands, stated_comments
 
@@ -73,11 +74,10 @@ def _total(file: GltfFile, placed: list[_Placed]) -> tuple[int, int]:
 
 
 class _Placed(NamedTuple):
-    """A primitive of Gaussians, and where its node puts it: ``factor * centre + shift``."""
+    """A primitive of Gaussians, and the matrix ``(4, 4)`` of its node and those above."""
 
     primitive: dict[str, Any]
-    shift: NDArray[np.float64]
-    factor: float
+    matrix: NDArray[np.float64]
 
 
 def _placed_primitives(file: GltfFile) -> list[_Placed]:
@@ -85,19 +85,19 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
     found = []
     nodes = file.items("nodes")
     below = {child for node in nodes for child in _children(node)}
-    pending = deque((i, np.zeros(3), 1.0) for i in range(len(nodes)) if i not in below)
+    pending = deque((i, np.eye(4)) for i in range(len(nodes)) if i not in below)
     for _ in range(len(nodes)):
         if not pending:
             break
-        index, shift, factor = pending.popleft()
+        index, above = pending.popleft()
         node = file.item("nodes", index)
-        own_shift, own_factor = _placement(node)
-        shift, factor = factor * own_shift + shift, factor * own_factor
-        pending.extend((child, shift, factor) for child in _children(node))
+        with np.errstate(over="ignore", invalid="ignore"):  # refused when the scene is placed
+            matrix = above @ _placement(node)
+        pending.extend((child, matrix) for child in _children(node))
         if "mesh" in node:
             primitives = file.item("meshes", node["mesh"]).get("primitives")
             listed = primitives if isinstance(primitives, list) else []
-            found += [_Placed(each, shift, factor) for each in listed if _is_splats(each)]
+            found += [_Placed(each, matrix) for each in listed if _is_splats(each)]
     if pending:
         raise InvalidInput("glTF: a node has two parents")
     if not found:
@@ -112,22 +112,17 @@ def _children(node: dict[str, Any]) -> list[int]:
     return children
 
 
-def _placement(node: dict[str, Any]) -> tuple[NDArray[np.float64], float]:
-    """Shift and scale of a node; turned or stretched ones are refused."""
+def _placement(node: dict[str, Any]) -> NDArray[np.float64]:
+    """The matrix ``(4, 4)`` of a node."""
     if "matrix" in node:
-        matrix = np.array(numbers(node["matrix"], 16, "node.matrix")).reshape(4, 4).T
-        shift, linear = matrix[:3, 3], matrix[:3, :3]
-    else:
-        shift = np.array(numbers(node.get("translation", [0, 0, 0]), 3, "node.translation"))
-        scale = numbers(node.get("scale", [1, 1, 1]), 3, "node.scale")
-        turn = numbers(node.get("rotation", [0, 0, 0, 1]), 4, "node.rotation")
-        linear = np.diag(scale)
-        if turn[:3] != [0, 0, 0]:
-            linear = np.full((3, 3), np.nan)
-    factor = float(linear[0, 0])
-    if not factor > 0 or not np.array_equal(linear, factor * np.eye(3)):
-        raise InvalidInput("glTF: a node is turned or stretched, expected shifted and scaled ones")
-    return shift, factor
+        return np.array(numbers(node["matrix"], 16, "node.matrix")).reshape(4, 4).T
+    turn = numbers(node.get("rotation", [0, 0, 0, 1]), 4, "node.rotation")
+    scale = numbers(node.get("scale", [1, 1, 1]), 3, "node.scale")
+    shift = numbers(node.get("translation", [0, 0, 0]), 3, "node.translation")
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_of(turn[3:] + turn[:3]) * scale
+    matrix[:3, 3] = shift
+    return matrix
 
 
 def _is_splats(primitive: Any) -> bool:
@@ -170,12 +165,10 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
             raise InvalidInput(f"glTF: {name} of {len(values)}, expected {count}")
         return np.ascontiguousarray(values.T)
 
-    positions = planes("POSITION", "VEC3").astype(np.float64)
+    positions = planes("POSITION", "VEC3")
     scales = planes(f"{_EXTENSION}:SCALE", "VEC3").astype(np.float64)
-    with np.errstate(over="ignore", invalid="ignore"):  # reported later, as of a PLY
-        centres = (placed.factor * positions + placed.shift[:, None]).astype(np.float32)
-        with np.errstate(divide="ignore"):
-            log_scale = np.maximum(np.log(placed.factor * scales), _SMALLEST).astype(np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):  # reported later, as of a PLY
+        log_scale = np.maximum(np.log(scales), _SMALLEST).astype(np.float32)
     share = planes(f"{_EXTENSION}:OPACITY", "SCALAR").astype(np.float64)
     share = np.clip(share, _END, 1 - _END)
     rest = [
@@ -186,8 +179,8 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
     f_rest = np.empty((3, len(rest), count), np.float32)
     for k, colours in enumerate(rest):
         f_rest[:, k] = colours
-    return Scene(
-        centres,
+    scene = Scene(
+        positions,
         planes(_sh_name(0, 0), "VEC3"),
         f_rest.reshape(-1, count),
         np.log(share / (1 - share)).astype(np.float32),
@@ -195,6 +188,7 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
         planes(f"{_EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
         comments=stated_comments(_SYSTEM, False),
     )
+    return move_scene(scene, placed.matrix)
 
 
 def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:

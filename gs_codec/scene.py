@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -254,6 +254,16 @@ class Scene:
         changes: dict[str, Any] = {group: getattr(self, group)[:, start:stop] for group in GROUPS}
         changes["extra"] = {name: column[start:stop] for name, column in self.extra.items()}
         return replace(self, **changes)
+
+
+def join_scenes(parts: Sequence[Scene]) -> Scene:
+    """One scene of the Gaussians of all parts, which are of one SH degree, without properties."""
+    if len(parts) == 1:
+        return parts[0]
+    planes: dict[str, Any] = {
+        group: np.concatenate([getattr(part, group) for part in parts], axis=1) for group in GROUPS
+    }
+    return replace(parts[0], **planes)
 
 
 def gather(planes: NDArray, index: NDArray) -> NDArray:

@@ -15,6 +15,7 @@ from test_ply import assert_same_bits
 from test_similarity import assert_seen_alike
 from typer.testing import CliRunner
 
+from gs_codec.__main__ import main
 from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
@@ -162,6 +163,24 @@ def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
     with pytest.raises(InvalidInput, match=r"expected \.egs, \.spz, .*\.ply, .* or \.csv"):
         convert_file(ply, tmp_path / name)
     assert not (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize("command", ["convert", "encode", "prepare --gaussians 9", "batch", "read"])
+def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("gs_codec.formats.usd.find_spec", lambda name: None)
+    (tmp_path / "a.usda").write_text("#usda 1.0\n")
+    first, *options = command.split()
+    typed = [first, str(ply), str(tmp_path / "b.usdz"), *options]
+    if first == "batch":
+        typed = ["batch", str(ply), str(tmp_path / "out"), "--format", "usdz"]
+    elif first == "read":
+        typed = ["verify", str(tmp_path / "a.usda")]
+    monkeypatch.setattr("sys.argv", ["gs-codec", *typed])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "usd-core is not installed: pip install 'gs-codec[usd]'" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.usda", "scene.ply"]
 
 
 def test_converting_a_file_to_itself_is_refused(ply):

@@ -19,7 +19,11 @@ from gs_codec.scene import Scene, coordinates_comment, coordinates_of
 CONVENTION = "RDF"
 
 #: Systems of formats that have one of their own, by their suffix.
-OWN_SYSTEMS = {".spz": "RUB", ".glb": "LUF", ".gltf": "LUF"}
+OWN_SYSTEMS = {
+    ".spz": "RUB",
+    **dict.fromkeys((".glb", ".gltf"), "LUF"),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "RUB"),
+}
 
 #: Letters of opposite directions, along right, up and forward.
 _LETTERS = ("LR", "DU", "BF")

@@ -7,7 +7,6 @@ points; readers accept the integers that the extension allows. y is up.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.gltf_file import GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
@@ -26,16 +26,10 @@ from gs_codec.formats.packed_values import (
 )
 from gs_codec.formats.similarity import move_scene, rotation_of
 from gs_codec.runtime.mapped import located
-from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, sh_bands, stated_comments
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
 
 _EXTENSION = "KHR_gaussian_splatting"
 _SYSTEM = OWN_SYSTEMS[".glb"]
-
-#: Largest log-scale whose scale is a finite float32, and the smallest above 0.
-_LARGEST, _SMALLEST = 88.0, -103.0
-
-#: Opacities are kept this far from 0 and 1, which have no logit.
-_END = 2.0**-25
 
 _COLOUR_SPACES = ("srgb_rec709_display",)
 
@@ -49,12 +43,7 @@ def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
         # Buffers may lie in files beside it.
         stored = sum(whole(x.get("byteLength"), "byteLength") for x in file.items("buffers"))
         check_count(count, degree, max(len(view), stored), max_bytes)
-        parts = [_scene_of(file, each, degree) for each in placed]
-        planes: dict[str, Any] = {
-            group: np.concatenate([getattr(part, group) for part in parts], axis=1)
-            for group in GROUPS
-        }
-        return replace(parts[0], **planes)
+        return join_scenes([_scene_of(file, each, degree) for each in placed])
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
@@ -166,11 +155,8 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
         return np.ascontiguousarray(values.T)
 
     positions = planes("POSITION", "VEC3")
-    scales = planes(f"{_EXTENSION}:SCALE", "VEC3").astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):  # reported later, as of a PLY
-        log_scale = np.maximum(np.log(scales), _SMALLEST).astype(np.float32)
-    share = planes(f"{_EXTENSION}:OPACITY", "SCALAR").astype(np.float64)
-    share = np.clip(share, _END, 1 - _END)
+    log_scale = log_scales_of(planes(f"{_EXTENSION}:SCALE", "VEC3"))
+    opacity = logits_of(planes(f"{_EXTENSION}:OPACITY", "SCALAR"))
     rest = [
         planes(_sh_name(band, number), "VEC3")
         for band in range(1, degree + 1)
@@ -183,7 +169,7 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
         positions,
         planes(_sh_name(0, 0), "VEC3"),
         f_rest.reshape(-1, count),
-        np.log(share / (1 - share)).astype(np.float32),
+        opacity,
         log_scale,
         planes(f"{_EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
         comments=stated_comments(_SYSTEM, False),
@@ -204,8 +190,6 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
     check_finite(scene, "glTF")
     if not scene.count:
         raise InvalidInput("no Gaussians, glTF has at least one")
-    if scene.log_scale.max() > _LARGEST:
-        raise InvalidInput(f"log-scale {scene.log_scale.max()}, glTF holds up to {_LARGEST}")
     turned = turn_axes(scene, _SYSTEM)
     share = sigmoid(turned.opacity.astype(np.float64))
     colours = np.concatenate([0.5 + SH_C0 * turned.f_dc.astype(np.float64), share])
@@ -213,7 +197,7 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
         "POSITION": turned.positions,
         "COLOR_0": np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8),
         f"{_EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
-        f"{_EXTENSION}:SCALE": np.exp(turned.log_scale.astype(np.float64)),
+        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale, "glTF"),
         f"{_EXTENSION}:OPACITY": share,
         _sh_name(0, 0): turned.f_dc,
     }

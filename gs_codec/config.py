@@ -292,7 +292,7 @@ def as_rate_target(target: RateTarget | Mapping[str, float]) -> RateTarget:
 #: as profiles `l`, `m` and `s` ask, and the others as finely as they can.
 EGS = "egs"
 ROUNDED_FORMATS = ("spz", "sog")
-EXACT_FORMATS = ("glb", "gltf")
+EXACT_FORMATS = ("glb", "gltf", "usd", "usda", "usdc", "usdz")
 FORMATS = (EGS, *ROUNDED_FORMATS, "compressed.ply", "splat", *EXACT_FORMATS)
 
 
@@ -349,7 +349,9 @@ class Config:
     coder : {"rans", "torchac"}
         With a paper profile, the entropy coder: ours, or the paper's, a Python package (extra
         ``paper``) that decoding needs too. Default ``rans``.
-    format : {"egs", "spz", "sog", "compressed.ply", "splat", "glb", "gltf"}
+    format : str
+        ``egs``, ``spz``, ``sog``, ``compressed.ply``, ``splat``, ``glb``, ``gltf``, ``usd``,
+        ``usda``, ``usdc`` or ``usdz``.
         Format of the file; where it has a name, its suffix says so too. Others than ``egs`` take
         profiles ``l``, ``m`` and ``s``, and neither `depths` nor `block_size`. Default ``egs``.
     spz_version : {3, 4}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -52,6 +52,31 @@ def sh_bands(coefficients: int = SH_COEFFICIENTS[-1]) -> list[range]:
     """SH-AC coefficients of each band, of a scene with this many per colour."""
     edges = [edge for edge in SH_COEFFICIENTS if edge <= coefficients]
     return [range(first, last) for first, last in pairwise(edges)]
+
+
+def sh_values(x, y, z, coefficients, basis):
+    """Fill ``basis (15, ...)`` with the first `coefficients` SH-AC values in a unit direction.
+
+    Plain arithmetic: kernels compile it, and components may be arrays.
+    """
+    if coefficients >= 3:
+        basis[0] = -SH_C1 * y
+        basis[1] = SH_C1 * z
+        basis[2] = -SH_C1 * x
+    if coefficients >= 8:
+        basis[3] = SH_C2[0] * x * y
+        basis[4] = -SH_C2[0] * y * z
+        basis[5] = SH_C2[1] * (2.0 * z * z - x * x - y * y)
+        basis[6] = -SH_C2[0] * x * z
+        basis[7] = SH_C2[2] * (x * x - y * y)
+    if coefficients >= 15:
+        basis[8] = -SH_C3[0] * y * (3.0 * x * x - y * y)
+        basis[9] = SH_C3[1] * x * y * z
+        basis[10] = -SH_C3[2] * y * (4.0 * z * z - x * x - y * y)
+        basis[11] = SH_C3[3] * z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y)
+        basis[12] = -SH_C3[2] * x * (4.0 * z * z - x * x - y * y)
+        basis[13] = SH_C3[4] * z * (x * x - y * y)
+        basis[14] = -SH_C3[0] * x * (x * x - 3.0 * y * y)
 
 
 def property_names(coefficients: int = SH_COEFFICIENTS[-1]) -> dict[str, list[str]]:
@@ -229,6 +254,16 @@ class Scene:
         changes: dict[str, Any] = {group: getattr(self, group)[:, start:stop] for group in GROUPS}
         changes["extra"] = {name: column[start:stop] for name, column in self.extra.items()}
         return replace(self, **changes)
+
+
+def join_scenes(parts: Sequence[Scene]) -> Scene:
+    """One scene of the Gaussians of all parts, which are of one SH degree, without properties."""
+    if len(parts) == 1:
+        return parts[0]
+    planes: dict[str, Any] = {
+        group: np.concatenate([getattr(part, group) for part in parts], axis=1) for group in GROUPS
+    }
+    return replace(parts[0], **planes)
 
 
 def gather(planes: NDArray, index: NDArray) -> NDArray:

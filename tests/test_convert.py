@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from scenes import random_scene
 from test_ply import assert_same_bits
+from test_similarity import assert_seen_alike
 from typer.testing import CliRunner
 
+from gs_codec.__main__ import main
 from gs_codec.cli.main import app
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
@@ -23,7 +25,6 @@ from gs_codec.files.scenes import inspect_file, read_scene, write_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, vertex_rows, write_ply
 from gs_codec.formats.registry import open_scene
-from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.scene import Scene, coordinates_comment
 
 
@@ -164,6 +165,24 @@ def test_formats_that_are_not_written_are_refused(name, ply, tmp_path):
     assert not (tmp_path / name).exists()
 
 
+@pytest.mark.parametrize("command", ["convert", "encode", "prepare --gaussians 9", "batch", "read"])
+def test_usd_needs_an_extra(command, ply, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("gs_codec.formats.usd.find_spec", lambda name: None)
+    (tmp_path / "a.usda").write_text("#usda 1.0\n")
+    first, *options = command.split()
+    typed = [first, str(ply), str(tmp_path / "b.usdz"), *options]
+    if first == "batch":
+        typed = ["batch", str(ply), str(tmp_path / "out"), "--format", "usdz"]
+    elif first == "read":
+        typed = ["verify", str(tmp_path / "a.usda")]
+    monkeypatch.setattr("sys.argv", ["gs-codec", *typed])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "usd-core is not installed: pip install 'gs-codec[usd]'" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.usda", "scene.ply"]
+
+
 def test_converting_a_file_to_itself_is_refused(ply):
     before = ply.read_bytes()
     with pytest.raises(InvalidInput, match="the source itself"):
@@ -211,29 +230,6 @@ def stated(scene: Scene, system: str) -> Scene:
     return replace(scene, comments=("first", coordinates_comment(system)))
 
 
-def colours(scene: Scene, directions: np.ndarray) -> np.ndarray:
-    """SH-AC part of each Gaussian's colour, ``(3, N)``, in its direction."""
-    basis = np.zeros((15, scene.count))
-    for i, direction in enumerate(directions.T):
-        sh_basis.py_func(*direction, 15, basis[:, i])
-    rest = scene.f_rest.reshape(3, -1, scene.count)
-    return (rest * basis[: rest.shape[1]]).sum(axis=1)
-
-
-def covariance(scene: Scene) -> np.ndarray:
-    """Covariances ``(N, 3, 3)``."""
-    w, x, y, z = (scene.rot / np.linalg.norm(scene.rot, axis=0)).astype(np.float64)
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    ).transpose(2, 0, 1)
-    variance = np.exp(2 * scene.log_scale.T.astype(np.float64))
-    return (turn * variance[:, None]) @ turn.transpose(0, 2, 1)
-
-
 @pytest.mark.parametrize("system", ["RUB", "LDB", "LUF", "LUB", "RUF", "RDB", "LDF"])
 def test_turned_scenes_look_the_same_from_turned_directions(system):
     scene = stated(random_scene(30, 3, seed=4), "RDF")
@@ -263,15 +259,6 @@ def test_scenes_whose_z_is_up_look_the_same_too(system, turn, degree):
     back = turn_axes(turned, "RDF")
     np.testing.assert_allclose(back.f_rest, scene.f_rest, atol=1e-6)
     assert_same_bits(replace(scene, f_rest=back.f_rest), back)
-
-
-def assert_seen_alike(scene: Scene, turned: Scene, turn: np.ndarray) -> None:
-    expected = turn @ covariance(scene) @ turn.T
-    np.testing.assert_allclose(covariance(turned), expected, rtol=1e-5, atol=1e-12)
-    away = np.random.default_rng(5).normal(size=(3, scene.count))
-    away = (away / np.linalg.norm(away, axis=0)).astype(np.float32)
-    seen = colours(scene, away), colours(turned, (turn @ away).astype(np.float32))
-    np.testing.assert_allclose(*seen, atol=1e-5)
 
 
 def test_turning_keeps_the_bits_of_what_is_no_number():

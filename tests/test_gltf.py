@@ -6,12 +6,14 @@ import base64
 import json
 import struct
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scenes import random_scene
+from test_similarity import assert_seen_alike
 
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
@@ -226,6 +228,28 @@ def test_nodes_shift_and_scale(tmp_path):
     np.testing.assert_allclose(scene.log_scale[:, 6:], plain.log_scale + np.log(6), rtol=1e-6)
 
 
+def test_nodes_turn_and_mirror(tmp_path):
+    document, binary = made(degree=2)
+    plain = read(tmp_path, document, binary)
+    half = np.sqrt(0.5)
+    document["nodes"] = [
+        {"children": [1], "rotation": [half, 0, 0, half], "translation": [1, 2, 3]},
+        {"children": [2], "scale": [-2, 2, 2]},
+        # A third of a turn about (1, 1, 1): x to y to z.
+        {"mesh": 0, "matrix": [0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 4, 5, 6, 1]},
+    ]
+    scene = read(tmp_path, document, binary)
+    x, y, z = plain.positions
+    inner = np.array([z + 4, x + 5, y + 6])
+    mirrored = 2 * inner * np.array([[-1], [1], [1]])
+    # A quarter of a turn about x: y to z, z to -y.
+    expected = mirrored[[0, 2, 1]] * np.array([[1], [-1], [1]]) + np.array([[1], [2], [3]])
+    np.testing.assert_allclose(scene.positions, expected, rtol=1e-6, atol=1e-6)
+    turn = np.array([[0, 0, -1], [0, -1, 0], [1, 0, 0]])
+    smaller = replace(scene, log_scale=scene.log_scale - np.float32(np.log(2)))
+    assert_seen_alike(plain, smaller, turn)
+
+
 def test_a_buffer_beside_it_is_read(tmp_path):
     document, binary = made()
     (tmp_path / "a b.bin").write_bytes(binary + b"more")
@@ -281,12 +305,10 @@ BAD = {
         edited(*SPLATS, "extensions", to={"KHR_gaussian_splatting_compression_spz_2": {}}),
         "'KHR_gaussian_splatting_compression_spz_2' is not read",
     ),
-    "turned": (
-        edited("nodes", 0, to={"mesh": 0, "rotation": [0.0, 0.7, 0.0, 0.7]}),
-        "turned or stretched",
-    ),
-    "stretched": (edited("nodes", 0, to={"mesh": 0, "scale": [1, 2, 1]}), "turned or stretched"),
-    "mirrored": (edited("nodes", 0, to={"mesh": 0, "scale": [-1] * 3}), "turned or stretched"),
+    "stretched": (edited("nodes", 0, to={"mesh": 0, "scale": [1, 2, 1]}), "stretches or shears"),
+    "no scale": (edited("nodes", 0, to={"mesh": 0, "scale": [0] * 3}), "stretches or shears"),
+    "no turn": (edited("nodes", 0, to={"mesh": 0, "rotation": [0] * 4}), "stretches or shears"),
+    "large scale": (edited("nodes", 0, to={"mesh": 0, "scale": [1e150] * 3}), "stretches or shear"),
     "scale of text": (edited("nodes", 0, to={"mesh": 0, "scale": ["1"] * 3}), "expected a number"),
     "huge scale": (edited("nodes", 0, to={"mesh": 0, "scale": [1e999] * 3}), "glTF"),
     "children of text": (edited("nodes", 0, "children", to=["0"]), "node.children"),

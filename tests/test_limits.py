@@ -8,6 +8,7 @@ import subprocess
 import sys
 import zipfile
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import foreign
@@ -121,7 +122,8 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
 def one_of_each(target: Path) -> list[Path]:
     """A scene in each format, with more than 1000 bytes of floats."""
     scene = random_scene(40, 0)
-    for name in ("a.ply", "a.egs", "a.splat", "a.pt", "a.ckpt"):
+    usd = ("a.usdc",) if find_spec("pxr") else ()
+    for name in ("a.ply", "a.egs", "a.splat", "a.pt", "a.ckpt", *usd):
         write_scene(target / name, scene, Config())
     (target / "packed.ply").write_bytes(foreign.ply_file(list(foreign.packed_rows(40, 0).items())))
     rows = foreign.ksplat_rows(40, 1, 0, seed=1)

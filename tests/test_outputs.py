@@ -19,7 +19,7 @@ from gs_codec.files.preparing import prepare_file
 from gs_codec.preparation.steps import Plan, Steps
 
 WRONG_SUFFIX = {
-    "encode scene.ply b.ply": ".gltf or meta.json; `convert` writes that",
+    "encode scene.ply b.ply": ".usdz or meta.json; `convert` writes that",
     "encode scene.ply b.ksplat": "b.ksplat: suffix '.ksplat', expected .egs",
     "encode scene.ply b": "b: suffix '', expected .egs",
     "decode scene.egs b.splat": "b.splat: suffix '.splat', expected .ply; `convert` writes that",

@@ -30,8 +30,8 @@ def read(
 ) -> PointCloud:
     """Read a scene of any format, recognised by content.
 
-    Formats are PLY, `.egs`, `.splat`, `.ksplat`, `.spz`, SOG, glTF, and checkpoints of gsplat and
-    splatfacto.
+    Formats are PLY, `.egs`, `.splat`, `.ksplat`, `.spz`, SOG, glTF, USD, and checkpoints of gsplat
+    and splatfacto.
 
     Parameters
     ----------

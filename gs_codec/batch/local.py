@@ -21,7 +21,10 @@ from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 log = logging.getLogger(__name__)
 
 #: Suffixes of the files in a folder that are taken as scenes.
-SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb")
+SUFFIXES = (
+    *(".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb"),
+    *(".usd", ".usda", ".usdc", ".usdz"),
+)
 
 
 @dataclass(frozen=True)

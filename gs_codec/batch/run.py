@@ -26,6 +26,7 @@ from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
 from gs_codec.batch.work import encode_one, versions
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
+from gs_codec.formats.usd import require_usd_core
 from gs_codec.report import Progress
 from gs_codec.runtime.threads import available_threads
 
@@ -128,9 +129,11 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
     Raises
     ------
     InvalidInput, MissingTool
-        If no scene matches, a storage cannot be used, or the report cannot be written.
+        If no scene matches, a storage cannot be used, the report cannot be written, or a package
+        that the format needs is not installed.
     """
     start, watcher = time.perf_counter(), watcher or Watcher()
+    require_usd_core(f".{batch.options.config.format}")
     sources, targets = storage_of(batch.source), storage_of(batch.target)
     options = batch.options.absolute()
     path = batch.report or _default_report(targets)

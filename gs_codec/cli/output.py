@@ -17,7 +17,9 @@ from gs_codec.report import Progress
 SECONDS_A_LINE = 10
 
 #: What commands read.
-SCENES = "A scene: .ply, .egs, .splat, .ksplat, .spz, .glb, .sog or its meta.json, .pt, .ckpt."
+SCENES = (
+    "A scene: .ply, .egs, .splat, .ksplat, .spz, .glb, .usd, .sog or its meta.json, .pt, .ckpt."
+)
 SCENES_PIPED = f"{SCENES[:-1]}; - is stdin."
 
 

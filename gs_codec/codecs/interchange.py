@@ -22,6 +22,7 @@ from gs_codec.formats.gltf import pack_gltf
 from gs_codec.formats.registry import open_scene
 from gs_codec.formats.sog_writer import pack_sog
 from gs_codec.formats.splat import pack_splat
+from gs_codec.formats.usd import SUFFIXES, pack_usd
 from gs_codec.report import EncodeReport, StageTimes
 from gs_codec.scene import Scene, gather
 
@@ -76,6 +77,7 @@ _PACKERS: Mapping[str, Callable[[Scene], tuple[bytes, tuple[str, ...]]]] = {
     "splat": pack_splat,
     "glb": pack_gltf,
     "gltf": partial(pack_gltf, as_text=True),
+    **{suffix[1:]: partial(pack_usd, suffix=suffix) for suffix in SUFFIXES},
 }
 
 

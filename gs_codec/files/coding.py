@@ -73,7 +73,8 @@ def encode_file(
         In a format that `read` reads.
     target : str or Path
         Its suffix says the format: ``.egs``, ``.spz``, ``.sog`` (or ``meta.json``, with its files
-        beside it), ``.compressed.ply``, ``.splat``, ``.glb`` or ``.gltf``.
+        beside it), ``.compressed.ply``, ``.splat``, ``.glb``, ``.gltf``, ``.usd``, ``.usda``,
+        ``.usdc`` or ``.usdz``.
     config, plan, rate, progress
         As for `encode`; the ratio of a compressed source is relative to its floats.
     max_memory : int, optional

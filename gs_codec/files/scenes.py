@@ -27,6 +27,7 @@ from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.sog_files import META
+from gs_codec.formats.usd import require_usd_core
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import Progress
@@ -196,4 +197,6 @@ def check_target(
     if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
         raise InvalidInput(f"{target}: the source itself")
     check_writable(target, overwrite)
-    return suffix_of(target, known)
+    suffix = suffix_of(target, known)
+    require_usd_core(suffix)
+    return suffix

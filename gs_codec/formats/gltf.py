@@ -7,7 +7,6 @@ points; readers accept the integers that the extension allows. y is up.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.activated import linear_scales, log_scales_of, logits_of
 from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.gltf_file import GltfFile, numbers, open_gltf, pack_document, whole
 from gs_codec.formats.limits import check_count
@@ -24,17 +24,12 @@ from gs_codec.formats.packed_values import (
     sigmoid,
     unit_quaternions,
 )
+from gs_codec.formats.similarity import move_scene, rotation_of
 from gs_codec.runtime.mapped import located
-from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, sh_bands, stated_comments
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, join_scenes, sh_bands, stated_comments
 
 _EXTENSION = "KHR_gaussian_splatting"
 _SYSTEM = OWN_SYSTEMS[".glb"]
-
-#: Largest log-scale whose scale is a finite float32, and the smallest above 0.
-_LARGEST, _SMALLEST = 88.0, -103.0
-
-#: Opacities are kept this far from 0 and 1, which have no logit.
-_END = 2.0**-25
 
 _COLOUR_SPACES = ("srgb_rec709_display",)
 
@@ -48,12 +43,7 @@ def read_gltf(path: Path, view: memoryview, max_bytes: int | None) -> Scene:
         # Buffers may lie in files beside it.
         stored = sum(whole(x.get("byteLength"), "byteLength") for x in file.items("buffers"))
         check_count(count, degree, max(len(view), stored), max_bytes)
-        parts = [_scene_of(file, each, degree) for each in placed]
-        planes: dict[str, Any] = {
-            group: np.concatenate([getattr(part, group) for part in parts], axis=1)
-            for group in GROUPS
-        }
-        return replace(parts[0], **planes)
+        return join_scenes([_scene_of(file, each, degree) for each in placed])
 
 
 def stated_size(path: Path, view: memoryview) -> tuple[int, int]:
@@ -73,11 +63,10 @@ def _total(file: GltfFile, placed: list[_Placed]) -> tuple[int, int]:
 
 
 class _Placed(NamedTuple):
-    """A primitive of Gaussians, and where its node puts it: ``factor * centre + shift``."""
+    """A primitive of Gaussians, and the matrix ``(4, 4)`` of its node and those above."""
 
     primitive: dict[str, Any]
-    shift: NDArray[np.float64]
-    factor: float
+    matrix: NDArray[np.float64]
 
 
 def _placed_primitives(file: GltfFile) -> list[_Placed]:
@@ -85,19 +74,19 @@ def _placed_primitives(file: GltfFile) -> list[_Placed]:
     found = []
     nodes = file.items("nodes")
     below = {child for node in nodes for child in _children(node)}
-    pending = deque((i, np.zeros(3), 1.0) for i in range(len(nodes)) if i not in below)
+    pending = deque((i, np.eye(4)) for i in range(len(nodes)) if i not in below)
     for _ in range(len(nodes)):
         if not pending:
             break
-        index, shift, factor = pending.popleft()
+        index, above = pending.popleft()
         node = file.item("nodes", index)
-        own_shift, own_factor = _placement(node)
-        shift, factor = factor * own_shift + shift, factor * own_factor
-        pending.extend((child, shift, factor) for child in _children(node))
+        with np.errstate(over="ignore", invalid="ignore"):  # refused when the scene is placed
+            matrix = above @ _placement(node)
+        pending.extend((child, matrix) for child in _children(node))
         if "mesh" in node:
             primitives = file.item("meshes", node["mesh"]).get("primitives")
             listed = primitives if isinstance(primitives, list) else []
-            found += [_Placed(each, shift, factor) for each in listed if _is_splats(each)]
+            found += [_Placed(each, matrix) for each in listed if _is_splats(each)]
     if pending:
         raise InvalidInput("glTF: a node has two parents")
     if not found:
@@ -112,22 +101,17 @@ def _children(node: dict[str, Any]) -> list[int]:
     return children
 
 
-def _placement(node: dict[str, Any]) -> tuple[NDArray[np.float64], float]:
-    """Shift and scale of a node; turned or stretched ones are refused."""
+def _placement(node: dict[str, Any]) -> NDArray[np.float64]:
+    """The matrix ``(4, 4)`` of a node."""
     if "matrix" in node:
-        matrix = np.array(numbers(node["matrix"], 16, "node.matrix")).reshape(4, 4).T
-        shift, linear = matrix[:3, 3], matrix[:3, :3]
-    else:
-        shift = np.array(numbers(node.get("translation", [0, 0, 0]), 3, "node.translation"))
-        scale = numbers(node.get("scale", [1, 1, 1]), 3, "node.scale")
-        turn = numbers(node.get("rotation", [0, 0, 0, 1]), 4, "node.rotation")
-        linear = np.diag(scale)
-        if turn[:3] != [0, 0, 0]:
-            linear = np.full((3, 3), np.nan)
-    factor = float(linear[0, 0])
-    if not factor > 0 or not np.array_equal(linear, factor * np.eye(3)):
-        raise InvalidInput("glTF: a node is turned or stretched, expected shifted and scaled ones")
-    return shift, factor
+        return np.array(numbers(node["matrix"], 16, "node.matrix")).reshape(4, 4).T
+    turn = numbers(node.get("rotation", [0, 0, 0, 1]), 4, "node.rotation")
+    scale = numbers(node.get("scale", [1, 1, 1]), 3, "node.scale")
+    shift = numbers(node.get("translation", [0, 0, 0]), 3, "node.translation")
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_of(turn[3:] + turn[:3]) * scale
+    matrix[:3, 3] = shift
+    return matrix
 
 
 def _is_splats(primitive: Any) -> bool:
@@ -170,14 +154,9 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
             raise InvalidInput(f"glTF: {name} of {len(values)}, expected {count}")
         return np.ascontiguousarray(values.T)
 
-    positions = planes("POSITION", "VEC3").astype(np.float64)
-    scales = planes(f"{_EXTENSION}:SCALE", "VEC3").astype(np.float64)
-    with np.errstate(over="ignore", invalid="ignore"):  # reported later, as of a PLY
-        centres = (placed.factor * positions + placed.shift[:, None]).astype(np.float32)
-        with np.errstate(divide="ignore"):
-            log_scale = np.maximum(np.log(placed.factor * scales), _SMALLEST).astype(np.float32)
-    share = planes(f"{_EXTENSION}:OPACITY", "SCALAR").astype(np.float64)
-    share = np.clip(share, _END, 1 - _END)
+    positions = planes("POSITION", "VEC3")
+    log_scale = log_scales_of(planes(f"{_EXTENSION}:SCALE", "VEC3"))
+    opacity = logits_of(planes(f"{_EXTENSION}:OPACITY", "SCALAR"))
     rest = [
         planes(_sh_name(band, number), "VEC3")
         for band in range(1, degree + 1)
@@ -186,15 +165,16 @@ def _scene_of(file: GltfFile, placed: _Placed, degree: int) -> Scene:
     f_rest = np.empty((3, len(rest), count), np.float32)
     for k, colours in enumerate(rest):
         f_rest[:, k] = colours
-    return Scene(
-        centres,
+    scene = Scene(
+        positions,
         planes(_sh_name(0, 0), "VEC3"),
         f_rest.reshape(-1, count),
-        np.log(share / (1 - share)).astype(np.float32),
+        opacity,
         log_scale,
         planes(f"{_EXTENSION}:ROTATION", "VEC4")[[3, 0, 1, 2]],
         comments=stated_comments(_SYSTEM, False),
     )
+    return move_scene(scene, placed.matrix)
 
 
 def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ...]]:
@@ -210,8 +190,6 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
     check_finite(scene, "glTF")
     if not scene.count:
         raise InvalidInput("no Gaussians, glTF has at least one")
-    if scene.log_scale.max() > _LARGEST:
-        raise InvalidInput(f"log-scale {scene.log_scale.max()}, glTF holds up to {_LARGEST}")
     turned = turn_axes(scene, _SYSTEM)
     share = sigmoid(turned.opacity.astype(np.float64))
     colours = np.concatenate([0.5 + SH_C0 * turned.f_dc.astype(np.float64), share])
@@ -219,7 +197,7 @@ def pack_gltf(scene: Scene, as_text: bool = False) -> tuple[bytes, tuple[str, ..
         "POSITION": turned.positions,
         "COLOR_0": np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8),
         f"{_EXTENSION}:ROTATION": unit_quaternions(turned.rot)[[1, 2, 3, 0]],
-        f"{_EXTENSION}:SCALE": np.exp(turned.log_scale.astype(np.float64)),
+        f"{_EXTENSION}:SCALE": linear_scales(turned.log_scale, "glTF"),
         f"{_EXTENSION}:OPACITY": share,
         _sh_name(0, 0): turned.f_dc,
     }

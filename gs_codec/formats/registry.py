@@ -25,6 +25,7 @@ from gs_codec.formats import (
     splat,
     spz,
     spz_file,
+    usd,
 )
 from gs_codec.formats.ply import scene_of
 from gs_codec.formats.ply_body import Ply, ply_of
@@ -32,12 +33,13 @@ from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import Scene, float_bytes
 
-Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "ksplat", "pt"]
+Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "usd", "ksplat", "pt"]
 
 _BY_SUFFIX: dict[str, Format] = {f".{name}": name for name in get_args(Format)} | {
     ".json": "sog",
     ".glb": "gltf",
     ".ckpt": "pt",
+    **dict.fromkeys(usd.SUFFIXES, "usd"),
 }
 
 _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
@@ -47,10 +49,19 @@ _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (spz_file.MAGIC, "spz"),
     (ZIP, "sog"),
     (gltf_file.MAGIC, "gltf"),
+    (usd.TEXT, "usd"),
+    (usd.CRATE, "usd"),
 )
 
 #: Signatures so short that a `.splat`, which begins with a number, may begin with them by chance.
 _BY_LITTLE: tuple[tuple[bytes, Format], ...] = ((spz_file.GZIP, "spz"), (b"{", "sog"))
+
+
+def _in_zip(data: memoryview) -> Format:
+    """The format of a zip file, by its first entry."""
+    if checkpoint.is_checkpoint(data):
+        return "pt"
+    return "usd" if usd.is_usdz(data) else "sog"
 
 
 @dataclass(frozen=True)
@@ -76,8 +87,7 @@ class SceneFile:
         known = _BY_CONTENT if plain else _BY_CONTENT + _BY_LITTLE
         for begin, name in known:
             if head.startswith(begin):
-                of_trainer = begin == ZIP and checkpoint.is_checkpoint(self.data)
-                return "pt" if of_trainer else name
+                return _in_zip(self.data) if begin == ZIP else name
         if suffix not in _BY_SUFFIX:
             listed = ", ".join(_BY_SUFFIX)
             raise InvalidInput(
@@ -115,6 +125,7 @@ class SceneFile:
             "spz": spz_file.stated_size,
             "sog": sog.stated_size,
             "gltf": gltf.stated_size,
+            "usd": usd.stated_size,
             "ksplat": ksplat.stated_size,
             "pt": checkpoint.stated_size,
         }
@@ -143,6 +154,7 @@ class SceneFile:
             "spz": spz.read_spz,
             "sog": sog.read_sog,
             "gltf": gltf.read_gltf,
+            "usd": usd.read_usd,
             "ksplat": ksplat.read_ksplat,
             "pt": checkpoint.read_checkpoint,
         }
@@ -163,7 +175,8 @@ class Overview:
     Attributes
     ----------
     format : str
-        ``ply``, ``compressed ply``, ``splat``, ``spz``, ``sog``, ``gltf``, ``ksplat`` or ``pt``.
+        ``ply``, ``compressed ply``, ``splat``, ``spz``, ``sog``, ``gltf``, ``usd``, ``ksplat`` or
+        ``pt``.
     count, sh_degree : int
         Number of Gaussians, and their SH degree.
     bounds : tuple of two tuples of float, or None

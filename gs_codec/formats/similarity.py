@@ -1,0 +1,144 @@
+"""Scenes turned, mirrored, scaled and shifted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.packed_values import spans
+from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, sh_values
+
+#: Axes may be scaled this differently: matrices in files are rounded.
+_ALIKE = 1e-4
+
+#: Decimals of weights; what is 0 or 1 is so exactly.
+_DECIMALS = 14
+
+#: Directions that tell all SH of a degree apart. Bands are homogeneous, so lengths do not matter.
+_DIRECTIONS = np.array([each for each in product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
+
+
+def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
+    """Turn, mirror, scale and shift a scene; centres, shapes and SH follow.
+
+    Computed in float64 and rounded once. If axes only swap and change signs, numbers of centres and
+    shapes keep their bits, and so do SH whose signs alone change.
+
+    Parameters
+    ----------
+    scene : Scene
+    matrix : array_like, shape (4, 4)
+        Takes centres, as columns ``(x, y, z, 1)``, to their places.
+
+    Returns
+    -------
+    Scene
+        The same object if the matrix moves nothing.
+
+    Raises
+    ------
+    InvalidInput
+        If the matrix shears, or scales axes differently, or by 0.
+    """
+    wide = np.asarray(matrix, np.float64)
+    if np.array_equal(wide, np.eye(4)):
+        return scene
+    turn, factor = _turn_and_factor(wide)
+    # What is also done to the own axes of the ellipsoids: all, if axes only swap and change signs,
+    # else the mirroring. The rest is a rotation.
+    swaps = np.isin(turn, (-1, 0, 1)).all()
+    own = turn if swaps else np.eye(3) * np.round(np.linalg.det(turn))
+    axial = np.eye(4)
+    axial[1:, 1:] = own * np.round(np.linalg.det(own))
+    sh = sh_turn(turn, scene.sh_degree)
+    return replace(
+        scene,
+        positions=_weighted(scene.positions, factor * turn, wide[:3, 3]),
+        log_scale=_weighted(scene.log_scale, np.abs(own), np.full(3, np.log(factor))),
+        rot=_weighted(scene.rot, _product(_quaternion(turn @ own.T)) @ axial),
+        f_rest=_weighted(scene.f_rest, np.kron(np.eye(3), sh)),
+    )
+
+
+def sh_turn(turn: NDArray[np.float64], sh_degree: int) -> NDArray[np.float64]:
+    """Matrix ``(K, K)`` that takes SH-AC coefficients of a colour to those of a turned scene.
+
+    In the direction ``turn @ d`` they give the colour that the others give in `d`.
+    """
+    count = SH_COEFFICIENTS[sh_degree]
+    turned, before = np.zeros((2, count, len(_DIRECTIONS)))
+    for directions, basis in ((_DIRECTIONS, turned), (_DIRECTIONS @ turn, before)):
+        x, y, z = directions.T
+        sh_values(x, y, z, count, basis)
+    weights = np.zeros((count, count))
+    for band in sh_bands(count):
+        each = slice(band.start, band.stop)
+        weights[each, each] = np.linalg.lstsq(turned[each].T, before[each].T, rcond=None)[0]
+    return np.round(weights, _DECIMALS)
+
+
+def rotation_of(quaternion: ArrayLike) -> NDArray[np.float64]:
+    """The rotation matrix ``(3, 3)`` of a quaternion wxyz of any norm but 0, which gives NaN."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        unit = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
+    conjugate = np.diag([1.0, -1.0, -1.0, -1.0])
+    # Multiplied from the left, and from the right by the conjugate.
+    return (_product(unit) @ conjugate @ _product(unit) @ conjugate)[1:, 1:]
+
+
+def _turn_and_factor(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """The orthogonal part of a matrix, and its scale."""
+    if matrix.shape == (4, 4) and np.isfinite(matrix).all() and (matrix[3] == (0, 0, 0, 1)).all():
+        left, scales, right = np.linalg.svd(matrix[:3, :3])
+        with np.errstate(over="ignore", under="ignore"):
+            factor = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
+        if 0 < factor < np.inf and scales[0] <= (1 + _ALIKE) * scales[2]:
+            return np.round(left @ right, _DECIMALS), factor
+    raise InvalidInput(
+        "placed by a matrix that stretches or shears, expected one that turns, mirrors, shifts, "
+        "and scales all axes alike"
+    )
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The unit quaternion wxyz of a rotation matrix."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    # Four times the products of its components.
+    products = np.array([
+        [1 + a + e + i, h - f, c - g, d - b],
+        [h - f, 1 + a - e - i, b + d, c + g],
+        [c - g, b + d, 1 - a + e - i, f + h],
+        [d - b, c + g, f + h, 1 - a - e + i],
+    ])  # fmt: skip
+    largest = products[np.argmax(np.diag(products))]
+    return largest / np.linalg.norm(largest)
+
+
+def _product(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix that multiplies a quaternion wxyz from the left by this one."""
+    w, x, y, z = quaternion
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def _weighted(
+    planes: NDArray[np.float32], weights: NDArray, shifts: NDArray | None = None
+) -> NDArray[np.float32]:
+    """Weighted sums of planes, plus shifts; planes that only change signs keep their bits."""
+    sums = np.empty_like(planes)
+    for number, (row, to) in enumerate(zip(weights, sums, strict=True)):
+        used = np.flatnonzero(row)
+        shift = 0.0 if shifts is None else shifts[number]
+        if len(used) == 1 and abs(row[used[0]]) == 1 and not shift:
+            to[:] = planes[used[0]]
+            if row[used[0]] < 0:
+                np.negative(to, out=to)
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):  # not finite where the scene is not
+            for some in spans(planes.shape[1]):
+                terms = (row[k] * planes[k, some].astype(np.float64) for k in used)
+                to[some] = sum(terms, start=np.float64(shift))
+    return sums

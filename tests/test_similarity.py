@@ -1,0 +1,167 @@
+"""Scenes turned, mirrored, scaled and shifted: how they look, and which bits stay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+from scenes import edge_scenes, random_scene
+from test_ply import assert_same_bits
+
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.similarity import move_scene, rotation_of
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.harmonics import sh_basis
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import GROUPS, Scene
+
+EDGES = edge_scenes()
+
+
+def matrix_of(turn: np.ndarray, factor: float = 1.0, shift: object = 0.0) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = factor * turn, shift
+    return matrix
+
+
+def some_turn(seed: int, mirrored: bool = False) -> np.ndarray:
+    """An orthogonal matrix, by another way than the one that is tested."""
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    return turn if (np.linalg.det(turn) < 0) == mirrored else -turn
+
+
+def colours(scene: Scene, directions: np.ndarray) -> np.ndarray:
+    """SH-AC part of each Gaussian's colour, ``(3, N)``, in its direction."""
+    basis = np.zeros((15, scene.count))
+    for i, direction in enumerate(directions.T):
+        sh_basis.py_func(*direction, 15, basis[:, i])
+    rest = scene.f_rest.reshape(3, -1, scene.count)
+    return (rest * basis[: rest.shape[1]]).sum(axis=1)
+
+
+def covariance(scene: Scene) -> np.ndarray:
+    """Covariances ``(N, 3, 3)``."""
+    w, x, y, z = (scene.rot / np.linalg.norm(scene.rot, axis=0)).astype(np.float64)
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)
+    variance = np.exp(2 * scene.log_scale.T.astype(np.float64))
+    return (turn * variance[:, None]) @ turn.transpose(0, 2, 1)
+
+
+def assert_seen_alike(scene: Scene, turned: Scene, turn: np.ndarray) -> None:
+    expected = turn @ covariance(scene) @ turn.T
+    np.testing.assert_allclose(
+        covariance(turned), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max()
+    )
+    away = np.random.default_rng(5).normal(size=(3, scene.count))
+    away = (away / np.linalg.norm(away, axis=0)).astype(np.float32)
+    seen = colours(scene, away), colours(turned, (turn @ away).astype(np.float32))
+    np.testing.assert_allclose(*seen, atol=1e-5)
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_moved_scenes_look_the_same_from_moved_directions(seed, mirrored, degree):
+    scene = random_scene(30, degree, seed)
+    turn, factor, shift = some_turn(seed, mirrored), 0.5 + seed, np.array([1.0, -2.0, 3.0])
+    moved = move_scene(scene, matrix_of(turn, factor, shift))
+    expected = factor * turn @ scene.positions + shift[:, None]
+    np.testing.assert_allclose(moved.positions, expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(moved.log_scale, scene.log_scale + np.log(factor), atol=1e-6)
+    assert_seen_alike(scene, replace(moved, log_scale=scene.log_scale), turn)
+    for group in ("f_dc", "opacity"):
+        np.testing.assert_array_equal(getattr(moved, group), getattr(scene, group))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_views_of_a_moved_scene_from_moved_cameras_are_the_same(mirrored):
+    scene = random_scene(400, 3, seed=2)
+    turn, factor, shift = some_turn(5, mirrored), 2.0, np.array([3.0, 1.0, -2.0])
+    here = Camera("here", 60, 40, 50.0, 50.0, 28.0, 20.0, np.eye(3), np.array([0.2, 0.1, -5.0]))
+    # An image is mirrored about its upright axis.
+    flip = np.diag([-1.0 if mirrored else 1.0, 1, 1])
+    there = replace(
+        here,
+        cx=60 - here.cx if mirrored else here.cx,
+        rotation=flip @ here.rotation @ turn.T,
+        position=factor * turn @ here.position + shift,
+    )
+    before = render(scene, here).colour
+    after = render(move_scene(scene, matrix_of(turn, factor, shift)), there).colour
+    assert before.std() > 0.05
+    np.testing.assert_allclose(after[:, ::-1] if mirrored else after, before, atol=2e-3)
+    assert np.abs(render(scene, there).colour - before).max() > 0.1
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+@pytest.mark.parametrize("signs", list(product((1, -1), repeat=3)))
+def test_axes_that_swap_and_change_signs_keep_bits(order, signs):
+    scene = random_scene(20, 1, seed=7)
+    scene.positions[:, 0] = np.array([0x7FA00001, 0xFFC00002, 0x7F800000], np.uint32).view("<f4")
+    turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
+    moved = move_scene(scene, matrix_of(turn))
+    sound = replace(scene, positions=scene.positions.copy())
+    sound.positions[:, 0] = 0
+    assert_seen_alike(sound, move_scene(sound, matrix_of(turn)), turn)
+    signed = np.array(signs, np.float32)[:, None]
+    rows = scene.positions[list(order)].copy()
+    np.negative(rows, out=rows, where=signed < 0)
+    np.testing.assert_array_equal(moved.positions.view("<u4"), rows.view("<u4"))
+    np.testing.assert_array_equal(moved.log_scale, scene.log_scale[list(order)])
+    assert_same_bits(scene, move_scene(moved, matrix_of(turn.T)))
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_edge_scenes_are_moved(name):
+    scene = EDGES[name]
+    with np.errstate(all="raise", under="ignore"):
+        moved = move_scene(scene, matrix_of(some_turn(1)))
+    back = move_scene(moved, np.linalg.inv(matrix_of(some_turn(1))))
+    # A quaternion and its negative are the same rotation.
+    sign = np.float32(np.sign((back.rot.astype(np.float64) * scene.rot).sum()))
+    back = replace(back, rot=sign * back.rot)
+    for group in GROUPS:
+        values = getattr(scene, group)
+        largest = np.abs(values, where=np.isfinite(values), out=np.zeros_like(values)).max(
+            initial=0
+        )
+        np.testing.assert_allclose(getattr(back, group), values, atol=1e-6 * largest)
+
+
+def test_what_does_not_move_stays():
+    scene = random_scene(5)
+    assert move_scene(scene, np.eye(4)) is scene
+
+
+def test_quaternions_of_any_norm_are_rotations():
+    half = np.radians(15)
+    turn = rotation_of([7 * np.cos(half), 0, 0, 7 * np.sin(half)])
+    expected = [[np.cos(2 * half), -0.5, 0], [0.5, np.cos(2 * half), 0], [0, 0, 1]]
+    np.testing.assert_allclose(turn, expected, atol=1e-15)
+    assert np.isnan(rotation_of([0, 0, 0, 0])).all()
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        np.diag([1.0, 1, 1.001, 1]),
+        np.diag([0.0, 0, 0, 1]),
+        np.diag([1.0, 1, 0, 1]),
+        np.diag([1e200, 1e200, 1e200, 1]),
+        np.diag([1.0, 1, 1, 2]),
+        matrix_of(np.full((3, 3), np.nan)),
+        matrix_of(np.array([[1, 0.1, 0], [0, 1, 0], [0, 0, 1]])),
+        np.eye(3),
+    ],
+)
+def test_what_stretches_or_shears_is_refused(matrix):
+    with pytest.raises(InvalidInput, match="stretches or shears, expected one that turns"):
+        move_scene(random_scene(3), matrix)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from damage import changed
 from scenes import random_scene
+from test_gltf import assert_held_exactly
 from test_ply import assert_same_bits
 from test_similarity import assert_seen_alike
 
@@ -63,12 +64,7 @@ def test_what_is_written_is_read(count, degree, suffix, tmp_path):
     assert path.read_bytes() == pack_usd(scene, suffix)[0]
     back = read_scene(path)
     assert (back.count, back.sh_degree, back.coordinates) == (count, degree, "RDF")
-    for group in ("positions", "f_dc", "f_rest"):
-        np.testing.assert_array_equal(getattr(back, group), getattr(scene, group))
-    np.testing.assert_allclose(back.log_scale, scene.log_scale, atol=1e-6)
-    np.testing.assert_allclose(back.opacity, scene.opacity, atol=1e-3)
-    unit = scene.rot / np.linalg.norm(scene.rot, axis=0)
-    np.testing.assert_allclose(np.abs((back.rot * unit).sum(axis=0)), 1, atol=1e-6)
+    assert_held_exactly(back, scene)
 
 
 @pytest.mark.parametrize("degree", range(4))

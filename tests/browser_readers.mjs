@@ -12,7 +12,7 @@ const [packages, browser, program, ...files] = process.argv.slice(2);
 const { chromium } = createRequire(join(packages, "x"))("playwright-core");
 
 const ORIGIN = "http://localhost";
-const TYPES = { ".mjs": "text/javascript", ".js": "text/javascript", ".html": "text/html" };
+const TYPES = { ".mjs": "text/javascript", ".js": "text/javascript" };
 const IMPORTS = {
   playcanvas: "/packages/playcanvas/build/playcanvas.mjs",
   spark: "/packages/@sparkjsdev/spark/dist/spark.module.js",

@@ -17,18 +17,20 @@ from pathlib import Path
 
 import numpy as np
 
+from gs_codec.bench.peers import AbsentPeer
 from gs_codec.bench.peers.splat_transform import find_program
+from gs_codec.bench.peers.spz import spz_peer
+from gs_codec.errors import MissingTool
 from gs_codec.files.scenes import read_scene
+from gs_codec.formats.activated import logits_of
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, turn_axes
 from gs_codec.formats.packed_values import sigmoid, unit_quaternions
 from gs_codec.formats.ply import read_ply
-from gs_codec.scene import Scene
+from gs_codec.formats.tensors import NAMES, scene_of_tensors
+from gs_codec.scene import Scene, property_names
 
 #: Where `make peers` puts packages of Node.
 PACKAGES = Path(sys.prefix) / "peers/node_modules"
-
-#: Opacities, from 0 to 1, that have a logit.
-LEAST, MOST = 1e-9, 1 - 1e-7
 
 
 @dataclass(frozen=True)
@@ -54,44 +56,15 @@ class OtherProgram:
 
 def scene_from(columns: dict[str, np.ndarray]) -> Scene:
     """A scene of columns named as in a PLY, but for opacities, which are from 0 to 1."""
-    share = np.clip(columns["opacity"], LEAST, MOST).astype(np.float64)
-    rest = sum(name.startswith("f_rest") for name in columns)
-    planes = {
-        "positions": ["x", "y", "z"],
-        "f_dc": [f"f_dc_{i}" for i in range(3)],
-        "f_rest": [f"f_rest_{i}" for i in range(rest)],
-        "log_scale": [f"scale_{i}" for i in range(3)],
-        "rot": [f"rot_{i}" for i in range(4)],
-    }
+    columns = {**columns, "opacity": logits_of(columns["opacity"])}
+    coefficients = sum(name.startswith("f_rest") for name in columns) // 3
     return Scene(
-        opacity=np.log(share / (1 - share)).astype(np.float32)[np.newaxis],
         **{
-            group: np.array([columns[name] for name in names], np.float32).reshape(-1, len(share))
-            for group, names in planes.items()
-        },
-    )
-
-
-def scene_of_arrays(
-    count: int,
-    positions: np.ndarray,
-    f_dc: np.ndarray,
-    sh: np.ndarray,
-    opacity: np.ndarray,
-    log_scale: np.ndarray,
-    rot: np.ndarray,
-) -> Scene:
-    """A scene of rows, or of what they are flattened to; SH (count, coefficient, colour)."""
-    planes = (array.reshape(count, -1).T for array in (positions, f_dc, opacity, log_scale, rot))
-    centres, colours, logits, scales, turns = (np.ascontiguousarray(plane) for plane in planes)
-    sh = sh.reshape(count, -1, 3).transpose(2, 1, 0).reshape(-1, count)
-    return Scene(
-        positions=centres,
-        f_dc=colours,
-        f_rest=np.ascontiguousarray(sh),
-        opacity=np.clip(logits, -30, 30),
-        log_scale=scales,
-        rot=turns,
+            group: np.array([columns[name] for name in names], np.float32).reshape(
+                len(names), len(columns["x"])
+            )
+            for group, names in property_names(coefficients).items()
+        }
     )
 
 
@@ -105,26 +78,19 @@ def read_by_gsply(paths: Sequence[Path]) -> list[Scene]:
             warnings.simplefilter("ignore")  # its kernels warn of threads
             read = readers[path.suffix](path)
         assert (read.is_scales_ply, read.is_opacities_ply, read.is_sh0_sh) == (True, True, True)
-        sh = np.empty(0, np.float32) if read.shN is None else read.shN
-        arrays = (read.means, read.sh0, sh, read.opacities, read.scales, read.quats)
-        return scene_of_arrays(len(read.means), *arrays)
+        tensors = {name: getattr(read, name) for name in NAMES}
+        return scene_of_tensors({n: tensor for n, tensor in tensors.items() if tensor is not None})
 
     return [scene(path) for path in paths]
 
 
 def read_by_spz(paths: Sequence[Path]) -> list[Scene]:
-    """By Niantic's library."""
-    spz = import_module("spz")
-
-    def scene(path: Path) -> Scene:
-        cloud = spz.load_spz(str(path), spz.UnpackOptions())
-        count = cloud.num_points
-        assert count, f"{path}: refused"
-        rot = cloud.rotations.reshape(count, 4)[:, [3, 0, 1, 2]]
-        arrays = (cloud.positions, cloud.colors, cloud.sh, cloud.alphas, cloud.scales, rot)
-        return scene_of_arrays(count, *arrays)
-
-    return [scene(path) for path in paths]
+    """By Niantic's library, which turns numbers to `RDF`; only signs change."""
+    peer = spz_peer("error")
+    if isinstance(peer, AbsentPeer):
+        raise MissingTool(peer.absent)
+    scenes = [peer.scene(peer.decode(path.read_bytes())) for path in paths]
+    return [turn_axes(scene, OWN_SYSTEMS[".spz"]) for scene in scenes]
 
 
 def read_by_splat_transform(paths: Sequence[Path]) -> list[Scene]:
@@ -145,6 +111,8 @@ def read_in_browser(program: str) -> Callable[[Sequence[Path]], list[Scene]]:
         browser, node = shutil.which("chromium"), shutil.which("node")
         if not (browser and node and PACKAGES.is_dir()):
             raise ModuleNotFoundError("Node, Chromium or packages")
+        if not paths:
+            return []
         script = Path(__file__).with_name("browser_readers.mjs")
         command = [node, str(script), str(PACKAGES), browser, program, *map(str, paths)]
         subprocess.run(command, check=True, timeout=300)

@@ -16,15 +16,13 @@ from urllib.parse import unquote, urlsplit
 
 from gs_codec.batch.redaction import without_secrets
 from gs_codec.errors import InvalidInput, one_line
+from gs_codec.formats import usd
 from gs_codec.runtime.atomic import leftovers, make_folder, remove_leftover
 
 log = logging.getLogger(__name__)
 
 #: Suffixes of the files in a folder that are taken as scenes.
-SUFFIXES = (
-    *(".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb"),
-    *(".usd", ".usda", ".usdc", ".usdz"),
-)
+SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb", *usd.SUFFIXES)
 
 
 @dataclass(frozen=True)

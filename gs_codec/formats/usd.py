@@ -33,6 +33,9 @@ TEXT, CRATE = b"#usda", b"PXR-USDC"
 LAYERS = (".usd", ".usda", ".usdc")
 SUFFIXES = (*LAYERS, ".usdz")
 
+#: Why a usd-core before 26.3 does not do.
+WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians: pip install 'gs-codec[usd]'"
+
 _SYSTEM, _SYSTEM_Z_UP = OWN_SYSTEMS[".usd"], "RFU"
 
 #: Files in a `.usdz` begin at multiples of so many bytes.
@@ -170,7 +173,7 @@ def _stage(scene: Scene) -> Any:
     from pxr import Usd, UsdGeom, UsdVol, Vt
 
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
-        raise MissingTool("an OpenUSD without Gaussians: pip install 'gs-codec[usd]'")
+        raise MissingTool(WITHOUT_GAUSSIANS)
 
     def rows(planes: NDArray) -> NDArray[np.float32]:
         with np.errstate(under="ignore"):

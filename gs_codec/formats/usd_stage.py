@@ -19,9 +19,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.limits import FAILURES
+from gs_codec.formats.usd import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 
-_LAYERS = (".usd", ".usda", ".usdc")
 _QUOTES = "'\" "
 _COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 _DEGREE = "radiance:sphericalHarmonicsDegree"
@@ -65,7 +65,7 @@ def _why(error: Exception) -> str:
 def _arrays(source: str, most: int) -> dict[str, NDArray]:
     """What `main` writes; sizes alone if the floats take more than `most` bytes."""
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
-        raise InvalidInput("an OpenUSD without Gaussians: pip install 'gs-codec[usd]'")
+        raise InvalidInput(WITHOUT_GAUSSIANS)
     _check_alone(source)
     stage = Usd.Stage.Open(source)
     every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
@@ -113,7 +113,7 @@ def _check_alone(source: str) -> None:
 def _is_layer(name: str) -> bool:
     """Whether an entry of a zip is a layer of USD, at a place inside."""
     plain = posixpath.normpath(name) == name and not name.startswith(("/", ".."))
-    return plain and "\\" not in name and name.endswith(_LAYERS)
+    return plain and "\\" not in name and name.endswith(LAYERS)
 
 
 def _named(layer: Any) -> Iterator[str]:

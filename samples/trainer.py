@@ -19,8 +19,8 @@ import numpy as np
 import torch
 
 import gs_codec
-from gs_codec.api.cloud import from_cloud
 from gs_codec.errors import GsCodecError
+from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.tensors import tensors_of
 from gs_codec.preparation.adam import rig_radius
 from gs_codec.preparation.optimise import with_values

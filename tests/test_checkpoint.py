@@ -20,11 +20,11 @@ from scenes import random_scene
 from test_ply import assert_refused
 
 import gs_codec
-from gs_codec.api.cloud import from_cloud
 from gs_codec.config import Config
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene, stated_bytes, write_scene
+from gs_codec.formats.cloud import from_cloud
 from gs_codec.formats.pickled import UNKNOWN, StoredTensor, parse_pickle, write_pickle
 from gs_codec.formats.tensors import tensors_of
 from gs_codec.scene import GROUPS, SH_C0, Scene

@@ -17,7 +17,6 @@ from test_guide import cameras
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.api.cloud import to_cloud
 from gs_codec.cli.main import app
 from gs_codec.codecs import encode_scene
 from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
@@ -29,6 +28,7 @@ from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import compare_files, read_scene
 from gs_codec.formats.attribute_steps import AttributeSteps
+from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.packed_ply import pack_ply
 from gs_codec.formats.packed_values import largest_omitted, largest_restored
 from gs_codec.formats.ply import write_ply

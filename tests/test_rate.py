@@ -16,7 +16,6 @@ from test_guide import cameras
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.api.cloud import to_cloud
 from gs_codec.cli.asked import Asked, plan_of
 from gs_codec.cli.main import app
 from gs_codec.cli.options import parse_value
@@ -26,6 +25,7 @@ from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import read_scene, write_scene
+from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply import vertex_rows, write_ply
 from gs_codec.guidance import trials
 from gs_codec.guidance.allocate import encode_to_target

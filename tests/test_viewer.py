@@ -21,9 +21,9 @@ from scenes import random_scene
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.api.cloud import to_cloud
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
 from viewer import screenshot

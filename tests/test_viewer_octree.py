@@ -13,9 +13,9 @@ from PIL import Image
 from scenes import random_scene
 
 import gs_codec
-from gs_codec.api.cloud import to_cloud
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply import write_ply
 from viewer.choice import OctreeChoice
 from viewer.cubes import Cubes, draw_cubes

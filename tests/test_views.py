@@ -13,10 +13,10 @@ from scenes import random_scene, shared_scene_path
 from typer.testing import CliRunner
 
 import gs_codec
-from gs_codec.api.cloud import to_cloud
 from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import read_scene
+from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import write_ply
 from gs_codec.metrics.images import Quality, compare_images, mean_quality

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from gs_codec.api.cloud import to_cloud, turn_cloud
 from gs_codec.files.scenes import gaussian_bits_of_file, read_scene, turn_scene
+from gs_codec.formats.cloud import to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, float_bytes
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
-from gs_codec.api.cloud import from_cloud, to_cloud
 from gs_codec.codecs import decode_part
 from gs_codec.codecs.inspection import Info, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra, RateTarget
 from gs_codec.files.scenes import inspect_file, read_scene, write_scene
+from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply import vertex_rows
 from gs_codec.guidance.planned import encode_by_plan
 from gs_codec.preparation.steps import Plan

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gs_codec.api.cloud import from_cloud
 from gs_codec.coding.cube import DEPTHS, EXPANSION, Cube
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.cloud import from_cloud
 from gs_codec.scene import SH_C0
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.api.cloud import from_cloud, to_cloud
 from gs_codec.config import Option
 from gs_codec.errors import MissingTool
+from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.tensors import scene_of_tensors, tensors_of
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from gs_codec.api.cloud import from_cloud, to_cloud
 from gs_codec.config import Config
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import compare_files, read_scene
+from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.coordinates import system_of, turn_axes
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.metrics.lpips import VARIABLE

@@ -1,0 +1,1 @@
+"""Edit scenes: select, move, merge, clean, decimate, describe."""

@@ -12,8 +12,7 @@ Names are loaded when first used, so that ``import gs_codec`` stays cheap. Error
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from gs_codec.runtime.lazy import lazy_names
 
 __version__ = "0.1.0"
 
@@ -43,7 +42,7 @@ _PUBLIC = {
     "gs_codec.files.coding": ("encode_file", "decode_file", "DecodeReport"),
     "gs_codec.files.preparing": ("prepare_file",),
     "gs_codec.files.conversion": ("convert_file", "ConvertReport"),
-    "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport"),
+    "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport", "ActionReport"),
     "gs_codec.codecs.inspection": ("Info", "StreamInfo", "PassInfo"),
     "gs_codec.metrics.attributes": ("Comparison", "GroupError"),
     "gs_codec.preparation.report": ("PrepareReport", "StepReport"),
@@ -52,16 +51,8 @@ _PUBLIC = {
     "gs_codec.rendering.renderer": ("RenderedViews", "Rendering", "Accumulations"),
 }
 
-_HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
-
-__all__ = list(_HOMES)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'gs_codec' has no attribute '{name}'")
-    return getattr(import_module(_HOMES[name]), name)
+__all__, __getattr__ = lazy_names(__name__, _PUBLIC, ["edit"])
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, "edit"])

@@ -101,6 +101,29 @@ class RateReport:
 
 
 @dataclass(frozen=True)
+class ActionReport:
+    """What an action did.
+
+    Attributes
+    ----------
+    action : str
+        As it was typed, without dashes.
+    before, after : int
+        Number of Gaussians before and after it.
+    details : dict of str to int
+        With ``remove-floaters``, how many were removed for each reason.
+    seconds : float
+        Wall time.
+    """
+
+    action: str
+    before: int
+    after: int
+    details: dict[str, int]
+    seconds: float
+
+
+@dataclass(frozen=True)
 class EncodeReport:
     """What `encode` did to a scene.
 
@@ -135,8 +158,10 @@ class EncodeReport:
     input_bytes : int
         Size of the file that was encoded; 0 if the scene was in memory.
     ratio : float
-        Compression ratio against that file, or against its floats if it is compressed; 0 if the
-        scene was in memory.
+        Compression ratio against that file, or against its floats if it is compressed or was
+        edited; 0 if the scene was in memory.
+    actions : tuple of ActionReport
+        What each action did.
     """
 
     count: int
@@ -153,6 +178,7 @@ class EncodeReport:
     prepared: dict[str, Any] | None = None
     input_bytes: int = 0
     ratio: float = 0.0
+    actions: tuple[ActionReport, ...] = ()
 
     @property
     def file_bytes(self) -> int:

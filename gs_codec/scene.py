@@ -257,13 +257,39 @@ class Scene:
 
 
 def join_scenes(parts: Sequence[Scene]) -> Scene:
-    """One scene of the Gaussians of all parts, which are of one SH degree, without properties."""
+    """One scene of the Gaussians of all parts, which have the properties of the first.
+
+    It is of the highest SH degree; SH-AC that a part does not have are 0.
+    """
     if len(parts) == 1:
         return parts[0]
-    planes: dict[str, Any] = {
-        group: np.concatenate([getattr(part, group) for part in parts], axis=1) for group in GROUPS
+    rows = group_rows(max(len(part.f_rest) for part in parts) // 3)
+    changes: dict[str, Any] = {
+        group: _side_by_side([getattr(part, group) for part in parts], rows[group])
+        for group in GROUPS
     }
-    return replace(parts[0], **planes)
+    changes["extra"] = {
+        name: np.concatenate([part.extra[name] for part in parts]) for name in parts[0].extra
+    }
+    return replace(parts[0], **changes, has_normals=all(part.has_normals for part in parts))
+
+
+def _side_by_side(parts: Sequence[NDArray[np.float32]], rows: int) -> NDArray[np.float32]:
+    """Planes of all parts; of SH-AC, each colour of a part may have fewer rows than others."""
+    joined = empty((rows, sum(part.shape[1] for part in parts)), np.float32)
+    start = 0
+    for part in parts:
+        stop = start + part.shape[1]
+        if len(part) == rows:
+            joined[:, start:stop] = part
+        else:
+            known, each = len(part) // 3, rows // 3
+            for colour in range(3):
+                own = joined[colour * each : (colour + 1) * each, start:stop]
+                own[:known] = part[colour * known : (colour + 1) * known]
+                own[known:] = 0
+        start = stop
+    return joined
 
 
 def gather(planes: NDArray, index: NDArray) -> NDArray:

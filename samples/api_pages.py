@@ -14,6 +14,9 @@ from pathlib import Path
 
 import gs_codec
 
+#: Packages whose names are public.
+PACKAGES = ("gs_codec", "gs_codec.edit", "viewer")
+
 #: What the names of `viewer` return, by the module it is imported from.
 TYPES = {"viewer.plugin": ("Actions",)}
 
@@ -54,8 +57,8 @@ header.pdoc h1 { width: 100%; margin: 1rem 0 0; }
 
 
 def pages() -> dict[str, tuple[str, ...]]:
-    """Names on each page: those of `gs_codec` and `viewer`, then types that they refer to."""
-    public = {name: tuple(import_module(name).__all__) for name in ("gs_codec", "viewer")}
+    """Names on each page: those of packages, then types that they refer to."""
+    public = {name: tuple(import_module(name).__all__) for name in PACKAGES}
     return public | TYPES
 
 

@@ -74,15 +74,16 @@ class LocalStorage:
         plain = unquote(urlsplit(base).path) if base.startswith("file://") else base
         self.path = os.path.abspath(plain)
 
-    def find(self) -> list[tuple[str, Location]]:
+    def find(self, suffixes: tuple[str, ...] = SUFFIXES) -> list[tuple[str, Location]]:
         """The scenes it matches, named relative to its part without wildcards.
 
+        Of a folder these are files with the suffixes.
         Hidden files and folders match only if the pattern writes the dot. A file or folder that
         several links lead to is taken once.
         """
         if os.path.isdir(self.path):
             root, found = self.path, matching_paths(glob.escape(self.path) + "/**/*")
-            paths = [path for path in found if path.lower().endswith(SUFFIXES)]
+            paths = [path for path in found if path.lower().endswith(suffixes)]
         elif os.path.lexists(self.path) or not glob.has_magic(self.path):
             root = os.path.dirname(self.path)
             paths = [self.path] if os.path.lexists(self.path) else []

@@ -107,7 +107,7 @@ class RemoteStorage:
                 text = os.strerror(errno.ENOENT)
             raise InvalidInput(f"{shown}: {text}") from error
 
-    def find(self) -> list[tuple[str, Location]]:
+    def find(self, suffixes: tuple[str, ...] = SUFFIXES) -> list[tuple[str, Location]]:
         """See `LocalStorage.find`; a web address is a folder if it ends in a slash."""
         wild = "*[" if self._read_only else "*[?"
         root = self._root
@@ -117,7 +117,7 @@ class RemoteStorage:
                 found = self._matching(glob, root)
             elif self._base.endswith("/") if self._read_only else self._fs.isdir(root):
                 found = self._below(root)
-                found = {p: info for p, info in found.items() if p.lower().endswith(SUFFIXES)}
+                found = {p: info for p, info in found.items() if p.lower().endswith(suffixes)}
             else:
                 found = {root: self._fs.info(root)}
                 root = posixpath.dirname(root)

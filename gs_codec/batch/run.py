@@ -45,7 +45,7 @@ class Batch:
     source : str
         A file, folder or glob, or a URL of one.
     target : str
-        A folder, or a URL of one, for the same tree of ``.egs`` files.
+        A folder, or a URL of one, for the same tree of files.
     options : Options
         If `threads` is None, scenes that run at once share the processors equally.
     jobs : int, optional
@@ -133,7 +133,7 @@ def run_batch(batch: Batch, watcher: Watcher | None = None) -> Summary:
         that the format needs is not installed.
     """
     start, watcher = time.perf_counter(), watcher or Watcher()
-    require_usd_core(f".{batch.options.config.format}")
+    require_usd_core(f".{batch.options.format}")
     sources, targets = storage_of(batch.source), storage_of(batch.target)
     options = batch.options.absolute()
     path = batch.report or _default_report(targets)

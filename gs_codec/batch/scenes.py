@@ -10,11 +10,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gs_codec.batch.local import LocalStorage, Location, Stamp, file_sha256
+from gs_codec.batch.local import SUFFIXES, LocalStorage, Location, Stamp, file_sha256
 from gs_codec.batch.memory import expected_floats, needed_bytes
 from gs_codec.batch.redaction import without_secrets
 from gs_codec.batch.remote import Storage
-from gs_codec.config import Config, RateTarget
+from gs_codec.config import EGS, Config, RateTarget
+from gs_codec.edit.actions import Action
 from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.runtime.threads import available_threads
 
@@ -24,13 +25,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Options:
-    """How each scene is encoded; see `encode_file`."""
+    """How each scene is encoded, or converted to the `plain` format; see `encode_file`."""
 
     config: Config
     plan: Plan | None = None
     rate: RateTarget | None = None
     max_bytes: int | None = None
     max_memory: int | None = None
+    actions: tuple[Action, ...] = ()
+    plain: str | None = None
+
+    @property
+    def format(self) -> str:
+        """Format of the outputs."""
+        return self.plain or self.config.format
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Suffixes of the scenes of a folder: `.egs` files too, unless those are written."""
+        return SUFFIXES if self.format == EGS else (*SUFFIXES, f".{EGS}")
 
     def digest(self) -> str:
         """Digest of all options that the output bytes depend on; threads are not among them."""
@@ -38,6 +51,8 @@ class Options:
             "config": asdict(replace(self.config, threads=None)),
             "plan": self.plan and asdict(self.plan),
             "rate": self.rate and asdict(self.rate),
+            "actions": [asdict(action) for action in self.actions],
+            "format": self.format,
             "files": list(self._files()),
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
@@ -134,12 +149,12 @@ def find_tasks(
     InvalidInput
         If there are none, if two have the same output, or if an output is its own source.
     """
-    found = sources.find()
+    found = sources.find(options.sources)
     if not found:
         raise InvalidInput(f"{without_secrets(source)}: no scenes there")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
     for name, location in found:
-        target = targets.location(f"{os.path.splitext(name)[0]}.{options.config.format}")
+        target = targets.location(f"{os.path.splitext(name)[0]}.{options.format}")
         shown = sources.shown(location), targets.shown(target)
         if ".." in name.split("/"):  # keys of object stores may contain it
             raise InvalidInput(f"{shown[0]}: '..' in its name, expected one below the folder")

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gs_codec import __version__
 from gs_codec.batch.ledger import Record
@@ -22,6 +23,10 @@ from gs_codec.batch.scenes import Options, Task
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.report import Progress, StageTimes
 from gs_codec.runtime.atomic import make_folder
+
+if TYPE_CHECKING:
+    from gs_codec.files.conversion import ConvertReport
+    from gs_codec.report import EncodeReport
 
 #: Packages whose versions may change the output bytes.
 _COMPUTING = ("numpy", "numba", "llvmlite", "scipy", "pcodec")
@@ -55,8 +60,6 @@ def _encode(
     blank: Record,
     warnings: list[str],
 ) -> Record:
-    from gs_codec.files.coding import encode_file
-
     sources, targets = storage_of(task.source.base), storage_of(task.target.base)
     if task.name.lower().endswith(".json"):
         # The other files of the scene would not be copied, nor checked for changes.
@@ -66,7 +69,7 @@ def _encode(
         before = sources.stamp(task.source)
         file = sources.fetch(task.source, folder)
         digest, size = file_sha256(file), os.path.getsize(file)
-    output = folder / f"scene.{options.config.format}"
+    output = folder / f"scene.{options.format}"
     if isinstance(targets, LocalStorage):
         output = Path(task.target.path)
         make_folder(output.parent)
@@ -74,10 +77,7 @@ def _encode(
     if limit is None and isinstance(sources, RemoteStorage):
         limit = most_floats(size, task.name)
     with _named({str(file): task.shown[0], str(output): task.shown[1]}, warnings):
-        report = encode_file(
-            file, output, options.config, options.plan, options.rate, progress=progress,
-            max_memory=options.max_memory, max_bytes=limit,
-        )  # fmt: skip
+        report = _write(file, output, options, progress, limit)
     after = sources.stamp(task.source)
     if before is None or before != after:
         # The bytes that were read may be a mix of the old and the new scene.
@@ -89,6 +89,8 @@ def _encode(
         if isinstance(targets, RemoteStorage):
             targets.store(output, task.target, task.mark)
     names = ("dropped", "rectified", "zero_quaternions")
+    changed = {name: getattr(report, name, 0) for name in names}
+    changed["removed"] = sum(done.before - done.after for done in report.actions)
     return replace(
         blank,
         input_bytes=size,
@@ -100,9 +102,28 @@ def _encode(
         ratio=report.ratio,
         bits_per_gaussian=8 * written[1] / max(report.count, 1),
         seconds=times.seconds,
-        changed={name: getattr(report, name) for name in names if getattr(report, name)},
-        prepared=report.prepared,
+        changed={name: number for name, number in changed.items() if number},
+        prepared=getattr(report, "prepared", None),
     )
+
+
+def _write(
+    file: Path, output: Path, options: Options, progress: Progress, max_bytes: int | None
+) -> EncodeReport | ConvertReport:
+    """Encode or convert a scene."""
+    from gs_codec.files.coding import encode_file
+    from gs_codec.files.conversion import convert_file
+
+    config, plan, limit = options.config, options.plan, options.max_memory
+    if options.plain is not None:
+        return convert_file(
+            file, output, config, actions=options.actions, plan=plan, progress=progress,
+            max_memory=limit, max_bytes=max_bytes,
+        )  # fmt: skip
+    return encode_file(
+        file, output, config, plan, options.rate, actions=options.actions, progress=progress,
+        max_memory=limit, max_bytes=max_bytes,
+    )  # fmt: skip
 
 
 @lru_cache

@@ -10,7 +10,9 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
+from gs_codec.cli.actions import action_parameters, typed_actions
 from gs_codec.cli.options import DEFAULTS, OPTIONS, metavar_of, typed_name, typer_option
+from gs_codec.cli.streams import is_stdout
 from gs_codec.config import (
     ADAPTIVE_PROFILES,
     EGS,
@@ -23,8 +25,9 @@ from gs_codec.config import (
     RateTarget,
     options_of,
 )
+from gs_codec.edit.actions import KINDS
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import format_of, known_suffix
+from gs_codec.files.suffixes import IN_PARTS, PLAIN, format_of, known_suffix
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import Plan, Steps
 
@@ -39,6 +42,13 @@ class Asked:
     ctx : typer.Context
     values : dict
         The command's parameters by name.
+
+    Attributes
+    ----------
+    command : str
+        Its name.
+    actions : list of Action
+        In the order typed.
     """
 
     def __init__(self, ctx: typer.Context, values: dict[str, Any]) -> None:
@@ -49,6 +59,7 @@ class Asked:
             if value is not None
         }
         self._typed = {name for name in values if _is_given(ctx, name)}
+        self.actions = typed_actions(ctx, values)
         if preset := self._values.get("preset"):
             chosen = PRESETS[preset].options()
             self._values |= {n: value for n, value in chosen.items() if n not in self._typed}
@@ -76,12 +87,17 @@ class Asked:
 
 
 def takes(
-    *names: str, expert: Iterable[type] = (), without: Iterable[str] = (), **defaults: Any
+    *names: str,
+    expert: Iterable[type] = (),
+    without: Iterable[str] = (),
+    actions: Iterable[str] = (),
+    **defaults: Any,
 ) -> Callable[[Callable[..., None]], Any]:
     """Give a command options by name, and the expert ones of dataclasses.
 
     What was typed for them is the command's parameter `asked`; `defaults` are those that differ
-    from the library's, `without` are expert options that the command does not take.
+    from the library's, `without` are expert options that the command does not take. `actions` are
+    names of those that it takes, which `Asked.actions` has.
     """
     hidden = [
         name
@@ -103,7 +119,7 @@ def takes(
             command(**arguments, asked=Asked(ctx, values))
 
         called.__doc__ = command.__doc__
-        parameters = [_CONTEXT, *kept, *shared]
+        parameters = [_CONTEXT, *kept, *action_parameters(actions), *shared]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
         called.epilog = _listed(hidden, DEFAULTS | defaults)  # type: ignore[attr-defined]
@@ -176,16 +192,21 @@ def config_of(asked: Asked, target: Path | None = None) -> Config:
 
 def refuse_coding(asked: Asked, form: str, target: Path | None) -> None:
     """Refuse options of coding that have no effect on a format other than `.egs`."""
+    settings: list[Any] = [Config]
+    if f".{form}" in PLAIN:
+        settings += [RateTarget, Steps]
+        asked.refuse(["gt_images"], f"has no effect on {target or form}")
     used = (*_OF_ALL, *_OF_STEPS) if form in ROUNDED_FORMATS else _OF_ALL
     used = (*used, "spz_version") if form == "spz" else used
-    names = [described.name or field for field, described in options_of(Config).items()]
-    unused = ["preset", "max_memory", *(name for name in names if name not in used)]
+    used = (*used, "max_memory") if f".{form}" in IN_PARTS else used
+    names = [each.name or field for kind in settings for field, each in options_of(kind).items()]
+    unused = [name for name in ("preset", "max_memory", *names) if name not in used]
     asked.refuse(unused, f"has no effect on {target or form}, expected an .egs")
 
 
 def _format_of(asked: Asked, target: Path | None) -> str:
     """The format of a target's suffix, or of the option where it has no name; "" if unknown."""
-    if target is None or str(target) in ("-", "/dev/stdout"):
+    if target is None or is_stdout(target):
         return asked["format"] or EGS
     form = format_of(known_suffix(target))
     if form and asked["format"] not in (None, form):
@@ -221,6 +242,23 @@ def plan_of(asked: Asked, config: Config) -> Plan | None:
     if not steps.wanted and not _goes_by_views(asked, config):
         return None
     return asked.build(Plan, steps=steps)
+
+
+def action_plan(asked: Asked) -> Plan | None:
+    """The cameras that guide actions, if any were given.
+
+    Raises
+    ------
+    InvalidInput
+        If no action goes by them.
+    """
+    guided = [action for action in asked.actions if KINDS[action.name].guided]
+    if asked["cameras"] is None or not guided:
+        known = ", ".join(f"--{name}" for name, kind in KINDS.items() if kind.guided)
+        why = "has no effect without --cameras" if guided else f"needs one of {known}"
+        asked.refuse(["cameras", "views", "width", "background"], why)
+        return None
+    return asked.build(Plan)
 
 
 def _goes_by_views(asked: Asked, config: Config) -> bool:

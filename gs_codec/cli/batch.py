@@ -20,13 +20,23 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
-from gs_codec.cli.encode import CODING, EXPERT
+from gs_codec.cli.asked import (
+    Asked,
+    action_plan,
+    config_of,
+    plan_of,
+    refuse_coding,
+    takes,
+    target_of,
+)
+from gs_codec.cli.encode import ACTIONS, CODING, EXPERT
 from gs_codec.cli.output import print_json, print_status, print_text, progress_lines, smaller
+from gs_codec.edit.actions import check_actions
 from gs_codec.errors import InvalidInput, printable
+from gs_codec.files.suffixes import PLAIN
 
 
-@takes(*CODING, "json", expert=EXPERT, without=["checkpoint"])
+@takes(*CODING, "json", expert=EXPERT, without=["checkpoint"], actions=ACTIONS)
 def command(
     source: Annotated[
         str,
@@ -35,7 +45,7 @@ def command(
         ),
     ],
     target: Annotated[
-        str, typer.Argument(metavar="DST", help="Folder for the same tree of .egs files; or a URL.")
+        str, typer.Argument(metavar="DST", help="Folder for the same tree of files; or a URL.")
     ],
     asked: Asked,
     jobs: Annotated[
@@ -61,18 +71,29 @@ def command(
         typer.Option(metavar="ADDRESS", help="Use a Dask scheduler's workers, or local ones."),
     ] = None,
 ) -> None:
-    """Encode a folder of scenes, each as `encode` would; exit status 1 if any failed."""
+    """Encode or convert a folder of scenes, each as `encode` or `convert` would.
+
+    The exit status is 1 if any failed.
+    """
     if resume and asked["overwrite"]:
         raise InvalidInput("--overwrite: --resume replaces what has changed, expected one of them")
     config, rate = config_of(asked), target_of(asked)
-    plan = plan_of(asked, config)
-    if plan is not None or rate is not None:
+    plain = asked["format"] if f".{asked['format']}" in PLAIN else None
+    if plain is not None:
+        refuse_coding(asked, plain, None)
+        plan = action_plan(asked)
+    else:
+        plan = plan_of(asked, config)
+    check_actions(asked.actions, plan, asked["max_memory"] is not None, plain is None)
+    if plain is None and (plan is not None or rate is not None):
         asked.refuse(["max_memory"], "not with views, preparation, or a target to meet")
     from gs_codec.batch.redaction import redact_process
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options
 
-    options = Options(config, plan, rate, asked["max_bytes"], asked["max_memory"])
+    options = Options(
+        config, plan, rate, asked["max_bytes"], asked["max_memory"], tuple(asked.actions), plain
+    )
     batch = Batch(
         source, target, options, jobs, resume, report, on_error, dask, asked["overwrite"],  # type: ignore[arg-type]
     )  # fmt: skip

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gs_codec.cli.asked import Asked, config_of, refuse_coding, takes
+from gs_codec.cli.actions import say_what_was_done
+from gs_codec.cli.asked import Asked, action_plan, config_of, refuse_coding, takes
 from gs_codec.cli.options import WRITTEN_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
@@ -18,21 +19,28 @@ from gs_codec.cli.output import (
     progress_bar,
     size_text,
 )
-from gs_codec.cli.streams import piped_source
+from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.config import Config
+from gs_codec.edit.actions import KINDS
 from gs_codec.files.suffixes import PLAIN, known_suffix
+from gs_codec.preparation.steps import CAMERAS, Plan
 
 if TYPE_CHECKING:
     from gs_codec.files.conversion import ConvertReport
 
 
 @takes(
-    "extra", "nonfinite", "profile", "threads", "max_bytes", "overwrite", "json",
-    expert=(Config,), without=("format",), extra="keep",
+    "extra", "nonfinite", "profile", "format", "threads", "max_memory", "max_bytes",
+    "overwrite", "json", expert=(Config, Plan), without=("cameras", "gt_images", "checkpoint"),
+    actions=KINDS, extra="keep", format="ply",
 )  # fmt: skip
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help=f"File to write: {WRITTEN_SHOWN}.")],
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="IN", help=f"{SCENES_PIPED} Several are merged.")
+    ],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help=f"File to write: {WRITTEN_SHOWN}; - is stdout.")
+    ],
     asked: Asked,
     coordinates: Annotated[
         str,
@@ -42,29 +50,41 @@ def command(
             "'keep' is as in IN. FROM is for an IN that does not state its own, or a wrong one.",
         ),
     ] = "RDF",
+    cameras: Annotated[
+        str | None,
+        typer.Option(
+            metavar="C", help=f"Guide --remove-floaters, --gaussians, --keep by views: {CAMERAS}"
+        ),
+    ] = None,
 ) -> None:
-    """Convert a scene to another format, and report what that loses."""
-    if (suffix := known_suffix(target)) in PLAIN:
+    """Convert scenes to another format, merged and edited on the way; report what that loses."""
+    suffix = f".{asked['format']}" if is_stdout(target) else known_suffix(target)
+    if suffix in PLAIN:
         refuse_coding(asked, suffix[1:], target)
-    config = config_of(asked, target)
+    config, plan = config_of(asked, target), action_plan(asked)
     from gs_codec.files.conversion import convert_file
 
-    with piped_source(source) as file, progress_bar() as progress:
-        done = convert_file(
-            file, target, config, coordinates, progress=progress, max_bytes=asked["max_bytes"],
-            overwrite=asked["overwrite"],
-        )  # fmt: skip
-    _say_what_changed(done)
-    if asked["json"]:
-        print_json({"input": str(source), "output": str(target), **asdict(done)})
-    else:
-        print_text(
-            f"{target}: {done.count:,} Gaussians, SH degree {done.sh_degree}, "
-            f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
-        )
+    with piped(sources, target, suffix) as (files, out):
+        with progress_bar() as progress:
+            done = convert_file(
+                files, out, config, coordinates, actions=asked.actions, plan=plan,
+                progress=progress, max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
+                overwrite=asked["overwrite"],
+            )  # fmt: skip
+        _say_what_changed(done)
+        if asked["json"]:
+            inputs = [str(source) for source in sources]
+            named = {"input": inputs if len(inputs) > 1 else inputs[0], "output": str(target)}
+            print_json(named | asdict(done))
+        else:
+            print_text(
+                f"{target}: {done.count:,} Gaussians, SH degree {done.sh_degree}, "
+                f"{size_text(done.file_bytes)}, {sum(done.seconds.values()):.2f} s"
+            )
 
 
 def _say_what_changed(done: ConvertReport) -> None:
+    say_what_was_done(done.actions)
     if done.dropped:
         print_status(f"dropped {done.dropped:,} Gaussians with NaN or infinity")
     if done.turned_from:

@@ -41,7 +41,7 @@ def command(
     from gs_codec.files.coding import decode_file
 
     part = Part(box, sh_degree)
-    with piped(source, target, ".ply") as (file, out):
+    with piped([source], target, ".ply") as ([file], out):
         with progress_bar() as progress:
             report = decode_file(
                 file, out, part, threads=asked["threads"], tmc3=asked["tmc3"], progress=progress,

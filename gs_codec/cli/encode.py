@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gs_codec.cli.actions import say_what_was_done
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
 from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
@@ -22,6 +23,7 @@ from gs_codec.cli.output import (
 )
 from gs_codec.cli.streams import piped
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
+from gs_codec.edit.actions import KINDS
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, RateReport
 
@@ -32,8 +34,11 @@ CODING = (
 )  # fmt: skip
 EXPERT = (Config, RateTarget, Plan)
 
+#: Actions of these commands, where --gaussians prunes by views.
+ACTIONS = [name for name in KINDS if name != "gaussians"]
 
-@takes(*CODING, "json", expert=EXPERT)
+
+@takes(*CODING, "json", expert=EXPERT, actions=ACTIONS)
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
@@ -46,11 +51,12 @@ def command(
     plan = plan_of(asked, config)
     from gs_codec.files.coding import encode_file
 
-    with piped(source, target, f".{config.format}") as (file, out):
+    with piped([source], target, f".{config.format}") as ([file], out):
         with progress_bar() as progress:
             done = encode_file(
-                file, out, config, plan, rate, progress=progress, max_memory=asked["max_memory"],
-                max_bytes=asked["max_bytes"], overwrite=asked["overwrite"],
+                file, out, config, plan, rate, actions=asked.actions, progress=progress,
+                max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
+                overwrite=asked["overwrite"],
             )  # fmt: skip
         _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
         if asked["json"]:
@@ -64,6 +70,7 @@ def command(
 
 
 def _say_what_changed(report: EncodeReport, lattices: bool) -> None:
+    say_what_was_done(report.actions)
     if report.dropped:
         print_status(f"dropped {report.dropped:,} Gaussians with NaN or infinity")
     if report.zero_quaternions:

@@ -11,6 +11,7 @@ import typer
 from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import SCENES_PIPED, print_json, print_table, print_text, size_text
 from gs_codec.cli.streams import piped_source
+from gs_codec.coding.extent import box_text
 
 if TYPE_CHECKING:
     from gs_codec.codecs.inspection import Info
@@ -64,10 +65,7 @@ def _show_other(file: Path, path: Path, max_bytes: int | None, json: bool) -> No
 
 def _where(info: Info | Overview) -> str:
     """Bounds, and how the scene is to be drawn."""
-    text = "no bounds"
-    if info.bounds is not None:
-        low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in info.bounds)
-        text = f"bounds {low} to {high}"
+    text = "no bounds" if info.bounds is None else box_text(info.bounds)
     antialiased = ", antialiased" if info.antialiased else ""
     return f"{text}, coordinates {info.coordinates or 'not stated'}{antialiased}"
 

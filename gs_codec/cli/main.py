@@ -41,13 +41,16 @@ class _Commands(TyperGroup):
 
 
 def _load_command(name: str) -> Any:
+    from gs_codec.cli.actions import InOrder
+
     module = import_module(f"gs_codec.cli.{name}")
     if hasattr(module, "app"):
         group = typer.main.get_command(module.app)
         group.name = name
         return group
     one = typer.Typer(add_completion=False)
-    one.command(name, epilog=getattr(module.command, "epilog", None))(module.command)
+    epilog = getattr(module.command, "epilog", None)
+    one.command(name, cls=InOrder, epilog=epilog)(module.command)
     return typer.main.get_command(one)
 
 

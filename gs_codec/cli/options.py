@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from gs_codec.config import Config, Option, RateTarget
+from gs_codec.config import FORMATS, Config, Option, RateTarget
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import ENCODED, PLAIN
 from gs_codec.preparation.presets import PRESETS
@@ -71,6 +71,10 @@ for _settings in (Config, RateTarget, Plan, Steps):
             OPTIONS[_described.name or _field.name] = _described
             if _field.default is not MISSING:
                 DEFAULTS[_described.name or _field.name] = _field.default
+
+OPTIONS["format"] = replace(
+    OPTIONS["format"], values=(*FORMATS, *(suffix.removeprefix(".") for suffix in PLAIN))
+)
 
 
 def typer_option(name: str, hidden: bool = False) -> Any:

@@ -8,7 +8,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def piped_source(source: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def piped(source: Path, target: Path, suffix: str) -> Iterator[tuple[Path, Path]]:
+def piped(sources: Sequence[Path], target: Path, suffix: str) -> Iterator[tuple[list[Path], Path]]:
     """Files to read, as `piped_source`, and to write in place of ``-``.
 
     The latter goes to stdout once it is whole; what is printed meanwhile goes to stderr.
@@ -35,20 +35,28 @@ def piped(source: Path, target: Path, suffix: str) -> Iterator[tuple[Path, Path]
     Raises
     ------
     InvalidInput
-        If the target is ``-`` and stdout a terminal.
+        If two sources are ``-``, or the target is and stdout is a terminal.
     """
-    with piped_source(source) as file:
-        if str(target) not in ("-", "/dev/stdout"):
-            yield file, target
+    if list(map(str, sources)).count("-") > 1:
+        raise InvalidInput("-: stdin is one scene, expected '-' once")
+    with ExitStack() as stack:
+        files = [stack.enter_context(piped_source(source)) for source in sources]
+        if not is_stdout(target):
+            yield files, target
             return
         if sys.stdout.isatty():
             raise InvalidInput(f"{target}: stdout is a terminal, expected a pipe or a file")
         stdout = sys.stdout.buffer
         with _stand_in(target, f"stdout{suffix}") as out:
             with redirect_stdout(sys.stderr):
-                yield file, out
+                yield files, out
             with open(out, "rb") as written:
                 shutil.copyfileobj(written, stdout)
+
+
+def is_stdout(target: Path) -> bool:
+    """Whether a file to write stands for stdout."""
+    return str(target) in ("-", "/dev/stdout")
 
 
 def _is_pipe(path: Path) -> bool:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from gs_codec.codecs.entropygs.tmc3 import Tmc3
 from gs_codec.codecs.entropygs.torchac_coder import require_coder
 from gs_codec.codecs.interchange import decode_interchange
 from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_sections
+from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, check_threads
 from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, SectionId, read_file
@@ -25,8 +27,12 @@ from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
 from gs_codec.errors import CorruptStream
 from gs_codec.formats.limits import most_bytes
 from gs_codec.report import Progress
+from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import using_threads
-from gs_codec.scene import Scene, stated_comments
+from gs_codec.scene import GROUPS, Scene, join_scenes, stated_comments
+
+#: Gaussians decoded at once below a memory limit.
+_SLAB = 1 << 18
 
 
 def decode_scene(
@@ -91,8 +97,18 @@ def decode_part(
     check_threads(threads)
     with using_threads(threads):
         chosen = choose_part(data, part, max_bytes, tmc3)
-        (scene,) = chosen.slabs(chosen.file.header.count, progress)
+        if current().limit is None:
+            (scene,) = chosen.slabs(chosen.file.header.count, progress)
+        else:
+            size = slab_within(chosen.file, chosen.degree, _SLAB)
+            scene = join_scenes([_kept(slab) for slab in chosen.slabs(size, progress)])
     return scene, chosen.file
+
+
+def _kept(scene: Scene) -> Scene:
+    """A scene whose planes are kept for long; see `Memory.keep`."""
+    planes: dict[str, Any] = {group: current().keep(getattr(scene, group)) for group in GROUPS}
+    return replace(scene, **planes)
 
 
 def choose_part(

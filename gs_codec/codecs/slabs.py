@@ -14,6 +14,7 @@ from gs_codec.codecs.inspection import describe
 from gs_codec.codecs.matching import order_of_file, with_order
 from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
+from gs_codec.coding.extent import box_text
 from gs_codec.config import check_threads
 from gs_codec.egs.index import bounds_of
 from gs_codec.errors import CorruptStream, InvalidInput
@@ -67,8 +68,7 @@ class Slabs:
         count = sum(scene.count for scene in found)
         bounds = bounds_of(self.chosen.file)
         if bounds is not None and not count:
-            low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in bounds)
-            raise InvalidInput(f"{self.path}: no Gaussians in the box, bounds {low} to {high}")
+            raise InvalidInput(f"{self.path}: no Gaussians in the box, {box_text(bounds)}")
         return count, iter(found)
 
     def scenes(self) -> Iterator[Scene]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gs_codec.config import LOSSLESS, Config
 from gs_codec.errors import InvalidInput
@@ -53,10 +54,17 @@ def drop_nonfinite(scene: Scene, config: Config) -> tuple[Scene, int]:
     if config.nonfinite == "error":
         listed = ", ".join(f"{n} in {group}" for group, n in bad.items() if n)
         raise InvalidInput(f"values that are not finite: {listed}; --nonfinite drop removes them")
-    keep = np.ones(scene.count, bool)
-    for _, row in planes:
-        keep &= np.isfinite(row)
+    keep = finite_gaussians(scene)
     return scene.take(keep), int(np.count_nonzero(~keep))
+
+
+def finite_gaussians(scene: Scene) -> NDArray[np.bool_]:
+    """Which Gaussians ``(N,)`` hold neither NaN nor infinity."""
+    finite = np.ones(scene.count, bool)
+    for group in GROUPS:
+        for row in getattr(scene, group):
+            finite &= np.isfinite(row)
+    return finite
 
 
 def identity_for_zero(scene: Scene) -> tuple[Scene, int]:

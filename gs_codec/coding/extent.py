@@ -5,6 +5,8 @@ Only correctly rounded operations are used, so that the boxes are the same on ev
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -83,6 +85,12 @@ def centre_box(positions: NDArray[np.float32]) -> NDArray[np.float32]:
         ends = [np.where(finite.any(axis=1), end, np.float32(0)) for end in (low, high)]
     # Adding 0 turns -0 into 0: which of the two is the minimum depends on the machine.
     return np.concatenate(ends) + np.float32(0)
+
+
+def box_text(corners: Iterable[Iterable[float]]) -> str:
+    """A box for messages, by its lowest and its highest corner."""
+    low, high = (" ".join(f"{x:.6g}" for x in corner) for corner in corners)
+    return f"bounds {low} to {high}"
 
 
 @inlined

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.config import EGS, Config, RateTarget
+from gs_codec.edit.actions import Action, check_actions
+from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, scene_in, tell_lost, write_parts
 from gs_codec.files.suffixes import ENCODED, config_for
@@ -19,8 +21,8 @@ from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
 from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
-from gs_codec.report import EncodeReport, Progress, StageTimes
-from gs_codec.runtime.arrays import bounded, current
+from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
+from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
@@ -58,6 +60,7 @@ def encode_file(
     plan: Plan | None = None,
     rate: RateTarget | Mapping[str, float] | None = None,
     *,
+    actions: Sequence[Action] = (),
     progress: Progress | None = None,
     max_memory: int | None = None,
     max_bytes: int | None = None,
@@ -76,10 +79,12 @@ def encode_file(
         beside it), ``.compressed.ply``, ``.splat``, ``.glb``, ``.gltf``, ``.usd``, ``.usda``,
         ``.usdc`` or ``.usdz``.
     config, plan, rate, progress
-        As for `encode`; the ratio of a compressed source is relative to its floats.
+        As for `encode`; the ratio of a compressed source, or with actions, is relative to its
+        floats.
+    actions : sequence of gs_codec.edit.Action
+        What to do with the scene first, in this order; as for `convert_file`.
     max_memory : int, optional
-        Maximum memory, bytes: large arrays are then in temporary files, with the same result. Only
-        for a binary PLY of floats to an `.egs`, without `plan` and `rate`.
+        As for `convert_file`; only to an `.egs`, without `plan` and `rate`.
     max_bytes : int, optional
         As for `read`.
     overwrite : bool
@@ -109,17 +114,23 @@ def encode_file(
     >>> gs_codec.encode_file("scene.ply", "pruned.egs", plan=plan).count
     1600
     """
-    check_target(source, target, ENCODED, overwrite)
+    check_target([source], target, ENCODED, overwrite)
     config = config_for(target, config or Config())
     if max_memory is not None and (plan is not None or rate is not None):
         raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
     if max_memory is not None and config.format != EGS:
         raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
+    check_actions(actions, plan, max_memory is not None, plan is not None)
     times = StageTimes()
+    done: tuple[ActionReport, ...] = ()
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
             scene, input_bytes, counted = _read_source(source, config, max_bytes)
         with located(source):
+            if actions:
+                with times.stage("edit"):
+                    scene, done = edit_scenes([scene], actions, plan, progress)
+                counted = scene.float_bytes
             if plan is None and rate is None:
                 parts, report = encode_camera_free(scene, config, progress)
             else:
@@ -130,7 +141,9 @@ def encode_file(
             write_parts(target, parts)
     tell_lost(target, report.lost)
     ratio = counted / report.file_bytes
-    return replace(report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio)
+    return replace(
+        report, seconds=times.seconds, input_bytes=input_bytes, ratio=ratio, actions=done
+    )
 
 
 def _read_source(
@@ -138,10 +151,6 @@ def _read_source(
 ) -> tuple[Scene, int, int]:
     """The scene of a file, its size, and the bytes that a ratio counts from."""
     with open_scene(source) as file:
-        if current().limit is not None and not file.is_read_in_parts:
-            raise InvalidInput(
-                f"{source}: max-memory: only a binary PLY of floats is read in parts"
-            )
         # Bits of a PLY or .egs stay as they are, and the comment that names another system, which
         # other formats do not state.
         stays = config.format == EGS and file.format in ("egs", "ply")
@@ -199,7 +208,7 @@ def decode_file(
     >>> report.sh_degree, report.bytes_read < report.file_bytes
     (1, True)
     """
-    check_target(source, target, (".ply",), overwrite)
+    check_target([source], target, (".ply",), overwrite)
     start = time.perf_counter()
     part = part or Part()
     with opened_slabs(source, part, threads, max_bytes, progress, tmc3, max_memory) as slabs:

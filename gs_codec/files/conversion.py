@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
+from gs_codec.edit.actions import Action, check_actions
+from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
-from gs_codec.files.suffixes import UNBUNDLED
+from gs_codec.files.scenes import check_target, named, read_scene, turn_scene, write_scene
+from gs_codec.files.suffixes import IN_PARTS, UNBUNDLED
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of
 from gs_codec.formats.registry import open_scene
-from gs_codec.report import Progress, StageTimes
+from gs_codec.report import ActionReport, Progress, StageTimes
+from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.threads import using_threads
+from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.steps import Plan
 
 #: SH degrees of formats that have but one.
 _DEGREES = {".splat": 0, ".ckpt": 3}
@@ -37,10 +46,14 @@ class ConvertReport:
         Whether the source asks for opacity compensation.
     dropped : int
         Gaussians with NaN or infinity, which were removed.
+    actions : tuple of gs_codec.edit.ActionReport
+        What each action did.
     lost : tuple of str
         What the target's format cannot hold, in words.
     file_bytes : int
         Size of what was written.
+    ratio : float
+        Compression ratio against the floats.
     seconds : dict of str to float
         Wall time of each stage.
     """
@@ -51,18 +64,23 @@ class ConvertReport:
     turned_from: str | None
     antialiased: bool
     dropped: int
+    actions: tuple[ActionReport, ...]
     lost: tuple[str, ...]
     file_bytes: int
+    ratio: float
     seconds: dict[str, float]
 
 
 def convert_file(
-    source: str | Path,
+    source: str | Path | Sequence[str | Path],
     target: str | Path,
     config: Config | None = None,
     coordinates: str = CONVENTION,
     *,
+    actions: Sequence[Action] = (),
+    plan: Plan | None = None,
     progress: Progress | None = None,
+    max_memory: int | None = None,
     max_bytes: int | None = None,
     overwrite: bool = True,
 ) -> ConvertReport:
@@ -70,17 +88,27 @@ def convert_file(
 
     Parameters
     ----------
-    source, target : str or Path
-        Scenes; the suffix of the target selects its format, one of `FORMATS`, ``.ply``,
-        ``.pt`` (gsplat's checkpoint), ``.ckpt`` (splatfacto's) or ``.csv`` (a table of attributes).
+    source : path, or sequence of paths
+        Scenes; several are merged, see `gs_codec.edit.merge`.
+    target : str or Path
+        Its suffix selects the format, one of `FORMATS`, ``.ply``, ``.pt`` (gsplat's checkpoint),
+        ``.ckpt`` (splatfacto's) or ``.csv`` (a table of attributes).
     config : Config, optional
         How to encode the target. The last four use only its options for extra properties and NaN.
     coordinates : str
         Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``, and
         formats that have a system of their own, as ``.spz`` has, are always in that.
         ``RUB:RDF`` converts from the first to the second, whatever the source states.
+    actions : sequence of gs_codec.edit.Action
+        What to do with the scene, in this order. It is in ``RDF`` then.
+    plan : Plan, optional
+        Of it, cameras and views guide actions.
     progress, max_bytes
         As for `read`.
+    max_memory : int, optional
+        Maximum memory, bytes: large arrays are then in temporary files, with the same result. Only
+        for sources that are `.egs` or binary PLY of floats, for targets that are `.ply`, `.csv` or
+        `.egs`, and for actions that look at each Gaussian by itself, or sort them.
     overwrite : bool
         As for `encode_file`.
 
@@ -101,25 +129,30 @@ def convert_file(
     (2000, 'opacity, colour and rotation rounded to 8 bits')
     """
     config = config or Config(extra="keep")
-    suffix = check_target(source, target, overwrite=overwrite)
+    sources = [source] if isinstance(source, str | Path) else list(source)
+    suffix = check_target(sources, target, overwrite=overwrite)
+    if max_memory is not None and suffix not in IN_PARTS:
+        raise InvalidInput(f"{target}: max-memory: expected one of {', '.join(IN_PARTS)}")
+    check_actions(actions, plan, max_memory is not None)
     stated, _, wanted = coordinates.rpartition(":")
     own = OWN_SYSTEMS.get(suffix)
     if own is not None and wanted.upper() not in ("KEEP", CONVENTION, own):
         raise InvalidInput(f"{target}: coordinates {wanted!a:.20}, expected {own} of its format")
     dropped, times = 0, StageTimes()
-    with using_threads(config.threads):
+    with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
-            scene = read_scene(source, config.extra, progress, None, max_bytes)
-        with located(source):
-            if stated:
-                scene = state_system(scene, stated.upper())
-            before = system_of(scene)
+            scenes = [_read(each, config, stated, progress, max_bytes) for each in sources]
+        before = system_of(scenes[0])
+        with located(named(sources)):
+            with times.stage("edit"):
+                scene, done = edit_scenes(scenes, actions, plan, progress)
+            del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)
             if own is not None:
                 scene = turn_scene(scene, CONVENTION)
-            elif wanted != "keep":
-                scene = turn_scene(scene, wanted.upper())
+            else:
+                scene = turn_scene(scene, before if wanted == "keep" else wanted.upper())
         with times.stage("write"):
             lost = write_scene(target, scene, config)
     after = own or system_of(scene)
@@ -134,7 +167,18 @@ def convert_file(
         before if before != after else None,
         scene.antialiased,
         dropped,
+        done,
         lost,
         size,
+        scene.float_bytes / size,
         times.seconds,
     )
+
+
+def _read(
+    source: str | Path, config: Config, stated: str, progress: Progress | None, most: int | None
+) -> Scene:
+    """The scene of a file in the system that it states, or that is said to be its."""
+    scene = read_scene(source, config.extra, progress, None, most)
+    with located(source):
+        return state_system(scene, stated.upper()) if stated else scene

@@ -68,7 +68,7 @@ def prepare_file(
     >>> report.removed["leave-one-out"]
     600
     """
-    suffix = check_target(source, target, overwrite=overwrite)
+    suffix = check_target([source], target, overwrite=overwrite)
     if report_folder is not None:
         check_folder(report_folder, overwrite)
     config = replace(config or Config(), extra="keep")

@@ -31,6 +31,7 @@ from gs_codec.formats.usd import require_usd_core
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import Progress
+from gs_codec.runtime.arrays import current
 from gs_codec.runtime.atomic import atomic_writer, check_writable, write_files
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, float_bytes
@@ -126,6 +127,10 @@ def scene_in(
         with located(file.path):
             scene, read = decode_part(file.data, Part(), max_bytes=max_bytes, progress=progress)
             scene = matching.with_order(scene, matching.order_of_file(describe(read)))
+    elif current().limit is not None and not file.is_read_in_parts:
+        raise InvalidInput(
+            f"{file.path}: max-memory: only .egs and binary PLY of floats are read in parts"
+        )
     else:
         scene = file.scene(extra, max_bytes)
     with located(file.path):
@@ -187,15 +192,21 @@ def compare_files(
     return replace(compared, systems=systems)
 
 
+def named(sources: Sequence[str | Path]) -> str:
+    """Name of one or several files, for errors about what they hold together."""
+    return " + ".join(map(str, sources))
+
+
 def check_target(
-    source: str | Path,
+    sources: Sequence[str | Path],
     target: str | Path,
     known: tuple[str, ...] = WRITTEN,
     overwrite: bool = True,
 ) -> str:
     """The suffix of a target; refuses one that cannot be written, before the work is done."""
-    if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
-        raise InvalidInput(f"{target}: the source itself")
+    for source in sources:
+        if os.path.exists(source) and os.path.exists(target) and os.path.samefile(source, target):
+            raise InvalidInput(f"{target}: the source itself")
     check_writable(target, overwrite)
     suffix = suffix_of(target, known)
     require_usd_core(suffix)

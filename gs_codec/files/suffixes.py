@@ -16,6 +16,9 @@ ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)
 PLAIN = (".ply", ".pt", ".ckpt", ".csv")
 WRITTEN = (*ENCODED, *PLAIN)
 
+#: Of formats that are written part by part, below a memory limit.
+IN_PARTS = (".egs", ".ply", ".csv")
+
 
 def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
     """The suffix of a scene to be written, which selects its format.

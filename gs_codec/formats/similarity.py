@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.packed_values import spans
+from gs_codec.runtime.arrays import empty
+from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, sh_values
 
 #: Axes may be scaled this differently: matrices in files are rounded.
@@ -17,6 +19,9 @@ _ALIKE = 1e-4
 
 #: Decimals of weights; what is 0 or 1 is so exactly.
 _DECIMALS = 14
+
+#: Gaussians that are summed at once, so that sums stay in the processor's cache.
+_SOME = 1024
 
 #: Directions that tell all SH of a degree apart. Bands are homogeneous, so lengths do not matter.
 _DIRECTIONS = np.array([each for each in product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
@@ -125,20 +130,41 @@ def _product(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _weighted(
-    planes: NDArray[np.float32], weights: NDArray, shifts: NDArray | None = None
+    planes: NDArray[np.float32], weights: NDArray, shifts: ArrayLike = 0.0
 ) -> NDArray[np.float32]:
     """Weighted sums of planes, plus shifts; planes that only change signs keep their bits."""
-    sums = np.empty_like(planes)
-    for number, (row, to) in enumerate(zip(weights, sums, strict=True)):
+    if np.array_equal(weights, np.eye(len(planes))) and not np.any(shifts):
+        return planes
+    sums = empty(planes.shape, np.float32)
+    shift_of = np.broadcast_to(np.asarray(shifts, np.float64), len(planes))
+
+    def fill(number: int) -> None:
+        row, to = weights[number], sums[number]
         used = np.flatnonzero(row)
-        shift = 0.0 if shifts is None else shifts[number]
+        shift = shift_of[number]
         if len(used) == 1 and abs(row[used[0]]) == 1 and not shift:
             to[:] = planes[used[0]]
             if row[used[0]] < 0:
                 np.negative(to, out=to)
-            continue
-        with np.errstate(over="ignore", invalid="ignore"):  # not finite where the scene is not
-            for some in spans(planes.shape[1]):
-                terms = (row[k] * planes[k, some].astype(np.float64) for k in used)
-                to[some] = sum(terms, start=np.float64(shift))
+        else:
+            _sum_planes(planes, row, used, shift, to)
+
+    with using_threads(None, planes.shape[1]):
+        run_all(fill, range(len(planes)))
     return sums
+
+
+@kernel
+def _sum_planes(planes, weights, used, shift, to):
+    """Fill `to` with the sum of the planes of numbers `used`, and a shift, in float64."""
+    sums = np.empty(_SOME)
+    for first in range(0, len(to), _SOME):
+        count = min(_SOME, len(to) - first)
+        sums[:] = shift
+        for k in used:
+            weight, plane = weights[k], planes[k, first : first + count]
+            for i in range(count):
+                sums[i] += weight * np.float64(plane[i])
+        some = to[first : first + count]
+        for i in range(count):
+            some[i] = np.float32(sums[i])

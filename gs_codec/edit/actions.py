@@ -1,0 +1,232 @@
+"""Actions that commands do to a scene on the way: their names, and what is typed for them.
+
+Commands make options of these; nothing here loads what carries them out, see `pipeline`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from gs_codec.config import Option
+from gs_codec.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from gs_codec.preparation.steps import Plan
+
+#: How values are compared in conditions.
+COMPARED = ("<=", ">=", "==", "!=", "<", ">")
+_CONDITION = re.compile(rf"\s*([^\s<>=!]+)\s*({'|'.join(COMPARED)})\s*([^\s<>=!]+)\s*")
+
+#: Most bytes of a file that holds a matrix.
+_LONGEST = 1 << 16
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of action.
+
+    Parameters
+    ----------
+    help, metavar : str
+        Of its option; without a metavar it is a switch.
+    read : callable
+        Arguments of a text; raises `InvalidInput`.
+    moves : bool
+        Whether it moves the scene away from its cameras.
+    local : bool
+        Whether it looks at each Gaussian by itself, or sorts them.
+    guided : bool
+        Whether cameras guide it.
+    """
+
+    help: str
+    metavar: str
+    read: Callable[[str], tuple[Any, ...]]
+    moves: bool = False
+    local: bool = True
+    guided: bool = False
+
+
+def _numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
+    """Reads so many numbers, or so many, with commas between."""
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            numbers = tuple(float(number) for number in text.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
+            expected = " or ".join(map(str, counts))
+            raise InvalidInput(f"expected {expected} numbers, with commas between")
+        return numbers
+
+    return read
+
+
+def _whole(low: int, high: int) -> Callable[[str], tuple[int]]:
+    """Reads an integer of a range."""
+
+    def read(text: str) -> tuple[int]:
+        if not text.isascii() or not text.isdigit() or not low <= int(text[:30]) <= high:
+            raise InvalidInput(f"expected an integer from {low} to {high}")
+        return (int(text),)
+
+    return read
+
+
+def _share(text: str) -> tuple[float]:
+    """Reads a percentage."""
+    try:
+        percent = float(text.removesuffix("%")) if text.endswith("%") else math.nan
+    except ValueError:
+        percent = math.nan
+    if not 0 < percent <= 100:
+        raise InvalidInput("expected a percentage above 0, for example 40%")
+    return (percent,)
+
+
+def read_condition(text: str) -> tuple[str, str, float]:
+    """Reads a condition: attribute, comparison, number."""
+    if found := _CONDITION.fullmatch(text):
+        try:
+            return found[1], found[2], float(found[3])
+        except ValueError:
+            pass
+    raise InvalidInput("expected an attribute, one of < <= > >= == !=, and a number")
+
+
+def _order(text: str) -> tuple[()]:
+    """Reads the name of an order of Gaussians."""
+    if text != "morton":
+        raise InvalidInput("expected morton")
+    return ()
+
+
+def _nothing(text: str) -> tuple[()]:
+    """Reads nothing."""
+    if text:
+        raise InvalidInput("takes no value")
+    return ()
+
+
+def _matrix(path: str) -> tuple[list[list[float]]]:
+    """Reads a JSON file of three or four rows of four numbers.
+
+    As nerfstudio's ``dataparser_transforms.json`` has it, they may be the ``transform`` of an
+    object whose ``scale`` multiplies what it gives.
+    """
+    try:
+        with open(path, "rb") as file:
+            found = json.loads(file.read(_LONGEST))
+        factor = 1.0
+        if isinstance(found, dict):
+            factor, found = float(found.get("scale", 1.0)), found["transform"]
+        rows = [[float(number) for number in row] for row in found]
+    except OSError as error:
+        raise InvalidInput(f"{error.strerror}") from error
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
+        rows = []
+    if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
+        raise InvalidInput("expected three or four rows of four numbers, in JSON")
+    scaled = [[factor * number for number in row] for row in rows[:3]]
+    return ([*scaled, *(rows[3:] or [[0.0, 0.0, 0.0, 1.0]])],)
+
+
+#: Kinds of actions by their names, in the order of the help.
+KINDS: Mapping[str, Kind] = {
+    "crop-box": Kind(
+        "Keep Gaussians with centres in this box: lowest, then highest corner.",
+        "X,Y,Z,X,Y,Z", _numbers(6),
+    ),
+    "crop-sphere": Kind(
+        "Keep Gaussians with centres in this sphere: centre and radius.", "X,Y,Z,R", _numbers(4)
+    ),
+    "filter": Kind(
+        "Keep Gaussians for which this holds: 'opacity>0.05', 'largest_scale<2', 'z<=1.5'.",
+        "CONDITION", read_condition,
+    ),
+    "remove-nan": Kind("Remove Gaussians with NaN or infinity.", "", _nothing),
+    "remove-floaters": Kind(
+        "Remove Gaussians that belong to no surface.", "", _nothing, local=False, guided=True
+    ),
+    "keep-largest-cluster": Kind(
+        "Keep the largest group of Gaussians that touch each other.", "", _nothing, local=False
+    ),
+    "translate": Kind("Shift the scene.", "X,Y,Z", _numbers(3), moves=True),
+    "rotate": Kind(
+        "Turn the scene: degrees about x, then y, then z; or a quaternion.",
+        "X,Y,Z|W,X,Y,Z", _numbers(3, 4), moves=True,
+    ),
+    "scale": Kind("Multiply all lengths.", "F", _numbers(1), moves=True),
+    "transform": Kind(
+        "Move the scene by a matrix of 4 x 4, rows in JSON, that scales all axes alike.",
+        "FILE", _matrix, moves=True,
+    ),
+    "sh-degree": Kind("No SH above this degree, 0-3.", "D", _whole(0, 3)),
+    "gaussians": Kind(
+        "Decimate to this number.", "N", _whole(1, 1 << 40), local=False, guided=True
+    ),
+    "keep": Kind("Decimate to this share.", "PERCENT", _share, local=False, guided=True),
+    "sort": Kind("Order of the Gaussians.", "morton", _order),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Action:
+    """Something that is done to a scene, as it is typed for ``gs-codec convert``.
+
+    Parameters
+    ----------
+    name : str
+        The option without its dashes: ``crop-box``.
+    text : str
+        Its value: ``0,0,0,1,1,1``; empty if it has none.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no such action, or the value is not one for it.
+
+    Examples
+    --------
+    >>> turned = gs_codec.edit.Action("rotate", "90,0,0")
+    >>> report = gs_codec.convert_file("scene.ply", "turned.ply", actions=[turned])
+    """
+
+    name: str
+    text: str = ""
+    arguments: tuple[Any, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        Option("", values=tuple(KINDS)).check("action", self.name)
+        try:
+            object.__setattr__(self, "arguments", KINDS[self.name].read(self.text))
+        except InvalidInput as error:
+            raise InvalidInput(f"--{self}: {error}") from error
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.text}".rstrip()
+
+
+def check_actions(
+    actions: Sequence[Action], plan: Plan | None, limited: bool, coded: bool = False
+) -> None:
+    """Refuse actions that a memory limit rules out, or that move a scene away from its cameras.
+
+    These may guide actions or, if it is `coded` by them, the encoder.
+    """
+    given, moved = plan is not None and not plan.estimates, None
+    for action in actions:
+        kind = KINDS[action.name]
+        if not kind.local and limited:
+            raise InvalidInput(f"--{action}: needs the whole scene in memory, not --max-memory")
+        if kind.guided and given and moved is not None:
+            raise InvalidInput(f"--{action}: cameras are of the scene before --{moved}")
+        moved = action if kind.moves else moved
+    if coded and given and moved is not None:
+        raise InvalidInput(f"--{moved}: cameras are of the scene before it, expected none or auto")

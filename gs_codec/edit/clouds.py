@@ -1,0 +1,43 @@
+"""Functions on scenes take Open3D point clouds too; their arguments are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput
+from gs_codec.scene import Scene
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import PointCloud
+
+Arguments = ParamSpec("Arguments")
+Either = TypeVar("Either", Scene, "PointCloud")
+
+
+def on_clouds(
+    edit: Callable[Concatenate[Scene, Arguments], Scene],
+) -> Callable[Concatenate[Either, Arguments], Either]:
+    """Let a function from scene to scene take a cloud and return one; attributes are kept."""
+
+    @wraps(edit)
+    def edited(scene: Either, *arguments: Arguments.args, **options: Arguments.kwargs) -> Either:
+        if isinstance(scene, Scene):
+            return edit(scene, *arguments, **options)
+        from gs_codec.formats.cloud import from_cloud, to_cloud
+
+        return to_cloud(edit(from_cloud(scene, "keep"), *arguments, **options))
+
+    return edited
+
+
+def finite(name: str, numbers: Sequence[float], count: int) -> NDArray[np.float64]:
+    """Numbers as an array; `InvalidInput` unless they are so many, and finite."""
+    array = np.asarray(numbers, np.float64)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise InvalidInput(f"{name}: expected {count} finite numbers")
+    return array

@@ -1,0 +1,299 @@
+"""Gaussians chosen by where they are and by what they hold."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.matching import without_order
+from gs_codec.coding.clean import finite_gaussians
+from gs_codec.coding.morton import spatial_order
+from gs_codec.edit.actions import read_condition
+from gs_codec.edit.clouds import finite, on_clouds
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.packed_values import spans
+from gs_codec.runtime.arrays import empty
+from gs_codec.scene import (
+    GROUPS,
+    SH_C0,
+    SH_COEFFICIENTS,
+    Scene,
+    property_names,
+)
+
+#: How values are compared.
+_COMPARED: Mapping[str, Callable] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+}
+
+
+@on_clouds
+def crop_box(scene: Scene, low: Sequence[float], high: Sequence[float]) -> Scene:
+    """Keep the Gaussians whose centres are in a box, its faces included.
+
+    Parameters
+    ----------
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
+    low, high : sequence of three float
+        Corners of the box, scene units.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        These Gaussians, in their order, with all of their attributes.
+
+    Raises
+    ------
+    InvalidInput
+        If a corner is not finite, or the lower one above the other.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> half = gs_codec.edit.crop_box(cloud, (-100, -100, 0), (100, 100, 100))
+    """
+    lowest, highest = finite("low", low, 3), finite("high", high, 3)
+    if (lowest > highest).any():
+        raise InvalidInput("high: below low on an axis, expected the lowest corner first")
+
+    def inside(some: Scene) -> NDArray[np.bool_]:
+        centres = some.positions.T
+        return ((centres >= lowest) & (centres <= highest)).all(axis=1)
+
+    return _keep(scene, inside)
+
+
+@on_clouds
+def crop_sphere(scene: Scene, centre: Sequence[float], radius: float) -> Scene:
+    """Keep the Gaussians whose centres are in a sphere, its surface included.
+
+    Parameters
+    ----------
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
+    centre : sequence of three float
+        Scene units.
+    radius : float
+        Scene units, above 0.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        These Gaussians, in their order, with all of their attributes.
+
+    Raises
+    ------
+    InvalidInput
+        If a number is not finite, or the radius not above 0.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> near = gs_codec.edit.crop_sphere(cloud, (0, 0, 0), 2.5)
+    """
+    middle, limit = finite("centre", centre, 3), finite("radius", [radius], 1)[0]
+    if limit <= 0:
+        raise InvalidInput(f"radius {radius}: expected a number above 0")
+
+    def inside(some: Scene) -> NDArray[np.bool_]:
+        return np.linalg.norm(some.positions.T - middle, axis=1) <= limit
+
+    return _keep(scene, inside)
+
+
+@on_clouds
+def select(scene: Scene, condition: str) -> Scene:
+    """Keep the Gaussians for which a condition holds; NaN fulfils none.
+
+    Parameters
+    ----------
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
+    condition : str
+        An attribute, one of ``< <= > >= == !=``, and a number: ``opacity>0.05``. Attributes are
+        ``x y z`` (scene units), ``opacity`` (0-1), ``scale_0`` to ``scale_2`` and their
+        ``largest_scale`` and ``smallest_scale`` (standard deviations, scene units), ``red green
+        blue`` (colours of SH-DC, 0-1), ``f_dc_0`` to ``f_dc_2`` and ``f_rest_0`` to ``f_rest_44``
+        (SH), ``rot_0`` to ``rot_3`` (wxyz as stored), and extra properties by their names.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        These Gaussians, in their order, with all of their attributes.
+
+    Raises
+    ------
+    InvalidInput
+        If the condition is not of this form, or the scene has no such attribute.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> visible = gs_codec.edit.select(cloud, "opacity>0.05")
+    >>> len(visible.point.positions) < len(cloud.point.positions)
+    True
+    """
+    return select_where(scene, *read_condition(condition))
+
+
+def select_where(scene: Scene, name: str, compared: str, number: float) -> Scene:
+    """See `select`."""
+    if name not in (known := attribute_names(scene)):
+        listed = ", ".join(known[:24]) + (", ..." if len(known) > 24 else "")
+        raise InvalidInput(f"no attribute '{name}', expected one of {listed}")
+
+    def holds(some: Scene) -> NDArray[np.bool_]:
+        values = attribute_values(some, name)
+        return _COMPARED[compared](values, number) & ~np.isnan(values)
+
+    return _keep(scene, holds)
+
+
+@on_clouds
+def remove_nonfinite(scene: Scene) -> Scene:
+    """Remove the Gaussians that hold NaN or infinity.
+
+    Parameters
+    ----------
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        These Gaussians, in their order, with all of their attributes.
+
+    Raises
+    ------
+    InvalidInput
+        If the cloud lacks an attribute of a scene.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.edit.remove_nonfinite(gs_codec.read("scene.ply"))
+    """
+    return _keep(scene, finite_gaussians)
+
+
+@on_clouds
+def limit_sh_degree(scene: Scene, sh_degree: int) -> Scene:
+    """Leave out the SH above a degree.
+
+    Parameters
+    ----------
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
+    sh_degree : int
+        0 to 3; a scene of a lower degree stays as it is.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        The scene with the SH that are left.
+
+    Raises
+    ------
+    InvalidInput
+        If the degree is another.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.edit.limit_sh_degree(gs_codec.read("scene.ply"), 1)
+    >>> cloud.point.f_rest.shape
+    SizeVector[2000, 3, 3]
+    """
+    if sh_degree not in range(len(SH_COEFFICIENTS)):
+        raise InvalidInput(f"sh_degree {sh_degree}: expected 0 to 3")
+    if sh_degree >= scene.sh_degree:
+        return scene
+    colours = scene.f_rest.reshape(3, -1, scene.count)[:, : SH_COEFFICIENTS[sh_degree]]
+    rest = empty((3 * colours.shape[1], scene.count), np.float32)
+    rest.reshape(colours.shape)[:] = colours
+    return replace(scene, f_rest=rest)
+
+
+@on_clouds
+def sort_morton(scene: Scene) -> Scene:
+    """Put Gaussians in Morton order of their centres, so that neighbours are near in the file.
+
+    Parameters
+    ----------
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it; its centres are finite.
+
+    Returns
+    -------
+    open3d.t.geometry.PointCloud
+        The same Gaussians in this order.
+
+    Raises
+    ------
+    InvalidInput
+        If a centre is not finite.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.edit.sort_morton(gs_codec.read("scene.ply"))
+    """
+    if not np.isfinite(scene.positions).all():
+        raise InvalidInput("centres that are not finite, expected --remove-nan before")
+    return without_order(scene.take(spatial_order(scene.positions)))
+
+
+def attribute_names(scene: Scene) -> list[str]:
+    """Names of the attributes that `attribute_values` has of a scene."""
+    names = property_names(len(scene.f_rest) // 3)
+    stored = [name for group in GROUPS if group != "f_rest" for name in names[group]]
+    return [*stored, *_DERIVED, *scene.extra, *names["f_rest"]]
+
+
+def attribute_values(scene: Scene, name: str) -> NDArray:
+    """Values ``(N,)`` of an attribute in its natural unit, see `select`."""
+    if name in scene.extra:
+        return scene.extra[name]
+    if name in _DERIVED:
+        return _DERIVED[name](scene)
+    names = property_names(len(scene.f_rest) // 3)
+    group = next(group for group in GROUPS if name in names[group])
+    plane = getattr(scene, group)[names[group].index(name)].astype(np.float64)
+    with np.errstate(over="ignore"):
+        if group == "opacity":
+            return 1 / (1 + np.exp(-plane))
+        return np.exp(plane) if group == "log_scale" else plane
+
+
+def _scale(scene: Scene, choose: Callable) -> NDArray[np.float64]:
+    with np.errstate(over="ignore"):
+        return np.exp(choose(scene.log_scale, axis=0).astype(np.float64))
+
+
+def _colour(scene: Scene, channel: int) -> NDArray[np.float64]:
+    return 0.5 + SH_C0 * scene.f_dc[channel].astype(np.float64)
+
+
+#: Attributes that are computed of stored ones.
+_DERIVED: Mapping[str, Callable[[Scene], NDArray]] = {
+    "largest_scale": lambda scene: _scale(scene, np.max),
+    "smallest_scale": lambda scene: _scale(scene, np.min),
+    "red": lambda scene: _colour(scene, 0),
+    "green": lambda scene: _colour(scene, 1),
+    "blue": lambda scene: _colour(scene, 2),
+}
+
+
+def _keep(scene: Scene, chosen: Callable[[Scene], NDArray[np.bool_]]) -> Scene:
+    """The Gaussians that are chosen, in their order; the scene itself if these are all."""
+    mask = np.empty(scene.count, bool)
+    for some in spans(scene.count):
+        mask[some] = chosen(scene.between(some.start, some.stop))
+    return scene if mask.all() else without_order(scene.take(mask))

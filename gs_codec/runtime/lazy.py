@@ -1,0 +1,32 @@
+"""Public names of a package, each loaded when it is first used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+
+def lazy_names(
+    package: str, public: Mapping[str, Sequence[str]], packages: Sequence[str] = ()
+) -> tuple[list[str], Callable[[str], Any]]:
+    """The ``__all__`` and the ``__getattr__`` of a package.
+
+    Parameters
+    ----------
+    package : str
+    public : mapping of str to sequence of str
+        Modules, and names that they have for everybody.
+    packages : sequence of str
+        Packages in it that are found by their names, too.
+    """
+    homes = {name: module for module, names in public.items() for name in names}
+
+    def find(name: str) -> Any:
+        if name in packages:
+            return import_module(f"{package}.{name}")
+        if name not in homes:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+        return getattr(import_module(homes[name]), name)
+
+    return list(homes), find

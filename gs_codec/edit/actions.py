@@ -62,7 +62,8 @@ def _numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
             numbers = ()
         if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
             expected = " or ".join(map(str, counts))
-            raise InvalidInput(f"expected {expected} numbers, with commas between")
+            expected += " numbers, with commas between" if max(counts) > 1 else " number"
+            raise InvalidInput(f"expected {expected}")
         return numbers
 
     return read

@@ -136,7 +136,8 @@ def transform(scene: Scene, matrix: ArrayLike) -> Scene:
     Examples
     --------
     >>> cloud = gs_codec.read("scene.ply")
-    >>> mirrored = gs_codec.edit.transform(cloud, numpy.diag([-1, 1, 1, 1]))
+    >>> matrix = [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    >>> mirrored = gs_codec.edit.transform(cloud, matrix)
     """
     moved = move_scene(scene, matrix)
     return scene if moved is scene else without_order(moved)

@@ -1,0 +1,225 @@
+"""Actions on the command line: in the order typed, of `convert`, `encode` and `batch`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import random_scene
+from test_ply import assert_same_bits
+
+from gs_codec.codecs import memory as rooms
+from gs_codec.config import Config
+from gs_codec.edit.actions import Action
+from gs_codec.edit.join import merge_scenes
+from gs_codec.edit.pipeline import edit_scenes
+from gs_codec.errors import InvalidInput
+from gs_codec.files.coding import encode_file
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.scenes import read_scene
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.runtime import arrays
+from gs_codec.scene import Scene
+
+CROP, TURN, SHIFT = "--crop-box=-1,-1,-1,1,1,1", "--rotate=30,40,50", "--translate=0.5,0,0"
+FILTER = ("--filter", "opacity>0.5")
+
+
+def expected(scene: Scene, *typed: str) -> Scene:
+    """A scene after actions, typed as options."""
+    actions = [Action(*action.removeprefix("--").split("=", 1)) for action in typed]
+    return edit_scenes([scene], actions)[0]
+
+
+def test_actions_are_done_in_the_order_typed(folder):
+    scene = read_ply("scene.ply")
+    there = (CROP, TURN, SHIFT, CROP)
+    status, out, err = folder.run("convert", "scene.ply", there[0], "o.ply", *there[1:])
+    assert (status, out.split(":")[0]) == (0, "o.ply")
+    assert_same_bits(read_ply("o.ply"), edited := expected(scene, *there))
+    first = expected(scene, *there[:1])
+    lines = err.splitlines()
+    gone = scene.count - first.count, first.count - edited.count
+    assert lines[0] == f"crop-box -1,-1,-1,1,1,1: removed {gone[0]:,} of 1,500 Gaussians"
+    assert lines[1] == f"crop-box -1,-1,-1,1,1,1: removed {gone[1]:,} of {first.count:,} Gaussians"
+    assert lines[2:] == ["coordinates RDF, as they were"]
+    folder.run("convert", "scene.ply", "p.ply", *there[::-1])
+    assert_same_bits(read_ply("p.ply"), expected(scene, *there[::-1]))
+    assert read_ply("p.ply").count != edited.count
+
+
+def test_json_tells_what_actions_did(folder):
+    typed = ("--remove-nan", *FILTER, "--sh-degree", "1")
+    status, out, _ = folder.run("convert", "scene.ply", "o.egs", *typed, "--json")
+    assert status == 0
+    told = json.loads(out)
+    kept = expected(read_ply("scene.ply"), "--filter=opacity>0.5").count
+    assert [(a["action"], a["before"], a["after"]) for a in told["actions"]] == [
+        ("remove-nan", 1500, 1500),
+        ("filter opacity>0.5", 1500, kept),
+        ("sh-degree 1", kept, kept),
+    ]
+    assert (told["count"], told["sh_degree"]) == (kept, 1)
+
+
+def test_several_inputs_are_merged(folder):
+    scene = read_ply("scene.ply")
+    write_ply("up.ply", turn_axes(scene.between(0, 50), "RUB"))
+    status, out, _ = folder.run("convert", "scene.ply", "up.ply", "scene.egs", "o.ply", "--json")
+    assert (status, json.loads(out)["input"]) == (0, ["scene.ply", "up.ply", "scene.egs"])
+    merged = merge_scenes([scene, scene.between(0, 50), read_scene("scene.egs")])
+    assert_same_bits(replace(read_ply("o.ply"), comments=()), replace(merged, comments=()))
+    assert folder.run("convert", "up.ply", "scene.ply", "k.ply", "--coordinates=keep")[0] == 0
+    kept = read_ply("k.ply")
+    assert kept.coordinates == "RUB"
+    np.testing.assert_array_equal(kept.positions[1, 50:], -scene.positions[1])
+    line = folder.refuse("convert", "scene.ply", "o.ply", "o.ply", "--overwrite")
+    assert "o.ply: the source itself" in line
+
+
+def test_errors_name_the_scene(folder):
+    far = "--crop-sphere=1e6,0,0,1"
+    line = folder.refuse("convert", "scene.ply", "n.ply", far)
+    assert line.startswith("gs-codec: error: scene.ply: --crop-sphere 1e6,0,0,1: no Gaussian is")
+    line = folder.refuse("convert", "scene.ply", "scene.egs", "n.ply", far)
+    assert "error: scene.ply + scene.egs: --crop-sphere" in line
+
+
+def test_gaussians_with_nan_go_before_they_are_refused(folder):
+    scene = read_ply("scene.ply")
+    scene.opacity[0, 5] = np.nan
+    write_ply("nan.ply", scene)
+    assert "not finite: 1 in opacity" in folder.refuse("convert", "nan.ply", "o.ply")
+    assert folder.run("convert", "nan.ply", "o.ply", "--remove-nan")[0] == 0
+    assert_same_bits(read_ply("o.ply"), scene.take(np.arange(1500) != 5))
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("convert scene.ply o.ply --cameras cameras.json", "--cameras needs one of --remove-flo"),
+        ("convert scene.ply o.ply --scale 2 --views 3", "--views needs one of --remove-floaters"),
+        ("convert scene.ply o.ply --keep 50% --width 9", "--width has no effect without --cameras"),
+        ("convert scene.ply o.spz --max-memory 1GB", "--max-memory has no effect on o.spz"),
+        ("convert scene.ply o.ply --keep 9% --max-memory 1GB", "--keep 9%: needs the whole scene"),
+        ("convert scene.ply o.ply --format egs", "--format has no effect on o.ply"),
+        ("convert scene.ply o.ply --scale two", "--scale two: expected 1 number"),
+        ("convert scene.ply o.ply --scale", "requires an argument"),
+        ("convert scene.ply o.ply --remove-nan=1", "does not take a value"),
+        ("convert - - o.ply", "-: stdin is one scene, expected '-' once"),
+        ("encode scene.ply o.egs --scale 2 --cameras cameras.json", "--scale 2: cameras are of"),
+        ("encode scene.ply o.egs --keep 9% --max-memory 1GB", "--keep 9%: needs the whole scene"),
+        ("batch scene.ply out --scale 2 --cameras cameras.json", "--scale 2: cameras are of"),
+        ("batch scene.ply out --format ply -p s", "--profile has no effect on ply"),
+        ("batch scene.ply out --format ply --prune 9", "--prune has no effect on ply"),
+        ("batch scene.ply out --format csv --target-ratio 9", "--target-ratio has no effect on"),
+        ("batch scene.ply out --format ply --gt-images i", "--gt-images has no effect on ply"),
+        ("batch scene.ply out --format ply --cameras cameras.json", "--cameras needs one of"),
+        ("batch scene.ply out --format pt --max-memory 1GB", "--max-memory has no effect on pt"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(folder, typed, said):
+    assert said in folder.refuse(*typed.split())
+
+
+def test_encoding_edits_first(folder):
+    typed = [CROP, *FILTER]
+    status, out, err = folder.run("encode", "scene.ply", "o.egs", *typed, "--json")
+    assert (status, err.count("removed")) == (0, 2)
+    edited = expected(read_ply("scene.ply"), CROP, "--filter=opacity>0.5")
+    write_ply("edited.ply", edited)
+    encode_file("edited.ply", "expected.egs")
+    assert (folder.path / "o.egs").read_bytes() == (folder.path / "expected.egs").read_bytes()
+    told = json.loads(out)
+    assert told["ratio"] == pytest.approx(edited.float_bytes / told["file_bytes"])
+
+
+def piped(*arguments: str, data: bytes = b"") -> bytes:
+    command = [sys.executable, "-m", "gs_codec", *arguments]
+    return subprocess.run(command, input=data, capture_output=True, check=True).stdout
+
+
+def test_scenes_go_through_pipes(folder):
+    data = piped("convert", "-", "-", TURN, data=(folder.path / "scene.ply").read_bytes())
+    (folder.path / "turned.ply").write_bytes(data)
+    assert_same_bits(read_ply("turned.ply"), expected(read_ply("scene.ply"), TURN))
+    coded = piped("convert", "-", "-", "--format", "egs", data=data)
+    encode_file("turned.ply", "turned.egs")
+    assert coded == (folder.path / "turned.egs").read_bytes()
+
+
+@pytest.mark.parametrize("target", ["o.ply", "o.egs", "o.csv"])
+@pytest.mark.parametrize("source", ["scene.ply", "scene.egs"])
+def test_results_are_the_same_below_a_memory_limit(folder, monkeypatch, source, target):
+    actions = [Action("crop-box", "-9,-9,-9,9,9,1"), Action("rotate", "1,2,3"),
+               Action("filter", "opacity>0.1"), Action("sh-degree", "2"), Action("sort", "morton"),
+               Action("remove-nan")]  # fmt: skip
+    convert_file([source, "decoded.ply"], f"whole-{target}", actions=actions)
+    monkeypatch.setattr(arrays, "_LARGE", 0)
+    monkeypatch.setattr(arrays, "_SEGMENT", 5000)
+    monkeypatch.setattr("gs_codec.codecs.decode._SLAB", 300)
+    monkeypatch.setattr(rooms, "_check", lambda least, what: None)
+    monkeypatch.setattr(rooms, "_FIXED", -(10**9))
+    convert_file([source, "decoded.ply"], target, actions=actions, max_memory=1)
+    assert (folder.path / target).read_bytes() == (folder.path / f"whole-{target}").read_bytes()
+    with pytest.raises(InvalidInput, match="max-memory: expected one of"):
+        convert_file(source, "o.spz", max_memory=1)
+
+
+def test_editing_below_a_limit_takes_files_and_not_memory(tmp_path, monkeypatch):
+    """Arrays that grow with the scene are in files, from the reader to the writer."""
+    write_ply(tmp_path / "scene.ply", random_scene(3000, 3, seed=2))
+    monkeypatch.setattr(arrays, "_LARGE", 0)
+    held: list[bool] = []
+    write = write_ply
+
+    def written(path, scene):
+        held.extend(not plane.flags.owndata for plane in (scene.positions, scene.f_rest))
+        return write(path, scene)
+
+    monkeypatch.setitem(sys.modules["gs_codec.files.scenes"]._WRITERS, ".ply", written)
+    actions = [Action("crop-sphere", "0,0,0,2"), Action("rotate", "1,2,3")]
+    convert_file(tmp_path / "scene.ply", tmp_path / "o.ply", actions=actions, max_memory=10**10)
+    assert held == [True, True]
+
+
+def test_batches_edit_and_convert(folder):
+    (folder.path / "in").mkdir()
+    for name in ("scene.ply", "scene.egs"):
+        (folder.path / name).rename(folder.path / "in" / name.replace("scene", name[-3:]))
+    typed = ["in", "out", *FILTER, CROP, "--jobs", "1"]
+    status, out, err = folder.run("batch", *typed, "--format", "ply")
+    assert (status, out.startswith("2 scenes encoded")) == (0, True), err
+    for name in ("ply.ply", "egs.egs"):
+        edited = expected(read_scene(f"in/{name}"), "--filter=opacity>0.5", CROP)
+        assert_same_bits(
+            replace(read_ply(f"out/{name[:3]}.ply"), comments=()), replace(edited, comments=())
+        )
+    told = [
+        json.loads(line) for line in (folder.path / "out/report.jsonl").read_text().splitlines()
+    ]
+    assert all(record["changed"]["removed"] == 1500 - record["gaussians"] for record in told)
+    status, out, _ = folder.run("batch", "in", "coded", *FILTER, CROP, "--jobs", "1")
+    assert out.startswith("1 scene encoded")
+    convert_file("out/ply.ply", "expected.egs", Config(extra="error"))
+    assert (folder.path / "coded/ply.egs").read_bytes() == (
+        folder.path / "expected.egs"
+    ).read_bytes()
+
+
+def test_batches_resume_by_what_actions_read(folder):
+    def matrix(scale: float) -> None:
+        rows = (scale * np.eye(3, 4)).tolist()
+        (folder.path / "m.json").write_text(json.dumps(rows))
+
+    typed = ["batch", "scene.ply", "out", "--transform", "m.json", "--jobs", "1", "--resume"]
+    matrix(2.0)
+    assert folder.run(*typed)[1].startswith("1 scene encoded")
+    assert "1 complete before" in folder.run(*typed)[1]
+    matrix(3.0)
+    assert folder.run(*typed)[1].startswith("1 scene encoded")

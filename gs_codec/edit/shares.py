@@ -1,0 +1,138 @@
+"""Shares of Gaussians that stand out: transparent, needle-like, huge, duplicate, not finite."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.formats.packed_values import sigmoid
+from gs_codec.rendering.project import MIN_ALPHA
+from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.scene import GROUPS, Scene
+
+#: Share of the values at either end that may be outliers.
+QUANTILE = 0.01
+
+#: A needle's longest axis has more than this many times the length of the middle one.
+_NEEDLE = 10
+
+#: Of the scene's extent: a Gaussian of such a scale reaches over 30 % of the scene.
+_HUGE = 0.05
+
+
+@dataclass(frozen=True)
+class Share:
+    """Gaussians that have something in common.
+
+    Attributes
+    ----------
+    name : str
+    rule : str
+        What they have in common, in words.
+    count : int
+        Their number.
+    share : float
+        Their number, of all Gaussians, 0-1.
+    """
+
+    name: str
+    rule: str
+    count: int
+    share: float
+
+
+def shares_of(scene: Scene) -> tuple[Share, ...]:
+    """Gaussians that cannot be seen, look unlike others, or repeat others.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of any values. NaN fulfils no rule but that on it.
+
+    Returns
+    -------
+    tuple of Share
+        ``transparent``, ``needle-like``, ``huge``, ``same centre``, ``duplicate``, ``not finite``.
+        The extent, by which scales are huge, is the longest side of a box that leaves out 1 % of
+        the centres at either end of each axis. Of Gaussians with the same centre, or with the same
+        values of all attributes, all but the first count.
+    """
+    rules = (_transparent, _needles, _huge, _repeated, _not_finite)
+    with using_threads(None, scene.count):
+        found = [share for shares in run_all(lambda rule: rule(scene), rules) for share in shares]
+    return tuple(
+        Share(name, rule, number, number / max(scene.count, 1)) for name, rule, number in found
+    )
+
+
+_Found = list[tuple[str, str, int]]
+
+
+def _transparent(scene: Scene) -> _Found:
+    number = np.count_nonzero(sigmoid(scene.opacity[0].astype(np.float64)) < MIN_ALPHA)
+    return [("transparent", "opacity below 1/255, which is not drawn", number)]
+
+
+def _needles(scene: Scene) -> _Found:
+    _, middle, longest = np.sort(scene.log_scale, axis=0).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        number = np.count_nonzero(longest - middle > math.log(_NEEDLE))
+    return [("needle-like", f"longest scale over {_NEEDLE} times the middle one", number)]
+
+
+def _huge(scene: Scene) -> _Found:
+    extent = max(_spread(row) for row in scene.positions)
+    longest = scene.log_scale.astype(np.float64).max(axis=0)
+    # Without extent, as of a single Gaussian, none is huge.
+    number = np.count_nonzero(longest > math.log(_HUGE * extent)) if extent else 0
+    rule = f"longest scale over {_HUGE:.0%} of the scene's extent, {extent:.4g}"
+    return [("huge", rule.replace("%", " %"), number)]
+
+
+def _spread(values: NDArray[np.float32]) -> float:
+    """Length that the finite values span without the outliers at either end."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0
+    rank = int(QUANTILE * (finite.size - 1))
+    finite.partition(sorted({rank, finite.size - 1 - rank}))
+    return float(finite[finite.size - 1 - rank]) - float(finite[rank])
+
+
+def _repeated(scene: Scene) -> _Found:
+    x, y, z = _words(scene.positions).astype(np.uint64)
+    # The same centre has the same key; another one has, by chance, but rarely.
+    keys = (x << np.uint64(32) | y) ^ z * np.uint64(0x9E3779B97F4A7C15)
+    order = np.argsort(keys)
+    keys = keys[order]
+    after = np.flatnonzero(keys[1:] == keys[:-1])
+    few = scene.take(np.union1d(order[after], order[after + 1]))
+    everything = np.concatenate([_words(getattr(few, group)) for group in GROUPS])
+    return [
+        ("same centre", "centre of an earlier one", _repetitions(_words(few.positions))),
+        ("duplicate", "all attributes of an earlier one", _repetitions(everything)),
+    ]
+
+
+def _words(planes: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """The bits of floats; those of 0 are those of -0."""
+    with np.errstate(invalid="ignore"):
+        return (planes + np.float32(0)).view(np.uint32)
+
+
+def _repetitions(words: NDArray[np.uint32]) -> int:
+    """How many columns of ``words (C, n)`` are those of an earlier one."""
+    rows = np.ascontiguousarray(words.T)
+    return len(rows) - len(np.unique(rows.view(f"V{4 * len(words)}")))
+
+
+def _not_finite(scene: Scene) -> _Found:
+    finite = np.ones(scene.count, bool)
+    for group in GROUPS:
+        for row in getattr(scene, group):
+            finite &= np.isfinite(row)
+    number = scene.count - np.count_nonzero(finite)
+    return [("not finite", "NaN or infinity in an attribute", number)]

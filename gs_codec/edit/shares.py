@@ -8,19 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.edit.distribution import ranked
 from gs_codec.formats.packed_values import sigmoid
 from gs_codec.rendering.project import MIN_ALPHA
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import GROUPS, Scene
 
 #: Share of the values at either end that may be outliers.
-QUANTILE = 0.01
+_OUTLIERS = 0.01
 
 #: A needle's longest axis has more than this many times the length of the middle one.
 _NEEDLE = 10
 
 #: Of the scene's extent: a Gaussian of such a scale reaches over 30 % of the scene.
 _HUGE = 0.05
+
+#: 2**64 over the golden ratio, odd: products with it mix the bits of columns.
+_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True)
@@ -72,14 +76,14 @@ _Found = list[tuple[str, str, int]]
 
 
 def _transparent(scene: Scene) -> _Found:
-    number = np.count_nonzero(sigmoid(scene.opacity[0].astype(np.float64)) < MIN_ALPHA)
+    number = int(np.count_nonzero(sigmoid(scene.opacity[0].astype(np.float64)) < MIN_ALPHA))
     return [("transparent", "opacity below 1/255, which is not drawn", number)]
 
 
 def _needles(scene: Scene) -> _Found:
     _, middle, longest = np.sort(scene.log_scale, axis=0).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        number = np.count_nonzero(longest - middle > math.log(_NEEDLE))
+        number = int(np.count_nonzero(longest - middle > math.log(_NEEDLE)))
     return [("needle-like", f"longest scale over {_NEEDLE} times the middle one", number)]
 
 
@@ -87,33 +91,33 @@ def _huge(scene: Scene) -> _Found:
     extent = max(_spread(row) for row in scene.positions)
     longest = scene.log_scale.astype(np.float64).max(axis=0)
     # Without extent, as of a single Gaussian, none is huge.
-    number = np.count_nonzero(longest > math.log(_HUGE * extent)) if extent else 0
+    number = int(np.count_nonzero(longest > math.log(_HUGE * extent))) if extent else 0
     rule = f"longest scale over {_HUGE:.0%} of the scene's extent, {extent:.4g}"
     return [("huge", rule.replace("%", " %"), number)]
 
 
+def ends_of(number: int) -> tuple[int, int]:
+    """Ranks between which lie all of so many values but 1 % at either end."""
+    rank = int(_OUTLIERS * (number - 1))
+    return rank, number - 1 - rank
+
+
 def _spread(values: NDArray[np.float32]) -> float:
     """Length that the finite values span without the outliers at either end."""
-    finite = values[np.isfinite(values)]
-    if not finite.size:
+    number = np.count_nonzero(np.isfinite(values))
+    if not number:
         return 0.0
-    rank = int(QUANTILE * (finite.size - 1))
-    finite.partition(sorted({rank, finite.size - 1 - rank}))
-    return float(finite[finite.size - 1 - rank]) - float(finite[rank])
+    low, high = ranked([values], ends_of(number))
+    return high - low
 
 
 def _repeated(scene: Scene) -> _Found:
-    x, y, z = _words(scene.positions).astype(np.uint64)
-    # The same centre has the same key; another one has, by chance, but rarely.
-    keys = (x << np.uint64(32) | y) ^ z * np.uint64(0x9E3779B97F4A7C15)
-    order = np.argsort(keys)
-    keys = keys[order]
-    after = np.flatnonzero(keys[1:] == keys[:-1])
-    few = scene.take(np.union1d(order[after], order[after + 1]))
-    everything = np.concatenate([_words(getattr(few, group)) for group in GROUPS])
+    first, centres = _repetitions(_words(scene.positions))
+    few = scene.take(np.union1d(first, centres))
+    planes = np.concatenate([_words(getattr(few, group)) for group in GROUPS])
     return [
-        ("same centre", "centre of an earlier one", _repetitions(_words(few.positions))),
-        ("duplicate", "all attributes of an earlier one", _repetitions(everything)),
+        ("same centre", "centre of an earlier one", len(centres)),
+        ("duplicate", "all attributes of an earlier one", len(_repetitions(planes)[1])),
     ]
 
 
@@ -123,10 +127,20 @@ def _words(planes: NDArray[np.float32]) -> NDArray[np.uint32]:
         return (planes + np.float32(0)).view(np.uint32)
 
 
-def _repetitions(words: NDArray[np.uint32]) -> int:
-    """How many columns of ``words (C, n)`` are those of an earlier one."""
-    rows = np.ascontiguousarray(words.T)
-    return len(rows) - len(np.unique(rows.view(f"V{4 * len(words)}")))
+def _repetitions(words: NDArray[np.uint32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Columns of ``words (C, n)`` that repeat others, once each: these others, and themselves."""
+    mixed = np.zeros(words.shape[1], np.uint64)
+    for row in words:
+        mixed = (mixed ^ row) * _FACTOR
+        mixed ^= mixed >> np.uint64(32)
+    order = np.argsort(mixed)
+    mixed = mixed[order]
+    after = np.flatnonzero(mixed[1:] == mixed[:-1])
+    first, second = order[after], order[after + 1]
+    same = np.ones(len(after), bool)
+    for row in words:
+        same &= row[first] == row[second]
+    return first[same], second[same]
 
 
 def _not_finite(scene: Scene) -> _Found:
@@ -134,5 +148,5 @@ def _not_finite(scene: Scene) -> _Found:
     for group in GROUPS:
         for row in getattr(scene, group):
             finite &= np.isfinite(row)
-    number = scene.count - np.count_nonzero(finite)
+    number = int(np.count_nonzero(~finite))
     return [("not finite", "NaN or infinity in an attribute", number)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 
@@ -10,20 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.extent import centre_bounds
-from gs_codec.edit.shares import QUANTILE, Share, shares_of
+from gs_codec.edit.distribution import even_edges, histogram, ranked
+from gs_codec.edit.shares import Share, ends_of, shares_of
 from gs_codec.egs.index import Box
 from gs_codec.formats.packed_values import sigmoid
-from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, channel_count, sh_bands
 
 #: Bins of a histogram.
 BINS = 40
 
-#: Logarithms of the least and largest scale that is told apart: floats of 64 bits end there.
+#: Logarithms of scales are clipped to those of floats of 64 bits.
 _LOG_RANGE = -708.0, 709.0
-
-_LARGEST = float(np.finfo(np.float64).max)
 
 
 @dataclass(frozen=True)
@@ -109,13 +107,12 @@ class Statistics:
 
 @dataclass(frozen=True)
 class _Attribute:
-    """An attribute: its stored values, of any shape, and what makes natural units of them."""
+    """An attribute: planes of values, and what makes natural units of them in the same order."""
 
     name: str
     unit: str
-    stored: Callable[[], NDArray]
-    natural: Callable[[NDArray], NDArray] = np.asarray
-    logarithmic: bool = False
+    planes: Sequence[NDArray]
+    natural: Callable[[NDArray[np.float64]], NDArray[np.float64]] = np.asarray
 
 
 def statistics_of(scene: Scene) -> Statistics:
@@ -145,118 +142,65 @@ def statistics_of(scene: Scene) -> Statistics:
     )
 
 
-def _attributes(scene: Scene) -> list[_Attribute]:
-    def row(planes: NDArray, number: int) -> Callable[[], NDArray]:
-        return lambda: planes[number]
-
-    def band(coefficients: range) -> NDArray:
-        planes = scene.f_rest.reshape(3, -1, scene.count)
-        return planes[:, coefficients.start : coefficients.stop]
-
-    scales, axes = np.sort(scene.log_scale, axis=0), ("shortest", "middle", "longest")
-    bands = enumerate(sh_bands(len(scene.f_rest) // 3), 1)
-    return [
-        *(_Attribute(name, "scene units", row(scene.positions, i)) for i, name in enumerate("xyz")),
-        _Attribute("opacity", "0-1", row(scene.opacity, 0), _opacity),
-        *(
-            _Attribute(f"{axes[i]} scale", "scene units", row(scales, i), _linear, True)
-            for i in (2, 1, 0)
-        ),
-        *(
-            _Attribute(name, "0-1", row(scene.f_dc, i), _colour)
-            for i, name in enumerate(("red", "green", "blue"))
-        ),
-        *(_Attribute(f"SH band {b}", "SH", partial(band, members)) for b, members in bands),
-        _Attribute("rotation norm", "1", lambda: _norm(scene.rot)),
-        *(
-            _Attribute(name, column.dtype.name, row(column[None], 0), _wide)
-            for name, column in scene.extra.items()
-        ),
-    ]
+def _attributes(scene: Scene) -> Iterator[_Attribute]:
+    for name, row in zip("xyz", scene.positions, strict=True):
+        yield _Attribute(name, "scene units", [row])
+    yield _Attribute("opacity", "0-1", [_opacity(scene.opacity[0])])
+    axes = zip(("shortest", "middle", "longest"), np.sort(scene.log_scale, axis=0), strict=True)
+    for name, row in reversed(list(axes)):
+        yield _Attribute(f"{name} scale", "scene units", [row], _linear)
+    for name, row in zip(("red", "green", "blue"), scene.f_dc, strict=True):
+        yield _Attribute(name, "0-1", [row], _colour)
+    coefficients = len(scene.f_rest) // 3
+    for band, members in enumerate(sh_bands(coefficients), 1):
+        rows = [scene.f_rest[k * coefficients + i] for k in range(3) for i in members]
+        yield _Attribute(f"SH band {band}", "SH", rows)
+    yield _Attribute("rotation norm", "1", [_norm(scene.rot)])
+    for name, column in scene.extra.items():
+        yield _Attribute(name, column.dtype.name, [column.astype(np.float64)])
 
 
-def _opacity(logit: NDArray) -> NDArray[np.float64]:
-    return sigmoid(logit.astype(np.float64))
+def _opacity(logit: NDArray[np.float32]) -> NDArray[np.float64]:
+    wide = logit.astype(np.float64)
+    return np.where(np.isfinite(wide), sigmoid(wide), wide)
 
 
-def _linear(log_scale: NDArray) -> NDArray[np.float64]:
-    return np.exp(np.clip(log_scale.astype(np.float64), *_LOG_RANGE))
+def _linear(log_scale: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.exp(np.clip(log_scale, *_LOG_RANGE))
 
 
-def _colour(f_dc: NDArray) -> NDArray[np.float64]:
-    return 0.5 + SH_C0 * f_dc.astype(np.float64)
-
-
-def _wide(column: NDArray) -> NDArray[np.float64]:
-    return column.astype(np.float64)
+def _colour(f_dc: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 0.5 + SH_C0 * f_dc
 
 
 def _norm(rot: NDArray[np.float32]) -> NDArray[np.float64]:
-    with np.errstate(invalid="ignore"):
-        return np.sqrt(np.square(rot, dtype=np.float64).sum(axis=0))
+    return np.sqrt(np.square(rot, dtype=np.float64).sum(axis=0))
 
 
 def _describe(attribute: _Attribute) -> AttributeStatistics:
-    stored = attribute.stored()
-    finite = np.isfinite(stored)
-    number = np.count_nonzero(finite)
-    nan = np.count_nonzero(np.isnan(stored)) if number < stored.size else 0
-    named = partial(AttributeStatistics, attribute.name, attribute.unit)
-    counted = named(nan, stored.size - number - nan)
-    if not number:
-        return counted
-    values = attribute.natural(stored.flatten() if number == stored.size else stored[finite])
-    # The order of a few values among all is known without sorting.
-    last = number - 1
-    ranks = [int(QUANTILE * last), last // 2, number // 2, last - int(QUANTILE * last)]
-    values.partition(sorted(set(ranks)))
-    low, left, right, high = (float(values[rank]) for rank in ranks)
-    minimum, maximum = float(values[: ranks[0] + 1].min()), float(values[ranks[3] :].max())
-    edges = _edges(*((low, high) if low < high else (minimum, maximum)), attribute.logarithmic)
-    below, *counts, above = _histogram(values, edges)
+    planes = attribute.planes
+    nan = sum(int(np.count_nonzero(np.isnan(plane))) for plane in planes)
+    infinite = sum(int(np.count_nonzero(np.isinf(plane))) for plane in planes)
+    named = partial(AttributeStatistics, attribute.name, attribute.unit, nan, infinite)
+    last = sum(plane.size for plane in planes) - nan - infinite - 1
+    if last < 0:
+        return named()
+    ends = ends_of(last + 1)
+    ranks = [0, ends[0], last // 2, (last + 1) // 2, ends[1], last]
+    found = ranked(planes, ranks)
+    span = (found[1], found[4]) if found[1] < found[4] else (found[0], found[5])
+    edges = even_edges(*span, BINS)
+    below, *counts, above = histogram(planes, edges).tolist()
+    least, low, left, right, high, largest = attribute.natural(np.array(found)).tolist()
     return named(
-        nan,
-        counted.infinite,
-        minimum,
-        low,
-        0.5 * left + 0.5 * right,
-        high,
-        maximum,
-        below,
-        above,
-        tuple(counts),
-        tuple(edges.tolist()),
+        minimum=least,
+        low=low,
+        # Halves: the sum of two finite numbers may be infinite.
+        median=0.5 * left + 0.5 * right,
+        high=high,
+        maximum=largest,
+        below=below,
+        above=above,
+        counts=tuple(counts),
+        edges=tuple(attribute.natural(edges).tolist()),
     )
-
-
-def _edges(low: float, high: float, logarithmic: bool) -> NDArray[np.float64]:
-    """Edges ``(BINS + 1,)`` of bins, around a single value too."""
-    if low == high:
-        half = 0.5 * (abs(low) or 1.0)
-        low, high = max(low - half, -_LARGEST), min(high + half, _LARGEST)
-    if logarithmic:
-        return np.geomspace(low, high, BINS + 1)
-    # Halves: the difference of two finite numbers may be infinite.
-    return 2 * np.linspace(0.5 * low, 0.5 * high, BINS + 1)
-
-
-def _histogram(values: NDArray, edges: NDArray[np.float64]) -> list[int]:
-    """Number of values below all bins, in each, and above all."""
-    # A power of two less one, so that every search takes the same steps.
-    ends = np.full((1 << len(edges).bit_length()) - 1, np.inf)
-    ends[: len(edges)] = edges
-    ends[len(edges) - 1] = np.nextafter(edges[-1], np.inf)
-    counts = np.zeros(len(edges) + 1, np.int64)
-    _count(values, ends, counts)
-    return counts.tolist()
-
-
-@kernel
-def _count(values, ends, counts):
-    """Count values by how many `ends`, of which there are ``2**k - 1``, are at or below them."""
-    for i in range(values.size):
-        value, place, step = values[i], 0, (len(ends) + 1) >> 1
-        while step:
-            place += step * (ends[place + step - 1] <= value)
-            step >>= 1
-        counts[place] += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -137,18 +138,25 @@ def _attribute_row(found: AttributeStatistics) -> list[str]:
     return [
         found.name,
         found.unit.removesuffix(" units"),
-        *(_number(value, found.unit) for value in values),
+        *(_number(value, found) for value in values),
         f"{found.nan:,}",
         f"{found.infinite:,}",
         bars(pairs),
     ]
 
 
-def _number(value: float | None, unit: str) -> str:
-    if value is None:
+def _number(value: float | None, found: AttributeStatistics) -> str:
+    if value is None or found.minimum is None or found.maximum is None:
         return "-"
-    # Black is not quite 0 once it was a float of SH-DC.
-    return "0" if unit == "0-1" and abs(value) < 5e-7 else f"{value:.4g}"
+    if "int" in found.unit:
+        return f"{value:.10g}"
+    if found.name.endswith(" scale"):
+        return f"{value:.3g}"
+    # Beside the largest value, what is so small as to be noise is 0.
+    largest = max(-found.minimum, found.maximum)
+    if 10 * abs(value) < largest:
+        value = round(value, max(4 - math.floor(math.log10(largest)), 0)) + 0.0
+    return f"{value:.4g}"
 
 
 def _percent(share: float) -> str:

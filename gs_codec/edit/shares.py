@@ -14,8 +14,8 @@ from gs_codec.rendering.project import MIN_ALPHA
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import GROUPS, Scene
 
-#: Share of the values at either end that may be outliers.
-_OUTLIERS = 0.01
+#: One value in so many, at either end, may be an outlier.
+_OUTLIERS = 100
 
 #: A needle's longest axis has more than this many times the length of the middle one.
 _NEEDLE = 10
@@ -98,13 +98,13 @@ def _huge(scene: Scene) -> _Found:
 
 def ends_of(number: int) -> tuple[int, int]:
     """Ranks between which lie all of so many values but 1 % at either end."""
-    rank = int(_OUTLIERS * (number - 1))
+    rank = (number - 1) // _OUTLIERS
     return rank, number - 1 - rank
 
 
 def _spread(values: NDArray[np.float32]) -> float:
     """Length that the finite values span without the outliers at either end."""
-    number = np.count_nonzero(np.isfinite(values))
+    number = int(np.count_nonzero(np.isfinite(values)))
     if not number:
         return 0.0
     low, high = ranked([values], ends_of(number))

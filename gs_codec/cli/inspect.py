@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gs_codec.batch.memory import needed_bytes
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.output import SCENES_PIPED, print_json, print_table, print_text, size_text
+from gs_codec.cli.output import (
+    SCENES_PIPED,
+    bars,
+    print_json,
+    print_table,
+    print_text,
+    size_text,
+)
 from gs_codec.cli.streams import piped_source
-from gs_codec.coding.extent import box_text
 
 if TYPE_CHECKING:
     from gs_codec.codecs.inspection import Info
+    from gs_codec.edit.description import AttributeStatistics, Statistics
     from gs_codec.formats.registry import Overview
+    from gs_codec.scene import Scene
 
 
 @takes("max_bytes", "json")
@@ -25,46 +35,139 @@ def command(
     channels: Annotated[
         bool, typer.Option("--channels", help="List every channel's quantiser and model.")
     ] = False,
+    histogram: Annotated[
+        bool, typer.Option("--histogram", help="Statistics of every attribute; decodes an .egs.")
+    ] = False,
 ) -> None:
     """Show what a file holds: an .egs from its header alone, other scenes once they are read."""
     if asked["json"]:
         asked.refuse(["channels"], "has no effect: --json has them anyway")
-    from gs_codec.files.scenes import inspect_file, is_egs
+    from gs_codec.files.scenes import inspect_file, is_egs, read_scene
 
     with piped_source(file) as path:
         if not is_egs(path):
             asked.refuse(["channels"], f"has no effect on {file}, expected an .egs")
-            _show_other(file, path, asked["max_bytes"], asked["json"])
+            _show_other(file, path, asked, histogram)
             return
-        asked.refuse(["max_bytes"], "has no effect on an .egs, of which the header is read")
-        info = inspect_file(path)
+        if not histogram:
+            why = "has no effect on an .egs without --histogram: its header is read"
+            asked.refuse(["max_bytes"], why)
+        info, statistics = inspect_file(path), None
+        if histogram:
+            scene = read_scene(path, coordinates=None, max_bytes=asked["max_bytes"])
+            statistics = _statistics_of(scene)
     if asked["json"]:
-        print_json({"file": str(file), **info.as_dict()})
+        told = {} if statistics is None else _as_dict(statistics)
+        print_json({"file": str(file), **told, **info.as_dict()})
         return
     _print_info(file, info)
     if channels:
         _print_channels(info)
+    if statistics is not None:
+        _print_statistics(statistics)
 
 
-def _show_other(file: Path, path: Path, max_bytes: int | None, json: bool) -> None:
+def _show_other(file: Path, path: Path, asked: Asked, histogram: bool) -> None:
     """What a scene at `path`, called `file`, holds that is no .egs."""
-    from gs_codec.formats.registry import overview_of
+    from gs_codec.edit.shares import shares_of
+    from gs_codec.formats.registry import read_with_overview
 
-    found = overview_of(path, max_bytes)
-    if json:
-        print_json({"file": str(file), **found.as_dict()})
+    scene, found = read_with_overview(path, asked["max_bytes"])
+    statistics = _statistics_of(scene) if histogram else None
+    shares = shares_of(scene) if statistics is None else ()
+    if asked["json"]:
+        told = {"shares": list(map(vars, shares))} if statistics is None else _as_dict(statistics)
+        print_json({"file": str(file), **told, **found.as_dict()})
         return
     print_text(
         f"{file}: {found.format}, {found.count:,} Gaussians, SH degree {found.sh_degree}",
         f"{size_text(found.file_bytes)}, floats {size_text(found.raw_bytes)}",
         _where(found),
     )
+    if some := [f"{_percent(each.share)} {each.name}" for each in shares if each.count]:
+        print_text(f"of the Gaussians: {', '.join(some)}")
     if found.extra:
         print_text(f"other properties: {', '.join(found.extra)}")
+    if statistics is not None:
+        _print_statistics(statistics)
+
+
+def _statistics_of(scene: Scene) -> Statistics:
+    from gs_codec.edit.description import statistics_of
+
+    return statistics_of(scene)
+
+
+def _as_dict(statistics: Statistics) -> dict[str, Any]:
+    return statistics.as_dict() | {"encoding_bytes": needed_bytes(statistics.raw_bytes)}
+
+
+def _print_statistics(statistics: Statistics) -> None:
+    """Tables of attributes and of shares, and the memory that a scene takes."""
+    rows = [_attribute_row(attribute) for attribute in statistics.attributes]
+    columns = ["min", "1 %", "median", "99 %", "max", "NaN", "Inf", "1 % to 99 %"]
+    print_text("")
+    print_table(*_to_the_left(["attribute", "unit", *columns], rows, 1, -1))
+    rows = [[s.name, f"{s.count:,}", _percent(s.share), s.rule] for s in statistics.shares]
+    print_text("")
+    print_table(*_to_the_left(["Gaussians", "number", "share", "rule"], rows, -1))
+    print_text(
+        "",
+        f"memory: {statistics.bytes_per_gaussian} bytes per Gaussian, floats "
+        f"{size_text(statistics.raw_bytes)}; camera-free encoding takes up to "
+        f"{size_text(needed_bytes(statistics.raw_bytes))}",
+    )
+
+
+def _to_the_left(
+    names: list[str], rows: list[list[str]], *columns: int
+) -> tuple[list[str], list[list[str]]]:
+    """A table with some columns padded, so that they stand to the left."""
+    lines = [list(line) for line in (names, *rows)]
+    for column in columns:
+        width = max(len(line[column]) for line in lines)
+        for line in lines:
+            line[column] = line[column].ljust(width)
+    return lines[0], lines[1:]
+
+
+def _attribute_row(found: AttributeStatistics) -> list[str]:
+    values = (found.minimum, found.low, found.median, found.high, found.maximum)
+    # A character shows two bins.
+    pairs = [sum(found.counts[i : i + 2]) for i in range(0, len(found.counts), 2)]
+    return [
+        found.name,
+        found.unit.removesuffix(" units"),
+        *(_number(value, found) for value in values),
+        f"{found.nan:,}",
+        f"{found.infinite:,}",
+        bars(pairs),
+    ]
+
+
+def _number(value: float | None, found: AttributeStatistics) -> str:
+    if value is None or found.minimum is None or found.maximum is None:
+        return "-"
+    if "int" in found.unit:
+        return f"{value:.10g}"
+    if found.name.endswith(" scale"):
+        return f"{value:.3g}"
+    # Beside the largest value, what is so small as to be noise is 0.
+    largest = max(-found.minimum, found.maximum)
+    if 10 * abs(value) < largest:
+        value = round(value, max(4 - math.floor(math.log10(largest)), 0)) + 0.0
+    return f"{value:.4g}"
+
+
+def _percent(share: float) -> str:
+    """A share in percent; a small one never reads as none."""
+    return "<0.01 %" if 0 < share < 0.00005 else f"{100 * share:.2f} %"
 
 
 def _where(info: Info | Overview) -> str:
     """Bounds, and how the scene is to be drawn."""
+    from gs_codec.coding.extent import box_text
+
     text = "no bounds" if info.bounds is None else box_text(info.bounds)
     antialiased = ", antialiased" if info.antialiased else ""
     return f"{text}, coordinates {info.coordinates or 'not stated'}{antialiased}"

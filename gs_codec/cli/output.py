@@ -6,7 +6,7 @@ import json
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO
 
@@ -62,6 +62,23 @@ def print_table(columns: list[str], rows: list[list[str]], file: TextIO | None =
         cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
         cells[0] = row[0].ljust(widths[0])
         print("  ".join(cells).rstrip(), file=file)
+
+
+def bars(counts: Sequence[int]) -> str:
+    """A histogram in one line, a character each; only a count of 0 is blank."""
+    ramp, most = _ramp(), max(counts, default=0)
+    # Rounded up, by integers.
+    return "".join(ramp[-(-count * (len(ramp) - 1) // most) if count else 0] for count in counts)
+
+
+def _ramp() -> str:
+    """Characters from empty to full that stdout can show."""
+    blocks = " ▁▂▃▄▅▆▇█"
+    try:
+        blocks.encode(sys.stdout.encoding or "ascii")
+    except UnicodeEncodeError:
+        return " .:-=+*#"
+    return blocks
 
 
 def print_prepared(prepared: dict[str, Any]) -> None:

@@ -93,6 +93,18 @@ def box_text(corners: Iterable[Iterable[float]]) -> str:
     return f"bounds {low} to {high}"
 
 
+def centre_bounds(
+    positions: NDArray[np.float32],
+) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+    """Lowest and highest x, y, z of the finite centres in ``positions (3, n)``; None without."""
+    finite = np.isfinite(positions).all(axis=0)
+    if not finite.any():
+        return None
+    if not finite.all():
+        positions = positions[:, finite]
+    return tuple(positions.min(axis=1).tolist()), tuple(positions.max(axis=1).tolist())
+
+
 @inlined
 def _along(entry, norm, size):
     """Square of how far an axis of this size reaches, by its entry in a rotation matrix."""

@@ -9,8 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
 
-import numpy as np
-
+from gs_codec.coding.extent import centre_bounds
 from gs_codec.config import Extra
 from gs_codec.egs.file import MAGIC as EGS
 from gs_codec.egs.index import Box
@@ -209,18 +208,19 @@ class Overview:
 
 def overview_of(path: str | Path, max_bytes: int | None = None) -> Overview:
     """Read a scene of any format but `.egs`, and summarise it; raises as `SceneFile.scene` does."""
+    return read_with_overview(path, max_bytes)[1]
+
+
+def read_with_overview(path: str | Path, max_bytes: int | None = None) -> tuple[Scene, Overview]:
+    """A scene of any format but `.egs`, in its own coordinate system, and its summary."""
     with open_scene(path) as file:
         scene, file_bytes = file.scene("keep", max_bytes), file.stored_bytes
         name = "compressed ply" if file.format == "ply" and file.is_compressed else file.format
-    finite = scene.positions[:, np.isfinite(scene.positions).all(axis=0)]
-    bounds = None
-    if finite.size:
-        bounds = tuple(finite.min(axis=1).tolist()), tuple(finite.max(axis=1).tolist())
-    return Overview(
+    return scene, Overview(
         name,
         scene.count,
         scene.sh_degree,
-        bounds,
+        centre_bounds(scene.positions),
         scene.coordinates,
         scene.antialiased,
         tuple(scene.extra),

@@ -1,0 +1,206 @@
+"""Statistics of a scene: attributes in natural units, and Gaussians that stand out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.extent import centre_bounds
+from gs_codec.edit.distribution import even_edges, histogram, ranked
+from gs_codec.edit.shares import Share, ends_of, shares_of
+from gs_codec.egs.index import Box
+from gs_codec.formats.packed_values import sigmoid
+from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, channel_count, sh_bands
+
+#: Bins of a histogram.
+BINS = 40
+
+#: Logarithms of scales are clipped to those of floats of 64 bits.
+_LOG_RANGE = -708.0, 709.0
+
+
+@dataclass(frozen=True)
+class AttributeStatistics:
+    """Values of one attribute over all Gaussians, NaN and infinity apart.
+
+    Attributes
+    ----------
+    name : str
+        ``x``, ``y``, ``z``; ``opacity``; ``longest scale``, ``middle scale``, ``shortest scale``
+        (of each Gaussian's three axes); ``red``, ``green``, ``blue``; ``SH band 1`` to
+        ``SH band 3`` (all coefficients of the band, of all colours); ``rotation norm``; then extra
+        properties by their own names.
+    unit : str
+        ``scene units`` (of scales, one standard deviation); ``0-1`` (of base colours, which may
+        reach beyond); ``SH`` (of coefficients); ``1`` (of the norm); the type of an extra property.
+    nan, infinite : int
+        Number of values that are NaN, or infinite.
+    minimum, median, maximum : float or None
+        Of the finite values; None without any.
+    low, high : float or None
+        The values that 1 % are at or below, and 99 %.
+    below, above : int
+        Number of finite values beyond the histogram.
+    counts : tuple of int
+        Histogram of 40 bins from `low` to `high`; from `minimum` to `maximum` if these two are the
+        same, and around the value if all are. Empty without finite values.
+    edges : tuple of float
+        The 41 edges of the bins, of which only the last holds its upper edge. Spaced evenly, those
+        of scales by their logarithm.
+    """
+
+    name: str
+    unit: str
+    nan: int
+    infinite: int
+    minimum: float | None = None
+    low: float | None = None
+    median: float | None = None
+    high: float | None = None
+    maximum: float | None = None
+    below: int = 0
+    above: int = 0
+    counts: tuple[int, ...] = ()
+    edges: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a scene holds.
+
+    Attributes
+    ----------
+    count, sh_degree : int
+        Number of Gaussians, and their SH degree.
+    bounds : tuple of two tuples of float, or None
+        Lowest and highest x, y, z of the finite centres; None if there are none.
+    coordinates : str or None
+        Directions of x, y and z as three letters (such as ``RDF``), if stated.
+    antialiased : bool
+        Whether opacity compensation is asked for.
+    raw_bytes, bytes_per_gaussian : int
+        Size of the attributes as float32, extra properties apart: of all, and of one.
+    attributes : tuple of AttributeStatistics
+    shares : tuple of Share
+        ``transparent``, ``needle-like``, ``huge``, ``same centre``, ``duplicate``, ``not finite``.
+    """
+
+    count: int
+    sh_degree: int
+    bounds: Box | None
+    coordinates: str | None
+    antialiased: bool
+    raw_bytes: int
+    bytes_per_gaussian: int
+    attributes: tuple[AttributeStatistics, ...]
+    shares: tuple[Share, ...]
+
+    def as_dict(self) -> dict:
+        """The same as plain types, for JSON; every number is finite."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class _Attribute:
+    """An attribute: planes of values, and what makes natural units of them in the same order."""
+
+    name: str
+    unit: str
+    planes: Sequence[NDArray]
+    natural: Callable[[NDArray[np.float64]], NDArray[np.float64]] = np.asarray
+
+
+def statistics_of(scene: Scene) -> Statistics:
+    """Statistics of a scene, each attribute in natural units.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of any values, NaN and infinity included.
+
+    Returns
+    -------
+    Statistics
+    """
+    with using_threads(None, scene.count):
+        attributes = run_all(_describe, _attributes(scene))
+    return Statistics(
+        count=scene.count,
+        sh_degree=scene.sh_degree,
+        bounds=centre_bounds(scene.positions),
+        coordinates=scene.coordinates,
+        antialiased=scene.antialiased,
+        raw_bytes=scene.float_bytes,
+        bytes_per_gaussian=4 * channel_count(SH_COEFFICIENTS[scene.sh_degree]),
+        attributes=tuple(attributes),
+        shares=shares_of(scene),
+    )
+
+
+def _attributes(scene: Scene) -> Iterator[_Attribute]:
+    for name, row in zip("xyz", scene.positions, strict=True):
+        yield _Attribute(name, "scene units", [row])
+    yield _Attribute("opacity", "0-1", [_opacity(scene.opacity[0])])
+    axes = zip(("shortest", "middle", "longest"), np.sort(scene.log_scale, axis=0), strict=True)
+    for name, row in reversed(list(axes)):
+        yield _Attribute(f"{name} scale", "scene units", [row], _linear)
+    for name, row in zip(("red", "green", "blue"), scene.f_dc, strict=True):
+        yield _Attribute(name, "0-1", [row], _colour)
+    coefficients = len(scene.f_rest) // 3
+    for band, members in enumerate(sh_bands(coefficients), 1):
+        rows = [scene.f_rest[k * coefficients + i] for k in range(3) for i in members]
+        yield _Attribute(f"SH band {band}", "SH", rows)
+    yield _Attribute("rotation norm", "1", [_norm(scene.rot)])
+    for name, column in scene.extra.items():
+        yield _Attribute(name, column.dtype.name, [column.astype(np.float64)])
+
+
+def _opacity(logit: NDArray[np.float32]) -> NDArray[np.float64]:
+    wide = logit.astype(np.float64)
+    return np.where(np.isfinite(wide), sigmoid(wide), wide)
+
+
+def _linear(log_scale: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.exp(np.clip(log_scale, *_LOG_RANGE))
+
+
+def _colour(f_dc: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 0.5 + SH_C0 * f_dc
+
+
+def _norm(rot: NDArray[np.float32]) -> NDArray[np.float64]:
+    return np.sqrt(np.square(rot, dtype=np.float64).sum(axis=0))
+
+
+def _describe(attribute: _Attribute) -> AttributeStatistics:
+    planes = attribute.planes
+    nan = sum(int(np.count_nonzero(np.isnan(plane))) for plane in planes)
+    infinite = sum(int(np.count_nonzero(np.isinf(plane))) for plane in planes)
+    named = partial(AttributeStatistics, attribute.name, attribute.unit, nan, infinite)
+    last = sum(plane.size for plane in planes) - nan - infinite - 1
+    if last < 0:
+        return named()
+    ends = ends_of(last + 1)
+    ranks = [0, ends[0], last // 2, (last + 1) // 2, ends[1], last]
+    found = ranked(planes, ranks)
+    span = (found[1], found[4]) if found[1] < found[4] else (found[0], found[5])
+    edges = even_edges(*span, BINS)
+    below, *counts, above = histogram(planes, edges).tolist()
+    least, low, left, right, high, largest = attribute.natural(np.array(found)).tolist()
+    return named(
+        minimum=least,
+        low=low,
+        # Halves: the sum of two finite numbers may be infinite.
+        median=0.5 * left + 0.5 * right,
+        high=high,
+        maximum=largest,
+        below=below,
+        above=above,
+        counts=tuple(counts),
+        edges=tuple(attribute.natural(edges).tolist()),
+    )

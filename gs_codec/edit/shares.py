@@ -1,0 +1,149 @@
+"""Shares of Gaussians that stand out: transparent, needle-like, huge, duplicate, not finite."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.clean import finite_gaussians
+from gs_codec.edit.distribution import ranked
+from gs_codec.formats.packed_values import sigmoid
+from gs_codec.rendering.project import MIN_ALPHA
+from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.scene import GROUPS, Scene
+
+#: One value in so many, at either end, may be an outlier.
+_OUTLIERS = 100
+
+#: A needle's longest axis has more than this many times the length of the middle one.
+_NEEDLE = 10
+
+#: Of the scene's extent: a Gaussian of such a scale reaches over 30 % of the scene.
+_HUGE = 0.05
+
+#: 2**64 over the golden ratio, odd: products with it mix the bits of columns.
+_FACTOR = np.uint64(0x9E3779B97F4A7C15)
+
+
+@dataclass(frozen=True)
+class Share:
+    """Gaussians that have something in common.
+
+    Attributes
+    ----------
+    name : str
+    rule : str
+        What they have in common, in words.
+    count : int
+        Their number.
+    share : float
+        Their number, of all Gaussians, 0-1.
+    """
+
+    name: str
+    rule: str
+    count: int
+    share: float
+
+
+def shares_of(scene: Scene) -> tuple[Share, ...]:
+    """Gaussians that cannot be seen, look unlike others, or repeat others.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of any values. NaN fulfils no rule but that on it.
+
+    Returns
+    -------
+    tuple of Share
+        ``transparent``, ``needle-like``, ``huge``, ``same centre``, ``duplicate``, ``not finite``.
+        The extent, by which scales are huge, is the longest side of a box that leaves out 1 % of
+        the centres at either end of each axis. Of Gaussians with the same centre, or with the same
+        values of all attributes, all but the first count.
+    """
+    rules = (_transparent, _needles, _huge, _repeated, _not_finite)
+    with using_threads(None, scene.count):
+        found = [share for shares in run_all(lambda rule: rule(scene), rules) for share in shares]
+    return tuple(
+        Share(name, rule, number, number / max(scene.count, 1)) for name, rule, number in found
+    )
+
+
+_Found = list[tuple[str, str, int]]
+
+
+def _transparent(scene: Scene) -> _Found:
+    number = int(np.count_nonzero(sigmoid(scene.opacity[0].astype(np.float64)) < MIN_ALPHA))
+    return [("transparent", "opacity below 1/255, which is not drawn", number)]
+
+
+def _needles(scene: Scene) -> _Found:
+    _, middle, longest = np.sort(scene.log_scale, axis=0).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        number = int(np.count_nonzero(longest - middle > math.log(_NEEDLE)))
+    return [("needle-like", f"longest scale over {_NEEDLE} times the middle one", number)]
+
+
+def _huge(scene: Scene) -> _Found:
+    extent = max(_spread(row) for row in scene.positions)
+    longest = scene.log_scale.astype(np.float64).max(axis=0)
+    # Without extent, as of a single Gaussian, none is huge.
+    number = int(np.count_nonzero(longest > math.log(_HUGE * extent))) if extent else 0
+    rule = f"longest scale over {_HUGE:.0%} of the scene's extent, {extent:.4g}"
+    return [("huge", rule.replace("%", " %"), number)]
+
+
+def ends_of(number: int) -> tuple[int, int]:
+    """Ranks between which lie all of so many values but 1 % at either end."""
+    rank = (number - 1) // _OUTLIERS
+    return rank, number - 1 - rank
+
+
+def _spread(values: NDArray[np.float32]) -> float:
+    """Length that the finite values span without the outliers at either end."""
+    number = int(np.count_nonzero(np.isfinite(values)))
+    if not number:
+        return 0.0
+    low, high = ranked([values], ends_of(number))
+    return high - low
+
+
+def _repeated(scene: Scene) -> _Found:
+    first, centres = _repetitions(_words(scene.positions))
+    few = scene.take(np.union1d(first, centres))
+    planes = np.concatenate([_words(getattr(few, group)) for group in GROUPS])
+    return [
+        ("same centre", "centre of an earlier one", len(centres)),
+        ("duplicate", "all attributes of an earlier one", len(_repetitions(planes)[1])),
+    ]
+
+
+def _words(planes: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """The bits of floats; those of 0 are those of -0."""
+    with np.errstate(invalid="ignore"):
+        return (planes + np.float32(0)).view(np.uint32)
+
+
+def _repetitions(words: NDArray[np.uint32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Columns of ``words (C, n)`` that repeat others, once each: these others, and themselves."""
+    mixed = np.zeros(words.shape[1], np.uint64)
+    for row in words:
+        mixed = (mixed ^ row) * _FACTOR
+        mixed ^= mixed >> np.uint64(32)
+    order = np.argsort(mixed)
+    mixed = mixed[order]
+    after = np.flatnonzero(mixed[1:] == mixed[:-1])
+    first, second = order[after], order[after + 1]
+    same = np.ones(len(after), bool)
+    for row in words:
+        same &= row[first] == row[second]
+    return first[same], second[same]
+
+
+def _not_finite(scene: Scene) -> _Found:
+    number = int(np.count_nonzero(~finite_gaussians(scene)))
+    return [("not finite", "NaN or infinity in an attribute", number)]

@@ -30,12 +30,12 @@ class InOrder(TyperCommand):
         return super().parse_args(ctx, args)
 
 
-def action_parameters(names: Iterable[str]) -> list[inspect.Parameter]:
-    """Parameters of a command for actions."""
-    return [_parameter(name) for name in names]
+def action_parameters(names: Iterable[str], hidden: bool) -> list[inspect.Parameter]:
+    """Parameters of a command for actions, which its help may leave to that of `convert`."""
+    return [_parameter(name, hidden) for name in names]
 
 
-def _parameter(name: str) -> inspect.Parameter:
+def _parameter(name: str, hidden: bool) -> inspect.Parameter:
     kind = KINDS[name]
     typed: Any = list[str] | None if kind.metavar else bool
     option = typer.Option(
@@ -44,6 +44,7 @@ def _parameter(name: str) -> inspect.Parameter:
         metavar=kind.metavar or None,
         parser=partial(Action, name) if kind.metavar else None,
         rich_help_panel=_PANEL,
+        hidden=hidden,
         show_default=False,
     )
     return inspect.Parameter(

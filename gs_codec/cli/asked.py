@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -90,14 +90,15 @@ def takes(
     *names: str,
     expert: Iterable[type] = (),
     without: Iterable[str] = (),
-    actions: Iterable[str] = (),
+    actions: Sequence[str] = (),
+    actions_hidden: bool = False,
     **defaults: Any,
 ) -> Callable[[Callable[..., None]], Any]:
     """Give a command options by name, and the expert ones of dataclasses.
 
     What was typed for them is the command's parameter `asked`; `defaults` are those that differ
     from the library's, `without` are expert options that the command does not take. `actions` are
-    names of those that it takes, which `Asked.actions` has.
+    names of those that it takes, which `Asked.actions` has; its help may hide them.
     """
     hidden = [
         name
@@ -119,10 +120,14 @@ def takes(
             command(**arguments, asked=Asked(ctx, values))
 
         called.__doc__ = command.__doc__
-        parameters = [_CONTEXT, *kept, *action_parameters(actions), *shared]
+        parameters = [_CONTEXT, *kept, *action_parameters(actions, actions_hidden), *shared]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
-        called.epilog = _listed(hidden, DEFAULTS | defaults)  # type: ignore[attr-defined]
+        listed = _listed(hidden, DEFAULTS | defaults)
+        if actions_hidden:
+            named = f"Actions of `convert`, done first: {', '.join(f'--{n}' for n in actions)}"
+            listed += "\n\n" + textwrap.fill(named, 78)
+        called.epilog = listed  # type: ignore[attr-defined]
         return called
 
     return decorate

@@ -36,7 +36,7 @@ from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
 
 
-@takes(*CODING, "json", expert=EXPERT, without=["checkpoint"], actions=ACTIONS)
+@takes(*CODING, "json", expert=EXPERT, without=["checkpoint"], actions=ACTIONS, actions_hidden=True)
 def command(
     source: Annotated[
         str,

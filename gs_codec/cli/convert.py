@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @takes(
     "extra", "nonfinite", "profile", "format", "threads", "max_memory", "max_bytes",
     "overwrite", "json", expert=(Config, Plan), without=("cameras", "gt_images", "checkpoint"),
-    actions=KINDS, extra="keep", format="ply",
+    actions=tuple(KINDS), extra="keep", format="ply",
 )  # fmt: skip
 def command(
     sources: Annotated[

@@ -38,7 +38,7 @@ EXPERT = (Config, RateTarget, Plan)
 ACTIONS = [name for name in KINDS if name != "gaussians"]
 
 
-@takes(*CODING, "json", expert=EXPERT, actions=ACTIONS)
+@takes(*CODING, "json", expert=EXPERT, actions=ACTIONS, actions_hidden=True)
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[

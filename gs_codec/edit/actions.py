@@ -148,7 +148,7 @@ KINDS: Mapping[str, Kind] = {
         "Keep Gaussians with centres in this sphere: centre and radius.", "X,Y,Z,R", _numbers(4)
     ),
     "filter": Kind(
-        "Keep Gaussians for which this holds: 'opacity>0.05', 'largest_scale<2', 'z<=1.5'.",
+        "Keep Gaussians for which this holds: 'opacity>0.05', 'longest_scale<2', 'z<=1.5'.",
         "CONDITION", read_condition,
     ),
     "remove-nan": Kind("Remove Gaussians with NaN or infinity.", "", _nothing),

@@ -15,7 +15,7 @@ from gs_codec.coding.morton import spatial_order
 from gs_codec.edit.actions import read_condition
 from gs_codec.edit.clouds import finite, on_clouds
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.packed_values import spans
+from gs_codec.formats.packed_values import sigmoid, spans
 from gs_codec.runtime.arrays import empty
 from gs_codec.scene import (
     GROUPS,
@@ -121,10 +121,11 @@ def select(scene: Scene, condition: str) -> Scene:
         As `gs_codec.read` gives it.
     condition : str
         An attribute, one of ``< <= > >= == !=``, and a number: ``opacity>0.05``. Attributes are
-        ``x y z`` (scene units), ``opacity`` (0-1), ``scale_0`` to ``scale_2`` and their
-        ``largest_scale`` and ``smallest_scale`` (standard deviations, scene units), ``red green
-        blue`` (colours of SH-DC, 0-1), ``f_dc_0`` to ``f_dc_2`` and ``f_rest_0`` to ``f_rest_44``
-        (SH), ``rot_0`` to ``rot_3`` (wxyz as stored), and extra properties by their names.
+        ``x y z`` (scene units), ``opacity`` (0-1), ``scale_0`` to ``scale_2`` and, of each
+        Gaussian's three, ``longest_scale``, ``middle_scale`` and ``shortest_scale`` (standard
+        deviations, scene units), ``red green blue`` (colours of SH-DC, 0-1), ``f_dc_0`` to
+        ``f_dc_2`` and ``f_rest_0`` to ``f_rest_44`` (SH), ``rot_0`` to ``rot_3`` (wxyz as stored),
+        and extra properties by their names.
 
     Returns
     -------
@@ -267,15 +268,15 @@ def attribute_values(scene: Scene, name: str) -> NDArray:
     names = property_names(len(scene.f_rest) // 3)
     group = next(group for group in GROUPS if name in names[group])
     plane = getattr(scene, group)[names[group].index(name)].astype(np.float64)
+    if group == "opacity":
+        return sigmoid(plane)
     with np.errstate(over="ignore"):
-        if group == "opacity":
-            return 1 / (1 + np.exp(-plane))
         return np.exp(plane) if group == "log_scale" else plane
 
 
-def _scale(scene: Scene, choose: Callable) -> NDArray[np.float64]:
+def _scale(scene: Scene, rank: int) -> NDArray[np.float64]:
     with np.errstate(over="ignore"):
-        return np.exp(choose(scene.log_scale, axis=0).astype(np.float64))
+        return np.exp(np.sort(scene.log_scale, axis=0)[rank].astype(np.float64))
 
 
 def _colour(scene: Scene, channel: int) -> NDArray[np.float64]:
@@ -284,8 +285,9 @@ def _colour(scene: Scene, channel: int) -> NDArray[np.float64]:
 
 #: Attributes that are computed of stored ones.
 _DERIVED: Mapping[str, Callable[[Scene], NDArray]] = {
-    "largest_scale": lambda scene: _scale(scene, np.max),
-    "smallest_scale": lambda scene: _scale(scene, np.min),
+    "longest_scale": lambda scene: _scale(scene, 2),
+    "middle_scale": lambda scene: _scale(scene, 1),
+    "shortest_scale": lambda scene: _scale(scene, 0),
     "red": lambda scene: _colour(scene, 0),
     "green": lambda scene: _colour(scene, 1),
     "blue": lambda scene: _colour(scene, 2),

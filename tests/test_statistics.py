@@ -9,6 +9,7 @@ import shutil
 import sys
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from gs_codec.batch.memory import needed_bytes
 from gs_codec.cli.output import bars
 from gs_codec.config import Config
 from gs_codec.edit.description import BINS, Statistics, statistics_of
-from gs_codec.edit.distribution import even_edges, histogram, ranked
+from gs_codec.edit.distribution import finite_values, histogram, ranked
 from gs_codec.edit.shares import shares_of
 from gs_codec.files.scenes import read_scene, write_scene
 from gs_codec.formats.ply import write_ply
@@ -171,30 +172,31 @@ def test_ranked_values_are_those_of_a_sort(dtype, number):
     together = np.concatenate(planes)
     expected = np.sort(together[np.isfinite(together)]).astype(np.float64)
     ranks = sorted({0, 1, len(expected) // 3, len(expected) // 2, len(expected) - 1})
-    np.testing.assert_array_equal(ranked(planes, ranks), expected[ranks])
-    np.testing.assert_array_equal(ranked(planes, ranks[::-1]), expected[ranks[::-1]])
+    np.testing.assert_array_equal(ranked(finite_values(planes), ranks), expected[ranks])
+    np.testing.assert_array_equal(ranked(finite_values(planes), ranks[::-1]), expected[ranks[::-1]])
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("span", [(0.0, 40.0), (-3.0, 7.0), (0.1, 0.1 + 1e-15)])
-def test_values_on_edges_are_counted_as_numpy_does(dtype, span):
-    edges = even_edges(*span, 40)
+@pytest.mark.parametrize("span", [(0.0, 40.0), (-3.0, 7.0), (0.1, 0.1001)])
+def test_bins_hold_their_lower_edges(dtype, span):
     rng = np.random.default_rng(5)
-    values = np.concatenate([edges, rng.uniform(span[0] - 1, span[1] + 1, 500)]).astype(dtype)
-    counts = histogram([values, np.array([np.nan, np.inf, -np.inf], dtype)], edges)
-    wide = values.astype(np.float64)
-    assert counts[0] == (wide < span[0]).sum()
-    assert counts[-1] == (wide > span[1]).sum()
-    np.testing.assert_array_equal(counts[1:-1], np.histogram(wide, edges)[0])
+    values = np.concatenate([np.linspace(*span, 41), rng.uniform(span[0] - 1, span[1] + 1, 500)])
+    counts, edges = histogram(values := values.astype(dtype), *span, 40)
+    numbers, bins = values.astype(float).tolist(), list(pairwise(edges.tolist()))
+    assert counts[0] == sum(number < span[0] for number in numbers)
+    assert counts[-1] == sum(number > span[1] for number in numbers)
+    inside = [sum(low <= number < high for number in numbers) for low, high in bins]
+    inside[-1] += numbers.count(bins[-1][1])
+    assert counts[1:-1] == inside
 
 
 def test_edges_end_with_the_largest_float():
     largest = sys.float_info.max
     for low, high in ((-largest, largest), (largest, largest), (5e-324, 5e-324), (0.0, 0.0)):
-        edges = even_edges(low, high, 40)
+        counts, edges = histogram(np.array([low, high]), low, high, 40)
         assert np.isfinite(edges).all()
         assert (np.diff(edges) >= 0).all()
-        assert histogram([np.array([low, high])], edges).sum() == 2
+        assert sum(counts) == 2
 
 
 def counted_shares(scene: Scene) -> dict[str, int]:

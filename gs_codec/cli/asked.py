@@ -123,11 +123,11 @@ def takes(
         parameters = [_CONTEXT, *kept, *action_parameters(actions, actions_hidden), *shared]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
-        listed = _listed(hidden, DEFAULTS | defaults)
+        listed = _listed("Expert options:", _expert(hidden, DEFAULTS | defaults))
         if actions_hidden:
-            named = f"Actions of `convert`, done first: {', '.join(f'--{n}' for n in actions)}"
-            listed += "\n\n" + textwrap.fill(named, 78)
-        called.epilog = listed  # type: ignore[attr-defined]
+            typed = [(f"--{n} {KINDS[n].metavar}".rstrip(), KINDS[n].help) for n in actions]
+            listed += ["", *_listed("Actions, done first, in the order given:", typed)]
+        called.epilog = "\n".join(listed)  # type: ignore[attr-defined]
         return called
 
     return decorate
@@ -156,19 +156,26 @@ def _is_given(ctx: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _listed(hidden: list[str], defaults: dict[str, Any]) -> str:
-    """The expert options, for the end of the help."""
-    heads = [f"{typed_name(name)} {metavar_of(OPTIONS[name])}".rstrip() for name in hidden]
-    column = 2 + max(map(len, heads), default=0)
-    lines = ["Expert options:"] * bool(hidden)
-    for name, head in zip(hidden, heads, strict=True):
+def _expert(hidden: list[str], defaults: dict[str, Any]) -> list[tuple[str, str]]:
+    """Expert options as they are typed, and what is told of them."""
+    entries = []
+    for name in hidden:
         described, told = OPTIONS[name], OPTIONS[name].help
         default = described.shown or defaults.get(name)
         if default is not None and described.kind is not bool:
             told += f" (default: {default})"
+        entries.append((f"{typed_name(name)} {metavar_of(described)}".rstrip(), told))
+    return entries
+
+
+def _listed(title: str, entries: list[tuple[str, str]]) -> list[str]:
+    """Lines on options for the end of the help; none without options."""
+    column = 2 + max((len(head) for head, _ in entries), default=0)
+    lines = [title] * bool(entries)
+    for head, told in entries:
         first, *rest = textwrap.wrap(told, 78 - column)
         lines += [f"{head:<{column}}{first}", *(column * " " + line for line in rest)]
-    return "\n".join(lines)
+    return lines
 
 
 #: Options of `Config` that other formats than `.egs` have too; and those of which none is coded.

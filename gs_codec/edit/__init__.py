@@ -24,6 +24,8 @@ _PUBLIC = {
     ),
     "gs_codec.edit.motion": ("translate", "rotate", "scale", "transform"),
     "gs_codec.edit.join": ("merge",),
+    "gs_codec.edit.description": ("statistics", "Statistics", "AttributeStatistics"),
+    "gs_codec.edit.shares": ("Share",),
     "gs_codec.edit.actions": ("Action",),
 }
 

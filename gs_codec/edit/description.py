@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.extent import centre_bounds
-from gs_codec.edit.distribution import even_edges, histogram, ranked
+from gs_codec.edit.distribution import finite_values, histogram, ranked
 from gs_codec.edit.shares import Share, ends_of, shares_of
 from gs_codec.egs.index import Box
 from gs_codec.formats.packed_values import sigmoid
 from gs_codec.runtime.threads import run_all, using_threads
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, channel_count, sh_bands
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import PointCloud
 
 #: Bins of a histogram.
 BINS = 40
@@ -115,18 +119,37 @@ class _Attribute:
     natural: Callable[[NDArray[np.float64]], NDArray[np.float64]] = np.asarray
 
 
-def statistics_of(scene: Scene) -> Statistics:
-    """Statistics of a scene, each attribute in natural units.
+def statistics(cloud: PointCloud) -> Statistics:
+    """Statistics of a scene: attributes in natural units, and Gaussians that stand out.
 
     Parameters
     ----------
-    scene : Scene
-        Of any values, NaN and infinity included.
+    cloud : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it; values may be NaN or infinite.
 
     Returns
     -------
     Statistics
+        What ``gs-codec inspect --histogram`` shows.
+
+    Raises
+    ------
+    InvalidInput
+        If the cloud lacks an attribute of a scene.
+
+    Examples
+    --------
+    >>> found = gs_codec.edit.statistics(gs_codec.read("scene.ply"))
+    >>> found.count, [share.name for share in found.shares][:3]
+    (2000, ['transparent', 'needle-like', 'huge'])
     """
+    from gs_codec.formats.cloud import from_cloud
+
+    return statistics_of(from_cloud(cloud, "keep"))
+
+
+def statistics_of(scene: Scene) -> Statistics:
+    """See `statistics`."""
     with using_threads(None, scene.count):
         attributes = run_all(_describe, _attributes(scene))
     return Statistics(
@@ -179,18 +202,17 @@ def _norm(rot: NDArray[np.float32]) -> NDArray[np.float64]:
 
 def _describe(attribute: _Attribute) -> AttributeStatistics:
     planes = attribute.planes
+    values = finite_values(planes)
     nan = sum(int(np.count_nonzero(np.isnan(plane))) for plane in planes)
-    infinite = sum(int(np.count_nonzero(np.isinf(plane))) for plane in planes)
+    infinite = sum(plane.size for plane in planes) - values.size - nan
     named = partial(AttributeStatistics, attribute.name, attribute.unit, nan, infinite)
-    last = sum(plane.size for plane in planes) - nan - infinite - 1
-    if last < 0:
+    if not values.size:
         return named()
-    ends = ends_of(last + 1)
+    last, ends = values.size - 1, ends_of(values.size)
     ranks = [0, ends[0], last // 2, (last + 1) // 2, ends[1], last]
-    found = ranked(planes, ranks)
+    found = ranked(values, ranks)
     span = (found[1], found[4]) if found[1] < found[4] else (found[0], found[5])
-    edges = even_edges(*span, BINS)
-    below, *counts, above = histogram(planes, edges).tolist()
+    (below, *counts, above), edges = histogram(values, *span, BINS)
     least, low, left, right, high, largest = attribute.natural(np.array(found)).tolist()
     return named(
         minimum=least,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.clean import finite_gaussians
-from gs_codec.edit.distribution import ranked
+from gs_codec.edit.distribution import finite_values, ranked
 from gs_codec.formats.packed_values import sigmoid
 from gs_codec.rendering.project import MIN_ALPHA
 from gs_codec.runtime.threads import run_all, using_threads
@@ -105,10 +105,10 @@ def ends_of(number: int) -> tuple[int, int]:
 
 def _spread(values: NDArray[np.float32]) -> float:
     """Length that the finite values span without the outliers at either end."""
-    number = int(np.count_nonzero(np.isfinite(values)))
-    if not number:
+    finite = finite_values([values])
+    if not finite.size:
         return 0.0
-    low, high = ranked([values], ends_of(number))
+    low, high = ranked(finite, ends_of(finite.size))
     return high - low
 
 

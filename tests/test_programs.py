@@ -14,13 +14,16 @@ from other_programs import PACKAGES, PROGRAMS, check, stored_numbers
 from scenes import random_scene
 from test_guide import cameras
 
+from gs_codec.bench.peers.splat_transform import find_program
 from gs_codec.config import Config
+from gs_codec.edit.actions import Action
 from gs_codec.errors import MissingTool
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
-from gs_codec.formats.ply import write_ply
+from gs_codec.formats.packed_values import unit_quaternions
+from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.scene import Scene
+from gs_codec.scene import GROUPS, Scene
 from samples.generate import generate
 
 FORMATS = ("sog", "json", "compressed.ply", "splat", "glb", "gltf", "spz", "v4.spz")
@@ -108,3 +111,50 @@ def test_the_validator_of_gltf_finds_nothing_but_an_unknown_extension(form, requ
         assert not issues["truncated"]
         for issue in issues["messages"]:
             assert "KHR_gaussian_splatting" in issue["message"] + issue["pointer"], issue
+
+
+#: Actions as they are typed for splat-transform, which turns a PLY to left, up, forward first, and
+#: for `convert`, which does not: x and y have other signs.
+SAME_JOBS = {
+    "crop box": ("--filter-box=-0.5,-1,-1,1,0.7,0.5", "--crop-box=-1,-0.7,-1,0.5,1,0.5"),
+    "crop sphere": ("--filter-sphere=0.1,0.2,0,1", "--crop-sphere=-0.1,-0.2,0,1"),
+    "translate": ("--translate=1,-2,0.5", "--translate=-1,2,0.5"),
+    "rotate": ("--rotate=30,-50,110", "--rotate=-30,50,110"),
+    "scale": ("--scale=2.5", "--scale=2.5"),
+    "all": (
+        "--scale=2 --rotate=10,20,30 --translate=0.1,0,0 --filter-box=-2,-2,-2,2,2,1",
+        "--scale=2 --rotate=-10,-20,30 --translate=-0.1,0,0 --crop-box=-2,-2,-2,2,2,1",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def splat_transform() -> str:
+    try:
+        return find_program()[0]
+    except MissingTool as error:
+        pytest.skip(f"splat-transform: not installed ('make peers'), {error}")
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("job", [*SAME_JOBS, "merge"])
+def test_splat_transform_does_the_same_job(splat_transform, job, degree, tmp_path):
+    """Equal but for roundings of float32."""
+    names = [tmp_path / f"{i}.ply" for i in range(2)]
+    for i, path in enumerate(names):
+        write_ply(path, random_scene(900 - 400 * i, degree, seed=degree + 9 * i))
+    inputs = [str(path) for path in (names if job == "merge" else names[:1])]
+    theirs, ours = SAME_JOBS.get(job, ("", ""))
+    command = [splat_transform, "--quiet", *inputs, *theirs.split(), str(tmp_path / "theirs.ply")]
+    subprocess.run(command, check=True, timeout=120, capture_output=True)
+    actions = [Action(*each.removeprefix("--").split("=", 1)) for each in ours.split()]
+    convert_file(inputs, tmp_path / "ours.ply", actions=actions)
+    expected, found = read_ply(tmp_path / "theirs.ply"), read_ply(tmp_path / "ours.ply")
+    assert expected.count == found.count < 1401
+    for group in GROUPS:
+        one, other = getattr(expected, group), getattr(found, group)
+        if group == "rot":
+            # It writes them at norm 1; a quaternion and its negative are one rotation.
+            one, other = unit_quaternions(one), unit_quaternions(other)
+            other = other * np.copysign(1, (one * other).sum(axis=0))
+        np.testing.assert_allclose(other, one, rtol=2e-6, atol=4e-6, err_msg=group)

@@ -57,7 +57,6 @@ def _load_command(name: str) -> Any:
 app = typer.Typer(
     cls=_Commands,
     help="Compress 3D Gaussian Splatting scenes (PLY) to small .egs files and back.",
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

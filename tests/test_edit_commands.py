@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -223,3 +225,21 @@ def test_batches_resume_by_what_actions_read(folder):
     assert "1 complete before" in folder.run(*typed)[1]
     matrix(3.0)
     assert folder.run(*typed)[1].startswith("1 scene encoded")
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("gs-codec con", ["convert"]),
+        ("gs-codec convert --crop", ["--crop-box", "--crop-sphere"]),
+        ("gs-codec inspect --hist", ["--histogram"]),
+    ],
+)
+def test_shells_complete_commands_and_options(typed, completed):
+    number = str(len(typed.split()) - 1)
+    asked = {"_GS_CODEC_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": number}
+    program = Path(sys.executable).with_name("gs-codec")
+    done = subprocess.run(
+        [program], env=os.environ | asked, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == completed

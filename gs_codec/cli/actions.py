@@ -77,7 +77,7 @@ def _parameter_of(name: str) -> str:
 def say_what_was_done(actions: Iterable[ActionReport]) -> None:
     """A line for each action that chooses Gaussians, on stderr."""
     for done in actions:
-        if KINDS[done.action.partition(" ")[0]].moves:
+        if KINDS[done.action.partition(" ")[0]].does != "choose":
             continue
         reasons = ", ".join(f"{reason} {count:,}" for reason, count in done.details.items())
         listed = f" ({reasons})" if reasons else ""

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from gs_codec.config import Option
 from gs_codec.errors import InvalidInput
@@ -36,8 +36,8 @@ class Kind:
         Of its option; without a metavar it is a switch.
     read : callable
         Arguments of a text; raises `InvalidInput`.
-    moves : bool
-        Whether it moves the scene away from its cameras.
+    does : {"choose", "move", "change"}
+        Whether it chooses Gaussians, moves the scene away from its cameras, or changes it otherwise.
     local : bool
         Whether it looks at each Gaussian by itself, or sorts them.
     guided : bool
@@ -47,7 +47,7 @@ class Kind:
     help: str
     metavar: str
     read: Callable[[str], tuple[Any, ...]]
-    moves: bool = False
+    does: Literal["choose", "move", "change"] = "choose"
     local: bool = True
     guided: bool = False
 
@@ -158,22 +158,22 @@ KINDS: Mapping[str, Kind] = {
     "keep-largest-cluster": Kind(
         "Keep the largest group of Gaussians that touch each other.", "", _nothing, local=False
     ),
-    "translate": Kind("Shift the scene.", "X,Y,Z", _numbers(3), moves=True),
+    "translate": Kind("Shift the scene.", "X,Y,Z", _numbers(3), does="move"),
     "rotate": Kind(
         "Turn the scene: degrees about x, then y, then z; or a quaternion.",
-        "X,Y,Z|W,X,Y,Z", _numbers(3, 4), moves=True,
+        "X,Y,Z|W,X,Y,Z", _numbers(3, 4), does="move",
     ),
-    "scale": Kind("Multiply all lengths.", "F", _numbers(1), moves=True),
+    "scale": Kind("Multiply all lengths.", "F", _numbers(1), does="move"),
     "transform": Kind(
         "Move the scene by a matrix of 4 x 4, rows in JSON, that scales all axes alike.",
-        "FILE", _matrix, moves=True,
+        "FILE", _matrix, does="move",
     ),
-    "sh-degree": Kind("No SH above this degree, 0-3.", "D", _whole(0, 3)),
+    "sh-degree": Kind("No SH above this degree, 0-3.", "D", _whole(0, 3), "change"),
     "gaussians": Kind(
         "Decimate to this number.", "N", _whole(1, 1 << 40), local=False, guided=True
     ),
     "keep": Kind("Decimate to this share.", "PERCENT", _share, local=False, guided=True),
-    "sort": Kind("Order of the Gaussians.", "morton", _order),
+    "sort": Kind("Order of the Gaussians.", "morton", _order, "change"),
 }  # fmt: skip
 
 
@@ -228,6 +228,6 @@ def check_actions(
             raise InvalidInput(f"--{action}: needs the whole scene in memory, not --max-memory")
         if kind.guided and given and moved is not None:
             raise InvalidInput(f"--{action}: cameras are of the scene before --{moved}")
-        moved = action if kind.moves else moved
+        moved = action if kind.does == "move" else moved
     if coded and given and moved is not None:
         raise InvalidInput(f"--{moved}: cameras are of the scene before it, expected none or auto")

@@ -48,7 +48,7 @@ _REACH = 3.0
 #: reports of crashes in `TMPDIR`, here the process's own folder.
 _READ = """
 import os, sys
-os.environ["TMPDIR"] = os.getcwd()
+os.environ |= {"TMPDIR": os.getcwd(), "PXR_WORK_THREAD_LIMIT": "1"}  # others wait busily
 sys.path[0] = sys.argv.pop(1)
 from gs_codec.formats.usd_stage import main
 main()

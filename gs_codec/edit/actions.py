@@ -37,7 +37,7 @@ class Kind:
     read : callable
         Arguments of a text; raises `InvalidInput`.
     does : {"choose", "move", "change"}
-        Whether it chooses Gaussians, moves the scene away from its cameras, or changes it otherwise.
+        Whether it chooses Gaussians, moves the scene away from its cameras, or does something else.
     local : bool
         Whether it looks at each Gaussian by itself, or sorts them.
     guided : bool

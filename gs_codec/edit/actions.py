@@ -9,6 +9,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -73,7 +74,7 @@ def _whole(low: int, high: int) -> Callable[[str], tuple[int]]:
     """Reads an integer of a range."""
 
     def read(text: str) -> tuple[int]:
-        if not text.isascii() or not text.isdigit() or not low <= int(text[:30]) <= high:
+        if not re.fullmatch("[0-9]{1,30}", text) or not low <= int(text) <= high:
             raise InvalidInput(f"expected an integer from {low} to {high}")
         return (int(text),)
 
@@ -94,10 +95,9 @@ def _share(text: str) -> tuple[float]:
 def read_condition(text: str) -> tuple[str, str, float]:
     """Reads a condition: attribute, comparison, number."""
     if found := _CONDITION.fullmatch(text):
-        try:
-            return found[1], found[2], float(found[3])
-        except ValueError:
-            pass
+        with suppress(ValueError):
+            if not math.isnan(number := float(found[3])):
+                return found[1], found[2], number
     raise InvalidInput("expected an attribute, one of < <= > >= == !=, and a number")
 
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.edit.touching import Spheres, any_touching, find_spheres, finite_mask
+from gs_codec.edit.spacing import (
+    Spacing,
+    by_size,
+    distances,
+    find_spacing,
+    finite_mask,
+    usual_distance,
+)
 from gs_codec.scene import Scene
 
 
@@ -14,20 +21,21 @@ def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
     finite = np.flatnonzero(finite_mask(scene))
     cluster = np.zeros(scene.count, bool)
     if len(finite):
-        spheres = find_spheres(scene.take(finite))
-        labels = _link_nearest(spheres)
-        cluster[finite[_grow(spheres, labels, int(np.argmax(np.bincount(labels))))]] = True
+        spacing = find_spacing(scene.take(finite))
+        limit = usual_distance(spacing)
+        labels = _link_nearest(spacing, limit)
+        first = int(np.argmax(np.bincount(labels)))
+        cluster[finite[_grow(spacing, limit, labels, first)]] = True
     return cluster
 
 
 def keep_largest_cluster(scene: Scene) -> Scene:
-    """Keep the largest cluster of Gaussians that touch, and remove all the rest.
+    """Keep the largest cluster of Gaussians that are near each other, and remove all the rest.
 
-    Two Gaussians touch if spheres around them do: of two standard deviations along their longest
-    axes, rounded to a power of two; or of as many standard deviations as nine in ten Gaussians
-    need to touch their eight nearest neighbours. A cluster is all that can be reached from one
-    Gaussian to the next. The largest has the most Gaussians: of clusters linked by the eight
-    nearest neighbours the first with the most, and all that touches it.
+    Two Gaussians are linked if their distance is at most the scene's usual distance (see
+    `remove_floaters`) to the eighth nearest, in units of their sizes. A cluster is all that can be
+    reached by links. The largest has the most Gaussians: of clusters by links of each Gaussian to
+    its eight nearest by centre, the first with the most, and all that is linked to it.
 
     An object on a floor is one cluster with the floor. Gaussians with a value that is not finite
     are of no cluster.
@@ -45,24 +53,40 @@ def keep_largest_cluster(scene: Scene) -> Scene:
     return scene if cluster.all() else scene.take(cluster)
 
 
-def _link_nearest(spheres: Spheres) -> NDArray[np.int32]:
-    """Label ``(M,)`` of each sphere's cluster, of links to nearest neighbours that it touches."""
+def _link_nearest(spacing: Spacing, limit: float) -> NDArray[np.int32]:
+    """Label ``(M,)`` of each Gaussian's cluster, by links to its nearest others."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    touching, count = spheres.touching, len(spheres.points)
-    starts = np.concatenate([[0], np.cumsum(np.count_nonzero(touching, axis=1))])
-    links = np.ones(starts[-1], bool), spheres.nearest[touching], starts
+    linked, count = spacing.in_sizes() <= limit, len(spacing.points)
+    starts = np.concatenate([[0], np.cumsum(np.count_nonzero(linked, axis=1))])
+    links = np.ones(starts[-1], bool), spacing.nearest[linked], starts
     return connected_components(csr_array(links, shape=(count, count)), directed=False)[1]
 
 
-def _grow(spheres: Spheres, labels: NDArray[np.int32], first: int) -> NDArray[np.bool_]:
-    """Which spheres ``(M,)`` are of cluster `first` or of others that touch it, over any others."""
+def _grow(
+    spacing: Spacing, limit: float, labels: NDArray[np.int32], first: int
+) -> NDArray[np.bool_]:
+    """Which Gaussians ``(M,)`` are of cluster `first`, or of those linked to it, in any steps."""
     cluster = labels == first
     edge, rest = np.flatnonzero(cluster), np.flatnonzero(~cluster)
     while len(edge) and len(rest):
-        joined = np.unique(labels[rest[any_touching(spheres, rest, edge)]])
+        joined = np.unique(labels[rest[_any_linked(spacing, limit, rest, edge)]])
         joins = np.isin(labels[rest], joined)
         edge, rest = rest[joins], rest[~joins]
         cluster[edge] = True
     return cluster
+
+
+def _any_linked(
+    spacing: Spacing, limit: float, asking: NDArray[np.int64], others: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which of the Gaussians `asking` are linked to any of `others`, in the order of the first."""
+    linked = np.zeros(len(asking), bool)
+    for size, other in ((spacing.length, spacing.width), (spacing.width, spacing.length)):
+        for members, reach in by_size(other, others):
+            left = np.flatnonzero(~linked)
+            if len(left):
+                away = distances(spacing.points[members], spacing.points[asking[left]], 1)
+                linked[left] = away[:, 0] <= limit * (size[asking[left]] + reach)
+    return linked

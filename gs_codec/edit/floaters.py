@@ -8,7 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.edit.touching import NEIGHBOURS, count_touching, find_spheres, finite_mask
+from gs_codec.edit.spacing import (
+    NEIGHBOURS,
+    far_from_others,
+    find_spacing,
+    finite_mask,
+    usual_distance,
+)
 from gs_codec.errors import InvalidInput
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.project import NEAR, camera_arguments, rotated
@@ -19,6 +25,9 @@ from gs_codec.scene import Scene
 
 #: Why a Gaussian is a floater; the index is the label. The first stays.
 FLOATERS = ("", "isolated", "hardly seen", "outside")
+
+#: Isolated: more than so many times the usual distance from others.
+_FAR = 2.0
 
 #: Hardly seen: below this part of the mean blending weight, by at least so many cameras.
 _FAINT, _VIEWS = 1e-3, 10
@@ -82,10 +91,15 @@ def find_floaters(
 
 
 def _isolated(scene: Scene) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` of a finite scene touch too few others."""
-    if scene.count <= NEIGHBOURS:
-        return np.zeros(scene.count, bool)
-    return count_touching(find_spheres(scene)) < NEIGHBOURS
+    """Which Gaussians ``(N,)`` of a finite scene are far from most others."""
+    isolated = np.zeros(scene.count, bool)
+    if scene.count > NEIGHBOURS:
+        spacing = find_spacing(scene)
+        limit = _FAR * usual_distance(spacing)
+        # The eighth nearest in units of sizes is at most as far as that by centre.
+        asked = np.flatnonzero(spacing.in_sizes().max(axis=1) > limit)
+        isolated[asked] = far_from_others(spacing, asked) > limit
+    return isolated
 
 
 def _look(scene: Scene, cameras: Sequence[Camera], progress: Progress | None) -> _Sight:

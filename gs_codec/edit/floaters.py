@@ -26,8 +26,12 @@ from gs_codec.scene import Scene
 #: Why a Gaussian is a floater; the index is the label. The first stays.
 FLOATERS = ("", "isolated", "hardly seen", "outside")
 
-#: Isolated: more than so many times the usual distance from others.
-_FAR = 2.0
+#: Isolated: more than so many times the usual distance from others; before a camera, so many.
+_FAR, _FAR_BEFORE = 1.75, 1.25
+
+#: Before a camera: nearer than this part of what it looks at, which is nearly all (this share) of
+#: the pixels that are more than half opaque.
+_BEFORE, _LOOKED_AT = 0.7, 0.95
 
 #: Hardly seen: below this part of the mean blending weight, by at least so many cameras.
 _FAINT, _VIEWS = 1e-3, 10
@@ -43,10 +47,21 @@ _PRODUCTS = 1 << 24
 
 
 class _Sight(NamedTuple):
-    """Of each Gaussian ``(N,)``, the blending weight in all pixels, and the views that hold it."""
+    """What cameras see of each Gaussian ``(N,)``.
+
+    Attributes
+    ----------
+    weight : ndarray, float64
+        Sum over views of the share of the image that it makes up.
+    held : ndarray, int64
+        Views that have its centre in the image.
+    closest : ndarray, float64
+        Of those views, its least depth in units of the depth of what they look at.
+    """
 
     weight: NDArray[np.float64]
     held: NDArray[np.int64]
+    closest: NDArray[np.float64]
 
 
 def find_floaters(
@@ -77,10 +92,13 @@ def find_floaters(
     labels = np.zeros(scene.count, np.uint8)
     if not finite.any():
         return labels
-    index = np.flatnonzero(finite)
-    labels[index[_isolated(scene.take(index))]] = FLOATERS.index("isolated")
+    apart = np.zeros(scene.count)
+    apart[finite] = _apart(scene.take(finite))
+    labels[apart > _FAR] = FLOATERS.index("isolated")
     if cameras is not None:
         sight = _look(scene, cameras, progress)
+        before = (apart > _FAR_BEFORE) & (sight.closest < _BEFORE)
+        labels[before] = FLOATERS.index("isolated")
         faint = sight.weight < _FAINT * sight.weight[finite].mean()
         hardly = faint & (sight.held >= _VIEWS)
         left = finite & (labels == 0)
@@ -90,37 +108,39 @@ def find_floaters(
     return labels
 
 
-def _isolated(scene: Scene) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` of a finite scene are far from most others."""
-    isolated = np.zeros(scene.count, bool)
+def _apart(scene: Scene) -> NDArray[np.float64]:
+    """Distance from others in usual distances ``(N,)`` of a finite scene; 0 if it is not far."""
+    apart = np.zeros(scene.count)
     if scene.count > NEIGHBOURS:
         spacing = find_spacing(scene)
-        limit = _FAR * usual_distance(spacing)
+        usual = usual_distance(spacing)
         # The eighth nearest in units of sizes is at most as far as that by centre.
-        asked = np.flatnonzero(spacing.in_sizes().max(axis=1) > limit)
-        isolated[asked] = far_from_others(spacing, asked) > limit
-    return isolated
+        asked = np.flatnonzero(spacing.in_sizes().max(axis=1) > _FAR_BEFORE * usual)
+        apart[asked] = far_from_others(spacing, asked) / max(usual, np.finfo(float).tiny)
+    return apart
 
 
 def _look(scene: Scene, cameras: Sequence[Camera], progress: Progress | None) -> _Sight:
     """Draw what cameras see."""
-    sight = _Sight(np.zeros(scene.count), np.zeros(scene.count, np.int64))
+    count = scene.count
+    sight = _Sight(np.zeros(count), np.zeros(count, np.int64), np.full(count, np.inf))
     advance = step_counter(progress, "views", len(cameras))
     for camera in cameras:
         width = min(camera.width, _WIDTH)
         small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
-        sums = render(scene, small, accumulate=True).accumulations
-        assert sums is not None
-        # Of an image of any size, the share that a Gaussian makes up.
-        sight.weight[:] += sums.weight / (small.width * small.height)
-        _count_held(scene.positions, *camera_arguments(small), sight.held)
+        drawn = render(scene, small, accumulate=True)
+        assert drawn.accumulations is not None
+        sight.weight[:] += drawn.accumulations.weight / drawn.alpha.size
+        depths = drawn.depth[drawn.alpha > 0.5]
+        near = float(np.quantile(depths, 1 - _LOOKED_AT)) if depths.size else 0.0
+        _find_held(scene.positions, *camera_arguments(small), near, sight.held, sight.closest)
         advance()
     return sight
 
 
 @kernel
-def _count_held(positions, rotation, position, intrinsics, width, height, held):
-    """Count a view for each centre that is in its image."""
+def _find_held(positions, rotation, position, intrinsics, width, height, near, held, closest):
+    """Count a view for each centre in its image, and keep the least depth in units of `near`."""
     fx, fy, cx, cy = intrinsics
     for i in range(positions.shape[1]):
         dx = positions[0, i] - position[0]
@@ -130,6 +150,8 @@ def _count_held(positions, rotation, position, intrinsics, width, height, held):
         u, v = fx * x / z + cx, fy * y / z + cy
         if z > NEAR and 0.0 <= u < width and 0.0 <= v < height:
             held[i] += 1
+            if near > 0.0:
+                closest[i] = min(closest[i], z / near)
 
 
 def _outside(
@@ -151,7 +173,7 @@ def _outside(
         return asking[:0]
     centre = points[hull.vertices].mean(axis=0)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
-    margins = (1 - _BEYOND) * (normals @ centre) + _BEYOND * offsets
+    margins = (_BEYOND - 1) * (normals @ centre) + _BEYOND * offsets
     beyond = np.zeros(len(asking), bool)
     size = max(1, _PRODUCTS // len(normals))
     for start in range(0, len(asking), size):
@@ -166,18 +188,20 @@ def remove_floaters(scene: Scene, cameras: Sequence[Camera] | None = None) -> Sc
 
     A Gaussian goes by the first rule that it meets:
 
-    - isolated: fewer than eight others touch it. Two Gaussians touch if spheres around them do: of
-      two standard deviations along their longest axes, rounded to a power of two; or of as many
-      standard deviations as nine in ten Gaussians need to touch their eight nearest neighbours.
-      So a large Gaussian far from others is not isolated if it reaches them, and a group of up to
-      eight small ones is.
+    - isolated: its distance to its eighth nearest other is more than 1.75 times the scene's usual
+      distance, which nine in ten Gaussians do not pass. Distances are in units of sizes: divided
+      by the largest standard deviation of the first plus the geometric mean of those of the other,
+      both rounded to powers of two. So a small Gaussian in empty space goes, and so does a clump
+      of up to eight; a large one of a sparse background stays. Before a camera, 1.25 times is
+      enough: if the Gaussian's centre is in its image, at less than 0.7 of the depth beyond which
+      95 % of what it sees is.
     - hardly seen, with cameras: at least ten have its centre in their image, but all together see
       less of it than a thousandth of what they see of a Gaussian on average, because it is hidden
       or transparent.
-    - outside, with cameras: it is not seen, and beyond twice the convex hull of the cameras and of
-      what they see.
+    - outside, with cameras: they see no more of it than that, and it is beyond twice the convex
+      hull of the cameras and of what they see.
 
-    What cameras see stays, unless it is isolated. What fewer than ten cameras look at stays within
+    What cameras see stays unless it is isolated. What fewer than ten cameras look at stays within
     that hull, so that few cameras do not remove what others would see. Gaussians with a value that
     is not finite stay.
 

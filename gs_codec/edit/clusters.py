@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from gs_codec.edit.spacing import (
     Spacing,
     by_size,
-    distances,
     find_spacing,
     finite_mask,
     usual_distance,
 )
+from gs_codec.runtime.threads import available_threads
 from gs_codec.scene import Scene
 
 
@@ -82,11 +82,17 @@ def _any_linked(
     spacing: Spacing, limit: float, asking: NDArray[np.int64], others: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Which of the Gaussians `asking` are linked to any of `others`, in the order of the first."""
+    from scipy.spatial import cKDTree
+
     linked = np.zeros(len(asking), bool)
     for size, other in ((spacing.length, spacing.width), (spacing.width, spacing.length)):
         for members, reach in by_size(other, others):
-            left = np.flatnonzero(~linked)
-            if len(left):
-                away = distances(spacing.points[members], spacing.points[asking[left]], 1)
-                linked[left] = away[:, 0] <= limit * (size[asking[left]] + reach)
+            tree = cKDTree(spacing.points[members])
+            # Of one size on both sides, the search ends at the distance of a link.
+            for group, own in by_size(size[asking], np.flatnonzero(~linked)):
+                farthest = limit * (own + reach)
+                places = spacing.points[asking[group]]
+                bound, threads = np.nextafter(farthest, np.inf), available_threads()
+                away, _ = tree.query(places, distance_upper_bound=bound, workers=threads)
+                linked[group] |= away <= farthest
     return linked

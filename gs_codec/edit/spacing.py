@@ -128,7 +128,7 @@ def far_from_others(spacing: Spacing, which: NDArray[np.int64]) -> NDArray[np.fl
         if not len(asking):
             continue
         places = spacing.points[which[asking]]
-        away = distances(spacing.points[members], places, number + 1)
+        away = _distances(spacing.points[members], places, number + 1)
         # A Gaussian finds itself among those of its own size.
         itself = spacing.width[which[asking]] == width
         away = np.where(itself[:, None], away[:, 1:], away[:, :-1])
@@ -146,7 +146,7 @@ def by_size(
         yield members[of_members == size], float(size)
 
 
-def distances(
+def _distances(
     points: NDArray[np.float64], places: NDArray[np.float64], number: int
 ) -> NDArray[np.float64]:
     """Distances ``(P, number)`` from places to the nearest points; infinity if there are fewer."""

@@ -40,7 +40,7 @@ _FAINT, _VIEWS = 1e-3, 10
 _WIDTH = 640
 
 #: What is outside is beyond the hull enlarged by this factor.
-_BEYOND = 2.0
+_BEYOND = 4.0
 
 #: Most products of facets and points that are kept at once.
 _PRODUCTS = 1 << 24
@@ -198,7 +198,7 @@ def remove_floaters(scene: Scene, cameras: Sequence[Camera] | None = None) -> Sc
     - hardly seen, with cameras: at least ten have its centre in their image, but all together see
       less of it than a thousandth of what they see of a Gaussian on average, because it is hidden
       or transparent.
-    - outside, with cameras: they see no more of it than that, and it is beyond twice the convex
+    - outside, with cameras: they see no more of it than that, and it is beyond four times the convex
       hull of the cameras and of what they see.
 
     What cameras see stays unless it is isolated. What fewer than ten cameras look at stays within

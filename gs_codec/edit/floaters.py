@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.linear import combine
 from gs_codec.edit.spacing import (
     NEIGHBOURS,
     far_from_others,
@@ -173,12 +174,13 @@ def _outside(
         return asking[:0]
     centre = points[hull.vertices].mean(axis=0)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
-    margins = (_BEYOND - 1) * (normals @ centre) + _BEYOND * offsets
+    margins = (_BEYOND - 1) * combine(centre, normals.T) + _BEYOND * offsets
     beyond = np.zeros(len(asking), bool)
     size = max(1, _PRODUCTS // len(normals))
     for start in range(0, len(asking), size):
         part = slice(start, start + size)
-        heights = scene.positions.T[asking[part]] @ normals.T + margins
+        # Not by BLAS, whose sums depend on the number of threads.
+        heights = np.einsum("ai,ja->ij", scene.positions[:, asking[part]], normals) + margins
         beyond[part] = (heights > 0).any(axis=1)
     return asking[beyond]
 
@@ -198,11 +200,11 @@ def remove_floaters(scene: Scene, cameras: Sequence[Camera] | None = None) -> Sc
     - hardly seen, with cameras: at least ten have its centre in their image, but all together see
       less of it than a thousandth of what they see of a Gaussian on average, because it is hidden
       or transparent.
-    - outside, with cameras: they see no more of it than that, and it is beyond four times the convex
-      hull of the cameras and of what they see.
+    - outside, with cameras: they see no more of it than that, and it is beyond the convex hull of
+      the cameras and of what they see, enlarged four times about its middle.
 
     What cameras see stays unless it is isolated. What fewer than ten cameras look at stays within
-    that hull, so that few cameras do not remove what others would see. Gaussians with a value that
+    the enlarged hull, so that few cameras do not remove what others would see. Gaussians with a value that
     is not finite stay.
 
     Parameters

@@ -204,8 +204,8 @@ def remove_floaters(scene: Scene, cameras: Sequence[Camera] | None = None) -> Sc
       the cameras and of what they see, enlarged four times about its middle.
 
     What cameras see stays unless it is isolated. What fewer than ten cameras look at stays within
-    the enlarged hull, so that few cameras do not remove what others would see. Gaussians with a value that
-    is not finite stay.
+    the enlarged hull, so that few cameras do not remove what others would see. Gaussians with a
+    value that is not finite stay.
 
     Parameters
     ----------

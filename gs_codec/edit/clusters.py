@@ -1,0 +1,98 @@
+"""The largest cluster of a scene: Gaussians that hang together, without bits apart from them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.edit.spacing import (
+    Spacing,
+    by_size,
+    find_spacing,
+    finite_mask,
+    usual_distance,
+)
+from gs_codec.runtime.threads import available_threads
+from gs_codec.scene import Scene
+
+
+def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
+    """Which Gaussians are of the largest cluster, ``(N,)``; see `keep_largest_cluster`."""
+    finite = np.flatnonzero(finite_mask(scene))
+    cluster = np.zeros(scene.count, bool)
+    if len(finite):
+        spacing = find_spacing(scene.take(finite))
+        limit = usual_distance(spacing)
+        labels = _link_nearest(spacing, limit)
+        first = int(np.argmax(np.bincount(labels)))
+        cluster[finite[_grow(spacing, limit, labels, first)]] = True
+    return cluster
+
+
+def keep_largest_cluster(scene: Scene) -> Scene:
+    """Keep the largest cluster of Gaussians that are near each other, and remove all the rest.
+
+    Two Gaussians are linked if their distance is at most the scene's usual distance (see
+    `remove_floaters`) to the eighth nearest, in units of their sizes. A cluster is all that can be
+    reached by links. The largest has the most Gaussians: of clusters by links of each Gaussian to
+    its eight nearest by centre, the first with the most, and all that is linked to it.
+
+    An object on a floor is one cluster with the floor. Gaussians with a value that is not finite
+    are of no cluster.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    Scene
+        The Gaussians of the cluster, in their order; the same object if that is all.
+    """
+    cluster = largest_cluster(scene)
+    return scene if cluster.all() else scene.take(cluster)
+
+
+def _link_nearest(spacing: Spacing, limit: float) -> NDArray[np.int32]:
+    """Label ``(M,)`` of each Gaussian's cluster, by links to its nearest others."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    linked, count = spacing.in_sizes() <= limit, len(spacing.points)
+    starts = np.concatenate([[0], np.cumsum(np.count_nonzero(linked, axis=1))])
+    links = np.ones(starts[-1], bool), spacing.nearest[linked], starts
+    return connected_components(csr_array(links, shape=(count, count)), directed=False)[1]
+
+
+def _grow(
+    spacing: Spacing, limit: float, labels: NDArray[np.int32], first: int
+) -> NDArray[np.bool_]:
+    """Which Gaussians ``(M,)`` are of cluster `first`, or of those linked to it, in any steps."""
+    cluster = labels == first
+    edge, rest = np.flatnonzero(cluster), np.flatnonzero(~cluster)
+    while len(edge) and len(rest):
+        joined = np.unique(labels[rest[_any_linked(spacing, limit, rest, edge)]])
+        joins = np.isin(labels[rest], joined)
+        edge, rest = rest[joins], rest[~joins]
+        cluster[edge] = True
+    return cluster
+
+
+def _any_linked(
+    spacing: Spacing, limit: float, asking: NDArray[np.int64], others: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which of the Gaussians `asking` are linked to any of `others`, in the order of the first."""
+    from scipy.spatial import cKDTree
+
+    linked = np.zeros(len(asking), bool)
+    for size, other in ((spacing.length, spacing.width), (spacing.width, spacing.length)):
+        for members, reach in by_size(other, others):
+            tree = cKDTree(spacing.points[members])
+            # Of one size on both sides, the search ends at the distance of a link.
+            for group, own in by_size(size[asking], np.flatnonzero(~linked)):
+                farthest = limit * (own + reach)
+                places = spacing.points[asking[group]]
+                bound, threads = np.nextafter(farthest, np.inf), available_threads()
+                away, _ = tree.query(places, distance_upper_bound=bound, workers=threads)
+                linked[group] |= away <= farthest
+    return linked

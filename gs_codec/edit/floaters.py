@@ -1,0 +1,228 @@
+"""Floaters: Gaussians that hang in empty space, that hardly a camera sees, or far outside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.linear import combine
+from gs_codec.edit.spacing import (
+    NEIGHBOURS,
+    far_from_others,
+    find_spacing,
+    finite_mask,
+    usual_distance,
+)
+from gs_codec.errors import InvalidInput
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.project import NEAR, camera_arguments, rotated
+from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.kernels import kernel
+from gs_codec.scene import Scene
+
+#: Why a Gaussian is a floater; the index is the label. The first stays.
+FLOATERS = ("", "isolated", "hardly seen", "outside")
+
+#: Isolated: more than so many times the usual distance from others; before a camera, so many.
+_FAR, _FAR_BEFORE = 1.75, 1.25
+
+#: Before a camera: nearer than this part of what it looks at, which is nearly all (this share) of
+#: the pixels that are more than half opaque.
+_BEFORE, _LOOKED_AT = 0.7, 0.95
+
+#: Hardly seen: below this part of the mean blending weight, by at least so many cameras.
+_FAINT, _VIEWS = 1e-3, 10
+
+#: Views are drawn at most this wide, pixels.
+_WIDTH = 640
+
+#: What is outside is beyond the hull enlarged by this factor.
+_BEYOND = 4.0
+
+#: Most products of facets and points that are kept at once.
+_PRODUCTS = 1 << 24
+
+
+class _Sight(NamedTuple):
+    """What cameras see of each Gaussian ``(N,)``.
+
+    Attributes
+    ----------
+    weight : ndarray, float64
+        Sum over views of the share of the image that it makes up.
+    held : ndarray, int64
+        Views that have its centre in the image.
+    closest : ndarray, float64
+        Of those views, its least depth in units of the depth of what they look at.
+    """
+
+    weight: NDArray[np.float64]
+    held: NDArray[np.int64]
+    closest: NDArray[np.float64]
+
+
+def find_floaters(
+    scene: Scene, cameras: Sequence[Camera] | None = None, progress: Progress | None = None
+) -> NDArray[np.uint8]:
+    """Label floaters; see `remove_floaters` for the rules.
+
+    Parameters
+    ----------
+    scene : Scene
+    cameras : sequence of Camera, optional
+    progress : callable, optional
+        Called with a stage's name, views done, and views in all.
+
+    Returns
+    -------
+    ndarray, shape (N,), uint8
+        0 for Gaussians that stay; for others the index in `FLOATERS` of the first rule they meet.
+
+    Raises
+    ------
+    InvalidInput
+        If the sequence of cameras is empty.
+    """
+    if cameras is not None and not len(cameras):
+        raise InvalidInput("cameras: none, expected at least one")
+    finite = finite_mask(scene)
+    labels = np.zeros(scene.count, np.uint8)
+    if not finite.any():
+        return labels
+    apart = np.zeros(scene.count)
+    apart[finite] = _apart(scene.take(finite))
+    labels[apart > _FAR] = FLOATERS.index("isolated")
+    if cameras is not None:
+        sight = _look(scene, cameras, progress)
+        before = (apart > _FAR_BEFORE) & (sight.closest < _BEFORE)
+        labels[before] = FLOATERS.index("isolated")
+        faint = sight.weight < _FAINT * sight.weight[finite].mean()
+        hardly = faint & (sight.held >= _VIEWS)
+        left = finite & (labels == 0)
+        labels[left & hardly] = FLOATERS.index("hardly seen")
+        outside = _outside(scene, cameras, left & ~faint, left & faint & ~hardly)
+        labels[outside] = FLOATERS.index("outside")
+    return labels
+
+
+def _apart(scene: Scene) -> NDArray[np.float64]:
+    """Distance from others in usual distances ``(N,)`` of a finite scene; 0 if it is not far."""
+    apart = np.zeros(scene.count)
+    if scene.count > NEIGHBOURS:
+        spacing = find_spacing(scene)
+        usual = usual_distance(spacing)
+        # The eighth nearest in units of sizes is at most as far as that by centre.
+        asked = np.flatnonzero(spacing.in_sizes().max(axis=1) > _FAR_BEFORE * usual)
+        apart[asked] = far_from_others(spacing, asked) / max(usual, np.finfo(float).tiny)
+    return apart
+
+
+def _look(scene: Scene, cameras: Sequence[Camera], progress: Progress | None) -> _Sight:
+    """Draw what cameras see."""
+    count = scene.count
+    sight = _Sight(np.zeros(count), np.zeros(count, np.int64), np.full(count, np.inf))
+    advance = step_counter(progress, "views", len(cameras))
+    for camera in cameras:
+        width = min(camera.width, _WIDTH)
+        small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+        drawn = render(scene, small, accumulate=True)
+        assert drawn.accumulations is not None
+        sight.weight[:] += drawn.accumulations.weight / drawn.alpha.size
+        depths = drawn.depth[drawn.alpha > 0.5]
+        near = float(np.quantile(depths, 1 - _LOOKED_AT)) if depths.size else 0.0
+        _find_held(scene.positions, *camera_arguments(small), near, sight.held, sight.closest)
+        advance()
+    return sight
+
+
+@kernel
+def _find_held(positions, rotation, position, intrinsics, width, height, near, held, closest):
+    """Count a view for each centre in its image, and keep the least depth in units of `near`."""
+    fx, fy, cx, cy = intrinsics
+    for i in range(positions.shape[1]):
+        dx = positions[0, i] - position[0]
+        dy = positions[1, i] - position[1]
+        dz = positions[2, i] - position[2]
+        x, y, z = rotated(rotation, dx, dy, dz)
+        u, v = fx * x / z + cx, fy * y / z + cy
+        if z > NEAR and 0.0 <= u < width and 0.0 <= v < height:
+            held[i] += 1
+            if near > 0.0:
+                closest[i] = min(closest[i], z / near)
+
+
+def _outside(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    seen: NDArray[np.bool_],
+    asked: NDArray[np.bool_],
+) -> NDArray[np.int64]:
+    """Indices of those Gaussians asked for that are far from cameras and what they see."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    asking = np.flatnonzero(asked)
+    points = np.concatenate([[camera.position for camera in cameras], scene.positions.T[seen]])
+    if not len(asking) or not seen.any():
+        return asking[:0]
+    try:
+        hull = ConvexHull(points)
+    except QhullError:  # all in a plane
+        return asking[:0]
+    centre = points[hull.vertices].mean(axis=0)
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    margins = (_BEYOND - 1) * combine(centre, normals.T) + _BEYOND * offsets
+    beyond = np.zeros(len(asking), bool)
+    size = max(1, _PRODUCTS // len(normals))
+    for start in range(0, len(asking), size):
+        part = slice(start, start + size)
+        # Not by BLAS, whose sums depend on the number of threads.
+        heights = np.einsum("ai,ja->ij", scene.positions[:, asking[part]], normals) + margins
+        beyond[part] = (heights > 0).any(axis=1)
+    return asking[beyond]
+
+
+def remove_floaters(scene: Scene, cameras: Sequence[Camera] | None = None) -> Scene:
+    """Remove Gaussians that hang in empty space, that cameras hardly see, or far outside.
+
+    A Gaussian goes by the first rule that it meets:
+
+    - isolated: its distance to its eighth nearest other is more than 1.75 times the scene's usual
+      distance, which nine in ten Gaussians do not pass. Distances are in units of sizes: divided
+      by the largest standard deviation of the first plus the geometric mean of those of the other,
+      both rounded to powers of two. So a small Gaussian in empty space goes, and so does a clump
+      of up to eight; a large one of a sparse background stays. Before a camera, 1.25 times is
+      enough: if the Gaussian's centre is in its image, at less than 0.7 of the depth beyond which
+      95 % of what it sees is.
+    - hardly seen, with cameras: at least ten have its centre in their image, but all together see
+      less of it than a thousandth of what they see of a Gaussian on average, because it is hidden
+      or transparent.
+    - outside, with cameras: they see no more of it than that, and it is beyond the convex hull of
+      the cameras and of what they see, enlarged four times about its middle.
+
+    What cameras see stays unless it is isolated. What fewer than ten cameras look at stays within
+    the enlarged hull, so that few cameras do not remove what others would see. Gaussians with a
+    value that is not finite stay.
+
+    Parameters
+    ----------
+    scene : Scene
+    cameras : sequence of Camera, optional
+        Those the scene was trained with, or others that look at all that is to stay. Without them,
+        only isolated Gaussians go.
+
+    Returns
+    -------
+    Scene
+        The Gaussians that stay, in their order; the same object if all do.
+
+    Raises
+    ------
+    InvalidInput
+        If the sequence of cameras is empty.
+    """
+    labels = find_floaters(scene, cameras)
+    return scene.take(labels == 0) if labels.any() else scene

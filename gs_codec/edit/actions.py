@@ -153,10 +153,11 @@ KINDS: Mapping[str, Kind] = {
     ),
     "remove-nan": Kind("Remove Gaussians with NaN or infinity.", "", _nothing),
     "remove-floaters": Kind(
-        "Remove Gaussians that belong to no surface.", "", _nothing, local=False, guided=True
+        "Remove Gaussians that are isolated or, with cameras, hardly seen or far outside.",
+        "", _nothing, local=False, guided=True,
     ),
     "keep-largest-cluster": Kind(
-        "Keep the largest group of Gaussians that touch each other.", "", _nothing, local=False
+        "Keep the largest group of Gaussians that are near each other.", "", _nothing, local=False
     ),
     "translate": Kind("Shift the scene.", "X,Y,Z", _numbers(3), does="move"),
     "rotate": Kind(

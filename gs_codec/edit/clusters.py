@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.spacing import (
     Spacing,
     by_size,
     find_spacing,
-    finite_mask,
+    in_place_order,
     usual_distance,
 )
 from gs_codec.runtime.threads import available_threads
@@ -18,7 +19,7 @@ from gs_codec.scene import Scene
 
 def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
     """Which Gaussians are of the largest cluster, ``(N,)``; see `keep_largest_cluster`."""
-    finite = np.flatnonzero(finite_mask(scene))
+    finite = in_place_order(scene)
     cluster = np.zeros(scene.count, bool)
     if len(finite):
         spacing = find_spacing(scene.take(finite))
@@ -29,6 +30,7 @@ def largest_cluster(scene: Scene) -> NDArray[np.bool_]:
     return cluster
 
 
+@on_clouds
 def keep_largest_cluster(scene: Scene) -> Scene:
     """Keep the largest cluster of Gaussians that are near each other, and remove all the rest.
 
@@ -42,12 +44,22 @@ def keep_largest_cluster(scene: Scene) -> Scene:
 
     Parameters
     ----------
-    scene : Scene
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
 
     Returns
     -------
-    Scene
-        The Gaussians of the cluster, in their order; the same object if that is all.
+    open3d.t.geometry.PointCloud
+        The Gaussians of the cluster, in their order, with all of their attributes.
+
+    Raises
+    ------
+    InvalidInput
+        If the cloud lacks an attribute of a scene.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.edit.keep_largest_cluster(gs_codec.read("scene.ply"))
     """
     cluster = largest_cluster(scene)
     return scene if cluster.all() else scene.take(cluster)

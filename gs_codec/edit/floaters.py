@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.linear import combine
+from gs_codec.edit.clouds import on_clouds
 from gs_codec.edit.spacing import (
     NEIGHBOURS,
     far_from_others,
     find_spacing,
-    finite_mask,
+    in_place_order,
     usual_distance,
 )
 from gs_codec.errors import InvalidInput
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import find_cameras
 from gs_codec.rendering.project import NEAR, camera_arguments, rotated
 from gs_codec.rendering.renderer import render
 from gs_codec.report import Progress, step_counter
@@ -66,14 +69,16 @@ class _Sight(NamedTuple):
 
 
 def find_floaters(
-    scene: Scene, cameras: Sequence[Camera] | None = None, progress: Progress | None = None
+    scene: Scene,
+    cameras: str | Path | Sequence[Camera] | None = None,
+    progress: Progress | None = None,
 ) -> NDArray[np.uint8]:
     """Label floaters; see `remove_floaters` for the rules.
 
     Parameters
     ----------
     scene : Scene
-    cameras : sequence of Camera, optional
+    cameras : path or sequence of Camera, optional
     progress : callable, optional
         Called with a stage's name, views done, and views in all.
 
@@ -85,13 +90,14 @@ def find_floaters(
     Raises
     ------
     InvalidInput
-        If the sequence of cameras is empty.
+        If cameras cannot be read, or there are none.
     """
-    if cameras is not None and not len(cameras):
-        raise InvalidInput("cameras: none, expected at least one")
-    finite = finite_mask(scene)
-    labels = np.zeros(scene.count, np.uint8)
-    if not finite.any():
+    if str(cameras) == "auto":
+        raise InvalidInput("cameras 'auto': estimated ones tell nothing new, expected given ones")
+    if cameras is not None:
+        cameras = find_cameras(cameras, scene)
+    finite, labels = in_place_order(scene), np.zeros(scene.count, np.uint8)
+    if not len(finite):
         return labels
     apart = np.zeros(scene.count)
     apart[finite] = _apart(scene.take(finite))
@@ -102,7 +108,8 @@ def find_floaters(
         labels[before] = FLOATERS.index("isolated")
         faint = sight.weight < _FAINT * sight.weight[finite].mean()
         hardly = faint & (sight.held >= _VIEWS)
-        left = finite & (labels == 0)
+        left = np.zeros(scene.count, bool)
+        left[finite] = labels[finite] == 0
         labels[left & hardly] = FLOATERS.index("hardly seen")
         outside = _outside(scene, cameras, left & ~faint, left & faint & ~hardly)
         labels[outside] = FLOATERS.index("outside")
@@ -185,7 +192,8 @@ def _outside(
     return asking[beyond]
 
 
-def remove_floaters(scene: Scene, cameras: Sequence[Camera] | None = None) -> Scene:
+@on_clouds
+def remove_floaters(scene: Scene, cameras: str | Path | Sequence[Camera] | None = None) -> Scene:
     """Remove Gaussians that hang in empty space, that cameras hardly see, or far outside.
 
     A Gaussian goes by the first rule that it meets:
@@ -209,20 +217,27 @@ def remove_floaters(scene: Scene, cameras: Sequence[Camera] | None = None) -> Sc
 
     Parameters
     ----------
-    scene : Scene
-    cameras : sequence of Camera, optional
-        Those the scene was trained with, or others that look at all that is to stay. Without them,
-        only isolated Gaussians go.
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
+    cameras : path or sequence of Camera, optional
+        Those the scene was trained with, or others that look at all that is to stay; as for
+        `gs_codec.render`, but not ``auto``. Without them, only isolated Gaussians go.
 
     Returns
     -------
-    Scene
-        The Gaussians that stay, in their order; the same object if all do.
+    open3d.t.geometry.PointCloud
+        The Gaussians that stay, in their order, with all of their attributes.
 
     Raises
     ------
     InvalidInput
-        If the sequence of cameras is empty.
+        If cameras cannot be read, or there are none.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> clean = gs_codec.edit.remove_floaters(cloud)
+    >>> cleaner = gs_codec.edit.remove_floaters(cloud, "cameras.json")
     """
     labels = find_floaters(scene, cameras)
     return scene.take(labels == 0) if labels.any() else scene

@@ -66,11 +66,10 @@ def edit_scenes(
 
 def _remove_floaters(scene: Scene, context: _Context) -> Scene:
     from gs_codec.edit.floaters import FLOATERS, find_floaters
-    from gs_codec.rendering.cameras import find_cameras
 
-    cameras, plan = None, context.plan
-    if plan is not None and not plan.estimates:  # estimated ones tell nothing new
-        cameras = find_cameras(plan.cameras, scene, "all", plan.width)
+    plan = context.plan
+    # Estimated cameras tell nothing new.
+    cameras = None if plan is None or plan.estimates else plan.cameras
     labels = find_floaters(scene, cameras, context.progress)
     counts = np.bincount(labels, minlength=len(FLOATERS)).tolist()
     context.details.update(zip(FLOATERS[1:], counts[1:], strict=True))

@@ -36,6 +36,9 @@ _NEIGHBOURS = 10
 #: Weight of alpha beside the three colours.
 _ALPHA = 0.3
 
+#: Least error that scores are divided by.
+_TINY = 1e-300
+
 #: Conjugate-gradient iterations on the colours.
 _REFIT = 10
 
@@ -43,56 +46,81 @@ _REFIT = 10
 def decimate(
     scene: Scene, number: int, plan: Plan | None = None, progress: Progress | None = None
 ) -> Scene:
-    """A scene of `number` Gaussians that looks alike; the scene itself if it has no more."""
+    """Leave a number of Gaussians that look as much as possible like all of them.
+
+    In rounds, those that are seen least are dropped, and neighbours are replaced by one of their
+    mass, mean and covariance. Those with values that are not finite go first.
+
+    Parameters
+    ----------
+    scene : Scene
+    number : int
+        1 or more.
+    plan : Plan, optional
+        Views of the scene that tell what is seen, and to which colours are fitted at the end; only
+        its cameras, and their number, width and background, count. Without it, opacity, size and
+        the colours of neighbours tell.
+    progress : callable, optional
+
+    Returns
+    -------
+    Scene
+        Of exactly `number` Gaussians, in the scene's order; the scene itself if it has no more. A
+        merged Gaussian has the place and the extra properties of the heavier one.
+
+    Raises
+    ------
+    InvalidInput
+        If the number is below 1, or the plan has no cameras.
+    """
     if number < 1:
         raise InvalidInput(f"gaussians {number}: expected at least 1")
     if scene.count <= number:
         return scene
-    scene = _finite(scene, number)
-    scene, _ = identity_for_zero(scene)
+    finite, _ = identity_for_zero(_finite(scene, number))
     if plan is None:
-        return _reduce(scene, number, None, progress)
-    views = choose_views(scene, replace(plan, steps=Steps(), gt_images=None), progress).renders
-    reduced = _reduce(scene, number, views, progress)
+        return _reduce(finite, number, None, progress)
+    plan = replace(plan, steps=Steps(), gt_images=None, checkpoint=None)
+    views = choose_views(finite, plan, progress).renders
+    reduced = _reduce(finite, number, views, progress)
     return refit_colour(reduced, views, _REFIT, keep_zeros=False, progress=progress)[0]
 
 
 def _finite(scene: Scene, number: int) -> Scene:
-    """The scene without values that are not finite, unless fewer than `number` would remain."""
+    """The scene without values that are not finite, or with some if too few others are there."""
     finite = np.ones(scene.count, bool)
     for group in GROUPS:
         for row in getattr(scene, group):
             finite &= np.isfinite(row)
-    gone = min(np.count_nonzero(~finite), scene.count - number)
+    gone = min(int(np.count_nonzero(~finite)), scene.count - number)
     return scene.take(keep_highest(finite, gone)) if gone else scene
 
 
 def _reduce(
     scene: Scene, number: int, views: ReferenceViews | None, progress: Progress | None
 ) -> Scene:
+    """Remove Gaussians in rounds."""
+    # What no view sees counts as well: others may. On a room, held-out views lose 6 dB less.
+    anywhere = views and replace(views, origin="anywhere")
     quotas = list(_quotas(scene.count, number))
     advance = step_counter(progress, "decimate", len(quotas))
     for turn, quota in enumerate(quotas, 1):
         blobs, near = blobs_of(scene), _neighbours(scene.positions)
         colours = _contrast(scene, blobs, near)
-        alone = lone_errors(blobs, colours)
-        if views is None:
-            scores = _expected(scene) * alone / blobs.opacity / blobs.mass
+        if anywhere is None:
+            scores = _expected(scene) * (colours * colours).sum(axis=1)
         else:
-            scores = leave_one_out(scene, views, f"round {turn}", progress)
-        factor = scores / np.maximum(alone, 1e-300)
-        errors = merge_errors(blobs, colours, near) * combine_factors(factor, near)
-        scene = _round(scene, blobs, scores, errors, near, quota)
+            scores = leave_one_out(scene, anywhere, f"round {turn}", progress)
+        scene = _merge(scene, blobs, _cheapest(blobs, colours, scores, near, quota))
         advance()
     return scene
 
-def combine_factors(f, near):
-    return np.sqrt(f[:, None] * f[near])
 
 def _quotas(count: int, number: int) -> Iterator[int]:
     """How many Gaussians each round removes."""
     while count > number:
-        yield (removed := min(count - number, max(1, int(_ROUND * count))))
+        removed = min(count - number, max(1, int(_ROUND * count)))
+        yield removed
         count -= removed
 
 
@@ -101,11 +129,12 @@ def _neighbours(positions: NDArray[np.float32]) -> NDArray[np.int64]:
     from scipy.spatial import cKDTree
 
     count = positions.shape[1]
-    extent = max(float(np.ptp(positions.astype(np.float64), axis=1).max()), 1.0)
-    # A tree of equal points would be one leaf, searched in quadratic time.
-    points = np.column_stack([positions.T, np.linspace(0, 1e-9 * extent, count)])
-    near = cKDTree(points).query(points, min(_NEIGHBOURS + 1, count), workers=available_threads())
-    return near[1]
+    centres = positions.T.astype(np.float64)
+    extent = float(np.ptp(centres, axis=0).max()) or 1.0
+    # Equal points would be one leaf of the tree, searched in quadratic time.
+    points = np.column_stack([centres, np.linspace(0, 1e-9 * extent, count)])
+    wanted = min(_NEIGHBOURS + 1, count)
+    return cKDTree(points).query(points, wanted, workers=available_threads())[1]
 
 
 def _contrast(scene: Scene, blobs: Blobs, near: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -113,43 +142,63 @@ def _contrast(scene: Scene, blobs: Blobs, near: NDArray[np.int64]) -> NDArray[np
     colours = np.maximum(0.5 + SH_C0 * scene.f_dc.astype(np.float64), 0.0)
     weights = blobs.mass[near]
     weights /= weights.sum(axis=1, keepdims=True)
-    behind = [(colour[near] * weights).sum(axis=1) for colour in colours]
-    return np.column_stack([*(colours - behind), np.full(scene.count, _ALPHA)])
+    around = [(colour[near] * weights).sum(axis=1) for colour in colours]
+    return np.column_stack([*(colours - around), np.full(scene.count, _ALPHA)])
 
 
 def _expected(scene: Scene) -> NDArray[np.float64]:
+    """Weight of each Gaussian's colour, by camera-free rules."""
     scales = sort_axes(scene.log_scale, scene.rot)[1]
     return expected_sensitivity(scene.opacity[0], scales).colour
 
 
-def _round(scene, blobs, scores, errors, near, quota):
-    """Remove `quota` Gaussians."""
-    count = scene.count
-    at = np.flatnonzero(np.isfinite(errors))
-    first = np.concatenate([np.arange(count), at // near.shape[1]])
-    second = np.concatenate([np.arange(count), near.ravel()[at]])
-    order = np.argsort(np.concatenate([scores, errors.ravel()[at]]), kind="stable")
-    chosen = order[_choose(order, first, second, np.zeros(count, bool), np.zeros(len(order), bool), quota)]
-    first, second = first[chosen], second[chosen]
-    kept = np.ones(count, bool)
-    lighter = blobs.mass[first] < blobs.mass[second]
-    first, second = np.where(lighter, second, first), np.where(lighter, first, second)
+def _cheapest(
+    blobs: Blobs,
+    colours: NDArray[np.float64],
+    scores: NDArray[np.float64],
+    near: NDArray[np.int64],
+    quota: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The Gaussians to drop, each with itself, and the pairs to merge: together `quota`.
+
+    What a merge costs counts as much as what both cost without it: their scores.
+    """
+    count, errors = len(near), merge_errors(blobs, colours, near).ravel()
+    at = np.flatnonzero(errors < np.inf)
+    first, second = at // near.shape[1], near.ravel()[at]
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen = np.sqrt(scores / np.maximum(lone_errors(blobs, colours), _TINY))
+        costs = np.concatenate([scores, errors[at] * seen[first] * seen[second]])
+    alone = np.arange(count)
+    first, second = np.concatenate([alone, first]), np.concatenate([alone, second])
+    order = np.argsort(costs, kind="stable")
+    chosen = np.empty(quota, np.int64)
+    _choose(order, first, second, np.zeros(count, bool), chosen)
+    return first[chosen], second[chosen]
+
+
+@kernel
+def _choose(order, first, second, used, chosen):
+    """Fill `chosen` with pairs in their order, none with a Gaussian of an earlier one."""
+    number = 0
+    for pair in order:
+        if number == len(chosen):
+            break
+        if not (used[first[pair]] or used[second[pair]]):
+            used[first[pair]] = used[second[pair]] = True
+            chosen[number] = pair
+            number += 1
+
+
+def _merge(scene: Scene, blobs: Blobs, pairs: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Scene:
+    """The scene with one Gaussian for each pair, and none for one with itself."""
+    heavier = blobs.mass[pairs[0]] >= blobs.mass[pairs[1]]
+    first, second = np.where(heavier, pairs, pairs[::-1])
+    kept = np.ones(scene.count, bool)
     kept[second] = False
-    pairs = first != second
-    first, second = first[pairs], second[pairs]
-    merged = merge_pairs(scene, blobs, first, second)
-    left = scene.take(kept)
+    first, second = first[first != second], second[first != second]
+    left, merged = scene.take(kept), merge_pairs(scene, blobs, first, second)
     places = (np.cumsum(kept) - 1)[first]
     for group in GROUPS:
         getattr(left, group)[:, places] = getattr(merged, group)
     return left
-
-
-@kernel
-def _choose(order, first, second, used, chosen, quota):
-    for place in range(len(order)):
-        i, j = first[order[place]], second[order[place]]
-        if quota and not used[i] and not used[j]:
-            used[i] = used[j] = chosen[place] = True
-            quota -= 1
-    return chosen

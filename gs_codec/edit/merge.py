@@ -89,17 +89,11 @@ def merge_pairs(
     """
     from scipy.spatial.transform import Rotation
 
-    mass = blobs.mass[first] + blobs.mass[second]
-    share = blobs.mass[second] / mass
-    apart = blobs.means[second] - blobs.means[first]
-    both = [blobs.covariances[index] for index in (first, second)]
-    between = apart[:, [0, 1, 2, 0, 1, 2]] * apart[:, [0, 1, 2, 1, 2, 0]]
-    covariances = (
-        both[0] + (both[1] - both[0]) * share[:, None] + between * (share * (1 - share))[:, None]
-    )
+    covariances, of_pair = np.empty((len(first), 6)), np.empty((2, len(first)))
+    _merge_all(blobs.means, blobs.covariances, blobs.mass, first, second, covariances, of_pair)
+    share, opacity = of_pair
     variances, turns = np.linalg.eigh(covariances[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]])
     turns[:, :, 0] *= np.sign(np.linalg.det(turns))[:, None]
-    opacity = np.minimum(mass / _areas(covariances), _OPAQUE)
 
     def mean(planes: NDArray[np.float32]) -> NDArray[np.float32]:
         merged = empty((len(planes), len(first)), np.float32)
@@ -112,7 +106,7 @@ def merge_pairs(
         positions=mean(scene.positions),
         f_dc=mean(scene.f_dc),
         f_rest=mean(scene.f_rest),
-        opacity=np.log(opacity / (1 - opacity))[None].astype(np.float32),
+        opacity=np.log(np.maximum(opacity, _TINY) / (1 - opacity))[None].astype(np.float32),
         log_scale=(0.5 * np.log(np.maximum(variances, _TINY))).T.astype(np.float32),
         rot=Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]].T.astype(np.float32),
     )
@@ -157,14 +151,43 @@ def merge_errors(
 @inlined
 def _minor(covariance, axis):
     """Determinant of a covariance along an axis, and its entries."""
-    other = (axis + 1) % 3
-    a, b, c = covariance[axis], covariance[3 + axis], covariance[other]
+    a, b, c = covariance[axis], covariance[3 + axis], covariance[(axis + 1) % 3]
     return max(a * c - b * b, 0.0), a, b, c
 
 
 @inlined
-def _common(first, second, apart, axis, share):
-    """Integral of the product of two splats of height 1, over pi; they are `share` of `apart` away."""
+def _merge_two(means, covariances, mass, i, j, apart, merged):
+    """Fill ``apart (3,)``, from i to j, and the covariance of both, ``merged (6,)``.
+
+    Returns the share of j in the mass, and the opacity of both.
+    """
+    whole = mass[i] + mass[j]
+    share = mass[j] / whole
+    minors = 0.0
+    for axis in range(3):
+        apart[axis] = means[j, axis] - means[i, axis]
+    for axis in range(3):
+        for k, other in ((axis, axis), (3 + axis, (axis + 1) % 3)):
+            between = share * (1.0 - share) * apart[axis] * apart[other]
+            mean = covariances[i, k] + share * (covariances[j, k] - covariances[i, k])
+            merged[k] = mean + between
+    for axis in range(3):
+        minors += _minor(merged, axis)[0]
+    return share, min(whole / np.sqrt(max(minors / 3.0, _TINY)), _OPAQUE)
+
+
+@kernel
+def _merge_all(means, covariances, mass, first, second, merged, of_pair):
+    """Fill ``merged (M, 6)`` and ``of_pair (2, M)``: shares of `second`, and opacities."""
+    apart = np.empty(3)
+    for n in range(len(first)):
+        share, opacity = _merge_two(means, covariances, mass, first[n], second[n], apart, merged[n])
+        of_pair[0, n], of_pair[1, n] = share, opacity
+
+
+@inlined
+def _product(first, second, apart, axis, share):
+    """Integral over pi of the product of two splats of height 1, `share` of `apart` away."""
     area, a, b, c = _minor(first, axis)
     other_area, d, e, f = _minor(second, axis)
     a, b, c = a + d, b + e, c + f
@@ -178,37 +201,29 @@ def _common(first, second, apart, axis, share):
 
 @kernel
 def _merge_errors(means, covariances, opacity, mass, colours, alone, near, start, errors):
-    one, apart = np.empty(6), np.empty(3)
-    for row in range(len(errors)):
-        i = start + row
-        for column in range(near.shape[1]):
-            j = near[i, column]
-            errors[row, column] = np.inf
-            if i == j or (j < i and _is_in(near[j], i)):
-                continue
-            share = mass[j] / (mass[i] + mass[j])
-            for axis in range(3):
-                apart[axis] = means[j, axis] - means[i, axis]
-            minors = 0.0
-            for k in range(6):
-                between = apart[k % 3] * apart[k % 3 if k < 3 else (k + 1) % 3]
-                one[k] = covariances[i, k] * (1.0 - share) + covariances[j, k] * share
-                one[k] += share * (1.0 - share) * between
-            for axis in range(3):
-                minors += _minor(one, axis)[0]
-            height = min((mass[i] + mass[j]) / np.sqrt(max(minors / 3.0, 1e-300)), 0.99)
-            both = with_i = with_j = merged = 0.0
-            for c in range(colours.shape[1]):
-                a, b = opacity[i] * colours[i, c], opacity[j] * colours[j, c]
-                m = height * (colours[i, c] * (1.0 - share) + colours[j, c] * share)
-                both, with_i, with_j, merged = both + a * b, with_i + a * m, with_j + b * m, merged + m * m
-            error = alone[i] + alone[j]
-            for axis in range(3):
-                error += merged * np.sqrt(_minor(one, axis)[0])
-                error += 2.0 * both * _common(covariances[i], covariances[j], apart, axis, 1.0)
-                error -= 2.0 * with_i * _common(covariances[i], one, apart, axis, share)
-                error -= 2.0 * with_j * _common(covariances[j], one, apart, axis, 1.0 - share)
-            errors[row, column] = max(error, 0.0) if error < np.inf else np.inf
+    merged, apart = np.empty(6), np.empty(3)
+    for row, column in np.ndindex(errors.shape):
+        i, j = start + row, near[start + row, column]
+        errors[row, column] = np.inf
+        if i == j or (j < i and _is_in(near[j], i)):
+            continue
+        share, height = _merge_two(means, covariances, mass, i, j, apart, merged)
+        both = with_i = with_j = itself = 0.0
+        for channel in range(colours.shape[1]):
+            a, b = opacity[i] * colours[i, channel], opacity[j] * colours[j, channel]
+            mean = (1.0 - share) * colours[i, channel] + share * colours[j, channel]
+            both += a * b
+            with_i += a * height * mean
+            with_j += b * height * mean
+            itself += (height * mean) ** 2
+        error = alone[i] + alone[j]
+        for axis in range(3):
+            error += itself * np.sqrt(_minor(merged, axis)[0])
+            error += 2.0 * both * _product(covariances[i], covariances[j], apart, axis, 1.0)
+            error -= 2.0 * with_i * _product(covariances[i], merged, apart, axis, share)
+            error -= 2.0 * with_j * _product(covariances[j], merged, apart, axis, 1.0 - share)
+        if error < np.inf:
+            errors[row, column] = max(error, 0.0)
 
 
 @inlined

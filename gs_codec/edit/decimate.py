@@ -39,8 +39,8 @@ _ALPHA = 0.3
 #: Least error that scores are divided by.
 _TINY = 1e-300
 
-#: Conjugate-gradient iterations on the colours.
-_REFIT = 10
+#: Conjugate-gradient iterations on the colours: with 10, few views are fitted too closely.
+_REFIT = 4
 
 
 def decimate(

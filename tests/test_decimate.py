@@ -77,7 +77,9 @@ def test_a_merge_keeps_mass_mean_and_covariance(seed, sh_degree):
     shares, centres = masses / masses.sum(), scene.positions.T.astype(np.float64)
     mean = shares @ centres
     # The sum of second moments about the origin, less the mean's.
-    moment = sum(w * (m + np.outer(c, c)) for w, m, c in zip(shares, matrices, centres, strict=True))
+    moment = sum(
+        w * (m + np.outer(c, c)) for w, m, c in zip(shares, matrices, centres, strict=True)
+    )
     np.testing.assert_allclose(one.positions[:, 0], mean, atol=0.01)
     np.testing.assert_allclose(covariance(one, 0), moment - np.outer(mean, mean), atol=0.01)
     np.testing.assert_allclose(opacity(one, 0) * area(covariance(one, 0)), masses.sum(), rtol=0.01)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.adaptive.step_sizes import expected_sensitivity
 from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.morton import spatial_order
 from gs_codec.edit.merge import Blobs, blobs_of, lone_errors, merge_errors, merge_pairs
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.pipeline import choose_views
@@ -78,6 +79,8 @@ def decimate(
     if scene.count <= number:
         return scene
     finite, _ = identity_for_zero(_finite(scene, number))
+    if finite.count == number:
+        return finite
     if plan is None:
         return _reduce(finite, number, None, progress)
     plan = replace(plan, steps=Steps(), gt_images=None, checkpoint=None)
@@ -104,6 +107,9 @@ def _reduce(
     anywhere = views and replace(views, origin="anywhere")
     quotas = list(_quotas(scene.count, number))
     advance = step_counter(progress, "decimate", len(quotas))
+    # What is near in space is near in memory, which is several times as fast.
+    places = spatial_order(scene.positions)
+    scene = scene.take(places)
     for turn, quota in enumerate(quotas, 1):
         blobs, near = blobs_of(scene), _neighbours(scene.positions)
         colours = _contrast(scene, blobs, near)
@@ -111,9 +117,11 @@ def _reduce(
             scores = _expected(scene) * (colours * colours).sum(axis=1)
         else:
             scores = leave_one_out(scene, anywhere, f"round {turn}", progress)
-        scene = _merge(scene, blobs, _cheapest(blobs, colours, scores, near, quota))
+        first, second = _cheapest(blobs, colours, scores, near, quota)
+        scene, kept = _merge(scene, blobs, first, second)
+        places = places[kept]
         advance()
-    return scene
+    return scene.take(np.argsort(places))
 
 
 def _quotas(count: int, number: int) -> Iterator[int]:
@@ -168,10 +176,12 @@ def _cheapest(
     first, second = at // near.shape[1], near.ravel()[at]
     with np.errstate(over="ignore", invalid="ignore"):
         seen = np.sqrt(scores / np.maximum(lone_errors(blobs, colours), _TINY))
-        costs = np.concatenate([scores, errors[at] * seen[first] * seen[second]])
+        costs = errors[at] * seen[first] * seen[second]
+    # Of other pairs, one is dropped before they would merge.
+    pays = costs < np.minimum(scores[first], scores[second])
     alone = np.arange(count)
-    first, second = np.concatenate([alone, first]), np.concatenate([alone, second])
-    order = np.argsort(costs, kind="stable")
+    first, second = np.append(alone, first[pays]), np.append(alone, second[pays])
+    order = np.argsort(np.append(scores, costs[pays]), kind="stable")
     chosen = np.empty(quota, np.int64)
     _choose(order, first, second, np.zeros(count, bool), chosen)
     return first[chosen], second[chosen]
@@ -190,15 +200,17 @@ def _choose(order, first, second, used, chosen):
             number += 1
 
 
-def _merge(scene: Scene, blobs: Blobs, pairs: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Scene:
-    """The scene with one Gaussian for each pair, and none for one with itself."""
-    heavier = blobs.mass[pairs[0]] >= blobs.mass[pairs[1]]
-    first, second = np.where(heavier, pairs, pairs[::-1])
+def _merge(
+    scene: Scene, blobs: Blobs, first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[Scene, NDArray[np.bool_]]:
+    """The scene with one Gaussian for each pair, and none for one with itself; which ones stay."""
+    heavier = blobs.mass[first] >= blobs.mass[second]
+    first, second = np.where(heavier, first, second), np.where(heavier, second, first)
     kept = np.ones(scene.count, bool)
     kept[second] = False
-    first, second = first[first != second], second[first != second]
-    left, merged = scene.take(kept), merge_pairs(scene, blobs, first, second)
-    places = (np.cumsum(kept) - 1)[first]
+    pairs = first != second
+    merged = merge_pairs(scene, blobs, first[pairs], second[pairs])
+    left, places = scene.take(kept), (np.cumsum(kept) - 1)[first[pairs]]
     for group in GROUPS:
         getattr(left, group)[:, places] = getattr(merged, group)
-    return left
+    return left, kept

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scenes import assert_same_floats, edge_scenes, random_scene, with_threads
 
-from gs_codec.edit import decimate as module
 from gs_codec.edit.decimate import decimate
 from gs_codec.edit.merge import blobs_of, lone_errors, merge_errors, merge_pairs
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import rotation_of
-from gs_codec.preparation.prune import keep_highest, leave_one_out
+from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera
@@ -232,7 +231,7 @@ def test_without_cameras_it_looks_more_alike_than_dropping(seed, percent):
     scene = painted_scene(1500, seed)
     number = scene.count * percent // 100
     views = draw_reference_views(scene, OTHERS, BLACK)
-    scores = module._expected(scene)
+    scores = expected_weight(scene)
     dropped = scene.take(keep_highest(scores, scene.count - number))
     assert error(decimate(scene, number), views) < 0.5 * error(dropped, views)
 

@@ -12,14 +12,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.codecs.adaptive.step_sizes import expected_sensitivity
-from gs_codec.coding.axes import sort_axes
 from gs_codec.coding.clean import identity_for_zero
 from gs_codec.coding.morton import spatial_order
 from gs_codec.edit.merge import Blobs, blobs_of, lone_errors, merge_errors, merge_pairs
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.pipeline import choose_views
-from gs_codec.preparation.prune import keep_highest, leave_one_out
+from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
 from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.steps import Plan, Steps
@@ -114,7 +112,7 @@ def _reduce(
         blobs, near = blobs_of(scene), _neighbours(scene.positions)
         colours = _contrast(scene, blobs, near)
         if anywhere is None:
-            scores = _expected(scene) * (colours * colours).sum(axis=1)
+            scores = expected_weight(scene) * (colours * colours).sum(axis=1)
         else:
             scores = leave_one_out(scene, anywhere, f"round {turn}", progress)
         first, second = _cheapest(blobs, colours, scores, near, quota)
@@ -152,12 +150,6 @@ def _contrast(scene: Scene, blobs: Blobs, near: NDArray[np.int64]) -> NDArray[np
     weights /= weights.sum(axis=1, keepdims=True)
     around = [(colour[near] * weights).sum(axis=1) for colour in colours]
     return np.column_stack([*(colours - around), np.full(scene.count, _ALPHA)])
-
-
-def _expected(scene: Scene) -> NDArray[np.float64]:
-    """Weight of each Gaussian's colour, by camera-free rules."""
-    scales = sort_axes(scene.log_scale, scene.rot)[1]
-    return expected_sensitivity(scene.opacity[0], scales).colour
 
 
 def _cheapest(
@@ -208,9 +200,11 @@ def _merge(
     first, second = np.where(heavier, first, second), np.where(heavier, second, first)
     kept = np.ones(scene.count, bool)
     kept[second] = False
-    pairs = first != second
-    merged = merge_pairs(scene, blobs, first[pairs], second[pairs])
-    left, places = scene.take(kept), (np.cumsum(kept) - 1)[first[pairs]]
+    first, second = first[first != second], second[first != second]
+    left, places = scene.take(kept), (np.cumsum(kept) - 1)[first]
+    if not len(first):
+        return left, kept
+    merged = merge_pairs(scene, blobs, first, second)
     for group in GROUPS:
         getattr(left, group)[:, places] = getattr(merged, group)
     return left, kept

@@ -135,10 +135,8 @@ def _neighbours(positions: NDArray[np.float32]) -> NDArray[np.int64]:
     from scipy.spatial import cKDTree
 
     count = positions.shape[1]
-    centres = positions.T.astype(np.float64)
-    extent = float(np.ptp(centres, axis=0).max()) or 1.0
     # Equal points would be one leaf of the tree, searched in quadratic time.
-    points = np.column_stack([centres, np.linspace(0, 1e-9 * extent, count)])
+    points = np.column_stack([positions.T, np.linspace(0.0, 1e-30, count)])
     wanted = min(_NEIGHBOURS + 1, count)
     return cKDTree(points).query(points, wanted, workers=available_threads())[1]
 

@@ -123,11 +123,11 @@ def leave_one_out(
         scores += frame.sum_pairs(scene.count, errors)[:, 0]
         advance()
     if views.origin == "anywhere":
-        scores += _EXPECTED / (1 - _EXPECTED) * scores.mean() * _expected(scene)
+        scores += _EXPECTED / (1 - _EXPECTED) * scores.mean() * expected_weight(scene)
     return scores
 
 
-def _expected(scene: Scene) -> NDArray[np.float64]:
+def expected_weight(scene: Scene) -> NDArray[np.float64]:
     """Weight ``(N,)`` that camera-free rules expect of each Gaussian, 1 in the mean."""
     finite = np.isfinite(scene.log_scale).all(axis=0) & np.isfinite(scene.opacity[0])
     usable, expected = scene.take(np.flatnonzero(finite)), np.zeros(scene.count)

@@ -1,0 +1,208 @@
+"""Fewer Gaussians: the least seen are dropped and neighbours merged, whichever costs less.
+
+Rounds go on until the number is reached. Each compares the error without a Gaussian, as views or,
+without cameras, rules tell it, with that of a merge; see `merge`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.morton import spatial_order
+from gs_codec.edit.merge import Blobs, blobs_of, lone_errors, merge_errors, merge_pairs
+from gs_codec.errors import InvalidInput
+from gs_codec.preparation.pipeline import choose_views
+from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
+from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.preparation.refit_colour import refit_colour
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.kernels import kernel
+from gs_codec.runtime.threads import available_threads
+from gs_codec.scene import GROUPS, SH_C0, Scene
+
+#: Share of the remaining Gaussians that a round may remove.
+_ROUND = 0.2
+
+#: Neighbours that a Gaussian may merge with.
+_NEIGHBOURS = 10
+
+#: Weight of alpha beside the three colours.
+_ALPHA = 0.3
+
+#: Least error that scores are divided by.
+_TINY = 1e-300
+
+#: Conjugate-gradient iterations on the colours: with 10, few views are fitted too closely.
+_REFIT = 4
+
+
+def decimate(
+    scene: Scene, number: int, plan: Plan | None = None, progress: Progress | None = None
+) -> Scene:
+    """Leave a number of Gaussians that look as much as possible like all of them.
+
+    In rounds, those that are seen least are dropped, and neighbours are replaced by one of their
+    mass, mean and covariance. Those with values that are not finite go first.
+
+    Parameters
+    ----------
+    scene : Scene
+    number : int
+        1 or more.
+    plan : Plan, optional
+        Views of the scene that tell what is seen, and to which colours are fitted at the end; only
+        its cameras, and their number, width and background, count. Without it, opacity, size and
+        the colours of neighbours tell.
+    progress : callable, optional
+
+    Returns
+    -------
+    Scene
+        Of exactly `number` Gaussians, in the scene's order; the scene itself if it has no more. A
+        merged Gaussian has the place and the extra properties of the heavier one.
+
+    Raises
+    ------
+    InvalidInput
+        If the number is below 1, or the plan has no cameras.
+    """
+    if number < 1:
+        raise InvalidInput(f"gaussians {number}: expected at least 1")
+    if scene.count <= number:
+        return scene
+    finite, _ = identity_for_zero(_finite(scene, number))
+    if finite.count == number:
+        return finite
+    if plan is None:
+        return _reduce(finite, number, None, progress)
+    plan = replace(plan, steps=Steps(), gt_images=None, checkpoint=None)
+    views = choose_views(finite, plan, progress).renders
+    reduced = _reduce(finite, number, views, progress)
+    return refit_colour(reduced, views, _REFIT, keep_zeros=False, progress=progress)[0]
+
+
+def _finite(scene: Scene, number: int) -> Scene:
+    """The scene without values that are not finite, or with some if too few others are there."""
+    finite = np.ones(scene.count, bool)
+    for group in GROUPS:
+        for row in getattr(scene, group):
+            finite &= np.isfinite(row)
+    gone = min(int(np.count_nonzero(~finite)), scene.count - number)
+    return scene.take(keep_highest(finite, gone)) if gone else scene
+
+
+def _reduce(
+    scene: Scene, number: int, views: ReferenceViews | None, progress: Progress | None
+) -> Scene:
+    """Remove Gaussians in rounds."""
+    # What no view sees counts as well: others may. On a room, held-out views lose 6 dB less.
+    anywhere = views and replace(views, origin="anywhere")
+    quotas = list(_quotas(scene.count, number))
+    advance = step_counter(progress, "decimate", len(quotas))
+    # What is near in space is near in memory, which is several times as fast.
+    places = spatial_order(scene.positions)
+    scene = scene.take(places)
+    for turn, quota in enumerate(quotas, 1):
+        blobs, near = blobs_of(scene), _neighbours(scene.positions)
+        colours = _contrast(scene, blobs, near)
+        if anywhere is None:
+            scores = expected_weight(scene) * (colours * colours).sum(axis=1)
+        else:
+            scores = leave_one_out(scene, anywhere, f"round {turn}", progress)
+        first, second = _cheapest(blobs, colours, scores, near, quota)
+        scene, kept = _merge(scene, blobs, first, second)
+        places = places[kept]
+        advance()
+    return scene.take(np.argsort(places))
+
+
+def _quotas(count: int, number: int) -> Iterator[int]:
+    """How many Gaussians each round removes."""
+    while count > number:
+        removed = min(count - number, max(1, int(_ROUND * count)))
+        yield removed
+        count -= removed
+
+
+def _neighbours(positions: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Indices ``(N, K + 1)`` of the Gaussians nearest to each, itself among them."""
+    from scipy.spatial import cKDTree
+
+    count = positions.shape[1]
+    # Equal points would be one leaf of the tree, searched in quadratic time.
+    points = np.column_stack([positions.T, np.linspace(0.0, 1e-30, count)])
+    wanted = min(_NEIGHBOURS + 1, count)
+    return cKDTree(points).query(points, wanted, workers=available_threads())[1]
+
+
+def _contrast(scene: Scene, blobs: Blobs, near: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Colours less the mean of the neighbours', and a constant for alpha, ``(N, 4)``."""
+    colours = np.maximum(0.5 + SH_C0 * scene.f_dc.astype(np.float64), 0.0)
+    weights = blobs.mass[near]
+    weights /= weights.sum(axis=1, keepdims=True)
+    around = [(colour[near] * weights).sum(axis=1) for colour in colours]
+    return np.column_stack([*(colours - around), np.full(scene.count, _ALPHA)])
+
+
+def _cheapest(
+    blobs: Blobs,
+    colours: NDArray[np.float64],
+    scores: NDArray[np.float64],
+    near: NDArray[np.int64],
+    quota: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The Gaussians to drop, each with itself, and the pairs to merge: together `quota`.
+
+    What a merge costs counts as much as what both cost without it: their scores.
+    """
+    count, errors = len(near), merge_errors(blobs, colours, near).ravel()
+    at = np.flatnonzero(errors < np.inf)
+    first, second = at // near.shape[1], near.ravel()[at]
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen = np.sqrt(scores / np.maximum(lone_errors(blobs, colours), _TINY))
+        costs = errors[at] * seen[first] * seen[second]
+    # Of other pairs, one is dropped before they would merge.
+    pays = costs < np.minimum(scores[first], scores[second])
+    alone = np.arange(count)
+    first, second = np.append(alone, first[pays]), np.append(alone, second[pays])
+    order = np.argsort(np.append(scores, costs[pays]), kind="stable")
+    chosen = np.empty(quota, np.int64)
+    _choose(order, first, second, np.zeros(count, bool), chosen)
+    return first[chosen], second[chosen]
+
+
+@kernel
+def _choose(order, first, second, used, chosen):
+    """Fill `chosen` with pairs in their order, none with a Gaussian of an earlier one."""
+    number = 0
+    for pair in order:
+        if number == len(chosen):
+            break
+        if not (used[first[pair]] or used[second[pair]]):
+            used[first[pair]] = used[second[pair]] = True
+            chosen[number] = pair
+            number += 1
+
+
+def _merge(
+    scene: Scene, blobs: Blobs, first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[Scene, NDArray[np.bool_]]:
+    """The scene with one Gaussian for each pair, and none for one with itself; which ones stay."""
+    heavier = blobs.mass[first] >= blobs.mass[second]
+    first, second = np.where(heavier, first, second), np.where(heavier, second, first)
+    kept = np.ones(scene.count, bool)
+    kept[second] = False
+    first, second = first[first != second], second[first != second]
+    left, places = scene.take(kept), (np.cumsum(kept) - 1)[first]
+    if not len(first):
+        return left, kept
+    merged = merge_pairs(scene, blobs, first, second)
+    for group in GROUPS:
+        getattr(left, group)[:, places] = getattr(merged, group)
+    return left, kept

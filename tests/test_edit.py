@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -437,3 +438,8 @@ def test_clouds_are_merged(scene):
 def test_functions_on_clouds_refuse(scene, call):
     with pytest.raises(InvalidInput, match="expected"):
         call(to_cloud(scene))
+
+
+def test_no_module_hides_a_public_name():
+    modules = {path.stem for path in Path(edit.__file__).parent.glob("*.py")}
+    assert not modules & set(edit.__all__)

@@ -25,6 +25,7 @@ _PUBLIC = {
     "gs_codec.edit.motion": ("translate", "rotate", "scale", "transform"),
     "gs_codec.edit.floaters": ("remove_floaters",),
     "gs_codec.edit.clusters": ("keep_largest_cluster",),
+    "gs_codec.edit.decimation": ("decimate",),
     "gs_codec.edit.join": ("merge",),
     "gs_codec.edit.description": ("statistics", "Statistics", "AttributeStatistics"),
     "gs_codec.edit.shares": ("Share",),

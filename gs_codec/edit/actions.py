@@ -171,9 +171,14 @@ KINDS: Mapping[str, Kind] = {
     ),
     "sh-degree": Kind("No SH above this degree, 0-3.", "D", _whole(0, 3), "change"),
     "gaussians": Kind(
-        "Decimate to this number.", "N", _whole(1, 1 << 40), local=False, guided=True
+        "Leave this number: the least seen are dropped, neighbours merged into one; with cameras, "
+        "by what views see, and colours are fitted to the views.",
+        "N", _whole(1, 1 << 40), local=False, guided=True,
     ),
-    "keep": Kind("Decimate to this share.", "PERCENT", _share, local=False, guided=True),
+    "keep": Kind(
+        "Leave this share of the Gaussians, likewise.",
+        "PERCENT", _share, local=False, guided=True,
+    ),
     "sort": Kind("Order of the Gaussians.", "morton", _order, "change"),
 }  # fmt: skip
 

@@ -83,7 +83,7 @@ def _keep_largest_cluster(scene: Scene, context: _Context) -> Scene:
 
 
 def _decimate(scene: Scene, context: _Context, number: int) -> Scene:
-    from gs_codec.edit.decimate import decimate
+    from gs_codec.edit.decimation import decimate
 
     return decimate(scene, number, context.plan, context.progress)
 

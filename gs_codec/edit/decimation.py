@@ -1,7 +1,7 @@
 """Fewer Gaussians: the least seen are dropped and neighbours merged, whichever costs less.
 
 Rounds go on until the number is reached. Each compares the error without a Gaussian, as views or,
-without cameras, rules tell it, with that of a merge; see `merge`.
+without cameras, rules tell it, with that of a merge; see `pairs`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.coding.clean import identity_for_zero
+from gs_codec.coding.clean import finite_gaussians, identity_for_zero
 from gs_codec.coding.morton import spatial_order
-from gs_codec.edit.merge import Blobs, blobs_of, lone_errors, merge_errors, merge_pairs
+from gs_codec.edit.clouds import on_clouds
+from gs_codec.edit.pairs import Blobs, blobs_of, lone_errors, merge_errors, merge_pairs
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
@@ -42,6 +43,7 @@ _TINY = 1e-300
 _REFIT = 4
 
 
+@on_clouds
 def decimate(
     scene: Scene, number: int, plan: Plan | None = None, progress: Progress | None = None
 ) -> Scene:
@@ -52,7 +54,8 @@ def decimate(
 
     Parameters
     ----------
-    scene : Scene
+    scene : open3d.t.geometry.PointCloud
+        As `gs_codec.read` gives it.
     number : int
         1 or more.
     plan : Plan, optional
@@ -60,17 +63,29 @@ def decimate(
         its cameras, and their number, width and background, count. Without it, opacity, size and
         the colours of neighbours tell.
     progress : callable, optional
+        As for `gs_codec.read`.
 
     Returns
     -------
-    Scene
-        Of exactly `number` Gaussians, in the scene's order; the scene itself if it has no more. A
-        merged Gaussian has the place and the extra properties of the heavier one.
+    open3d.t.geometry.PointCloud
+        Of exactly `number` Gaussians, in the scene's order; all if there are no more. A merged
+        Gaussian has the place and the extra properties of the heavier one.
 
     Raises
     ------
     InvalidInput
         If the number is below 1, or the plan has no cameras.
+
+    Examples
+    --------
+    >>> cloud = gs_codec.read("scene.ply")
+    >>> fewer = gs_codec.edit.decimate(cloud, 800)
+    >>> fewer.point.positions.shape
+    SizeVector[800, 3]
+
+    By what cameras see, and with colours fitted to it:
+
+    >>> fewer = gs_codec.edit.decimate(cloud, 800, gs_codec.Plan(cameras="cameras.json", width=48))
     """
     if number < 1:
         raise InvalidInput(f"gaussians {number}: expected at least 1")
@@ -89,10 +104,7 @@ def decimate(
 
 def _finite(scene: Scene, number: int) -> Scene:
     """The scene without values that are not finite, or with some if too few others are there."""
-    finite = np.ones(scene.count, bool)
-    for group in GROUPS:
-        for row in getattr(scene, group):
-            finite &= np.isfinite(row)
+    finite = finite_gaussians(scene)
     gone = min(int(np.count_nonzero(~finite)), scene.count - number)
     return scene.take(keep_highest(finite, gone)) if gone else scene
 

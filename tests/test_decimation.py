@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scenes import assert_same_floats, edge_scenes, random_scene, with_threads
 
-from gs_codec.edit.decimate import decimate
-from gs_codec.edit.merge import blobs_of, lone_errors, merge_errors, merge_pairs
+from gs_codec.edit.decimation import decimate
+from gs_codec.edit.pairs import blobs_of, lone_errors, merge_errors, merge_pairs
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import rotation_of
 from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out

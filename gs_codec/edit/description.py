@@ -44,10 +44,9 @@ class AttributeStatistics:
         reach beyond); ``SH`` (of coefficients); ``1`` (of the norm); the type of an extra property.
     nan, infinite : int
         Number of values that are NaN, or infinite.
-    minimum, median, maximum : float or None
-        Of the finite values; None without any.
-    low, high : float or None
-        The values that 1 % are at or below, and 99 %.
+    minimum, low, median, high, maximum : float or None
+        Of the finite values, the least, those that 1 %, half and 99 % are at or below, and the
+        largest; None without any.
     below, above : int
         Number of finite values beyond the histogram.
     counts : tuple of int
@@ -90,6 +89,7 @@ class Statistics:
     raw_bytes, bytes_per_gaussian : int
         Size of the attributes as float32, extra properties apart: of all, and of one.
     attributes : tuple of AttributeStatistics
+        Each attribute in its natural unit.
     shares : tuple of Share
         ``transparent``, ``needle-like``, ``huge``, ``same centre``, ``duplicate``, ``not finite``.
     """

@@ -35,6 +35,7 @@ class Share:
     Attributes
     ----------
     name : str
+        As `Statistics` lists them.
     rule : str
         What they have in common, in words.
     count : int

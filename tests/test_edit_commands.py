@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,6 +18,9 @@ from test_ply import assert_same_bits
 from gs_codec.codecs import memory as rooms
 from gs_codec.config import Config
 from gs_codec.edit.actions import Action
+from gs_codec.edit.clusters import keep_largest_cluster
+from gs_codec.edit.decimation import decimate
+from gs_codec.edit.floaters import remove_floaters
 from gs_codec.edit.join import merge_scenes
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
@@ -25,6 +29,7 @@ from gs_codec.files.conversion import convert_file
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
+from gs_codec.preparation.steps import Plan
 from gs_codec.runtime import arrays
 from gs_codec.scene import Scene
 
@@ -105,6 +110,7 @@ def test_gaussians_with_nan_go_before_they_are_refused(folder):
     ("typed", "said"),
     [
         ("convert scene.ply o.ply --cameras cameras.json", "--cameras needs one of --remove-flo"),
+        ("convert scene.ply o.ply --remove-floaters --cameras auto", "'auto' tells --remove-float"),
         ("convert scene.ply o.ply --scale 2 --views 3", "--views needs one of --remove-floaters"),
         ("convert scene.ply o.ply --keep 50% --width 9", "--width has no effect without --cameras"),
         ("convert scene.ply o.spz --max-memory 1GB", "--max-memory has no effect on o.spz"),
@@ -243,3 +249,40 @@ def test_shells_complete_commands_and_options(typed, completed):
         [program], env=os.environ | asked, capture_output=True, text=True, check=False
     )
     assert done.stdout.split() == completed
+
+
+@pytest.mark.parametrize("cameras", [[], ["--cameras", "cameras.json"], ["--cameras", "auto"]])
+@pytest.mark.parametrize("action", [["--gaussians", "600"], ["--keep", "40%"]])
+def test_scenes_are_decimated(folder, action, cameras):
+    quick = ["--views", "2", "--width", "40"] * bool(cameras)
+    status, out, err = folder.run("convert", "scene.ply", "o.ply", *action, *cameras, *quick)
+    assert (status, out.split(",")[0]) == (0, "o.ply: 600 Gaussians"), err
+    assert f"{' '.join(action)[2:]}: removed 900 of 1,500 Gaussians\n" in err
+    plan = None if not cameras else Plan(cameras=cameras[1], views=2, width=40)
+    assert_same_bits(read_ply("o.ply"), decimate(read_ply("scene.ply"), 600, plan))
+
+
+def test_cleaning_tells_why_gaussians_went(folder):
+    scene = read_ply("scene.ply")
+    stray = scene.take(np.array([0]))
+    stray.positions[:] = 500.0
+    write_ply("stray.ply", merge_scenes([scene, stray]))
+    typed = ("--remove-floaters", "--keep-largest-cluster")
+    status, out, err = folder.run("convert", "stray.ply", "o.ply", *typed, "--json")
+    assert status == 0
+    floaters, cluster = json.loads(out)["actions"]
+    assert floaters["details"]["isolated"] == floaters["before"] - floaters["after"] > 0
+    assert re.search(r"remove-floaters: removed \d+ of 1,501 Gaussians \(isolated \d+, hardly", err)
+    clean = keep_largest_cluster(remove_floaters(read_ply("stray.ply")))
+    assert (clean.count, clean.positions.max() < 500) == (cluster["after"], True)
+    assert_same_bits(read_ply("o.ply"), clean)
+
+
+def test_cameras_guide_cleaning(folder):
+    assert folder.run(
+        "convert", "scene.ply", "o.ply", "--remove-floaters", "--cameras", "cameras.json"
+    )[0] == 0  # fmt: skip
+    scene = read_ply("scene.ply")
+    assert_same_bits(read_ply("o.ply"), remove_floaters(scene, "cameras.json"))
+    with pytest.raises(InvalidInput, match="'auto'"):
+        remove_floaters(scene, "auto")

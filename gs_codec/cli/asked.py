@@ -265,6 +265,8 @@ def action_plan(asked: Asked) -> Plan | None:
         If no action goes by them.
     """
     guided = [action for action in asked.actions if KINDS[action.name].guided]
+    if asked["cameras"] == "auto" and {action.name for action in guided} == {"remove-floaters"}:
+        asked.refuse(["cameras"], "'auto' tells --remove-floaters nothing, expected given ones")
     if asked["cameras"] is None or not guided:
         known = ", ".join(f"--{name}" for name, kind in KINDS.items() if kind.guided)
         why = "has no effect without --cameras" if guided else f"needs one of {known}"

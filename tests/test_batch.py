@@ -125,9 +125,10 @@ def test_options_are_those_of_encode(folder):
 def test_batch_has_the_options_of_encode():
     of_encode, of_batch = (signature(x.command).parameters.keys() for x in (encode, batch))
     assert of_encode - {"checkpoint"} <= of_batch  # One file for one scene.
-    shared, _, rest = encode.command.epilog.partition("\n--checkpoint FILE ")
-    assert shared == batch.command.epilog
-    assert "\n--" not in rest
+    before, _, rest = encode.command.epilog.partition("\n--checkpoint FILE ")
+    actions = "\n\nActions, done first, " + rest.partition("\n\nActions, done first, ")[2]
+    assert "--crop-box X,Y,Z,X,Y,Z " in actions
+    assert before + actions == batch.command.epilog
 
 
 def test_ratios_count_from_raw_floats_though_scenes_come_compressed(folder):

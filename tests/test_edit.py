@@ -420,7 +420,7 @@ def test_clouds_are_merged(scene):
     clouds = [to_cloud(scene), to_cloud(scene.take(np.arange(3)))]
     expected = merge_scenes([scene, scene.take(np.arange(3))])
     assert_same_bits(from_cloud(edit.merge(clouds), "keep"), replace(expected, comments=()))
-    with pytest.raises(InvalidInput, match="no clouds"):
+    with pytest.raises(InvalidInput, match="no scenes, expected at least one"):
         edit.merge([])
 
 

@@ -27,7 +27,7 @@ WRONG_SUFFIX = {
     "decode scene.egs b.compressed.ply": "suffix '.compressed.ply', expected .ply",
     "convert scene.ply b.OBJ": "suffix '.obj', expected .egs, .spz, .sog, .compressed.ply",
     "prepare scene.ply b.obj --prune 9": "suffix '.obj', expected .egs, .spz",
-    "convert scene.ply -": "-: suffix '', expected .egs, .spz",
+    "prepare scene.ply - --prune 9": "-: suffix '', expected .egs, .spz",
 }
 
 

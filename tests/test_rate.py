@@ -363,7 +363,7 @@ def test_views_that_a_target_needs_are_as_many_and_as_wide_as_asked(asked):
     def found(**values: Any) -> Plan | None:
         typed = SimpleNamespace(name="COMMANDLINE")
         ctx = SimpleNamespace(
-            info_name="encode", get_parameter_source=dict.fromkeys(values, typed).get
+            meta={}, info_name="encode", get_parameter_source=dict.fromkeys(values, typed).get
         )
         return plan_of(Asked(ctx, {"profile": "m"} | values), Config())
 

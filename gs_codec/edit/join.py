@@ -44,8 +44,6 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
     """
     from gs_codec.formats.cloud import from_cloud, to_cloud
 
-    if not clouds:
-        raise InvalidInput("merge: no clouds")
     return to_cloud(merge_scenes([from_cloud(cloud, "keep") for cloud in clouds]))
 
 
@@ -54,6 +52,8 @@ def merge_scenes(scenes: Sequence[Scene]) -> Scene:
 
     Comments of the first are kept, and those of the others that it does not have.
     """
+    if not scenes:
+        raise InvalidInput("no scenes, expected at least one")
     if len(scenes) == 1:
         return scenes[0]
     first = scenes[0]

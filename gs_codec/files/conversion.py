@@ -142,10 +142,10 @@ def convert_file(
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
             scenes = [_read(each, config, stated, progress, max_bytes) for each in sources]
-        before = system_of(scenes[0])
         with located(named(sources)):
             with times.stage("edit"):
                 scene, done = edit_scenes(scenes, actions, plan, progress)
+            before = system_of(scenes[0])
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)

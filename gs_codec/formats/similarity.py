@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.packed_values import spans
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all, using_threads
@@ -136,35 +137,40 @@ def _weighted(
     if np.array_equal(weights, np.eye(len(planes))) and not np.any(shifts):
         return planes
     sums = empty(planes.shape, np.float32)
-    shift_of = np.broadcast_to(np.asarray(shifts, np.float64), len(planes))
+    all_shifts = np.broadcast_to(np.asarray(shifts, np.float64), len(planes)).copy()
 
-    def fill(number: int) -> None:
-        row, to = weights[number], sums[number]
-        used = np.flatnonzero(row)
-        shift = shift_of[number]
-        if len(used) == 1 and abs(row[used[0]]) == 1 and not shift:
-            to[:] = planes[used[0]]
-            if row[used[0]] < 0:
-                np.negative(to, out=to)
-        else:
-            _sum_planes(planes, row, used, shift, to)
+    def fill(some: slice) -> None:
+        _sum_planes(planes, weights, all_shifts, sums, some.start, some.stop)
 
     with using_threads(None, planes.shape[1]):
-        run_all(fill, range(len(planes)))
+        run_all(fill, spans(planes.shape[1]))
     return sums
 
 
 @kernel
-def _sum_planes(planes, weights, used, shift, to):
-    """Fill `to` with the sum of the planes of numbers `used`, and a shift, in float64."""
-    sums = np.empty(_SOME)
-    for first in range(0, len(to), _SOME):
-        count = min(_SOME, len(to) - first)
-        sums[:] = shift
-        for k in used:
-            weight, plane = weights[k], planes[k, first : first + count]
-            for i in range(count):
-                sums[i] += weight * np.float64(plane[i])
-        some = to[first : first + count]
-        for i in range(count):
-            some[i] = np.float32(sums[i])
+def _sum_planes(planes, weights, shifts, sums, first, last):
+    """Fill columns of `sums` with weighted sums of planes, and shifts, in float64."""
+    wide = np.empty(_SOME)
+    for start in range(first, last, _SOME):
+        stop = min(start + _SOME, last)
+        for row in range(len(weights)):
+            to, number, only = sums[row, start:stop], 0, 0
+            for k in range(len(planes)):
+                if weights[row, k] != 0.0:
+                    number, only = number + 1, k
+            if number == 1 and abs(weights[row, only]) == 1.0 and shifts[row] == 0.0:
+                plane = planes[only, start:stop]
+                if weights[row, only] > 0.0:
+                    to[:] = plane
+                else:
+                    for i in range(len(to)):
+                        to[i] = -plane[i]
+                continue
+            wide[:] = shifts[row]
+            for k in range(len(planes)):
+                weight, plane = weights[row, k], planes[k, start:stop]
+                if weight != 0.0:
+                    for i in range(len(plane)):
+                        wide[i] += weight * np.float64(plane[i])
+            for i in range(len(to)):
+                to[i] = np.float32(wide[i])

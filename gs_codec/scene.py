@@ -43,6 +43,9 @@ _COORDINATES = re.compile(
     r"\s*CoordinateSystem:\s*([LR](?:[UD][FB]|[FB][UD]))\s*", re.ASCII | re.IGNORECASE
 )
 
+#: Properties that are no attribute of a Gaussian, but are turned with it.
+NORMALS = ("nx", "ny", "nz")
+
 #: Comment of a scene that was trained with opacity compensation.
 ANTIALIASED = "SplatRenderMode: mip"
 _TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")

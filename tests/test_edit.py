@@ -176,6 +176,17 @@ def test_rotation_is_that_of_scipy(scene, typed):
     assert turned.extra["label"].tobytes() == scene.extra["label"].tobytes()
 
 
+def test_normals_turn_with_the_scene(scene):
+    normals = np.random.default_rng(1).normal(size=(3, 500)).astype(np.float32)
+    kept = dict(zip(("nx", "ny", "nz"), normals, strict=True)) | {"ny": normals[1].astype("<f8")}
+    moved = act(replace(scene, extra=kept | dict(scene.extra)), "rotate 30,-40,250", "scale 3")
+    turn = Rotation.from_euler("xyz", [30, -40, 250], degrees=True).as_matrix()
+    found = np.stack([moved.extra[name] for name in ("nx", "ny", "nz")])
+    np.testing.assert_allclose(found, turn @ normals, atol=1e-6)
+    assert moved.extra["ny"].dtype == np.float64
+    assert moved.extra["label"] is scene.extra["label"]
+
+
 @pytest.mark.parametrize("degree", range(4))
 def test_a_rotation_and_its_inverse_give_the_scene_back(degree):
     scene = random_scene(300, degree, seed=degree)

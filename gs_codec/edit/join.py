@@ -48,7 +48,7 @@ def merge(clouds: Sequence[PointCloud]) -> PointCloud:
 
 
 def merge_scenes(scenes: Sequence[Scene]) -> Scene:
-    """One scene of the Gaussians of several in one coordinate system; see `pairs`.
+    """One scene of the Gaussians of several in one coordinate system; see `merge`.
 
     Comments of the first are kept, and those of the others that it does not have.
     """

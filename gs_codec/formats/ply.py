@@ -20,11 +20,10 @@ from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.atomic import atomic_writer
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.runtime.threads import work_behind
-from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, property_names
+from gs_codec.scene import GROUPS, NORMALS, SH_C0, SH_COEFFICIENTS, Scene, property_names
 
 log = logging.getLogger(__name__)
 
-_NORMALS = ("nx", "ny", "nz")
 _COLOURS = ("red", "green", "blue")
 
 #: Rows written at once: 4 MB with SH of degree 3, memory that the C library keeps for the next.
@@ -139,7 +138,7 @@ def _read_rest(
 ) -> tuple[bool, dict[str, NDArray]]:
     """Whether there are normals to restore as zeros, and the extra properties to keep."""
     rest = [name for name in data.dtype.names or () if name not in used]
-    normals = [name for name in _NORMALS if name in rest]
+    normals = [name for name in NORMALS if name in rest]
     has_normals = len(normals) == 3
     # Normals are written back as +0, so with "keep" a -0 makes them extra properties.
     differs = np.signbit if extra == "keep" else np.zeros_like
@@ -147,7 +146,7 @@ def _read_rest(
         rest = [name for name in rest if name not in normals]
     if rest and extra == "error":
         what = f"properties {', '.join(rest[:4])}" + (" ..." if len(rest) > 4 else "")
-        why = "normals are not all zero" if set(rest) <= set(_NORMALS) else "beyond the layout"
+        why = "normals are not all zero" if set(rest) <= set(NORMALS) else "beyond the layout"
         raise InvalidInput(f"{path}: {what} ({why}); choose --extra keep or --extra drop")
     if extra == "drop":
         return has_normals, {}
@@ -200,7 +199,7 @@ def vertex_rows(scene: Scene) -> NDArray:
         names += groups[group]
         planes += [*getattr(scene, group)]
         if group == "positions" and scene.has_normals:
-            names += _NORMALS
+            names += NORMALS
             planes += [np.zeros(scene.count, np.float32)] * 3
     rows = to_rows(planes).view([(name, "<f4") for name in names])[:, 0]
     if not scene.extra:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -13,7 +14,7 @@ from gs_codec.formats.packed_values import spans
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all, using_threads
-from gs_codec.scene import SH_COEFFICIENTS, Scene, sh_bands, sh_values
+from gs_codec.scene import NORMALS, SH_COEFFICIENTS, Scene, sh_bands, sh_values
 
 #: Axes may be scaled this differently: matrices in files are rounded.
 _ALIKE = 1e-4
@@ -29,7 +30,7 @@ _DIRECTIONS = np.array([each for each in product((-1.0, 0.0, 1.0), repeat=3) if 
 
 
 def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
-    """Turn, mirror, scale and shift a scene; centres, shapes and SH follow.
+    """Turn, mirror, scale and shift a scene; centres, shapes, SH and normals follow.
 
     Computed in float64 and rounded once. If axes only swap and change signs, numbers of centres and
     shapes keep their bits, and so do SH whose signs alone change.
@@ -67,6 +68,7 @@ def move_scene(scene: Scene, matrix: ArrayLike) -> Scene:
         log_scale=_weighted(scene.log_scale, np.abs(own), np.full(3, np.log(factor))),
         rot=_weighted(scene.rot, _product(_quaternion(turn @ own.T)) @ axial),
         f_rest=_weighted(scene.f_rest, np.kron(np.eye(3), sh)),
+        extra=_with_normals(scene.extra, turn),
     )
 
 
@@ -128,6 +130,16 @@ def _product(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Matrix that multiplies a quaternion wxyz from the left by this one."""
     w, x, y, z = quaternion
     return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def _with_normals(extra: Mapping[str, NDArray], turn: NDArray[np.float64]) -> dict[str, NDArray]:
+    """Extra properties, of which normals are turned."""
+    turned = dict(extra)
+    if set(NORMALS) <= set(extra):
+        planes = np.stack([extra[name] for name in NORMALS]).astype(np.float32)
+        for name, plane in zip(NORMALS, _weighted(planes, turn), strict=True):
+            turned[name] = plane.astype(extra[name].dtype)
+    return turned
 
 
 def _weighted(

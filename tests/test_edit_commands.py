@@ -202,7 +202,7 @@ def test_batches_edit_and_convert(folder):
         (folder.path / name).rename(folder.path / "in" / name.replace("scene", name[-3:]))
     typed = ["in", "out", *FILTER, CROP, "--jobs", "1"]
     status, out, err = folder.run("batch", *typed, "--format", "ply")
-    assert (status, out.startswith("2 scenes encoded")) == (0, True), err
+    assert (status, out.startswith("2 scenes converted; ")) == (0, True), err
     for name in ("ply.ply", "egs.egs"):
         edited = expected(read_scene(f"in/{name}"), "--filter=opacity>0.5", CROP)
         assert_same_bits(

@@ -98,18 +98,18 @@ def command(
         source, target, options, jobs, resume, report, on_error, dask, asked["overwrite"],  # type: ignore[arg-type]
     )  # fmt: skip
     redact_process()
-    with _watching() as watcher:
+    with _watching("encode" if plain is None else "convert") as watcher:
         summary = run_batch(batch, watcher)
     if asked["json"]:
         print_json(asdict(summary))
     else:
-        print_text(_summed_up(summary))
+        print_text(_summed_up(summary, "encoded" if plain is None else "converted"))
     if summary.failed:
         raise typer.Exit(1)
 
 
-def _summed_up(summary: Any) -> str:
-    text = f"{summary.done:,} scene{'s' * (summary.done != 1)} encoded"
+def _summed_up(summary: Any, done: str) -> str:
+    text = f"{summary.done:,} scene{'s' * (summary.done != 1)} {done}"
     if summary.skipped:
         text += f", {summary.skipped:,} complete before"
     if summary.failed:
@@ -122,21 +122,25 @@ def _summed_up(summary: Any) -> str:
 
 
 @contextmanager
-def _watching() -> Iterator[Any]:
-    """A watcher that shows what it hears on stderr: bars on a terminal, lines elsewhere."""
+def _watching(work: str) -> Iterator[Any]:
+    """A watcher that shows what it hears on stderr: bars on a terminal, lines elsewhere.
+
+    `work` is what is done to scenes: encode or convert.
+    """
     if not sys.stderr.isatty():
-        yield _Lines()
+        yield _Lines(work)
         return
     console = Console(stderr=True, emoji=False, highlight=False, markup=False, soft_wrap=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
-        yield _Bars(bars)
+        yield _Bars(work, bars)
 
 
 class _Lines:
     """A line for each scene that is done, and for what is being done where that takes long."""
 
-    def __init__(self) -> None:
+    def __init__(self, work: str) -> None:
+        self._work = work
         self._total, self._count = 0, 0
         self._told = progress_lines(time.monotonic)
 
@@ -144,7 +148,7 @@ class _Lines:
         """See `Watcher.begun`."""
         self._total = total
         done = f", {skipped:,} complete before" if skipped else ""
-        self.said(f"scenes to encode: {total:,}{done}; report: {report}")
+        self.said(f"scenes to {self._work}: {total:,}{done}; report: {report}")
 
     def started(self, task: Any) -> None:
         """See `Watcher.started`."""
@@ -173,8 +177,8 @@ class _Lines:
 class _Bars(_Lines):
     """Lines above a bar for the whole and one for the stage of each scene that is running."""
 
-    def __init__(self, bars: Progress) -> None:
-        super().__init__()
+    def __init__(self, work: str, bars: Progress) -> None:
+        super().__init__(work)
         self._bars, self._whole, self._running = bars, TaskID(0), dict[str, TaskID]()
 
     def begun(self, total: int, skipped: int, report: str) -> None:

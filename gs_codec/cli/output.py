@@ -150,6 +150,11 @@ def size_text(size: float) -> str:
 
 
 def smaller(before: int, after: int, ratio: float) -> str:
-    """Two sizes and their ratio, which counts from the floats where files came compressed."""
+    """Two sizes and their ratio, which counts from the floats where files came compressed.
+
+    Floats that are written out, or nearly, have none.
+    """
+    if ratio < 1.05:
+        return f"{size_text(before)} -> {size_text(after)}"
     beside = " than the floats" if abs(ratio * after - before) >= 1 else ""
     return f"{size_text(before)} -> {size_text(after)}, {ratio:.2f} times smaller{beside}"

@@ -14,6 +14,9 @@ from gs_codec.errors import InvalidInput
 from gs_codec.formats.similarity import move_scene, rotation_of
 from gs_codec.scene import Scene
 
+#: Least factor; float32 holds lengths that are so many times smaller or larger.
+_LEAST = 1e-30
+
 
 @on_clouds
 def translate(scene: Scene, offset: Sequence[float]) -> Scene:
@@ -87,7 +90,7 @@ def scale(scene: Scene, factor: float) -> Scene:
     scene : open3d.t.geometry.PointCloud
         As `gs_codec.read` gives it.
     factor : float
-        Of all lengths, above 0.
+        Of all lengths, 1e-30 to 1e30.
 
     Returns
     -------
@@ -97,15 +100,15 @@ def scale(scene: Scene, factor: float) -> Scene:
     Raises
     ------
     InvalidInput
-        If the factor is not a finite number above 0.
+        If the factor is out of its range.
 
     Examples
     --------
     >>> cloud = gs_codec.read("scene.ply")
     >>> in_centimetres = gs_codec.edit.scale(cloud, 100)
     """
-    if not 0 < factor < math.inf:
-        raise InvalidInput(f"factor {factor}: expected a number above 0")
+    if not _LEAST <= factor <= 1 / _LEAST:
+        raise InvalidInput(f"factor {factor:g}: expected {_LEAST:g} to {1 / _LEAST:g}")
     return transform(scene, np.diag([factor, factor, factor, 1.0]))
 
 

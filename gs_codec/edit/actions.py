@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -19,8 +20,15 @@ from gs_codec.errors import InvalidInput
 if TYPE_CHECKING:
     from gs_codec.preparation.steps import Plan
 
-#: How values are compared in conditions.
-COMPARED = ("<=", ">=", "==", "!=", "<", ">")
+#: How values are compared in conditions; of signs that begin alike, the longer comes first.
+COMPARED: Mapping[str, Callable[[Any, Any], Any]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+}
 _CONDITION = re.compile(rf"\s*([^\s<>=!]+)\s*({'|'.join(COMPARED)})\s*([^\s<>=!]+)\s*")
 
 #: Most bytes of a file that holds a matrix.

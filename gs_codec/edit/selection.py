@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import finite_gaussians
 from gs_codec.coding.morton import spatial_order
-from gs_codec.edit.actions import read_condition
+from gs_codec.edit.actions import COMPARED, read_condition
 from gs_codec.edit.clouds import finite, on_clouds
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.packed_values import sigmoid, spans
@@ -24,16 +23,6 @@ from gs_codec.scene import (
     Scene,
     property_names,
 )
-
-#: How values are compared.
-_COMPARED: Mapping[str, Callable] = {
-    "<=": operator.le,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    ">": operator.gt,
-}
 
 
 @on_clouds
@@ -155,7 +144,7 @@ def select_where(scene: Scene, name: str, compared: str, number: float) -> Scene
 
     def holds(some: Scene) -> NDArray[np.bool_]:
         values = attribute_values(some, name)
-        return _COMPARED[compared](values, number) & ~np.isnan(values)
+        return COMPARED[compared](values, number) & ~np.isnan(values)
 
     return _keep(scene, holds)
 

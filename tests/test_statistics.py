@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import shutil
 import sys
 from collections import Counter
 from dataclasses import replace
@@ -21,7 +20,7 @@ from scenes import (
     shared_scene_path,
     with_threads,
 )
-from test_cli import Folder, strict_json
+from test_cli import strict_json
 
 from gs_codec.batch.memory import needed_bytes
 from gs_codec.cli.output import bars
@@ -309,14 +308,6 @@ def test_real_scenes():
 
 
 # The command
-
-
-@pytest.fixture
-def folder(trio, tmp_path, monkeypatch, capsys) -> Folder:
-    for path in trio:
-        shutil.copy(path, tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return Folder(tmp_path, monkeypatch, capsys)
 
 
 def rows_of(out: str) -> dict[str, list[str]]:

@@ -13,7 +13,7 @@ from gs_codec.config import LOSSLESS, Config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
-from gs_codec.files.scenes import check_target, named, read_scene, turn_scene, write_scene
+from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
 from gs_codec.files.suffixes import IN_PARTS, UNBUNDLED
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of
 from gs_codec.formats.registry import open_scene
@@ -142,7 +142,7 @@ def convert_file(
     with using_threads(config.threads), bounded(max_memory):
         with times.stage("read"):
             scenes = [_read(each, config, stated, progress, max_bytes) for each in sources]
-        with located(named(sources)):
+        with located(" + ".join(map(str, sources))):
             with times.stage("edit"):
                 scene, done = edit_scenes(scenes, actions, plan, progress)
             before = system_of(scenes[0])

@@ -192,11 +192,6 @@ def compare_files(
     return replace(compared, systems=systems)
 
 
-def named(sources: Sequence[str | Path]) -> str:
-    """Name of one or several files, for errors about what they hold together."""
-    return " + ".join(map(str, sources))
-
-
 def check_target(
     sources: Sequence[str | Path],
     target: str | Path,

@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.clean import finite_gaussians
 from gs_codec.coding.linear import combine
 from gs_codec.rendering.harmonics import sh_basis
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import GROUPS, Scene
+from gs_codec.scene import Scene
 
 #: A scene is looked at by about this many of its Gaussians, enlarged to cover the same surfaces.
 _THUMB_GAUSSIANS = 50_000
@@ -120,8 +121,7 @@ def gather_evidence(scene: Scene, quick: bool = False) -> Evidence | None:
 
 def _thinned(scene: Scene) -> Scene:
     """See `Evidence.thumb`."""
-    finite = np.all([np.isfinite(getattr(scene, group)).all(axis=0) for group in GROUPS], axis=0)
-    usable = finite & scene.rot.any(axis=0)
+    usable = finite_gaussians(scene) & scene.rot.any(axis=0)
     solid = usable & (scene.opacity[0] > _SOLID)
     index = np.flatnonzero(solid if solid.any() else usable)
     step = max(1, len(index) // _THUMB_GAUSSIANS)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from drive_viewer import Driver, tell
 
-from viewer.panel import Panel
-from viewer.request import Request
+from viewer.scenes.request import Request
+from viewer.window.panel import Panel
 
 
 def run(folder: Path) -> dict:

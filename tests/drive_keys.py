@@ -13,7 +13,7 @@ from pathlib import Path
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
-from viewer.dialogs import inside
+from viewer.window.dialogs import inside
 
 
 def many(driver: Driver) -> int:

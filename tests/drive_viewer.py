@@ -20,10 +20,10 @@ import numpy as np
 from open3d.visualization import gui
 from PIL import ImageGrab
 
-from viewer.pane import Pane
-from viewer.request import Request
-from viewer.window import Viewer
-from viewer.worker import Stale
+from viewer.scenes.request import Request
+from viewer.window.pane import Pane
+from viewer.window.viewer import Viewer
+from viewer.window.worker import Stale
 
 
 def grab(window: gui.Window) -> np.ndarray:

@@ -27,8 +27,8 @@ from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
 from viewer import screenshot
-from viewer.choice import OctreeChoice
-from viewer.layers import (
+from viewer.main import app, main
+from viewer.pictures.layers import (
     LAYERS,
     Points,
     box_lines,
@@ -40,15 +40,23 @@ from viewer.layers import (
     pruned_centres,
     thinned,
 )
-from viewer.main import app, main
-from viewer.numbers import quality_text
-from viewer.opened import Opened, open_scene, read_pruned, turned
-from viewer.picture import Shown, draw_points, draw_scene, measure, outlined, wipe_line, wiped
-from viewer.pose import UPS, Pose, look_at, of_camera, overview, up_of
-from viewer.request import Request, find_views, first_view, parse_layers
-from viewer.screenshot import draw_request
-from viewer.viewpoints import Views, choose_views, find_viewpoints, given_views
-from viewer.worker import Worker
+from viewer.pictures.picture import (
+    Shown,
+    draw_points,
+    draw_scene,
+    measure,
+    outlined,
+    wipe_line,
+    wiped,
+)
+from viewer.pictures.screenshot import draw_request
+from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.numbers import quality_text
+from viewer.scenes.opened import Opened, open_scene, read_pruned, turned
+from viewer.scenes.pose import UPS, Pose, look_at, of_camera, overview, up_of
+from viewer.scenes.request import Request, find_views, first_view, parse_layers
+from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
+from viewer.window.worker import Worker
 
 STRAIGHT = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]))
 

@@ -17,16 +17,16 @@ from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply import write_ply
-from viewer.choice import OctreeChoice
-from viewer.cubes import Cubes, draw_cubes
-from viewer.layers import Points, heat
-from viewer.octree import Octree
-from viewer.octree_layer import OctreeLayer
-from viewer.opened import Opened, open_scene
-from viewer.picture import Shown, draw_scene
-from viewer.pose import Pose, look_at
-from viewer.request import Request
-from viewer.screenshot import draw_request
+from viewer.pictures.cubes import Cubes, draw_cubes
+from viewer.pictures.layers import Points, heat
+from viewer.pictures.octree import Octree
+from viewer.pictures.picture import Shown, draw_scene
+from viewer.pictures.screenshot import draw_request
+from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.opened import Opened, open_scene
+from viewer.scenes.pose import Pose, look_at
+from viewer.scenes.request import Request
+from viewer.window.octree_layer import OctreeLayer
 
 COUNT = 2500
 

@@ -18,8 +18,8 @@ from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
 from gs_codec.formats.ply import write_ply
 from samples.generate import generate
-from viewer.numbers import quality_text
-from viewer.pose import look_at
+from viewer.scenes.numbers import quality_text
+from viewer.scenes.pose import look_at
 
 pytestmark = pytest.mark.skipif(
     not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool"

@@ -11,9 +11,8 @@ import typer
 import gs_codec
 from gs_codec.cli.output import log_to_stderr, print_status, print_text
 from gs_codec.preparation.steps import CAMERAS
-from viewer.choice import CELL_COLOURINGS, DEPTHS, OctreeChoice
-from viewer.layers import COLOURINGS, LAYERS
-from viewer.pose import UPS
+from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, OctreeChoice
+from viewer.scenes.pose import UPS
 
 app = typer.Typer(
     add_completion=False,
@@ -90,7 +89,7 @@ def command(
     if version:
         print_text(f"gs-viewer {gs_codec.__version__}")
         return
-    from viewer.request import Request, parse_layers
+    from viewer.scenes.request import Request, parse_layers
 
     request = Request(
         a,
@@ -109,16 +108,16 @@ def command(
     )
     request.check()
     if screenshot is not None:
-        from viewer.screenshot import write_screenshot
+        from viewer.pictures.screenshot import write_screenshot
 
         missing = write_screenshot(request, screenshot)
         if missing:
             print_status(f"gs-viewer: without a photograph: {missing}")
         return
-    from viewer.device import find_device
+    from viewer.window.device import find_device
 
     device = find_device()
-    from viewer.window import run
+    from viewer.window.viewer import run
 
     run(request, device)
 

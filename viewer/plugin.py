@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 import gs_codec
-from viewer.choice import OctreeChoice
-from viewer.device import find_device
-from viewer.layers import Points, centres, pruned_centres
-from viewer.opened import Opened, open_scene, read_pruned
-from viewer.request import Request, parse_layers
-from viewer.viewpoints import choose_views, find_viewpoints
+from viewer.pictures.layers import Points, centres, pruned_centres
+from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.opened import Opened, open_scene, read_pruned
+from viewer.scenes.request import Request, parse_layers
+from viewer.scenes.viewpoints import choose_views, find_viewpoints
+from viewer.window.device import find_device
 
 
 def draw(
@@ -72,7 +72,7 @@ def draw(
     request = Request(a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree)
     request.check()
     device = find_device()
-    from viewer.window import run
+    from viewer.window.viewer import run
 
     run(request, device)
 
@@ -183,7 +183,7 @@ class Actions:
 
     def _show(self, **points: Points) -> None:
         """Show only these points, by name; the window's title gets their legend."""
-        from viewer.pane import point_geometry
+        from viewer.window.pane import point_geometry
 
         if not self._attached:
             raise gs_codec.GsCodecError("detached from the visualizer")

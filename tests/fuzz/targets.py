@@ -36,7 +36,7 @@ from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_c
 from gs_codec.rendering.cameras import read_cameras
 from gs_codec.rendering.images import read_image
 from gs_codec.scene import GROUPS, Scene
-from viewer.opened import read_pruned
+from viewer.scenes.opened import read_pruned
 
 #: Most bytes of a decoded scene.
 _MOST = 1 << 22

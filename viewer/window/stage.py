@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from viewer.choice import Choice
-from viewer.divider import Divider
-from viewer.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
-from viewer.navigation import Navigator, distance_ahead
-from viewer.octree import MOST_CUBES
-from viewer.octree_layer import OctreeLayer
-from viewer.opened import Opened, Pruned
-from viewer.pane import HIDDEN, Pane
-from viewer.picture import Shown, measure, picture, wipe_line
-from viewer.pose import Pose
-from viewer.worker import Stale, Worker
+from viewer.pictures.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
+from viewer.pictures.octree import MOST_CUBES
+from viewer.pictures.picture import Shown, measure, picture, wipe_line
+from viewer.scenes.choice import Choice
+from viewer.scenes.opened import Opened, Pruned
+from viewer.scenes.pose import Pose
+from viewer.window.divider import Divider
+from viewer.window.navigation import Navigator, distance_ahead
+from viewer.window.octree_layer import OctreeLayer
+from viewer.window.pane import HIDDEN, Pane
+from viewer.window.worker import Stale, Worker
 
 #: Most centres that a pane shows, by device.
 _MOST = {"gpu": 5_000_000, "cpu": 250_000}

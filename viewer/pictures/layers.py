@@ -9,13 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from viewer.opened import Opened, Pruned
-
-#: Layers that can be switched on and off.
-LAYERS = ("splats", "centres", "pruned", "boxes", "error", "octree")
-
-#: Quantities that centres can be coloured by.
-COLOURINGS = ("colour", "opacity", "scale", "error")
+from viewer.scenes.opened import Opened, Pruned
 
 #: The colour map viridis at evenly spaced values.
 _VIRIDIS = np.array(

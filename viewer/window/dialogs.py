@@ -8,8 +8,8 @@ from typing import Any
 
 from open3d.visualization import gui
 
-from viewer.layers import LAYERS
-from viewer.panel import folded
+from viewer.scenes.choice import LAYERS
+from viewer.window.panel import folded
 
 #: Longest line of a dialog, characters.
 _WIDTH = 76

@@ -13,9 +13,8 @@ from PIL import Image
 import gs_codec
 from gs_codec.rendering.images import find_image
 from gs_codec.rendering.photographs import read_photograph
-from viewer.layers import Legend
-from viewer.opened import Opened
-from viewer.picture import (
+from viewer.pictures.layers import Legend
+from viewer.pictures.picture import (
     Shown,
     draw_scene,
     from_pillow,
@@ -28,9 +27,10 @@ from viewer.picture import (
     wiped,
     write_reasons,
 )
-from viewer.pose import Pose
-from viewer.request import Request, find_pruned, find_views, first_view
-from viewer.viewpoints import find_viewpoints
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import Pose
+from viewer.scenes.request import Request, find_pruned, find_views, first_view
+from viewer.scenes.viewpoints import find_viewpoints
 
 
 def write_screenshot(request: Request, path: Path) -> str:

@@ -14,16 +14,16 @@ from open3d.visualization import gui
 import gs_codec
 from gs_codec.rendering.images import find_image
 from gs_codec.rendering.photographs import read_photograph
-from viewer import dialogs
-from viewer.choice import MODES, Choice
-from viewer.opened import Opened, Pruned, open_scene, turned
-from viewer.pane import HIDDEN, picture_of
-from viewer.panel import Panel, monospace
-from viewer.request import Request, find_pruned, find_views, first_view
-from viewer.screenshot import compose, save_picture
-from viewer.stage import Stage
-from viewer.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
-from viewer.worker import Stale, Worker
+from viewer.pictures.screenshot import compose, save_picture
+from viewer.scenes.choice import MODES, Choice
+from viewer.scenes.opened import Opened, Pruned, open_scene, turned
+from viewer.scenes.request import Request, find_pruned, find_views, first_view
+from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
+from viewer.window import dialogs
+from viewer.window.pane import HIDDEN, picture_of
+from viewer.window.panel import Panel, monospace
+from viewer.window.stage import Stage
+from viewer.window.worker import Stale, Worker
 
 #: Width of the panel, in font sizes.
 _PANEL_EMS = 19

@@ -8,11 +8,10 @@ from typing import Any
 
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
-from viewer.choice import CELL_COLOURINGS, DEPTHS, MODES, OctreeChoice
-from viewer.layers import COLOURINGS, LAYERS
-from viewer.opened import Opened, Progress, Pruned, open_scene, read_pruned
-from viewer.pose import UPS
-from viewer.viewpoints import Views, choose_views, given_views
+from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES, OctreeChoice
+from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
+from viewer.scenes.pose import UPS
+from viewer.scenes.viewpoints import Views, choose_views, given_views
 
 #: Largest side of a picture, pixels.
 _MAX_SIDE = 1 << 14

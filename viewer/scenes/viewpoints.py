@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 import gs_codec
 from gs_codec.api.viewing import scene_of
 from gs_codec.rendering.auto_cameras import COUNT, estimate_views
-from viewer.opened import Opened
-from viewer.pose import UPS, Pose, of_camera, overview, up_of, upright
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import UPS, Pose, of_camera, overview, up_of, upright
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,11 @@ import open3d as o3d
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
-from viewer.cubes import Cubes
-from viewer.layers import EDGES, Points, block_colour, box_lines
-from viewer.opened import Opened
-from viewer.picture import BACKGROUND, CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
-from viewer.pose import Pose
+from viewer.pictures.cubes import Cubes
+from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
+from viewer.pictures.picture import BACKGROUND, CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import Pose
 
 _BACKGROUND = (*BACKGROUND, 1.0)
 

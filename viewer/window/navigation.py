@@ -8,8 +8,8 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from viewer.layers import thinned
-from viewer.pose import Pose
+from viewer.pictures.layers import thinned
+from viewer.scenes.pose import Pose
 
 #: Angle of a drag as long as the picture is high, radians.
 _TURN = np.pi

@@ -10,11 +10,11 @@ import numpy as np
 from open3d.visualization import gui
 
 from gs_codec.formats.coordinates import CONVENTION
-from viewer.choice import CELL_COLOURINGS, DEPTHS, MODES
-from viewer.layers import COLOURINGS, LAYERS, Legend, heat_bar, reason_colour
-from viewer.numbers import between, facts
-from viewer.pane import picture_of
-from viewer.pose import UPS
+from viewer.pictures.layers import Legend, heat_bar, reason_colour
+from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES
+from viewer.scenes.numbers import between, facts
+from viewer.scenes.pose import UPS
+from viewer.window.pane import picture_of
 
 _MODE_NAMES = ("side by side", "wipe", "one, F flips")
 

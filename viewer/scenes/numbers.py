@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from viewer.opened import Opened
+from viewer.scenes.opened import Opened
 
 
 def size_text(size: float) -> str:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from viewer.choice import OctreeChoice
-from viewer.cubes import Cubes
-from viewer.layers import Legend, Points
-from viewer.octree import Octree
-from viewer.pane import Pane
-from viewer.worker import Stale, Worker
+from viewer.pictures.cubes import Cubes
+from viewer.pictures.layers import Legend, Points
+from viewer.pictures.octree import Octree
+from viewer.scenes.choice import OctreeChoice
+from viewer.window.pane import Pane
+from viewer.window.worker import Stale, Worker
 
 
 class OctreeLayer:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from viewer.layers import Legend
-from viewer.pose import Pose
+from viewer.pictures.layers import Legend
+from viewer.scenes.pose import Pose
 
 #: Brightness of the faces across x, y and z, which tells them apart.
 _SHADES = np.array([0.8, 1.0, 0.6], np.float32)

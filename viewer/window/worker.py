@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from viewer.opened import Progress
+from viewer.scenes.opened import Progress
 
 #: Tells a job whether its result is still wanted: True if not.
 Stale = Callable[[], bool]

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+#: Layers that can be switched on and off.
+LAYERS = ("splats", "centres", "pruned", "boxes", "error", "octree")
+
+#: Quantities that centres can be coloured by.
+COLOURINGS = ("colour", "opacity", "scale", "error")
+
 #: How two scenes are shown.
 MODES = ("side", "wipe", "flip")
 

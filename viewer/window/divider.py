@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from open3d.visualization import gui, rendering
 
-from viewer.pane import picture_of
-from viewer.picture import LINE_COLOUR
+from viewer.pictures.picture import LINE_COLOUR
+from viewer.window.pane import picture_of
 
 #: Dots that show that the line can be dragged: number, size and distance in pixels; grey level.
 _DOTS, _DOT, _STEP, _DOT_COLOUR = 5, 4, 9, 0.2

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import gs_codec
-from viewer.choice import OctreeChoice
-from viewer.cubes import Cubes, draw_cubes
-from viewer.layers import (
+from viewer.pictures.cubes import Cubes, draw_cubes
+from viewer.pictures.layers import (
     EDGES,
     PIXEL_LEGEND,
     Legend,
@@ -27,10 +26,11 @@ from viewer.layers import (
     pruned_centres,
     reason_colour,
 )
-from viewer.numbers import quality_text
-from viewer.octree import Octree
-from viewer.opened import Opened, Pruned
-from viewer.pose import Pose
+from viewer.pictures.octree import Octree
+from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.numbers import quality_text
+from viewer.scenes.opened import Opened, Pruned
+from viewer.scenes.pose import Pose
 
 #: Side of a centre, pixels.
 POINT_SIZE = 2

@@ -1,0 +1,1 @@
+"""What the viewer shows, as points, cubes and pictures drawn in software."""

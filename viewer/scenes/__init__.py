@@ -1,0 +1,1 @@
+"""Scenes, cameras and choices that the viewer shows."""

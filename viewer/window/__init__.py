@@ -1,0 +1,1 @@
+"""The window: panes, panel, dialogs, mouse and keys."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.opened import Opened, Pruned
 
 #: The colour map viridis at evenly spaced values.
@@ -30,6 +31,9 @@ _HUE_STEP = 0.381966
 
 #: Quantiles of the sizes that get the first and the last colour.
 _SIZES = (0.01, 0.99)
+
+#: All Gaussians are drawn.
+_PLAIN = Look()
 
 #: The scale of errors: from a quarter of a level of 255 to 64 levels, in eight doublings.
 _LEAST_ERROR, _DOUBLINGS = 0.25 / 255, 8
@@ -95,9 +99,13 @@ def block_colour(index: int) -> tuple[float, float, float]:
 
 
 def centres(
-    scene: Opened, colouring: str, scenes: Sequence[Opened], most: int | None = None
+    scene: Opened,
+    colouring: str,
+    scenes: Sequence[Opened],
+    most: int | None = None,
+    look: Look = _PLAIN,
 ) -> Points:
-    """Centres of a scene, at most `most`, and their colours.
+    """Centres of the Gaussians of a scene that are drawn, at most `most`, and their colours.
 
     Parameters
     ----------
@@ -109,8 +117,9 @@ def centres(
         All scenes shown; the first sets the range of sizes. If there is only one, ``error`` is not
         known, and its own colours are shown.
     most : int, optional
+    look : Look
     """
-    some = thinned(scene.count, most or scene.count)
+    some = _some(scene, most or scene.count, look)
     positions = scene.positions[some]
     others = [other for other in scenes if other is not scene]
     if colouring == "opacity":
@@ -128,7 +137,18 @@ def centres(
     return Points(positions, scene.colours[some])
 
 
-def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.float32]:
+def _some(scene: Opened, most: int, look: Look) -> slice | NDArray[np.int64]:
+    """Which centres are shown."""
+    mask = which_drawn(scene, look)
+    if mask is None:
+        return thinned(scene.count, most)
+    drawn = np.flatnonzero(mask)
+    return drawn[thinned(len(drawn), most)]
+
+
+def colour_errors(
+    scene: Opened, reference: Opened, some: slice | NDArray[np.int64]
+) -> NDArray[np.float32]:
     """Root-mean-square difference over RGB from the SH-DC colour of the nearest centre."""
     from scipy.spatial import cKDTree
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -27,7 +27,9 @@ from viewer.pictures.layers import (
     reason_colour,
 )
 from viewer.pictures.octree import Octree
-from viewer.scenes.choice import OctreeChoice
+from viewer.pictures.splats import Drawer, drawer_of
+from viewer.scenes.appearance import Look
+from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
@@ -38,9 +40,6 @@ PRUNED_SIZE = CELL_SIZE = 3
 
 #: Nothing nearer to the camera than this is drawn, scene units.
 _NEAR = 1e-3
-
-#: Pictures kept per scene: one of a pane, one of the frame.
-_KEPT = 2
 
 #: SSIM needs pictures of at least this size, pixels.
 _LEAST_SIDE = 11
@@ -70,6 +69,10 @@ class Shown:
     pruned : Pruned or None
         Gaussians that were removed from the first.
     octree : OctreeChoice
+    appearance : Appearance
+    drawn : mapping of Opened to ndarray, shape (N,), bool
+        Which Gaussians are drawn; a scene that is not in it has none hidden. Drawings are kept as
+        long as the arrays are the same ones.
     """
 
     layers: Collection[str]
@@ -77,6 +80,12 @@ class Shown:
     scenes: tuple[Opened, ...] = ()
     pruned: Pruned | None = None
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    appearance: Appearance = field(default_factory=Appearance)
+    drawn: Mapping[Opened, NDArray[np.bool_]] = field(default_factory=dict)
+
+    def look(self, scene: Opened) -> Look:
+        """How a scene is drawn."""
+        return Look(self.appearance, self.drawn.get(scene))
 
     @cached_property
     def cells(self) -> Octree:
@@ -103,7 +112,7 @@ class Shown:
 
 
 def draw_scene(
-    scene: Opened, pose: Pose, width: int, height: int, shown: Shown, views: dict[Opened, Any]
+    scene: Opened, pose: Pose, width: int, height: int, shown: Shown, views: dict[Opened, Drawer]
 ) -> tuple[NDArray[np.float32], list[Legend]]:
     """The picture ``(H, W, 3)``, 0-1, of one scene, and its legends.
 
@@ -113,13 +122,13 @@ def draw_scene(
     """
     legends = []
     image = np.empty((height, width, 3), np.float32)
-    image[:] = BACKGROUND
+    image[:] = shown.appearance.background
     if {"splats", "error"} & set(shown.layers):
         image = picture(views, scene, pose, width, height, shown)
     if shown.shows_error(scene):
         legends.append(PIXEL_LEGEND)
     if "centres" in shown.layers:
-        points = centres(scene, shown.colouring, shown.scenes)
+        points = centres(scene, shown.colouring, shown.scenes, look=shown.look(scene))
         draw_points(image, points, pose, POINT_SIZE)
         if points.legend is not None:
             legends.append(points.legend)
@@ -141,31 +150,47 @@ def draw_scene(
 
 
 def picture(
-    views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int, shown: Shown
+    views: dict[Opened, Drawer],
+    scene: Opened,
+    pose: Pose,
+    width: int,
+    height: int,
+    shown: Shown,
+    draft: int = 0,
 ) -> NDArray[np.float32]:
-    """A scene's splats ``(H, W, 3)``, 0-1, or the heat map of their errors if that is chosen."""
+    """A scene's splats ``(H, W, 3)``, 0-1, or the heat map of their errors if that is chosen.
+
+    Parameters
+    ----------
+    views : dict
+        What draws each scene.
+    scene : Opened
+    pose : Pose
+    width, height : int
+    shown : Shown
+    draft : int
+        From 1 on, splats are drawn as drafts, of one Gaussian in so many.
+    """
+
+    def splats(each: Opened) -> NDArray[np.float32]:
+        drawer, look = drawer_of(views, each), shown.look(each)
+        if draft:
+            return drawer.draft(pose, width, height, look, draft)
+        return drawer.exact(pose, width, height, look)
+
     if shown.shows_error(scene):
-        return error_image(*(splats(views, each, pose, width, height) for each in shown.scenes))
-    return np.clip(splats(views, scene, pose, width, height), 0, 1)
+        return error_image(*map(splats, shown.scenes))
+    return np.clip(splats(scene), 0, 1)
 
 
 def splats(
-    views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
+    views: dict[Opened, Drawer], scene: Opened, pose: Pose, width: int, height: int
 ) -> NDArray[np.float32]:
-    """A scene drawn by the rasteriser; `views` caches its renderer and last pictures."""
-    camera = pose.camera(width, height)
-    if scene not in views:
-        views[scene] = gs_codec.render(scene.cloud, [camera]), {}
-    renderer, pictures = views[scene]
-    key = pose, width, height
-    if key not in pictures:
-        pictures[key] = renderer.draw(camera).colour
-        for old in list(pictures)[:-_KEPT]:
-            del pictures[old]
-    return pictures[key]
+    """A scene as it is ``(H, W, 3)``, whatever appearance is chosen: what is measured."""
+    return drawer_of(views, scene).exact(pose, width, height)
 
 
-def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> str:
+def measure(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> str:
     """PSNR and SSIM of the second scene against the first, in the camera's own frame."""
     width, height = pose.measured
     if min(width, height) < _LEAST_SIDE:

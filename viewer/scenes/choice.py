@@ -34,6 +34,28 @@ class OctreeChoice:
     colouring: str = "occupancy"
 
 
+@dataclass(frozen=True)
+class Appearance:
+    """How splats are drawn in panes and saved pictures; what is measured does not depend on it.
+
+    Attributes
+    ----------
+    sh_degree : int, 0-3
+        Highest SH degree of their colours.
+    scale : float, 0.05-2
+        Factor on their axes.
+    least_opacity : float, 0-1
+        Gaussians of lower opacity are not drawn, neither as splats nor as centres.
+    background : tuple of three float, 0-1
+        RGB behind everything.
+    """
+
+    sh_degree: int = 3
+    scale: float = 1.0
+    least_opacity: float = 0.0
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 @dataclass
 class Choice:
     """What is shown of the scenes, and how.
@@ -53,6 +75,7 @@ class Choice:
     up : str
         Name of the up axis, in `UPS` or "cameras".
     octree : OctreeChoice
+    appearance : Appearance
     """
 
     layers: set[str]
@@ -62,3 +85,4 @@ class Choice:
     wipe: float = 0.5
     up: str = "-y"
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    appearance: Appearance = field(default_factory=Appearance)

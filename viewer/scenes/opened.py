@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.files.scenes import gaussian_bits_of_file, read_scene, turn_scene
-from gs_codec.formats.cloud import to_cloud, turn_cloud
+from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
-from gs_codec.scene import SH_C0, SH_COEFFICIENTS, float_bytes
+from gs_codec.scene import ANTIALIASED, SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -56,6 +56,8 @@ class Opened:
         The coordinate system of the file.
     path : Path
         Of the file; a cloud has none.
+    antialiased : bool
+        Whether it is drawn with opacity compensation, as its file says.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Opened:
     info: Any = None
     system: str = CONVENTION
     path: Path = Path()
+    antialiased: bool = False
 
     @property
     def title(self) -> str:
@@ -74,6 +77,12 @@ class Opened:
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.positions)
+
+    @cached_property
+    def gaussians(self) -> Scene:
+        """Its Gaussians as gs_codec's rasterisers take them; shares memory with the cloud."""
+        comments = (ANTIALIASED,) if self.antialiased else ()
+        return replace(from_cloud(self.cloud, "drop"), comments=comments)
 
     @cached_property
     def positions(self) -> NDArray[np.float32]:
@@ -167,7 +176,8 @@ def open_scene(
     except gs_codec.GsCodecError:  # not an .egs file
         info = None
     path, system = Path(source), system_of(scene)
-    return Opened(path.name, cloud, os.path.getsize(path), info, system, path)
+    size, antialiased = os.path.getsize(path), scene.antialiased
+    return Opened(path.name, cloud, size, info, system, path, antialiased=antialiased)
 
 
 def turned(scene: Opened) -> Opened:

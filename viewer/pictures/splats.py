@@ -1,0 +1,101 @@
+"""Splats drawn by gs_codec's rasterisers: exact ones, which are measured, and drafts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.inria import as_camera
+from gs_codec.rendering.renderer import Rendering, render
+from gs_codec.scene import Scene
+from viewer.scenes.appearance import Look, gaussians_drawn
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import Pose
+
+#: The scene as it is.
+_PLAIN = Look()
+
+#: Pictures kept per scene: of a pane while a wipe moves over it, and of the frame.
+_KEPT = 4
+
+
+class Drawer:
+    """Draws one scene; keeps what pictures are made of, and the last of them.
+
+    Parameters
+    ----------
+    scene : Opened
+    """
+
+    def __init__(self, scene: Opened) -> None:
+        self._scene = scene
+        self._pictures: list[tuple[tuple, Look, NDArray[np.float32]]] = []
+        self._gaussians: tuple[Look, dict[int, Scene]] = _PLAIN, {1: scene.gaussians}
+
+    def exact(
+        self, pose: Pose, width: int, height: int, look: Look = _PLAIN
+    ) -> NDArray[np.float32]:
+        """The picture ``(H, W, 3)`` by the renderer that `gs_codec.compare` measures with."""
+
+        def draw() -> NDArray[np.float32]:
+            return self.render(pose, width, height, look).colour
+
+        return self._known((pose, width, height, 0), look, draw)
+
+    def draft(
+        self, pose: Pose, width: int, height: int, look: Look = _PLAIN, every: int = 1
+    ) -> NDArray[np.float32]:
+        """The picture ``(H, W, 3)`` by the faster rasteriser that refinement uses, in float32.
+
+        It is of one Gaussian in `every`, the larger for it.
+        """
+
+        def draw() -> NDArray[np.float32]:
+            camera = as_camera(pose.camera(width, height))
+            frame = make_frame(self._drawn(look, every), camera)
+            return frame.draw_rows(look.appearance.background)[0]
+
+        return self._known((pose, width, height, every), look, draw)
+
+    def render(self, pose: Pose, width: int, height: int, look: Look = _PLAIN) -> Rendering:
+        """What the exact renderer gives; nothing of it is kept."""
+        camera = as_camera(pose.camera(width, height))
+        # What is measured and what is shown may take turns.
+        scene = self._scene.gaussians if look.is_same(_PLAIN) else self._drawn(look)
+        return render(scene, camera, look.appearance.background)
+
+    def _drawn(self, look: Look, every: int = 1) -> Scene:
+        """The Gaussians that a look draws, or one in `every`."""
+        known, scenes = self._gaussians
+        if not known.is_same(look):
+            scenes = {1: gaussians_drawn(self._scene, look)}
+            self._gaussians = look, scenes
+        if every not in scenes:
+            some = scenes[1].take(np.arange(0, scenes[1].count, every))
+            # Each covers the area of all that it stands for.
+            larger = some.log_scale + np.float32(math.log(every) / 2)
+            scenes[every] = replace(some, log_scale=larger)
+        return scenes[every]
+
+    def _known(
+        self, key: tuple, look: Look, draw: Callable[[], NDArray[np.float32]]
+    ) -> NDArray[np.float32]:
+        """A picture, drawn unless it is one of the last."""
+        for known, of, picture in list(self._pictures):
+            if known == key and of.drawn is look.drawn and of.appearance == look.appearance:
+                return picture
+        picture = draw()
+        self._pictures = [*self._pictures[1 - _KEPT :], (key, look, picture)]
+        return picture
+
+
+def drawer_of(views: dict[Opened, Drawer], scene: Opened) -> Drawer:
+    """What draws a scene, made once."""
+    if scene not in views:
+        views[scene] = Drawer(scene)
+    return views[scene]

@@ -26,10 +26,9 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
-from viewer import screenshot
 from viewer.main import app, main
+from viewer.pictures import screenshot
 from viewer.pictures.layers import (
-    LAYERS,
     Points,
     box_lines,
     centres,
@@ -50,7 +49,7 @@ from viewer.pictures.picture import (
     wiped,
 )
 from viewer.pictures.screenshot import draw_request
-from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.choice import LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened, open_scene, read_pruned, turned
 from viewer.scenes.pose import UPS, Pose, look_at, of_camera, overview, up_of

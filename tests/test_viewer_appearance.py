@@ -47,7 +47,7 @@ def test_a_draft_is_the_exact_picture_but_for_rounding(scene, gaussians):
     draft = Drawer(scene).draft(POSE, *SIZE)
     assert draft.dtype == np.float32
     assert np.ptp(draft) > 0.5
-    assert psnr(draft, exact(gaussians)) > 70
+    assert psnr(draft, exact(gaussians)) > 90
 
 
 def test_a_draft_of_a_real_scene_is_the_exact_picture_but_for_rounding():
@@ -58,7 +58,7 @@ def test_a_draft_of_a_real_scene_is_the_exact_picture_but_for_rounding():
     [camera, *_] = gs_codec.render(real.cloud, path.parent / "cameras.json").cameras
     drawer, pose = Drawer(real), of_camera(camera)
     size = camera.width, camera.height
-    assert psnr(drawer.draft(pose, *size), drawer.exact(pose, *size)) > 70
+    assert psnr(drawer.draft(pose, *size), drawer.exact(pose, *size)) > 90
 
 
 def test_a_draft_does_not_depend_on_the_threads(scene):
@@ -72,7 +72,7 @@ def test_a_draft_does_not_depend_on_the_threads(scene):
 def test_a_coarser_draft_is_of_fewer_larger_gaussians(scene, gaussians):
     some = gaussians.take(np.arange(0, 5000, 4))
     expected = exact(replace(some, log_scale=some.log_scale + np.float32(np.log(2))))
-    assert psnr(Drawer(scene).draft(POSE, *SIZE, every=4), expected) > 70
+    assert psnr(Drawer(scene).draft(POSE, *SIZE, every=4), expected) > 90
 
 
 def test_a_scene_is_drawn_with_the_opacities_that_its_file_asks_for(gaussians, tmp_path):
@@ -98,7 +98,7 @@ def test_appearances_change_what_is_drawn(scene, gaussians, draft):
     for appearance, other in expected.items():
         shown = Shown(("splats",), scenes=(scene,), appearance=appearance)
         drawn = picture({}, scene, POSE, *SIZE, shown, draft)
-        assert psnr(drawn, np.clip(exact(other), 0, 1)) > 70
+        assert psnr(drawn, np.clip(exact(other), 0, 1)) > 90
         assert psnr(drawn, np.clip(plain, 0, 1)) < 45
 
 
@@ -124,10 +124,10 @@ def test_hidden_gaussians_are_not_drawn(scene, gaussians):
     views = {}
     for draft in (0, 1):
         drawn = picture(views, scene, POSE, *SIZE, shown, draft)
-        assert psnr(drawn, np.clip(expected, 0, 1)) > 70
+        assert psnr(drawn, np.clip(expected, 0, 1)) > 90
     # Other arrays are other drawings.
     drawn = picture(views, scene, POSE, *SIZE, replace(shown, drawn={scene: ~mask}))
-    assert psnr(drawn, np.clip(exact(gaussians.take(~mask)), 0, 1)) > 70
+    assert psnr(drawn, np.clip(exact(gaussians.take(~mask)), 0, 1)) > 90
 
 
 def test_nothing_is_drawn_where_all_is_hidden(scene):

@@ -35,7 +35,8 @@ class Drawer:
     def __init__(self, scene: Opened) -> None:
         self._scene = scene
         self._pictures: list[tuple[tuple, Look, NDArray[np.float32]]] = []
-        self._gaussians: tuple[Look, dict[int, Scene]] = _PLAIN, {1: scene.gaussians}
+        self._all = _PLAIN, scene.gaussians
+        self._some = _PLAIN, 1, scene.gaussians
 
     def exact(
         self, pose: Pose, width: int, height: int, look: Look = _PLAIN
@@ -71,16 +72,20 @@ class Drawer:
 
     def _drawn(self, look: Look, every: int = 1) -> Scene:
         """The Gaussians that a look draws, or one in `every`."""
-        known, scenes = self._gaussians
+        known, scene = self._all
         if not known.is_same(look):
-            scenes = {1: gaussians_drawn(self._scene, look)}
-            self._gaussians = look, scenes
-        if every not in scenes:
-            some = scenes[1].take(np.arange(0, scenes[1].count, every))
+            scene = gaussians_drawn(self._scene, look)
+            self._all = look, scene
+        if every == 1:
+            return scene
+        known, number, some = self._some
+        if number != every or not known.is_same(look):
+            some = scene.take(np.arange(0, scene.count, every))
             # Each covers the area of all that it stands for.
             larger = some.log_scale + np.float32(math.log(every) / 2)
-            scenes[every] = replace(some, log_scale=larger)
-        return scenes[every]
+            some = replace(some, log_scale=larger)
+            self._some = look, every, some
+        return some
 
     def _known(
         self, key: tuple, look: Look, draw: Callable[[], NDArray[np.float32]]

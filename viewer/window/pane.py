@@ -11,11 +11,11 @@ from open3d.visualization import gui, rendering
 
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
-from viewer.pictures.picture import BACKGROUND, CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
+from viewer.pictures.picture import CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
+from viewer.scenes.appearance import Look, which_drawn
+from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
-
-_BACKGROUND = (*BACKGROUND, 1.0)
 
 #: Near and far plane, relative to the farthest depth of the scene.
 _NEAR, _BEYOND = 1e-4, 1.1
@@ -54,13 +54,16 @@ class Pane:
         self.points: dict[str, Points] = {}
         self.widget = gui.SceneWidget()
         self.widget.scene = rendering.Open3DScene(window.renderer)
-        self.widget.scene.set_background(_BACKGROUND)
         self.widget.scene.show_skybox(False)
         view = self.widget.scene.view
         # Off: colours stay unchanged, and frames take half the time.
         view.set_post_processing(False)
         view.set_antialiasing(False)
         self._outlined: list | None = None
+        self._picture: NDArray[np.float32] | None = None
+        self._background = Appearance().background
+        self._splats: Look | None = None
+        self._show_background()
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
         self._corners = np.asarray(self._box.get_box_points())
@@ -96,13 +99,24 @@ class Pane:
         transform = np.linalg.inv(pose.extrinsics) @ nearby
         self.widget.scene.set_geometry_transform("outline", transform)
 
+    def set_background(self, colour: tuple[float, float, float]) -> None:
+        """Set the colour behind everything, RGB 0-1."""
+        if colour != self._background:
+            self._background = colour
+            self._show_background()
+
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""
         self._replace("draft", None, None)
-        if picture is None:
-            self.widget.scene.set_background(_BACKGROUND)
+        self._picture = picture
+        self._show_background()
+
+    def _show_background(self) -> None:
+        colour = (*self._background, 1.0)
+        if self._picture is None:
+            self.widget.scene.set_background(colour)
         else:
-            self.widget.scene.set_background(_BACKGROUND, picture_of(picture))
+            self.widget.scene.set_background(colour, picture_of(self._picture))
         self.widget.force_redraw()
 
     def show_points(self, name: str, points: Points | None) -> None:
@@ -137,12 +151,15 @@ class Pane:
         material.line_width = 1.5
         self._replace("boxes", lines, material)
 
-    def show_splats(self, wanted: bool) -> None:
+    def show_splats(self, look: Look | None) -> None:
         """Draw the splats with Open3D's own shader, or stop doing so."""
-        if not wanted:
+        known, self._splats = self._splats, look
+        if look is None:
             self._replace("splats", None, None)
-        elif not self.widget.scene.has_geometry("splats"):
-            self._replace("splats", splat_cloud(self.scene), splat_material(self.scene))
+        elif known is None or not known.is_same(look):
+            cloud = splat_cloud(self.scene, look)
+            material = splat_material(self.scene, look.appearance)
+            self._replace("splats", cloud if len(cloud.point.positions) else None, material)
 
     def _replace(self, name: str, geometry: Any, material: Any) -> None:
         scene = self.widget.scene
@@ -205,20 +222,27 @@ def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialR
     return mesh, material
 
 
-def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:
-    """The cloud for Open3D's splat shader, which needs unit quaternions."""
-    cloud = scene.cloud.clone()
+def splat_cloud(scene: Opened, look: Look) -> o3d.t.geometry.PointCloud:
+    """The cloud of the Gaussians drawn for Open3D's splat shader, which needs unit quaternions."""
+    mask = which_drawn(scene, look)
+    if mask is None:
+        cloud = scene.cloud.clone()
+    else:
+        cloud = scene.cloud.select_by_mask(o3d.core.Tensor.from_numpy(mask))
     rot = cloud.point["rot"].numpy()
     length = np.linalg.norm(rot, axis=1, keepdims=True)
     cloud.point["rot"] = _tensor(rot / np.where(length > 0, length, 1))
+    if look.appearance.scale != 1:
+        cloud.point["scale"] = cloud.point["scale"] * look.appearance.scale
     return cloud
 
 
-def splat_material(scene: Opened) -> rendering.MaterialRecord:
+def splat_material(scene: Opened, appearance: Appearance) -> rendering.MaterialRecord:
     """The material of Open3D's splat shader."""
     material = rendering.MaterialRecord()
     material.shader = "gaussianSplat"
-    material.gaussian_splat_sh_degree = min(scene.sh_degree, _MAX_DEGREE)
+    degree = min(scene.sh_degree, appearance.sh_degree, _MAX_DEGREE)
+    material.gaussian_splat_sh_degree = degree
     return material
 
 

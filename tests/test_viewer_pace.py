@@ -102,7 +102,7 @@ def test_a_move_does_not_wait_for_a_full_picture(pace):
 def test_a_dropped_picture_makes_way(pace):
     pace.move(10.0)
     assert pace.next(10.0) is not None
-    pace.stop()
+    pace.drop()
     pace.move(10.1)
     assert pace.next(10.1) is not None
 

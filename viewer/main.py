@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated
 
 import typer
@@ -117,9 +118,18 @@ def command(
     from viewer.window.device import find_device
 
     device = find_device()
+    _leave_out_plotly()
     from viewer.window.viewer import run
 
     run(request, device)
+
+
+def _leave_out_plotly() -> None:
+    """Let Open3D not import Plotly and Dash, which takes longer than all else it imports."""
+    name, module = "open3d.visualization.draw_plotly", ModuleType("draw_plotly")
+    for each in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
+        setattr(module, each, None)
+    sys.modules.setdefault(name, module)
 
 
 def main() -> None:

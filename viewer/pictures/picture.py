@@ -190,13 +190,42 @@ def splats(
     return drawer_of(views, scene).exact(pose, width, height)
 
 
-def measure(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> str:
-    """PSNR and SSIM of the second scene against the first, in the camera's own frame."""
+def depth_at(
+    views: dict[Opened, Drawer],
+    scene: Opened,
+    pose: Pose,
+    at: tuple[float, float],
+    size: tuple[int, int],
+    shown: Shown,
+) -> float:
+    """The depth of what is seen at a pixel of a picture of this size; 0 where nothing is."""
+    _, _, cx, cy = pose.lens(*size)
+    camera = pose.camera(*size) | {
+        "width": 1,
+        "height": 1,
+        "cx": cx - at[0] + 0.5,
+        "cy": cy - at[1] + 0.5,
+    }
+    seen = drawer_of(views, scene).render(camera, shown.look(scene))
+    return float(seen.depth[0, 0])
+
+
+def quality(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> Any:
+    """`gs_codec.compare_images` of two scenes in the camera's frame; None if it is too small."""
     width, height = pose.measured
     if min(width, height) < _LEAST_SIDE:
-        return f"frame of {width}x{height}: too small"
+        return None
     images = [splats(views, scene, pose, width, height) for scene in scenes]
-    return quality_text(gs_codec.compare_images(*images))
+    return gs_codec.compare_images(*images)
+
+
+def measure(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> str:
+    """`quality` as text."""
+    found = quality(views, scenes, pose)
+    if found is None:
+        width, height = pose.measured
+        return f"frame of {width}x{height}: too small"
+    return quality_text(found)
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:

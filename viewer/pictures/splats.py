@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ class Drawer:
         """The picture ``(H, W, 3)`` by the renderer that `gs_codec.compare` measures with."""
 
         def draw() -> NDArray[np.float32]:
-            return self.render(pose, width, height, look).colour
+            return self.render(pose.camera(width, height), look).colour
 
         return self._known((pose, width, height, 0), look, draw)
 
@@ -63,12 +64,11 @@ class Drawer:
 
         return self._known((pose, width, height, every), look, draw)
 
-    def render(self, pose: Pose, width: int, height: int, look: Look = _PLAIN) -> Rendering:
-        """What the exact renderer gives; nothing of it is kept."""
-        camera = as_camera(pose.camera(width, height))
+    def render(self, camera: dict[str, Any], look: Look = _PLAIN) -> Rendering:
+        """What the exact renderer gives for an entry of ``cameras.json``; nothing of it is kept."""
         # What is measured and what is shown may take turns.
         scene = self._scene.gaussians if look.is_same(_PLAIN) else self._drawn(look)
-        return render(scene, camera, look.appearance.background)
+        return render(scene, as_camera(camera), look.appearance.background)
 
     def _drawn(self, look: Look, every: int = 1) -> Scene:
         """The Gaussians that a look draws, or one in `every`."""

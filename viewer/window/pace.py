@@ -112,6 +112,6 @@ class Pace:
             self._at = min(max(self._at + change, 0), len(self._steps) - 1)
             self._slow = self._quick = 0
 
-    def stop(self) -> None:
-        """The picture that was drawn is dropped."""
+    def drop(self) -> None:
+        """The picture that was begun is not drawn, or not shown."""
         self._drawing = None

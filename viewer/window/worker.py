@@ -36,7 +36,13 @@ class Worker:
         self._running: str | None = None
         self._changed = threading.Condition()
         self._ended = False
+        self._others: list[Worker] = []
         threading.Thread(target=self._run, daemon=True).start()
+
+    def another(self) -> Worker:
+        """A further thread, for jobs that these must not wait for; it ends with this one."""
+        self._others.append(Worker(self._post))
+        return self._others[-1]
 
     def submit(
         self,
@@ -71,17 +77,24 @@ class Worker:
         return progress
 
     @property
+    def kinds(self) -> set[str]:
+        """The kinds of the jobs that wait or run."""
+        with self._changed:
+            return {*self._waiting, *filter(None, [self._running])}
+
+    @property
     def busy(self) -> bool:
         """Whether any job waits or runs."""
-        with self._changed:
-            return bool(self._waiting) or self._running is not None
+        return bool(self.kinds)
 
     def end(self) -> None:
-        """Let the thread end after its current job."""
+        """Let the thread end after its current job, and further ones too."""
         with self._changed:
             self._ended = True
             self._waiting.clear()
             self._changed.notify()
+        for other in self._others:
+            other.end()
 
     def _run(self) -> None:
         while True:

@@ -235,6 +235,12 @@ def test_without_cameras_the_first_picture_is_upright_and_stays(chosen, folder):
     assert chosen["drawn"] > 10
 
 
+def test_centres_show_before_it_is_known_where_to_look_from(chosen):
+    waits, drawn = chosen["preview"]
+    assert waits
+    assert drawn > 1
+
+
 def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(chosen):
     assert chosen["where"][2] == "view 1 of 24: auto_01"
     assert np.abs(np.array(chosen["n"]) - chosen["at_first"]).max() > 0.05

@@ -16,7 +16,7 @@ _BUDGET, _SLOW, _QUICK = 0.1, 2, 3
 _AT_ONCE = 0.4
 
 #: Sizes of drafts and the Gaussians they are of, each step about half the work of the one before.
-_STEPS = ((1, 1), (2, 1), (2, 2), (2, 4), (3, 8), (4, 16), (6, 32))
+_STEPS = ((1, 1), (2, 1), (2, 2), (2, 4), (2, 8), (3, 8), (3, 16), (4, 16), (6, 32))
 
 #: A scene is thinned to no fewer Gaussians: then it is the pixels that take time. The first draft
 #: is of at most so many.

@@ -31,6 +31,10 @@ _BEFORE, _OUTLINE = 1.5, 1.5
 #: Sizes of points by their name; of others `POINT_SIZE`.
 _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE}
 
+#: Frames until the pane changes its size for an instant, after splats were removed from it: without
+#: this, Open3D would go on showing them instead of anything else.
+_STUCK = 4
+
 #: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2
 
@@ -63,6 +67,7 @@ class Pane:
         self._picture: NDArray[np.float32] | None = None
         self._background = Appearance().background
         self._splats: Look | None = None
+        self._stuck = 0
         self._show_background()
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
@@ -112,11 +117,11 @@ class Pane:
         self._show_background()
 
     def _show_background(self) -> None:
-        colour = (*self._background, 1.0)
-        if self._picture is None:
-            self.widget.scene.set_background(colour)
-        else:
-            self.widget.scene.set_background(colour, picture_of(self._picture))
+        picture = self._picture
+        if picture is None:
+            # Open3D takes a colour as sRGB, but shows pictures as they are.
+            picture = np.full((1, 1, 3), self._background, np.float32)
+        self.widget.scene.set_background((0.0, 0.0, 0.0, 1.0), picture_of(picture))
         self.widget.force_redraw()
 
     def show_points(self, name: str, points: Points | None) -> None:
@@ -156,10 +161,23 @@ class Pane:
         known, self._splats = self._splats, look
         if look is None:
             self._replace("splats", None, None)
+            self._stuck = _STUCK if known is not None else self._stuck
         elif known is None or not known.is_same(look):
             cloud = splat_cloud(self.scene, look)
             material = splat_material(self.scene, look.appearance)
             self._replace("splats", cloud if len(cloud.point.positions) else None, material)
+
+    def tick(self) -> bool:
+        """Get rid of splats that were removed; tell whether the window is to be drawn."""
+        if not self._stuck:
+            return False
+        self._stuck -= 1
+        if not self._stuck:
+            frame = self.widget.frame
+            self.widget.frame = gui.Rect(frame.x, frame.y, frame.width, frame.height + 1)
+            self.widget.frame = frame
+        self.widget.force_redraw()
+        return True
 
     def _replace(self, name: str, geometry: Any, material: Any) -> None:
         scene = self.widget.scene

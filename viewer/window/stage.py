@@ -365,7 +365,8 @@ class Stage:
             # Open3D sets its own near and far planes when the size of a pane changes.
             self._laid_out = False
             self._look()
-        return self.painter.tick() or looked
+        stuck = [pane.tick() for pane in self.panes]
+        return self.painter.tick() or looked or any(stuck)
 
 
 def _same_centres(before: Shown, after: Shown) -> bool:

@@ -10,7 +10,6 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from drive_viewer import Driver, grab, tell
 
 from viewer.scenes.request import Request

@@ -23,6 +23,7 @@ from viewer.scenes.appearance import Look, gaussians_drawn
 from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened, open_scene
 from viewer.scenes.pose import Pose, of_camera
+from viewer.window.pane import splat_cloud, splat_material
 
 POSE = Pose(np.eye(3), np.array([0.0, 0.0, -4.0]), frame=(120, 80))
 SIZE = (120, 80)
@@ -148,6 +149,22 @@ def test_centres_of_hidden_and_of_faint_gaussians_are_left_out(scene, colouring)
     np.testing.assert_array_equal(some.positions, all_of.positions[kept])
     np.testing.assert_array_equal(some.colours, all_of.colours[kept])
     assert len(centres(scene, colouring, [scene, other], 100, look).positions) <= 100
+
+
+def test_the_shader_gets_the_gaussians_that_are_drawn(scene):
+    mask = np.arange(5000) % 3 > 0
+    cloud = splat_cloud(scene, Look(Appearance(scale=0.5), mask)).point
+    np.testing.assert_array_equal(cloud.positions.numpy(), scene.positions[mask])
+    np.testing.assert_array_equal(
+        cloud["scale"].numpy(), scene.cloud.point["scale"].numpy()[mask] / 2
+    )
+    lengths = np.linalg.norm(cloud["rot"].numpy(), axis=1)
+    np.testing.assert_allclose(lengths, 1, rtol=1e-6)
+    degrees = [
+        splat_material(scene, Appearance(sh_degree=degree)).gaussian_splat_sh_degree
+        for degree in range(4)
+    ]
+    assert degrees == [0, 1, 2, 2]
 
 
 def test_what_is_measured_does_not_depend_on_the_appearance(scene, gaussians):

@@ -108,6 +108,16 @@ def test_what_is_of_one_scene_alone_shows_there(found, layer, owner):
     assert apart <= 4
 
 
+def test_appearances_and_hidden_gaussians_change_the_panes_but_no_numbers(found):
+    changed = found["appearances"]
+    assert min(changed[name] for name in ("background", "scale", "least opacity")) > 1000
+    assert changed["teal"] > 1000
+    hidden, whole = changed["hidden"]
+    assert hidden < whole / 2
+    assert changed["quality"] == found["quality"]
+    assert changed["apart"] <= 4
+
+
 def test_the_depth_of_the_octree_follows_the_slider(found):
     depths = found["octree"]["depths"]
     assert min(depths) == 1

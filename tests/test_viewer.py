@@ -43,12 +43,12 @@ from viewer.pictures.picture import (
     Shown,
     draw_points,
     draw_scene,
-    measure,
     outlined,
     wipe_line,
     wiped,
 )
 from viewer.pictures.screenshot import draw_request
+from viewer.pictures.splats import measure
 from viewer.scenes.choice import LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened, open_scene, read_pruned, turned

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-import gs_codec
 from viewer.pictures.cubes import Cubes, draw_cubes
 from viewer.pictures.layers import (
     EDGES,
@@ -30,7 +29,6 @@ from viewer.pictures.octree import Octree
 from viewer.pictures.splats import Drawer, drawer_of
 from viewer.scenes.appearance import Look
 from viewer.scenes.choice import Appearance, OctreeChoice
-from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
 
@@ -41,14 +39,11 @@ PRUNED_SIZE = CELL_SIZE = 3
 #: Nothing nearer to the camera than this is drawn, scene units.
 _NEAR = 1e-3
 
-#: SSIM needs pictures of at least this size, pixels.
-_LEAST_SIDE = 11
-
 #: Width of the line of a wipe, pixels; RGB of this line and of the outlines of frames.
 WIPE_LINE = 8
 LINE_COLOUR = (0.85, 0.85, 0.85)
 
-#: RGB of the background.
+#: RGB behind charts.
 BACKGROUND = (0.07, 0.07, 0.08)
 #: Height of text and length of the bar of a legend, pixels.
 _TEXT, _BAR = 13, 200
@@ -172,60 +167,15 @@ def picture(
         From 1 on, splats are drawn as drafts, of one Gaussian in so many.
     """
 
-    def splats(each: Opened) -> NDArray[np.float32]:
+    def draw(each: Opened) -> NDArray[np.float32]:
         drawer, look = drawer_of(views, each), shown.look(each)
         if draft:
             return drawer.draft(pose, width, height, look, draft)
         return drawer.exact(pose, width, height, look)
 
     if shown.shows_error(scene):
-        return error_image(*map(splats, shown.scenes))
-    return np.clip(splats(scene), 0, 1)
-
-
-def splats(
-    views: dict[Opened, Drawer], scene: Opened, pose: Pose, width: int, height: int
-) -> NDArray[np.float32]:
-    """A scene as it is ``(H, W, 3)``, whatever appearance is chosen: what is measured."""
-    return drawer_of(views, scene).exact(pose, width, height)
-
-
-def depth_at(
-    views: dict[Opened, Drawer],
-    scene: Opened,
-    pose: Pose,
-    at: tuple[float, float],
-    size: tuple[int, int],
-    shown: Shown,
-) -> float:
-    """The depth of what is seen at a pixel of a picture of this size; 0 where nothing is."""
-    _, _, cx, cy = pose.lens(*size)
-    camera = pose.camera(*size) | {
-        "width": 1,
-        "height": 1,
-        "cx": cx - at[0] + 0.5,
-        "cy": cy - at[1] + 0.5,
-    }
-    seen = drawer_of(views, scene).render(camera, shown.look(scene))
-    return float(seen.depth[0, 0])
-
-
-def quality(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> Any:
-    """`gs_codec.compare_images` of two scenes in the camera's frame; None if it is too small."""
-    width, height = pose.measured
-    if min(width, height) < _LEAST_SIDE:
-        return None
-    images = [splats(views, scene, pose, width, height) for scene in scenes]
-    return gs_codec.compare_images(*images)
-
-
-def measure(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> str:
-    """`quality` as text."""
-    found = quality(views, scenes, pose)
-    if found is None:
-        width, height = pose.measured
-        return f"frame of {width}x{height}: too small"
-    return quality_text(found)
+        return error_image(*map(draw, shown.scenes))
+    return np.clip(draw(scene), 0, 1)
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:

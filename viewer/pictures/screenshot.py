@@ -19,7 +19,6 @@ from viewer.pictures.picture import (
     draw_scene,
     from_pillow,
     labelled,
-    measure,
     outlined,
     side_by_side,
     to_pillow,
@@ -27,6 +26,7 @@ from viewer.pictures.picture import (
     wiped,
     write_reasons,
 )
+from viewer.pictures.splats import measure
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.request import Request, find_pruned, find_views, first_view

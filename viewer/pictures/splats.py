@@ -1,20 +1,22 @@
-"""Splats drawn by gs_codec's rasterisers: exact ones, which are measured, and drafts."""
+"""Splats drawn by gs_codec's rasterisers: exact ones, of which numbers are taken, and drafts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import gs_codec
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.renderer import Rendering, render
 from gs_codec.scene import Scene
 from viewer.scenes.appearance import Look, gaussians_drawn
+from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 
@@ -23,6 +25,9 @@ _PLAIN = Look()
 
 #: Pictures kept per scene: of a pane while a wipe moves over it, and of the frame.
 _KEPT = 4
+
+#: SSIM needs pictures of at least this size, pixels.
+_LEAST_SIDE = 11
 
 
 class Drawer:
@@ -104,3 +109,48 @@ def drawer_of(views: dict[Opened, Drawer], scene: Opened) -> Drawer:
     if scene not in views:
         views[scene] = Drawer(scene)
     return views[scene]
+
+
+def splats(
+    views: dict[Opened, Drawer], scene: Opened, pose: Pose, width: int, height: int
+) -> NDArray[np.float32]:
+    """A scene as it is ``(H, W, 3)``, whatever appearance is chosen: what is measured."""
+    return drawer_of(views, scene).exact(pose, width, height)
+
+
+def depth_at(
+    views: dict[Opened, Drawer],
+    scene: Opened,
+    pose: Pose,
+    at: tuple[float, float],
+    size: tuple[int, int],
+    look: Look,
+) -> float:
+    """The depth of what is seen at a pixel of a picture of this size; 0 where nothing is."""
+    _, _, cx, cy = pose.lens(*size)
+    camera = pose.camera(*size) | {
+        "width": 1,
+        "height": 1,
+        "cx": cx - at[0] + 0.5,
+        "cy": cy - at[1] + 0.5,
+    }
+    seen = drawer_of(views, scene).render(camera, look)
+    return float(seen.depth[0, 0])
+
+
+def quality(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> Any:
+    """`gs_codec.compare_images` of two scenes in the camera's frame; None if it is too small."""
+    width, height = pose.measured
+    if min(width, height) < _LEAST_SIDE:
+        return None
+    images = [splats(views, scene, pose, width, height) for scene in scenes]
+    return gs_codec.compare_images(*images)
+
+
+def measure(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> str:
+    """`quality` as text."""
+    found = quality(views, scenes, pose)
+    if found is None:
+        width, height = pose.measured
+        return f"frame of {width}x{height}: too small"
+    return quality_text(found)

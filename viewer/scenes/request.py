@@ -8,6 +8,7 @@ from typing import Any
 
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
+from gs_codec.rendering.cameras import find_cameras
 from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES, OctreeChoice
 from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
 from viewer.scenes.pose import UPS
@@ -135,7 +136,7 @@ def find_views(request: Request, scene: Opened) -> Views:
     if request.chosen:
         views = choose_views(scene, request.up, 1 if request.view is None else COUNT)
     else:
-        views = given_views(gs_codec.render(scene.cloud, request.cameras).cameras)
+        views = given_views(find_cameras(request.cameras, scene.gaussians))
     number = len(views.cameras)
     if request.view is not None and not 0 <= request.view < number:
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {number - 1}")

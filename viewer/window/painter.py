@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewer.pictures.picture import Shown, measure, picture
-from viewer.pictures.splats import Drawer
+from viewer.pictures.picture import Shown, picture
+from viewer.pictures.splats import measure
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.window.pace import Pace, Step
@@ -36,8 +36,6 @@ class Painter:
 
     Attributes
     ----------
-    views : dict
-        What draws each scene, and its last pictures.
     until : callable or None
         Nothing is drawn until it returns True.
     """
@@ -50,7 +48,6 @@ class Painter:
         self._pace = Pace()
         self._measured: tuple[Pose | None, str] = (None, "")
         self._painted = False
-        self.views: dict[Opened, Drawer] = {}
         self.until: Callable[[], bool] | None = None
 
     def put(self, scenes: list[Opened]) -> None:
@@ -59,7 +56,6 @@ class Painter:
         self._stage.worker.cancel("measure")
         self._pace.put(sum(scene.count for scene in scenes))
         self._measured, self._painted = (None, ""), False
-        self.views = {scene: view for scene, view in self.views.items() if scene in scenes}
 
     def move(self) -> None:
         """Draw anew; more moves may follow."""
@@ -101,8 +97,7 @@ class Painter:
             self._draw(step, shown, wanted)
         else:
             self._pace.drop()
-            if self._painted:
-                self._show(stage.pose, stage.visible, [None] * len(wanted))
+            self._show(stage.pose, stage.visible, [None] * len(wanted))
             if step.full:
                 self._changed()
         if step.full:
@@ -111,7 +106,7 @@ class Painter:
 
     def _draw(self, step: Step, shown: Shown, wanted: list[bool]) -> None:
         """Draw the pictures of the visible panes, of those that want one."""
-        stage, views = self._stage, self.views
+        stage, views = self._stage, self._stage.views
         visible, pose, columns, (_, height) = (
             list(stage.visible), stage.pose, stage.columns, stage.size,
         )  # fmt: skip
@@ -156,7 +151,7 @@ class Painter:
 
     def _measure(self) -> None:
         """Start measuring B in the frame of the present view, unless that is done."""
-        stage, views = self._stage, self.views
+        stage, views = self._stage, self._stage.views
         scenes, pose = list(stage.scenes), stage.pose
         if len(scenes) < 2 or self._measured[0] is pose:
             return

@@ -112,7 +112,10 @@ class Pane:
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""
-        self._replace("draft", None, None)
+        if self.widget.scene.has_geometry("draft"):
+            self._replace("draft", None, None)
+        if picture is None and self._picture is None:
+            return
         self._picture = picture
         self._show_background()
 
@@ -159,13 +162,15 @@ class Pane:
     def show_splats(self, look: Look | None) -> None:
         """Draw the splats with Open3D's own shader, or stop doing so."""
         known, self._splats = self._splats, look
+        drawn = self.widget.scene.has_geometry("splats")
         if look is None:
             self._replace("splats", None, None)
-            self._stuck = _STUCK if known is not None else self._stuck
         elif known is None or not known.is_same(look):
             cloud = splat_cloud(self.scene, look)
             material = splat_material(self.scene, look.appearance)
             self._replace("splats", cloud if len(cloud.point.positions) else None, material)
+        if drawn and not self.widget.scene.has_geometry("splats"):
+            self._stuck = _STUCK
 
     def tick(self) -> bool:
         """Get rid of splats that were removed; tell whether the window is to be drawn."""

@@ -11,7 +11,8 @@ from open3d.visualization import gui
 
 from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points, centres, pruned_centres
 from viewer.pictures.octree import MOST_CUBES
-from viewer.pictures.picture import Shown, depth_at, wipe_line
+from viewer.pictures.picture import Shown, wipe_line
+from viewer.pictures.splats import Drawer, depth_at
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
@@ -56,6 +57,8 @@ class Stage:
     Attributes
     ----------
     scenes, panes : list
+    views : dict
+        What draws each scene, and its last pictures.
     pruned : Pruned or None
     drawn : dict of Opened to ndarray, shape (N,), bool
         Which Gaussians are drawn, of scenes that have hidden ones.
@@ -98,6 +101,7 @@ class Stage:
         self.divider = make_divider(window, self._slide)
         self.mouse = Mouse(self, clicked, focused)
         self.size, self._left = (1, 1), 0
+        self.views: dict[Opened, Drawer] = {}
         self.painter = Painter(self, changed, failed)
         self._coloured: Shown | None = None
         self._octree = OctreeLayer(worker, changed, failed)
@@ -112,6 +116,8 @@ class Stage:
             pane.widget.scene.clear_geometry()
         self.scenes = scenes
         self.drawn = {scene: mask for scene, mask in self.drawn.items() if scene in scenes}
+        # Not changed in place, because a job may still add to it.
+        self.views = {scene: self.views[scene] for scene in scenes if scene in self.views}
         self._coloured = None
         self.painter.put(scenes)
         self.panes = [Pane(self.window, scene) for scene in scenes]
@@ -141,8 +147,8 @@ class Stage:
             tuple(self.scenes),
             self.pruned,
             choice.octree,
-            choice.appearance,
-            dict(self.drawn),
+            appearance=choice.appearance,
+            drawn=dict(self.drawn),
         )
 
     @property
@@ -250,8 +256,8 @@ class Stage:
 
     def focus(self, pane: Pane, at: Place) -> None:
         """Bring what is at a pixel of a pane's picture to the middle."""
-        views, scene, pose, size = self.painter.views, pane.scene, self.pose, self.picture_size
-        shown = self.shown
+        views, scene, pose, size = self.views, pane.scene, self.pose, self.picture_size
+        look = self.shown.look(scene)
         if pose is None:
             return
 
@@ -260,7 +266,7 @@ class Stage:
                 self.look_from(focused(pose, at, depth, size), depth)
 
         def find(stale: Stale) -> float:
-            return depth_at(views, scene, pose, at, size, shown)
+            return depth_at(views, scene, pose, at, size, look)
 
         self.worker.submit("focus", find, done, self._failed)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from viewer.pictures.picture import quality, splats
+from viewer.pictures.splats import quality, splats
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.window.worker import Stale
@@ -71,7 +71,7 @@ class Survey:
         if not left or not scenes or (what == "decibels" and len(scenes) < 2):
             return
         number = left[0]
-        views = self._viewer.stage.painter.views
+        views = self._viewer.stage.views
 
         def done(value: Any) -> None:
             found[number] = value

@@ -498,6 +498,22 @@ def test_only_the_newest_job_of_a_kind_is_told():
     worker.end()
 
 
+def test_another_thread_does_not_wait_for_the_first_and_ends_with_it():
+    told, go_on, done = [], threading.Event(), threading.Event()
+    worker = Worker(lambda call: call())
+    worker.submit("load", lambda _: go_on.wait(10), told.append, told.append)
+    other = worker.another()
+    other.submit("picture", lambda _: 1, lambda result: (told.append(result), done.set()), print)
+    assert done.wait(10)
+    assert told == [1]
+    worker.end()
+    go_on.set()
+    other.submit("picture", lambda _: 2, told.append, told.append)
+    other.submit("picture", lambda _: 3, told.append, told.append)
+    time.sleep(0.05)
+    assert told == [1]
+
+
 def test_jobs_tell_how_far_they_are_and_end_when_nobody_waits():
     calls, told, went_on = [], [], []
     worker = Worker(calls.append)

@@ -221,7 +221,7 @@ class Viewer:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
         drawn = self.stage.tick()
         self.visits.tick()
-        return drawn or thrust is not None
+        return drawn or (thrust is not None and not self.stage.painter.leads)
 
     @property
     def busy(self) -> bool:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from viewer.scenes.pose import Pose, look_at, up_of
-from viewer.window.navigation import Navigator, distance_ahead
+from viewer.scenes.pose import Pose, distance_ahead, look_at, up_of
+from viewer.window.navigation import Navigator
 
 TARGET = np.array([0.5, -0.2, 1.0])
 POSE = look_at(np.array([2.0, -3.0, -5.0]), TARGET)

@@ -86,6 +86,7 @@ def compose(
     size: tuple[int, int],
     photograph: NDArray[np.float32] | None = None,
     front: int = 1,
+    views: dict[Opened, Any] | None = None,
 ) -> Image.Image:
     """One or two scenes, labelled, with the photograph beside them.
 
@@ -101,13 +102,15 @@ def compose(
     photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
     front : {0, 1}
         Which of two scenes ``flip`` shows.
+    views : dict, optional
+        Renderers of the scenes, kept from picture to picture.
     """
     width, height = size
     scenes = shown.scenes
     panes = 1 if mode != "side" else len(scenes)
     panes += photograph is not None
     width = (width - 2 * (panes - 1)) // panes
-    views: dict[Opened, Any] = {}
+    views = {} if views is None else views
     drawn = [draw_scene(scene, pose, width, height, shown, views) for scene in scenes]
     labels = shown.captions
     if len(scenes) > 1:

@@ -146,6 +146,11 @@ class Opened:
         return np.ascontiguousarray(self.cloud.point[name].numpy())
 
 
+def thinned(count: int, most: int) -> slice:
+    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
+    return slice(None, None, max(1, -(-count // max(most, 1))))
+
+
 def open_scene(
     source: Path | str | PointCloud,
     name: str = "",

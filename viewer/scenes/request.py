@@ -124,8 +124,8 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
             raise gs_codec.GsCodecError(f"{name} '{each}': expected {', '.join(known)}")
 
 
-def find_views(request: Request, scene: Opened) -> Views:
-    """The cameras to look from; of those chosen from the scene the overview, or all for `view`.
+def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
+    """The cameras to look from; of those chosen from the scene `count`, or all for `view`.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def find_views(request: Request, scene: Opened) -> Views:
         If they cannot be read, or the requested view does not exist.
     """
     if request.chosen:
-        views = choose_views(scene, request.up, 1 if request.view is None else COUNT)
+        views = choose_views(scene, request.up, count if request.view is None else COUNT)
     else:
         views = given_views(gs_codec.render(scene.cloud, request.cameras).cameras)
     number = len(views.cameras)

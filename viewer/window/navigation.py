@@ -8,7 +8,6 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from viewer.pictures.layers import thinned
 from viewer.scenes.pose import Pose
 
 #: Angle of a drag as long as the picture is high, radians.
@@ -25,9 +24,6 @@ _NEARER = 0.9
 
 #: Least distance, relative to the first; at it, the wheel also moves the point ahead.
 _LEAST = 0.02
-
-#: Half width, relative to depth, of the region straight ahead; most centres to look at for it.
-_AHEAD, _SAMPLES = 0.25, 20_000
 
 
 @dataclass(frozen=True)
@@ -114,19 +110,6 @@ class Navigator:
         position = pose.position + (self.distance - left) * pose.rotation[2]
         self.distance = max(left, self._least)
         return replace(pose, position=position)
-
-
-def distance_ahead(pose: Pose, positions: NDArray) -> float:
-    """Median depth of the centres straight ahead; if there are none, distance to the median."""
-    some = positions[thinned(len(positions), _SAMPLES)].astype(np.float64)
-    some = some[np.isfinite(some).all(axis=1)]
-    x, y, depth = pose.rotation @ (some - pose.position).T
-    seen = np.hypot(x, y) < _AHEAD * depth
-    if seen.any():
-        return float(np.median(depth[seen]))
-    if not len(some):
-        return 1.0
-    return float(np.linalg.norm(np.median(some, axis=0) - pose.position)) or 1.0
 
 
 def _about(axis: NDArray, angle: float) -> NDArray[np.float64]:

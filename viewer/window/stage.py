@@ -15,9 +15,9 @@ from viewer.pictures.octree import MOST_CUBES
 from viewer.pictures.picture import Shown, measure, picture, wipe_line
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, distance_ahead
 from viewer.window.divider import Divider
-from viewer.window.navigation import Navigator, distance_ahead
+from viewer.window.navigation import Navigator
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.pane import HIDDEN, Pane
 from viewer.window.worker import Stale, Worker

@@ -250,8 +250,8 @@ def flythrough(poses: Sequence[Pose], count: int) -> list[Pose]:
 def _times(positions: NDArray, turns: NDArray) -> NDArray[np.float64]:
     """When a path is at each of its positions; a pose that is repeated takes a little time."""
     moves = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    steps = sum(each / each.mean() if each.any() else 0 * each for each in (moves, turns))
-    least = 0.1 * steps.mean() or 1.0
+    steps = moves / (moves.mean() or 1.0) + turns / (turns.mean() or 1.0)
+    least = 0.1 * float(steps.mean()) or 1.0
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
 
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +34,9 @@ from viewer.scenes.viewpoints import Views, choose_views, given_views
 
 ROOT = Path(__file__).parent.parent
 UP = np.array([0.0, -1.0, 0.0])
+
+#: Of the ball of Gaussians.
+MIDDLE = np.array([1.0, 2.0, 3.0])
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +89,7 @@ def ball() -> Opened:
     """Gaussians close around (1, 2, 3)."""
     scene = random_scene(400, 0, seed=311)
     rng = np.random.default_rng(311)
-    positions = (rng.normal(0, 0.1, (3, 400)) + [[1], [2], [3]]).astype(np.float32)
+    positions = (rng.normal(0, 0.1, (3, 400)) + MIDDLE[:, None]).astype(np.float32)
     return Opened("ball", to_cloud(replace(scene, positions=positions)))
 
 
@@ -102,9 +106,6 @@ def room() -> Opened:
     return Opened(
         "room", to_cloud(replace(scene, positions=positions.astype(np.float32), opacity=solid))
     )
-
-
-MIDDLE = np.array([1.0, 2.0, 3.0])
 
 
 # Where the camera goes
@@ -171,7 +172,7 @@ def test_it_looks_around_from_inside_as_cameras_look_out(room):
 
 def test_drones_that_look_down_are_not_inside(room):
     places = [np.array([x, -9.0, z]) for x in (-7, 0, 7) for z in (-7, 0, 7)]
-    cameras = [look_at(place, place + [0.0, 9, 0.5]) for place in places]
+    cameras = [look_at(place, place + np.array([0.0, 9, 0.5])) for place in places]
     assert turntable(room, views_of(cameras), UP, None, 8)[1] == "once around"
 
 
@@ -351,12 +352,21 @@ def pictures(count: int, size: tuple[int, int]) -> list[Image.Image]:
     return [Image.fromarray(np.rint(255 * image).astype(np.uint8)) for image in images]
 
 
+def write(path: Path, size: tuple[int, int], shown: Iterable[Image.Image]) -> None:
+    with reels.open_reel(path, size, 12) as add:
+        for frame in shown:
+            add(frame)
+
+
+def interrupted(shown: list[Image.Image]) -> Iterator[Image.Image]:
+    yield from shown
+    raise KeyboardInterrupt
+
+
 def test_an_mp4_has_all_frames_in_true_colours(tmp_path, ffmpeg):
     shown, size = pictures(6, (98, 66)), (98, 66)
     for name in ("film.mp4", "again.mp4"):
-        with reels.open_reel(tmp_path / name, size, 12) as add:
-            for frame in shown:
-                add(frame)
+        write(tmp_path / name, size, shown)
     assert sorted(os.listdir(tmp_path)) == ["again.mp4", "film.mp4"]
     data = (tmp_path / "film.mp4").read_bytes()
     assert data == (tmp_path / "again.mp4").read_bytes()
@@ -386,9 +396,8 @@ def test_the_command_writes_a_film(files, tmp_path, here, ffmpeg):
 def test_a_failed_film_leaves_nothing_and_says_why(tmp_path, ffmpeg, monkeypatch):
     out = tmp_path / "out.mp4"
     out.write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), reels.open_reel(out, (64, 64), 24) as add:
-        add(pictures(1, (64, 64))[0])
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        write(out, (64, 64), interrupted(pictures(1, (64, 64))))
     script = tmp_path / "ffmpeg"
     for line, said in (
         ("av_write: No space left on device", r"out.mp4: No space left on device$"),
@@ -397,12 +406,8 @@ def test_a_failed_film_leaves_nothing_and_says_why(tmp_path, ffmpeg, monkeypatch
         script.write_text(f'#!/bin/sh\nhead -c 100 >/dev/null\necho "{line}" >&2\nexit 3\n')
         script.chmod(0o755)
         monkeypatch.setattr(reels, "_ffmpeg", lambda _: str(script))
-        with (
-            pytest.raises(gs_codec.GsCodecError, match=said),
-            reels.open_reel(out, (512, 512), 24) as add,
-        ):
-            for frame in pictures(4, (512, 512)):
-                add(frame)
+        with pytest.raises(gs_codec.GsCodecError, match=said):
+            write(out, (512, 512), pictures(4, (512, 512)))
     assert out.read_bytes() == b"old"
     assert sorted(os.listdir(tmp_path)) == ["ffmpeg", "out.mp4"]
 

@@ -26,10 +26,11 @@ from gs_codec.rendering.inria import as_camera
 from viewer.main import main
 from viewer.pictures import film, reels
 from viewer.pictures.screenshot import draw_request
+from viewer.scenes.flight import flythrough, read_poses, write_poses
 from viewer.scenes.opened import Opened, open_scene
-from viewer.scenes.paths import flythrough, turntable
 from viewer.scenes.pose import Pose, look_at, of_camera
 from viewer.scenes.request import Request
+from viewer.scenes.turntable import turntable
 from viewer.scenes.viewpoints import Views, choose_views, given_views
 
 ROOT = Path(__file__).parent.parent
@@ -244,6 +245,24 @@ def test_a_flight_of_two_poses_goes_straight_and_one_of_equal_poses_stays():
         np.testing.assert_allclose(pose.rotation, ends[0].rotation, atol=1e-12)
     again = flythrough([ends[0], ends[0], ends[1]], 50)  # a pose saved twice
     assert np.isfinite([pose.position for pose in again]).all()
+
+
+def test_kept_poses_come_back_and_are_cameras_for_everything(tmp_path):
+    lens = {"focal": (0.9, 0.8), "shift": (0.1, -0.2)}
+    poses = [
+        replace(look_at(at(30 * k, 0.3), np.ones(3)), frame=(k + 90, 60), **lens) for k in range(12)
+    ]
+    write_poses(tmp_path / "path.json", poses)
+    for pose, again in zip(poses, read_poses(tmp_path / "path.json"), strict=True):
+        np.testing.assert_allclose(again.rotation, pose.rotation, atol=1e-12)
+        np.testing.assert_allclose(again.position, pose.position)
+        assert again.frame == pose.frame
+        np.testing.assert_allclose([*again.focal, *again.shift], [*pose.focal, *pose.shift])
+    cameras = gs_codec.read_cameras(tmp_path / "path.json")
+    assert [camera.name for camera in cameras][::11] == ["pose 001", "pose 012"]
+    with pytest.raises(gs_codec.GsCodecError, match="no cameras"):
+        write_poses(tmp_path / "none.json", [])
+    assert os.listdir(tmp_path) == ["path.json"]
 
 
 # Frames

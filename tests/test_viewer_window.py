@@ -260,6 +260,19 @@ def test_the_window_lives_through_many_keys(keyed):
     assert keyed["pressed"] == 136
 
 
+def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):
+    path = keyed["path"]
+    assert path["enabled"] == [[True, False, False, False, True], [True] * 5]
+    assert path["flown"]
+    first, last = path["ends"]
+    assert last < 1e-9 < 0.1 < first
+    assert path["apart"] < 1e-9
+    assert len(gs_codec.read_cameras(folder / "path.json")) == 2
+    title, text = path["message"]
+    assert title == "Not possible"
+    assert text.startswith("nothing.json: no such file")
+
+
 def test_keys_are_for_the_dialog_alone(keyed):
     still = keyed["first"][1:]
     for end in ("Escape", "Return"):

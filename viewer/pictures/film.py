@@ -11,10 +11,11 @@ from gs_codec.report import Progress, step_counter
 from viewer.pictures.picture import Shown
 from viewer.pictures.reels import check_reel, is_folder, open_reel
 from viewer.pictures.screenshot import compose
+from viewer.scenes.flight import flythrough
 from viewer.scenes.opened import Opened
-from viewer.scenes.paths import flythrough, turntable
 from viewer.scenes.pose import Pose
 from viewer.scenes.request import Request, find_pruned, find_views, first_view
+from viewer.scenes.turntable import turntable
 from viewer.scenes.viewpoints import COUNT, find_viewpoints
 
 #: Frames of a film, and how many a second, by default; the ranges of both.

@@ -31,7 +31,7 @@ def many(driver: Driver) -> int:
 
 def dialogs(driver: Driver) -> dict:
     """What keys do while a dialog is open, and after it."""
-    viewer, found = driver.viewer, {}
+    found: dict = {}
     for end in ("Escape", "Return"):
         for key in ("h", "n", "m", "1", "q"):
             driver.key(key)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from drive_viewer import grab, tell
-from PIL import Image
 from open3d.visualization import O3DVisualizer, gui
 
 import gs_codec
@@ -52,7 +51,6 @@ def run(folder: Path) -> dict:
             equal = equal + 1 if new and before is not None and np.array_equal(now, before) else 0
             if equal == 5:
                 pictures.append(now)
-                Image.fromarray(now.astype(np.uint8)).save(f"/tmp/tt/plug{len(pictures)}.png")
                 return
             before = now
         raise SystemExit("the window shows nothing new, or never rests")

@@ -277,7 +277,8 @@ class Actions:
         self._notes.close()
 
     def _note(self, caption: str, **notes: Any) -> None:
-        self._notes.show(draw_notes(caption, **notes), self._visualizer.os_frame)
+        frame = self._visualizer.os_frame
+        self._notes.show(draw_notes(caption, **notes, most=frame.height // 3), frame)
 
     def _closing(self) -> bool:
         self._notes.close()

@@ -28,6 +28,7 @@ def draw_notes(
     legends: Sequence[Legend] = (),
     pruned: Pruned | None = None,
     photograph: NDArray[np.float32] | None = None,
+    most: int = 300,
 ) -> Image.Image:
     """Notes as wide as their caption needs.
 
@@ -39,6 +40,8 @@ def draw_notes(
     pruned : Pruned, optional
         Its reasons are listed.
     photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
+    most : int
+        Largest height that it is shown with, pixels.
     """
     reasons = len(reasons_text(pruned)) if pruned is not None else 0
     high = _CAPTION + _REASON * reasons + _LEGEND * len(legends)
@@ -50,8 +53,11 @@ def draw_notes(
         write_reasons(notes, pruned)
     if photograph is None:
         return notes
-    size = wide, max(1, round(wide * photograph.shape[0] / photograph.shape[1]))
+    shape = photograph.shape
+    scale = min(wide / shape[1], most / shape[0])
+    size = max(1, round(scale * shape[1])), max(1, round(scale * shape[0]))
     whole = Image.new("RGB", (wide, high + size[1]))
     whole.paste(notes, (0, 0))
-    whole.paste(to_pillow(photograph).resize(size, Image.Resampling.LANCZOS), (0, high))
+    shown = to_pillow(photograph).resize(size, Image.Resampling.LANCZOS)
+    whole.paste(shown, ((wide - size[0]) // 2, high))
     return whole

@@ -112,7 +112,7 @@ def test_examples_run(example, folder, monkeypatch):
     example.globs |= {
         "gs_codec": gs_codec,
         "viewer": viewer,
-        "visualizer": Mock(spec=O3DVisualizer, title="Open3D"),
+        "visualizer": Mock(spec=O3DVisualizer, os_frame=Mock(height=400)),
     }
     said: list[str] = []
     result = doctest.DocTestRunner().run(example, out=said.append)

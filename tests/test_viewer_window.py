@@ -404,10 +404,11 @@ def test_the_plugin_shows_legends_and_photographs_beside(plugged, folder):
 
 
 def test_the_plugin_tells_what_is_not_possible(plugged, folder):
+    suffixes = ".png, .jpg, .jpeg, .webp, .tif, .tiff, .bmp"
     assert plugged["refused"] == {
         "compare": "no scene is open",
         "nearest": "no cameras are open",
-        "photograph": f"{folder / 'images'}: no image 'view1' (.png, .jpg, .jpeg, .webp, .tif, .tiff, .bmp)",
+        "photograph": f"{folder / 'images'}: no image 'view1' ({suffixes})",
         "detached": "detached from the visualizer",
     }
 

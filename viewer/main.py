@@ -10,7 +10,7 @@ import typer
 
 import gs_codec
 from gs_codec.cli.main import describe_error
-from gs_codec.cli.output import log_to_stderr, print_status, print_text, progress_bar
+from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
 from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, OctreeChoice
 from viewer.scenes.pose import UPS
@@ -26,91 +26,148 @@ app = typer.Typer(
 )
 
 
-@app.command()
+#: Panels of the help.
+_INPUT, _SHOWN, _OUTPUT = "What to open", "What to show", "Pictures and films; no display is needed"
+
+
+@app.command(epilog="Without a scene, the window opens empty. H in it lists the keys.")
 def command(
-    a: Annotated[
-        Path | None, typer.Argument(metavar="[A]", help="A scene.", show_default=False)
-    ] = None,
+    a: Annotated[Path | None, typer.Argument(metavar="A", help=SCENES, show_default=False)] = None,
     b: Annotated[
         Path | None,
-        typer.Argument(metavar="[B]", help="Another version of it.", show_default=False),
+        typer.Argument(metavar="B", help="Another version of it.", show_default=False),
     ] = None,
     cameras: Annotated[
         str | None,
-        typer.Option(metavar="C", help=f"Cameras to look from: {CAMERAS}"),
+        typer.Option(metavar="C", help=f"Cameras to look from: {CAMERAS}", rich_help_panel=_INPUT),
     ] = None,
     gt_images: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Ground-truth images of the cameras, shown beside."),
+        typer.Option(
+            metavar="DIR",
+            help="Ground-truth images of the cameras, shown beside.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     pruned: Annotated[
         Path | None,
-        typer.Option(metavar="REPORT", help="Folder that prepare --report wrote for A."),
+        typer.Option(
+            metavar="REPORT",
+            help="Folder that prepare --report wrote for A.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    max_bytes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Largest size of a scene's floats; by default 1 GiB or 1000 times the file.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     layers: Annotated[
         str | None,
         typer.Option(
-            metavar="L,...", help=f"Layers to show: {', '.join(LAYERS)}.", show_default=False
+            metavar="L,...",
+            help=f"Layers: {', '.join(LAYERS)}; by default splats, and pruned with --pruned.",
+            rich_help_panel=_SHOWN,
         ),
     ] = None,
     colour: Annotated[
-        str, typer.Option(help=f"Colour centres by: {', '.join(COLOURINGS)}.")
+        str,
+        typer.Option(
+            metavar="C",
+            help=f"Colour centres by: {', '.join(COLOURINGS)}.",
+            rich_help_panel=_SHOWN,
+        ),
     ] = "colour",
     octree_depth: Annotated[
-        int, typer.Option(help=f"Depth of the octree's cells, {DEPTHS[0]}-{DEPTHS[-1]}.")
+        int,
+        typer.Option(
+            metavar="N",
+            help=f"Depth of the octree's cells, {DEPTHS[0]}-{DEPTHS[-1]}.",
+            rich_help_panel=_SHOWN,
+        ),
     ] = OctreeChoice.depth,
     octree_colour: Annotated[
-        str, typer.Option(help=f"Colour the octree's cells by: {', '.join(CELL_COLOURINGS)}.")
+        str,
+        typer.Option(
+            metavar="C",
+            help=f"Colour the octree's cells by: {', '.join(CELL_COLOURINGS)}.",
+            rich_help_panel=_SHOWN,
+        ),
     ] = OctreeChoice.colouring,
     mode: Annotated[
-        str, typer.Option(help="Two scenes: side by side, wipe (one view, A left), or flip (B).")
+        str,
+        typer.Option(
+            metavar="M",
+            help="Two scenes: side, wipe (one view, A left), or flip (one view, B).",
+            rich_help_panel=_SHOWN,
+        ),
     ] = "side",
     view: Annotated[
-        int | None, typer.Option(help="Camera to begin with, from 0.", show_default=False)
+        int | None,
+        typer.Option(metavar="N", help="Camera to begin with, from 0.", rich_help_panel=_SHOWN),
     ] = None,
     up: Annotated[
         str | None,
         typer.Option(
             metavar="AXIS",
             help=f"Up axis: {', '.join(UPS)}; by default from cameras, given or estimated.",
-            show_default=False,
+            rich_help_panel=_SHOWN,
         ),
     ] = None,
+    width: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            help="Width of the window or picture, pixels.",
+            rich_help_panel=_SHOWN,
+        ),
+    ] = 1280,
+    height: Annotated[
+        int, typer.Option(metavar="N", help="Its height.", rich_help_panel=_SHOWN)
+    ] = 800,
     screenshot: Annotated[
         Path | None,
-        typer.Option(metavar="PNG", help="Write a picture and exit; needs no display."),
+        typer.Option(
+            metavar="PNG", help="Write a picture instead of a window.", rich_help_panel=_OUTPUT
+        ),
     ] = None,
     turntable: Annotated[
         Path | None,
         typer.Option(
             metavar="OUT",
-            help="Write a film once around the scene and exit: .mp4, or a folder of PNG frames.",
+            help="Write a film once around the scene: .mp4, or a folder of PNG frames.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     flythrough: Annotated[
         Path | None,
         typer.Option(
             metavar="OUT",
-            help="The same along a smooth path through --cameras, in the order of the file.",
+            help="Write a film from each of --cameras to the next, in the order of the file.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     frames: Annotated[
-        int | None, typer.Option(help="Frames of a film.", show_default="180")
-    ] = None,
-    fps: Annotated[
-        int | None, typer.Option(help="Frames a second of an .mp4 film.", show_default="24")
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an existing film.")
-    ] = False,
-    max_bytes: Annotated[
         int | None,
         typer.Option(
-            help="Largest size of a scene's floats.", show_default="1 GiB or 1000 times the file"
+            metavar="N", help="Frames of a film; by default 180.", rich_help_panel=_OUTPUT
         ),
     ] = None,
-    width: Annotated[int, typer.Option(help="Width of the window or picture, pixels.")] = 1280,
-    height: Annotated[int, typer.Option(help="Its height.")] = 800,
+    fps: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Frames a second of an .mp4 film; by default 24.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    overwrite: Annotated[
+        bool,
+        typer.Option("--overwrite", help="Replace an existing film.", rich_help_panel=_OUTPUT),
+    ] = False,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
     """Show a 3D Gaussian Splatting scene, or two versions of one, of any format."""

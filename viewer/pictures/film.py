@@ -54,8 +54,7 @@ class Film:
         ------
         gs_codec.GsCodecError
         """
-        if request.a is None:
-            raise gs_codec.GsCodecError(f"{self.kind}: no scene to draw")
+        request.check_picture(self.kind)
         if request.images is not None:
             raise gs_codec.GsCodecError(f"gt-images: has no effect on a {self.kind}")
         if self.kind == "flythrough":

@@ -85,6 +85,33 @@ class Request:
         if self.a is None and (self.pruned is not None or self.cameras is not None):
             raise gs_codec.GsCodecError("no scene to show")
 
+    def check_picture(self, name: str) -> None:
+        """Check also what has no effect in a picture, where no scene can be opened later.
+
+        `name` is that of the picture.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+        """
+        self.check()
+        if self.a is None:
+            raise gs_codec.GsCodecError(f"{name}: no scene to draw")
+        if self.b is None:
+            errors = [
+                f"{option} {value}"
+                for option, value, known in (
+                    ("mode", self.mode, MODES[1:]),
+                    ("colour", self.colouring, ("error",)),
+                    *(("layers", layer, ("error",)) for layer in self.layers),
+                )
+                if value in known
+            ]
+            if errors:
+                raise gs_codec.GsCodecError(f"{errors[0]}: needs two scenes")
+        if "pruned" in self.layers and self.pruned is None:
+            raise gs_codec.GsCodecError("layers pruned: needs a report")
+
     @property
     def chosen(self) -> bool:
         """Whether cameras are chosen from the scene, because none were given."""

@@ -26,7 +26,7 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
-from viewer import screenshot
+from viewer.pictures import screenshot
 from viewer.main import app, main
 from viewer.pictures.layers import (
     LAYERS,

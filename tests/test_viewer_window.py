@@ -280,6 +280,20 @@ def test_the_window_lives_through_many_keys(keyed):
     assert keyed["pressed"] == 136
 
 
+def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):
+    path = keyed["path"]
+    assert path["enabled"] == [[True, False, False, False, True], [True] * 5]
+    assert path["flown"]
+    first, last = path["ends"]
+    assert first > 0.1
+    assert last < 1e-9
+    assert path["apart"] < 1e-9
+    assert len(gs_codec.read_cameras(folder / "path.json")) == 2
+    title, text = path["message"]
+    assert title == "Not possible"
+    assert text.startswith("nothing.json: no such file")
+
+
 def test_keys_are_for_the_dialog_alone(keyed):
     still = keyed["first"][1:]
     for end in ("Escape", "Return"):
@@ -374,15 +388,45 @@ def test_cameras_photographs_reports_and_recent_files_are_opened(used):
     }
 
 
-def test_the_plugin_opens_shows_what_was_pruned_and_compares(display, folder):
-    found = drive("drive_plugin.py", display, folder)
-    assert found["count"] == 3000
-    assert found["refused"] == "no scene is open"
-    opened, pruned, compared, detached = found["changed"]
-    assert min(opened, pruned, compared, detached) > 1000
-    assert found["left"] == ["centres", []]
-    assert found["titles"] == ["plugin - colour error, of 255: 0.25 dark, 64 yellow", "plugin"]
-    assert found["detached"] == "detached from the visualizer"
+@pytest.fixture(scope="module")
+def plugged(display, folder) -> dict:
+    return drive("drive_plugin.py", display, folder)
+
+
+def test_the_plugin_names_what_it_shows_and_detaches(plugged):
+    cameras, error = "cameras.json: cameras", "b.egs: error against a.ply"
+    assert plugged["named"] == [
+        ["a.ply: centres"],
+        ["a.ply: kept", "a.ply: pruned"],
+        [error],
+        *[[error, cameras]] * 3,
+        ["a.ply: centres", "a.ply: splats", cameras],
+        [],
+    ]
+    opened, pruned, compared, lines, looked, nearest, splats, detached = plugged["changed"]
+    assert min(opened, pruned, compared, looked, nearest, splats, detached) > 1000
+    assert lines > 10
+    assert plugged["count"] == 3000
+
+
+def test_the_plugin_shows_legends_and_photographs_beside(plugged, folder):
+    opened, pruned, compared, *_, photograph = plugged["notes"]
+    assert opened == 0
+    assert min(pruned, compared) > 50  # a legend has many colours
+    assert photograph > 1
+    first = gs_codec.read_cameras(folder / "cameras.json")[0]
+    np.testing.assert_allclose(plugged["here"], first.position, atol=1e-4)
+    assert plugged["ended"]  # nothing is left open
+
+
+def test_the_plugin_tells_what_is_not_possible(plugged, folder):
+    suffixes = ".png, .jpg, .jpeg, .webp, .tif, .tiff, .bmp"
+    assert plugged["refused"] == {
+        "compare": "no scene is open",
+        "nearest": "no cameras are open",
+        "photograph": f"{folder / 'images'}: no image 'view1' ({suffixes})",
+        "detached": "detached from the visualizer",
+    }
 
 
 def test_without_a_driver_it_says_so(display, folder):

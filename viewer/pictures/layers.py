@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewer.scenes.appearance import Look, which_drawn
-from viewer.scenes.opened import Opened, Pruned
+from viewer.scenes.opened import Opened, Pruned, thinned
 
 #: The colour map viridis at evenly spaced values.
 _VIRIDIS = np.array(
@@ -86,11 +86,6 @@ def reason_colour(index: int) -> tuple[float, float, float]:
     """The colour of a reason for pruning, by its index."""
     red, green, blue = _REASONS[index % len(_REASONS)].tolist()
     return red, green, blue
-
-
-def thinned(count: int, most: int) -> slice:
-    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
-    return slice(None, None, max(1, -(-count // max(most, 1))))
 
 
 def block_colour(index: int) -> tuple[float, float, float]:

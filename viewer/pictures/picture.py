@@ -46,7 +46,7 @@ LINE_COLOUR = (0.85, 0.85, 0.85)
 #: RGB behind charts.
 BACKGROUND = (0.07, 0.07, 0.08)
 #: Height of text and length of the bar of a legend, pixels.
-_TEXT, _BAR = 13, 200
+TEXT, _BAR = 13, 200
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def labelled(
     """The image with captions at its top, each with its column, and legends at its bottom."""
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
-    font = ImageFont.load_default(_TEXT)
+    font = ImageFont.load_default(TEXT)
     for left, caption in captions:
         _write(pen, (left + 8, 6), caption, font)
     bar = to_pillow(heat_bar(_BAR, 10))
@@ -285,7 +285,7 @@ def reasons_text(pruned: Pruned) -> list[tuple[str, tuple[float, float, float]]]
 
 def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
     """Write the reasons for pruning, with counts, into the upper left corner below the caption."""
-    pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(_TEXT)
+    pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(TEXT)
     for row, (text, colour) in enumerate(reasons_text(pruned)):
         top = 26 + 18 * row
         pen.rectangle((8, top + 3, 18, top + 13), fill=_bytes(colour))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
+from gs_codec.errors import one_line
 from gs_codec.files.scenes import gaussian_bits_of_file, read_scene, turn_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
@@ -155,6 +156,11 @@ class Opened:
         return np.ascontiguousarray(self.cloud.point[name].numpy())
 
 
+def thinned(count: int, most: int) -> slice:
+    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
+    return slice(None, None, max(1, -(-count // max(most, 1))))
+
+
 def open_scene(
     source: Path | str | PointCloud,
     name: str = "",
@@ -225,8 +231,8 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
         reasons = tuple(dict(json.loads((folder / "report.json").read_text())["removed"]))
         labels = np.load(folder / "labels.npy", allow_pickle=False)
     except _DAMAGE as error:
-        reason = str(error).splitlines()[:1] or [type(error).__name__]
-        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason[0]})") from error
+        reason = one_line(error) or type(error).__name__
+        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason})") from error
     if labels.dtype != np.uint8 or labels.shape != (scene.count,):
         raise gs_codec.GsCodecError(
             f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.count:,}"

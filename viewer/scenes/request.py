@@ -86,6 +86,33 @@ class Request:
         if self.a is None and (self.pruned is not None or self.cameras is not None):
             raise gs_codec.GsCodecError("no scene to show")
 
+    def check_picture(self, name: str) -> None:
+        """Check also what has no effect in a picture, where no scene can be opened later.
+
+        `name` is that of the picture.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+        """
+        self.check()
+        if self.a is None:
+            raise gs_codec.GsCodecError(f"{name}: no scene to draw")
+        if self.b is None:
+            errors = [
+                f"{option} {value}"
+                for option, value, known in (
+                    ("mode", self.mode, MODES[1:]),
+                    ("colour", self.colouring, ("error",)),
+                    *(("layers", layer, ("error",)) for layer in self.layers),
+                )
+                if value in known
+            ]
+            if errors:
+                raise gs_codec.GsCodecError(f"{errors[0]}: needs two scenes")
+        if "pruned" in self.layers and self.pruned is None:
+            raise gs_codec.GsCodecError("layers pruned: needs a report")
+
     @property
     def chosen(self) -> bool:
         """Whether cameras are chosen from the scene, because none were given."""
@@ -125,8 +152,8 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
             raise gs_codec.GsCodecError(f"{name} '{each}': expected {', '.join(known)}")
 
 
-def find_views(request: Request, scene: Opened) -> Views:
-    """The cameras to look from; of those chosen from the scene the overview, or all for `view`.
+def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
+    """The cameras to look from; of those chosen from the scene `count`, or all for `view`.
 
     Raises
     ------
@@ -134,7 +161,7 @@ def find_views(request: Request, scene: Opened) -> Views:
         If they cannot be read, or the requested view does not exist.
     """
     if request.chosen:
-        views = choose_views(scene, request.up, 1 if request.view is None else COUNT)
+        views = choose_views(scene, request.up, count if request.view is None else COUNT)
     else:
         views = given_views(find_cameras(request.cameras, scene.gaussians))
     number = len(views.cameras)

@@ -145,10 +145,14 @@ def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
     ask_file(window, title, (_SCENES, "3DGS scenes"), then)
 
 
-def ask_save(window: Modal, then: Callable[[str], None]) -> None:
-    """Ask where to write a picture."""
-    kind = (".png", "PNG images (.png)")
-    _ask(window, gui.FileDialog.SAVE, "Save a picture", kind, then)
+def ask_save(window: Modal, title: str, kind: tuple[str, str], then: Callable[[str], None]) -> None:
+    """Ask where to write a file; a name without suffix gets the first of `kind`."""
+
+    def done(path: str) -> None:
+        named = Path(path)
+        then(path if named.suffix else str(named.with_suffix(kind[0].split()[0])))
+
+    _ask(window, gui.FileDialog.SAVE, title, kind, done)
 
 
 def ask_file(
@@ -194,8 +198,7 @@ def _typed(dialog: gui.FileDialog) -> str | None:
         return None
     folders = next(w for w in widgets if isinstance(w, gui.Combobox))
     parts = [folders.get_item(k) for k in range(folders.selected_index + 1)]
-    path = Path(*parts, names[0])
-    return str(path if path.suffix else path.with_suffix(".png"))
+    return str(Path(*parts, names[0]))
 
 
 def inside(widget: gui.Widget) -> Iterator[gui.Widget]:

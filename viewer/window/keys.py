@@ -58,6 +58,7 @@ KEYS = (
     Key("Home", "overview", int(gui.KeyName.HOME), lambda v: v.visits.overview()),
     Key("G", "go back until all is seen", ord("g"), lambda v: v.frame_all()),
     Key("U", "next up axis", ord("u"), lambda v: v.visits.next_up()),
+    Key("B", "keep this pose, for a path from pose to pose", ord("b"), lambda v: v.saved.keep()),
     Key("T", "convert B: reverse its y and z axes", ord("t"), lambda v: v.loading.turn()),
     Key("M", "side by side, wipe, flip", ord("m"), lambda v: v.next_mode()),
     Key("F", "one view: switch between A and B", ord("f"), lambda v: v.flip()),

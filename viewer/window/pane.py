@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from viewer.pictures.picture import CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_S
 from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, of_camera
 
 #: Near and far plane, relative to the farthest depth of the scene.
 _NEAR, _BEYOND = 1e-4, 1.1
@@ -34,6 +35,8 @@ _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE}
 #: Frames until the pane changes its size for an instant, after splats were removed from it: without
 #: this, Open3D would go on showing them instead of anything else.
 _STUCK = 4
+#: Size of cameras, relative to the median distance from their middle; their RGB.
+_FRUSTUM, _FRUSTUM_COLOUR = 0.05, (1.0, 0.6, 0.0)
 
 #: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2
@@ -243,6 +246,26 @@ def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialR
     # Open3D takes this colour as sRGB, but output without post-processing stays linear.
     material.base_color = (*np.power(LINE_COLOUR, 1 / 2.2), 1.0)
     return mesh, material
+
+
+def camera_lines(cameras: Sequence[Any]) -> o3d.geometry.LineSet:
+    """The frames of gs_codec's cameras, each with lines from where it is."""
+    places = np.array([camera.position for camera in cameras])
+    reach = float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
+    lines = o3d.geometry.LineSet()
+    for camera in cameras:
+        pose, size = of_camera(camera), (camera.width, camera.height)
+        lens = pose.intrinsics(*size)
+        lines += o3d.geometry.LineSet.create_camera_visualization(
+            *size, lens, pose.extrinsics, _FRUSTUM * (reach or 1.0)
+        )
+    lines.paint_uniform_color(_FRUSTUM_COLOUR)
+    return lines
+
+
+def draws_splats(device: str) -> bool:
+    """Whether Open3D draws splats on a device: its shader is new, and slow without a GPU."""
+    return device == "gpu" and hasattr(rendering.MaterialRecord, "gaussian_splat_sh_degree")
 
 
 def splat_cloud(scene: Opened, look: Look) -> o3d.t.geometry.PointCloud:

@@ -70,7 +70,10 @@ class Panel:
             part.frame = gui.Rect(rect.x, top, rect.width, high)
             bottom = top if at_bottom else bottom
         top = self._head.frame.get_bottom()
-        self.tabs.frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
+        frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
+        if _corners(frame) != _corners(self.tabs.frame):
+            # Open3D would go to the first tab.
+            self.tabs.frame, self.tabs.selected_tab_index = frame, self.tabs.selected_tab_index
 
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
@@ -94,6 +97,10 @@ class Panel:
             tab.refresh()
         self._legend.show(self._viewer.stage.legends)
         self._viewer.window.set_needs_layout()
+
+
+def _corners(rect: gui.Rect) -> tuple[int, int, int, int]:
+    return rect.x, rect.y, rect.width, rect.height
 
 
 class _Legends:

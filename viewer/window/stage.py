@@ -15,10 +15,10 @@ from viewer.pictures.picture import Shown, wipe_line
 from viewer.pictures.splats import Drawer, depth_at
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, distance_ahead
 from viewer.window.divider import make_divider
 from viewer.window.mouse import Mouse, Place
-from viewer.window.navigation import Navigator, distance_ahead, focused
+from viewer.window.navigation import Navigator, focused
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.painter import Columns, Painter
 from viewer.window.pane import HIDDEN, Pane

@@ -21,6 +21,7 @@ from viewer.window.mouse import Place
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
+from viewer.window.saved import Saved
 from viewer.window.stage import Stage
 from viewer.window.visits import Visits
 from viewer.window.widgets import monospace
@@ -29,6 +30,9 @@ from viewer.window.worker import Stale, Worker
 #: Longest step of a flight, seconds, after frames that took long.
 _STEP = 0.2
 
+
+#: The kind of file that pictures are written to.
+_PICTURES = ".png", "PNG images (.png)"
 
 #: Fields of view that differ by less are the same, degrees.
 _SAME_ANGLE = 0.01
@@ -49,6 +53,7 @@ class Viewer:
     stage : Stage
     visits : Visits
     loading : Loading
+    saved : Saved
     panel : Panel
     dock : Dock
     keys : Keys
@@ -80,7 +85,7 @@ class Viewer:
             self._clicked,
             self._focused,
         )
-        self.visits, self.loading = Visits(self), Loading(self)
+        self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
         self.dock = Dock(self, self._select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
@@ -219,14 +224,15 @@ class Viewer:
         thrust, pose = self.keys.thrust, self.stage.pose
         if thrust is not None and pose is not None:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
+        flown = self.saved.tick()
         drawn = self.stage.tick()
         self.visits.tick()
-        return drawn or (thrust is not None and not self.stage.painter.leads)
+        return drawn or flown or (thrust is not None and not self.stage.painter.leads)
 
     @property
     def busy(self) -> bool:
         """Whether the window is still loading or drawing."""
-        return self.worker.busy or not self.stage.resting
+        return self.worker.busy or self.saved.flying or not self.stage.resting
 
     def _lay_out(self, context: Any) -> None:
         rect = self.window.content_rect
@@ -249,7 +255,7 @@ class Viewer:
 
     def ask_save(self) -> None:
         """Ask where to write a picture, and write it."""
-        dialogs.ask_save(self.modal, self.save)
+        dialogs.ask_save(self.modal, "Save a picture", _PICTURES, self.save)
 
     def save(self, path: str) -> None:
         """Write a picture of what is shown, drawn in software."""

@@ -11,7 +11,15 @@ import typer
 import gs_codec
 from gs_codec.cli.output import log_to_stderr, print_status, print_text
 from gs_codec.preparation.steps import CAMERAS
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, OctreeChoice
+from viewer.scenes.choice import (
+    CELL_COLOURINGS,
+    COLOURINGS,
+    DEPTHS,
+    LAYERS,
+    SCALED,
+    SCALES,
+    OctreeChoice,
+)
 from viewer.scenes.pose import UPS
 
 app = typer.Typer(
@@ -51,6 +59,13 @@ def command(
     colour: Annotated[
         str, typer.Option(help=f"Colour centres by: {', '.join(COLOURINGS)}.")
     ] = "colour",
+    colour_scale: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Scale of {', '.join(SCALED)}: {', '.join(SCALES)}.",
+            show_default="linear for opacity and bits",
+        ),
+    ] = None,
     octree_depth: Annotated[
         int, typer.Option(help=f"Depth of the octree's cells, {DEPTHS[0]}-{DEPTHS[-1]}.")
     ] = OctreeChoice.depth,
@@ -105,6 +120,7 @@ def command(
         max_bytes,
         up,
         OctreeChoice(octree_depth, octree_colour),
+        colour_scale,
     )
     request.check()
     if screenshot is not None:

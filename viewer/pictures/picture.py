@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import gs_codec
+from viewer.pictures.centres import centres, pruned_centres, why_unknown
 from viewer.pictures.cubes import Cubes, draw_cubes
 from viewer.pictures.layers import (
     EDGES,
@@ -20,10 +21,7 @@ from viewer.pictures.layers import (
     Points,
     block_colour,
     box_lines,
-    centres,
     error_image,
-    heat_bar,
-    pruned_centres,
     reason_colour,
 )
 from viewer.pictures.octree import Octree
@@ -70,6 +68,8 @@ class Shown:
     pruned : Pruned or None
         Gaussians that were removed from the first.
     octree : OctreeChoice
+    scale : str or None
+        One of `SCALES`, for the colours of centres; None is that of the quantity.
     """
 
     layers: Collection[str]
@@ -77,6 +77,7 @@ class Shown:
     scenes: tuple[Opened, ...] = ()
     pruned: Pruned | None = None
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    scale: str | None = None
 
     @cached_property
     def cells(self) -> Octree:
@@ -99,6 +100,9 @@ class Shown:
         remark = ", error against A" if self.shows_error(scene) else ""
         if "octree" in self.layers and self.octree.colouring == "bits" and scene.bits_unknown:
             remark += f", bits unknown: {scene.bits_unknown}"
+        if "centres" in self.layers:
+            reason = why_unknown(scene, self.colouring, self.scenes)
+            remark += f", {self.colouring} unknown: {reason}" if reason else ""
         return remark
 
 
@@ -119,7 +123,7 @@ def draw_scene(
     if shown.shows_error(scene):
         legends.append(PIXEL_LEGEND)
     if "centres" in shown.layers:
-        points = centres(scene, shown.colouring, shown.scenes)
+        points = centres(scene, shown.colouring, shown.scenes, scale=shown.scale)
         draw_points(image, points, pose, POINT_SIZE)
         if points.legend is not None:
             legends.append(points.legend)
@@ -262,12 +266,11 @@ def labelled(
     font = ImageFont.load_default(_TEXT)
     for left, caption in captions:
         _write(pen, (left + 8, 6), caption, font)
-    bar = to_pillow(heat_bar(_BAR, 10))
     for row, legend in enumerate(reversed(legends)):
         top = canvas.height - 52 * (row + 1)
         _write(pen, (20, top), legend.title, font)
-        canvas.paste(bar, (20, top + 20))
-        columns = np.linspace(20, 20 + _BAR, len(legend.marks))
+        canvas.paste(to_pillow(legend.bar(_BAR, 10)), (20, top + 20))
+        columns = 20 + _BAR * legend.places
         for column, mark in zip(columns, legend.marks, strict=True):
             _write(pen, (round(column), top + 32), mark, font, "ma")
     return canvas

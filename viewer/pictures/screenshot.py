@@ -66,7 +66,9 @@ def draw_request(request: Request) -> tuple[Image.Image, str]:
     viewpoints = find_viewpoints(scenes[0], views, request.up or views.ups[0])
     viewpoint = viewpoints[first_view(request, views)]
     pruned = find_pruned(request, scenes[0])
-    shown = Shown(request.layers, request.colouring, tuple(scenes), pruned, request.octree)
+    shown = Shown(
+        request.layers, request.colouring, tuple(scenes), pruned, request.octree, request.scale
+    )
     photograph, missing = None, ""
     if request.images is not None:
         try:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from viewer.pictures.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
+from viewer.pictures.centres import centres, pruned_centres
+from viewer.pictures.layers import PIXEL_LEGEND, Legend
 from viewer.pictures.octree import MOST_CUBES
 from viewer.pictures.picture import Shown, measure, picture, wipe_line
 from viewer.scenes.choice import Choice

@@ -26,8 +26,8 @@ from viewer.scenes.opened import Opened, Pruned
 #: Largest error of the linear scale, as that of `error_heat`.
 _LARGEST_ERROR = 64 / 255
 
-#: Most blocks of a legend.
-_LISTED = 8
+#: Most kinds of a legend.
+KINDS = 8
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ def _by_block(
 ) -> tuple[NDArray[np.float32], Legend]:
     most = max(each.block_numbers[-1] + 1 for each in known if each.block_numbers is not None)
     palette = np.array([block_colour(k) for k in range(most)], np.float32)
-    listed = range(min(most, _LISTED))
-    title = f"block, of {most}" if most <= _LISTED else f"block, of {most}: the first {_LISTED}"
+    listed = range(min(most, KINDS))
+    title = f"block, of {most}" if most <= KINDS else f"block, of {most}: the first {KINDS}"
     legend = Legend(title, tuple(map(str, listed)), tuple(map(block_colour, listed)))
     assert scene.block_numbers is not None
     return palette[scene.block_numbers[some]], legend

@@ -21,6 +21,10 @@ _DOMAINS = {
     "rotation": ("sin half angle", "quaternion"),
 }
 
+#: What follows the bits of a stream that are shared, and what it means.
+_SHARED = {"": "  ", "block": " b", "file": " f"}
+_SHARED_NOTE = "b, f: shared by its block, the file", ""
+
 #: Most step sizes that are listed.
 _LISTED = 4
 
@@ -38,19 +42,13 @@ def picked_sections(picked: Picked, letters: Sequence[str] = "AB") -> list[Secti
     if picked.coded is not None:
         bits = picked.coded.streams
         total = sum(stream.bits for stream in bits)
-        rows = [(_STREAMS.get(s.name, s.name), f"{s.bits:.2f}" + _SHARED[s.shared]) for s in bits]
+        rows = [(s.name, f"{s.bits:.2f}" + _SHARED[s.shared]) for s in bits]
+        rows.append(_SHARED_NOTE)
         sections.append((f"Bits: {total:.1f}", rows))
         sections.append((f"Step sizes (block {picked.coded.block})", _steps(picked)))
     else:
         sections.append((f"Bits unknown: {scene.bits_unknown}", []))
     return sections
-
-
-#: What follows the bits of a stream that are shared.
-_SHARED = {"": "  ", "block": " b", "file": " f"}
-
-#: What these marks mean.
-SHARED_NOTE = "b, f: equal share of the block's, the file's"
 
 
 def _attributes(picked: Picked) -> list[tuple[str, str]]:

@@ -179,7 +179,11 @@ def _renderer(
 ) -> tuple[Any, dict]:
     """The renderer of a scene, made once, and its last pictures."""
     if scene not in views:
-        views[scene] = gs_codec.render(scene.cloud, [pose.camera(width, height)]), {}
+        camera = pose.camera(width, height)
+        views[scene] = (
+            gs_codec.render(scene.cloud, [camera], antialiased=scene.scene.antialiased),
+            {},
+        )
     return views[scene]
 
 

@@ -32,8 +32,8 @@ _LISTED = 4
 def picked_sections(picked: Picked, letters: Sequence[str] = "AB") -> list[Section]:
     """Headings and rows that tell all of a picked Gaussian, with units."""
     hit, scene = picked.hit, picked.scene
-    name = f"{letters[hit.which]}: Gaussian {hit.row:,} of {scene.count:,} (from 0)"
-    sections: list[Section] = [(name, _attributes(picked))]
+    row = "row, from 0", f"{hit.row:,} of {scene.count:,}"
+    sections: list[Section] = [(f"Gaussian of {letters[hit.which]}", [row, *_attributes(picked)])]
     wide, high = picked.contribution.size
     sections.append((f"In this view, {wide}x{high}", _in_view(picked.contribution, hit.weight)))
     if picked.difference is not None:
@@ -69,7 +69,7 @@ def _attributes(picked: Picked) -> list[tuple[str, str]]:
 
 
 def _in_view(contribution: Contribution, weight: float | None) -> list[tuple[str, str]]:
-    rows = [] if weight is None else [("of the pixel", f"{100 * weight:.1f} %")]
+    rows = [] if weight is None else [("of the clicked pixel", f"{100 * weight:.1f} %")]
     return [
         *rows,
         ("of the view", f"{100 * contribution.share:.3g} %"),

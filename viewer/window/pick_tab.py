@@ -10,7 +10,7 @@ from viewer.scenes.picked_text import picked_sections
 from viewer.window.widgets import Widgets
 
 #: Width of a row, characters.
-_COLUMNS = 36
+_COLUMNS = 41
 
 _NOTHING = "Click into a picture to pick the\nGaussian that adds most to a pixel."
 

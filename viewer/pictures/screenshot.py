@@ -136,7 +136,8 @@ def _arrange(
     if len(drawn) > 1 and mode == "wipe":
         image = wiped(drawn[0][0], drawn[1][0], wipe)
         _, right = wipe_line(wipe, image.shape[1])
-        return [labelled(image, [(0, labels[0]), (right, labels[1])], drawn[1][1])]
+        legends = list(dict.fromkeys([*drawn[0][1], *drawn[1][1]]))
+        return [labelled(image, [(0, labels[0]), (right, labels[1])], legends)]
     if len(drawn) > 1 and mode == "flip":
         drawn, labels = [drawn[front]], [labels[front]]
     return [

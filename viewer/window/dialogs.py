@@ -86,8 +86,9 @@ class Modal:
     def settle(self) -> None:
         """Close the window if it was asked to, and Esc ended nothing instead."""
         if self._asked:
-            self._closing = True
-            self._window.close()
+            self._asked, self._closing = False, True
+            # Not at once: Open3D is going through its windows.
+            gui.Application.instance.post_to_main_thread(self._window, self._window.close)
 
 
 def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:

@@ -36,6 +36,7 @@ class PickTab:
     def refresh(self) -> None:
         """Update the text."""
         picking = self._viewer.picking
+        picking.follow()
         self._clear.enabled = picking.hit is not None
         if picking.hit is None:
             self.text.text = _NOTHING

@@ -97,7 +97,6 @@ class Viewer:
             self.loading.begin()
 
     def _pictured(self) -> None:
-        self.picking.follow()
         self.panel.refresh()
         if self.stage.resting:
             self.visits.choose_more()

@@ -53,15 +53,15 @@ def _context(left, sign):
 
 @kernel
 def _code(levels, near, shifts, first, last, left, shares, values, contexts, owners):
-    """Fill values, contexts and, unless empty, owners; returns the number of symbols."""
+    """Fill values, contexts and, unless it is None, owners; returns the number of symbols."""
     count, members = len(left), levels.shape[1]
-    symbol, offset, told = 0, 0, len(owners) > 0
+    symbol, offset = 0, 0
     if first:
         before = previous = np.int64(0)
         for i in range(count):
             context = SUMS * min(shifts[i], COLOUR_SHIFTS - 1) + sum_bucket(previous + before)
             values[symbol], contexts[symbol] = left[i], context
-            if told:
+            if owners is not None:
                 owners[symbol] = i
             symbol += 1
             before, previous = previous, left[i]
@@ -70,7 +70,7 @@ def _code(levels, near, shifts, first, last, left, shares, values, contexts, own
         for i in range(count):
             if left[i] > 0:
                 values[symbol], contexts[symbol] = shares[i], offset + sum_bucket(left[i])
-                if told:
+                if owners is not None:
                     owners[symbol] = i
                 symbol += 1
             left[i] -= shares[i]
@@ -91,7 +91,7 @@ def _code(levels, near, shifts, first, last, left, shares, values, contexts, own
                 level = _sign(level)
             values[symbol] = flipped(level, sign >> 63)
             contexts[symbol] = offset + _OF_COLOUR * colour + _context(rest, sign) + place
-            if told:
+            if owners is not None:
                 owners[symbol] = i
             symbol += 1
     return symbol
@@ -230,7 +230,9 @@ def code_bands(
         values, contexts = np.empty(most, np.int64), np.empty(most, np.uint16)
         owners = np.empty(most if owned else 0, np.int64)
         ends = number == 1, number == len(bands)
-        found = _code(band, near, shifts, *ends, left, share, values, contexts, owners)
+        # None is known when the kernel is compiled: encoders do without a branch for each symbol.
+        told = owners if owned else None
+        found = _code(band, near, shifts, *ends, left, share, values, contexts, told)
         coded.append((values[:found], contexts[:found], owners[:found]))
     return coded
 

@@ -37,10 +37,18 @@ def marker(
         return []
     centre = places[0]
     outline = splat_outline(scene.scene, as_camera(pose.camera(width, height)), row)
-    around = _LEAST * _CIRCLE if outline is None else outline - centre
-    length = np.linalg.norm(around, axis=1, keepdims=True)
-    around = around * np.maximum(1, _LEAST / np.maximum(length, 1e-9))
+    around = _LEAST * _CIRCLE if outline is None else _widened(outline - centre)
     return [centre + around, centre + _CENTRE * _CIRCLE]
+
+
+def _widened(around: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An ellipse about 0 ``(n, 2)``, moved outwards until it is nowhere too near to its centre."""
+    margin = max(_LEAST - float(np.linalg.norm(around, axis=1).min()), 0.0)
+    along = np.roll(around, -1, axis=0) - np.roll(around, 1, axis=0)
+    across = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    length = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    outwards = np.sign(np.sum(across * around, axis=1, keepdims=True))
+    return around + margin * outwards * across / length
 
 
 def draw_marker(canvas: Image.Image, lines: list[NDArray[np.float64]]) -> None:

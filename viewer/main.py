@@ -13,7 +13,15 @@ import gs_codec
 from gs_codec.cli.main import describe_error
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, OctreeChoice
+from viewer.scenes.choice import (
+    CELL_COLOURINGS,
+    COLOURINGS,
+    DEPTHS,
+    LAYERS,
+    SCALED,
+    SCALES,
+    OctreeChoice,
+)
 from viewer.scenes.pose import UPS
 
 if TYPE_CHECKING:
@@ -82,6 +90,13 @@ def command(
             rich_help_panel=_SHOWN,
         ),
     ] = "colour",
+    colour_scale: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Scale of {', '.join(SCALED)}: {', '.join(SCALES)}.",
+            show_default="linear for opacity and bits",
+        ),
+    ] = None,
     octree_depth: Annotated[
         int,
         typer.Option(
@@ -191,6 +206,7 @@ def command(
         max_bytes,
         up,
         OctreeChoice(octree_depth, octree_colour),
+        colour_scale,
     )
     request.check()
     film = _film(screenshot, turntable, flythrough, frames, fps, overwrite)

@@ -15,11 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
+from gs_codec.codecs.matching import without_order
+from gs_codec.config import ADAPTIVE_PROFILES
 from gs_codec.errors import one_line
-from gs_codec.files.scenes import gaussian_bits_of_file, read_scene, turn_scene
+from gs_codec.files.scenes import (
+    gaussian_bits_of_file,
+    gaussian_classes_of_file,
+    read_scene,
+    turn_scene,
+)
 from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
-from gs_codec.scene import ANTIALIASED, SH_C0, SH_COEFFICIENTS, Scene, float_bytes
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -57,8 +64,8 @@ class Opened:
         The coordinate system of the file.
     path : Path
         Of the file; a cloud has none.
-    antialiased : bool
-        Whether it is drawn with opacity compensation, as its file says.
+    comments : tuple of str
+        Of the file; with an order that it states only if the scene was not turned.
     """
 
     name: str
@@ -67,7 +74,7 @@ class Opened:
     info: Any = None
     system: str = CONVENTION
     path: Path = Path()
-    antialiased: bool = False
+    comments: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -81,9 +88,8 @@ class Opened:
 
     @cached_property
     def gaussians(self) -> Scene:
-        """Its Gaussians as gs_codec's rasterisers take them; shares memory with the cloud."""
-        comments = (ANTIALIASED,) if self.antialiased else ()
-        return replace(from_cloud(self.cloud, "drop"), comments=comments)
+        """Its Gaussians as gs_codec takes them, with the file's comments; shares memory."""
+        return replace(from_cloud(self.cloud, "drop"), comments=self.comments)
 
     @cached_property
     def positions(self) -> NDArray[np.float32]:
@@ -101,9 +107,16 @@ class Opened:
         return np.float32(1) / (1 + np.exp(-self._array("opacity")[:, 0]))
 
     @cached_property
-    def sizes(self) -> NDArray[np.float32]:
-        """Log10 of the longest axis ``(N,)``, scene units."""
-        return self._array("log_scale").max(axis=1) / np.float32(np.log(10))
+    def lengths(self) -> NDArray[np.float64]:
+        """Longest axis ``(N,)``, scene units."""
+        with np.errstate(over="ignore"):
+            return np.exp(self._array("log_scale").max(axis=1).astype(np.float64))
+
+    @cached_property
+    def sh_energy(self) -> NDArray[np.float32]:
+        """Sum of the squares of the SH-AC of each Gaussian ``(N,)``."""
+        f_rest = self._array("f_rest")
+        return np.einsum("nkc,nkc->n", f_rest, f_rest)
 
     @property
     def sh_degree(self) -> int:
@@ -145,11 +158,40 @@ class Opened:
             raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
         return bits
 
+    @cached_property
+    def classes(self) -> NDArray[np.uint8] | None:
+        """Classes of shape and of colour ``(2, N)``; None if `unknown` says why.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+            If the file is no longer what was opened.
+        """
+        if self.unknown("class"):
+            return None
+        classes = gaussian_classes_of_file(self.path)
+        if classes.shape[1] != self.count:
+            raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
+        return classes
+
+    @property
+    def block_numbers(self) -> NDArray[np.int64] | None:
+        """Number of the block of each Gaussian ``(N,)``; None if `unknown` says why."""
+        return None if self.unknown("block") else np.arange(self.count) // self.info.block_size
+
+    def unknown(self, colouring: str) -> str:
+        """Why a quantity of `COLOURINGS` is not known of this scene alone; empty if it is."""
+        if colouring in ("bits", "block", "class") and self.bits_unknown:
+            return self.bits_unknown
+        if colouring == "class" and self.info.profile not in ADAPTIVE_PROFILES:
+            return f"of profile {self.info.profile}"
+        return "of SH degree 0" if colouring == "sh" and not self.sh_degree else ""
+
     @property
     def bits_unknown(self) -> str:
         """Why the bits of single Gaussians are not known; empty if they are."""
         if self.info is None or not self.count:
-            return "not an .egs file" if self.count else "no Gaussians"
+            return "not an .egs file" if self.count else "without Gaussians"
         return "stored in the original order" if self.info.keeps_order else ""
 
     def _array(self, name: str) -> NDArray[np.float32]:
@@ -176,14 +218,15 @@ def open_scene(
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
     scene = read_scene(source, "drop", progress, None, max_bytes)
-    cloud = to_cloud(turn_scene(scene, CONVENTION))
+    shown = turn_scene(scene, CONVENTION)
+    cloud = to_cloud(shown)
     try:
         info = gs_codec.inspect(source)
     except gs_codec.GsCodecError:  # not an .egs file
         info = None
     path, system = Path(source), system_of(scene)
-    size, antialiased = os.path.getsize(path), scene.antialiased
-    return Opened(path.name, cloud, size, info, system, path, antialiased=antialiased)
+    size = os.path.getsize(path)
+    return Opened(path.name, cloud, size, info, system, path, shown.comments)
 
 
 def turned(scene: Opened) -> Opened:
@@ -193,7 +236,10 @@ def turned(scene: Opened) -> Opened:
     """
     was = scene.system == _OTHER
     return replace(
-        scene, cloud=turn_cloud(scene.cloud, _OTHER), system=CONVENTION if was else _OTHER
+        scene,
+        cloud=turn_cloud(scene.cloud, _OTHER),
+        system=CONVENTION if was else _OTHER,
+        comments=without_order(scene.gaussians).comments,
     )
 
 

@@ -19,7 +19,7 @@ _SCENES = " ".join(SUFFIXES)
 
 
 class Modal:
-    """The dialog of a window; while one is open, only it gets keys.
+    """The dialog of a window, and Esc: while a dialog is open, only it gets keys.
 
     Open3D asks to close the window whenever Esc goes down, repeats or goes up, before it reports
     the key.
@@ -27,6 +27,8 @@ class Modal:
     Attributes
     ----------
     dialog : gui.Dialog or None
+    cancels : list of callable
+        What Esc may end before it closes the window; each tells whether it ended anything.
     theme : gui.Theme
     """
 
@@ -35,7 +37,8 @@ class Modal:
         self.dialog: gui.Dialog | None = None
         self._enter: Callable[[], None] | None = None
         self._escape: Callable[[], None] = self.close_dialog
-        self._escaping = False
+        self._escaping = self._asked = self._closing = False
+        self.cancels: list[Callable[[], bool]] = []
         self.theme = window.theme
 
     def show_dialog(
@@ -58,6 +61,8 @@ class Modal:
         down = event.type == gui.KeyEvent.Type.DOWN
         if event.key == gui.KeyName.ESCAPE:
             self._escaping = down
+            if down and self._asked:
+                self._asked = not any(cancel() for cancel in self.cancels)
         if self.dialog is None:
             return False
         # While a text is edited, Open3D reports only that a key goes up.
@@ -74,7 +79,16 @@ class Modal:
         if self._escaping:
             self._escaping = False
             return False
-        return True
+        # Whether it was Esc, which may end something else, is reported next.
+        self._asked = not self._closing
+        return self._closing
+
+    def settle(self) -> None:
+        """Close the window if it was asked to, and Esc ended nothing instead."""
+        if self._asked:
+            self._asked, self._closing = False, True
+            # Not at once: Open3D is going through its windows.
+            gui.Application.instance.post_to_main_thread(self._window, self._window.close)
 
 
 def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:

@@ -74,7 +74,7 @@ KEYS = (
     Key("ctrl + S", "save a picture", ord("s"), lambda v: v.ask_save(), control=True),
     Key("Backspace", "stop loading", int(gui.KeyName.BACKSPACE), lambda v: v.loading.stop()),
     Key("H", "this help", ord("h"), lambda v: v.help()),
-    Key("Esc", "quit; in a dialog, close it; Enter is OK"),
+    Key("Esc", "in a dialog, close it (Enter is OK); else pick nothing; else quit"),
     Key("ctrl + Q", "quit", ord("q"), lambda v: v.window.close(), control=True),
 )
 

@@ -12,6 +12,7 @@ from open3d.visualization import gui, rendering
 
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
+from viewer.pictures.marker import LINES
 from viewer.pictures.picture import CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
 from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import Appearance
@@ -28,6 +29,9 @@ HIDDEN = 1, 1
 
 #: Depth of the frame's outline, relative to the near plane; its width, pixels.
 _BEFORE, _OUTLINE = 1.5, 1.5
+
+#: Geometries of a marker, and their depths, relative to the near plane.
+_MARKS, _MARKED = ("mark's edge", "mark"), (1.4, 1.3)
 
 #: Sizes of points by their name; of others `POINT_SIZE`.
 _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE}
@@ -96,16 +100,35 @@ class Pane:
         corners = [
             ((x - cx) / fx, (y - cy) / fy, 1.0)
             for inset in (0, _OUTLINE)
-            for x in (left + inset, right - inset)
-            for y in (top + inset, bottom - inset)
+            for x, y in (
+                (left + inset, top + inset),
+                (right - inset, top + inset),
+                (right - inset, bottom - inset),
+                (left + inset, bottom - inset),
+            )
         ]
         if self._outlined != corners:
             self._outlined = corners
-            self._replace("outline", *_ring(corners))
+            self._replace("outline", *_rings([corners], LINE_COLOUR))
+        self._bring_near("outline", pose, _BEFORE)
+
+    def mark(self, lines: list[NDArray], pose: Pose, width: int, height: int) -> None:
+        """Draw closed lines ``(n, 2)``, pixels of a picture, in front of everything, or none."""
+        fx, fy, cx, cy = pose.lens(width, height)
+        for name, depth, (thickness, colour) in zip(_MARKS, _MARKED, LINES, strict=True):
+            self._replace(name, None, None)
+            if lines:
+                edges = [_thick(line, thickness) for line in lines]
+                rays = [[((x - cx) / fx, (y - cy) / fy, 1.0) for x, y in edge] for edge in edges]
+                self._replace(name, *_rings(rays, colour))
+                self._bring_near(name, pose, depth)
+
+    def _bring_near(self, name: str, pose: Pose, depth: float) -> None:
+        """Put a geometry of the camera's axes at a depth, relative to the near plane."""
         near = self.widget.scene.camera.get_near()
-        nearby = np.diag([_BEFORE * near] * 3 + [1.0])
+        nearby = np.diag([depth * near] * 3 + [1.0])
         transform = np.linalg.inv(pose.extrinsics) @ nearby
-        self.widget.scene.set_geometry_transform("outline", transform)
+        self.widget.scene.set_geometry_transform(name, transform)
 
     def set_background(self, colour: tuple[float, float, float]) -> None:
         """Set the colour behind everything, RGB 0-1."""
@@ -228,23 +251,37 @@ def cube_geometry(
     return mesh, material
 
 
-def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
-    """The ring between four outer and four inner corners, visible from both sides, of one colour.
+def _thick(line: NDArray, thickness: float) -> NDArray[np.float64]:
+    """Outer and then inner corners ``(2 n, 2)`` of a closed line ``(n, 2)`` that is convex."""
+    along = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
+    across = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    across *= 0.5 * thickness / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    return np.concatenate([line + across, line - across])
+
+
+def _rings(
+    rings: list, colour: tuple[float, float, float]
+) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
+    """Rings, each between n outer and n inner corners, visible from both sides, of one colour.
 
     Lines are not used, because Open3D does not draw horizontal ones. The shader has no texture,
     because Mesa's software driver would take seconds or minutes for such thin triangles.
     """
-    around = [0, 2, 3, 1]
-    sides = [(around[k], around[(k + 1) % 4]) for k in range(4)]
-    triangles = [t for a, b in sides for t in ((a, b, a + 4), (b, b + 4, a + 4))]
+    triangles, first = [], 0
+    for ring in rings:
+        count = len(ring) // 2
+        for k in range(count):
+            a, b = first + k, first + (k + 1) % count
+            triangles += [(a, b, a + count), (b, b + count, a + count)]
+        first += len(ring)
     mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(np.array(corners)),
+        o3d.utility.Vector3dVector(np.concatenate(rings)),
         o3d.utility.Vector3iVector(np.array(triangles + [t[::-1] for t in triangles], np.int32)),
     )
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
     # Open3D takes this colour as sRGB, but output without post-processing stays linear.
-    material.base_color = (*np.power(LINE_COLOUR, 1 / 2.2), 1.0)
+    material.base_color = (*np.power(colour, 1 / 2.2), 1.0)
     return mesh, material
 
 

@@ -8,7 +8,7 @@ from open3d.visualization import gui
 
 from gs_codec.formats.coordinates import CONVENTION
 from viewer.pictures.layers import reason_colour
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES
+from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES, SCALED
 from viewer.scenes.numbers import between, facts
 from viewer.window.widgets import Widgets
 
@@ -26,6 +26,8 @@ class SceneTab:
     boxes : dict of str to gui.Checkbox
         By layer.
     colouring, cells, mode : gui.Combobox
+    logarithmic : gui.Checkbox
+        Whether the scale of the colours is.
     depth : gui.Slider
     """
 
@@ -40,8 +42,14 @@ class SceneTab:
         rows = list(self.boxes.values())
         for k in range(0, len(rows), 3):
             widgets.row(self.widget, *rows[k : k + 3])
+        self.logarithmic = widgets.checkbox("log", viewer.set_logarithmic)
+        self.logarithmic.tooltip = "Colours on a logarithmic scale."
         self.colouring = widgets.choice(
-            self.widget, "centres by", COLOURINGS, lambda k: viewer.set_colouring(COLOURINGS[k])
+            self.widget,
+            "centres by",
+            COLOURINGS,
+            lambda k: viewer.set_colouring(COLOURINGS[k]),
+            self.logarithmic,
         )
         self._add_octree(widgets)
         self.mode = widgets.choice(
@@ -114,6 +122,8 @@ class SceneTab:
         self.boxes["pruned"].enabled = stage.pruned is not None
         self.boxes["error"].enabled = self.mode.enabled = two
         self.colouring.selected_index = COLOURINGS.index(choice.colouring)
+        self.logarithmic.enabled = choice.colouring in SCALED
+        self.logarithmic.checked = choice.scale == "log"
         self._octree.visible = "octree" in choice.layers
         self.cells.selected_index = CELL_COLOURINGS.index(choice.octree.colouring)
         self.depth.int_value = choice.octree.depth

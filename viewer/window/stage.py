@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points, centres, pruned_centres
+from viewer.pictures.centres import centres, pruned_centres
+from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points
+from viewer.pictures.marker import marker
 from viewer.pictures.octree import MOST_CUBES
 from viewer.pictures.picture import Shown, wipe_line
 from viewer.pictures.splats import Drawer, depth_at
@@ -104,6 +106,7 @@ class Stage:
         self.views: dict[Opened, Drawer] = {}
         self.painter = Painter(self, changed, failed)
         self._coloured: Shown | None = None
+        self._marked: tuple[Opened, int] | None = None
         self._octree = OctreeLayer(worker, changed, failed)
         self._laid_out = False
 
@@ -118,7 +121,7 @@ class Stage:
         self.drawn = {scene: mask for scene, mask in self.drawn.items() if scene in scenes}
         # Not changed in place, because a job may still add to it.
         self.views = {scene: self.views[scene] for scene in scenes if scene in self.views}
-        self._coloured = None
+        self._coloured = self._marked = None
         self.painter.put(scenes)
         self.panes = [Pane(self.window, scene) for scene in scenes]
         self._octree.put(self.panes, _CUBES[self.device], self._most)
@@ -129,7 +132,8 @@ class Stage:
             if self.by_hand:
                 # Until the first picture is drawn.
                 look = self.shown.look(pane.scene)
-                pane.show_points("draft", centres(pane.scene, "colour", scenes, _DRAFT, look))
+                points = centres(pane.scene, "colour", scenes, _DRAFT, look=look)
+                pane.show_points("draft", points)
 
     def put_pruned(self, pruned: Pruned | None) -> None:
         """Show what a report says was pruned from the first scene."""
@@ -147,8 +151,10 @@ class Stage:
             tuple(self.scenes),
             self.pruned,
             choice.octree,
-            appearance=choice.appearance,
-            drawn=dict(self.drawn),
+            choice.appearance,
+            dict(self.drawn),
+            choice.scale,
+            self._marked,
         )
 
     @property
@@ -159,10 +165,12 @@ class Stage:
     @property
     def legends(self) -> list[Legend]:
         """The legends of the layers shown."""
-        layers, known = self.choice.layers, []
-        coloured = self._coloured
-        if "centres" in layers and coloured and coloured.colouring == self.choice.colouring:
-            known = [p.points["centres"].legend for p in self.panes[:1]]
+        layers, coloured = self.choice.layers, self._coloured
+        known: list[Legend | None] = []
+        if "centres" in layers and coloured and _same_colours(coloured, self.shown):
+            # They are the same wherever the quantity is known.
+            legends = [pane.points["centres"].legend for pane in self.panes]
+            known += [legend for legend in legends if legend is not None][:1]
         if "error" in layers and len(self.scenes) > 1:
             known.append(PIXEL_LEGEND)
         known.append(self._octree.legend)
@@ -231,8 +239,9 @@ class Stage:
             return
 
         def colour(stale: Stale) -> list[Points]:
+            chosen, scenes = shown.colouring, shown.scenes
             return [
-                centres(p.scene, shown.colouring, shown.scenes, most, shown.look(p.scene))
+                centres(p.scene, chosen, scenes, most, shown.scale, shown.look(p.scene))
                 for p in panes
             ]
 
@@ -338,12 +347,20 @@ class Stage:
             pane.look(self.seen, wide, height, left)
             if len(self.scenes) > 1:
                 pane.outline(self.seen, wide, height)
+            lines = marker(*self._marked, self.seen, wide, height) if self._marked else []
+            pane.mark(lines, self.seen, wide, height)
 
     def see(self, pose: Pose) -> None:
         """Let the panes look from a pose."""
         if self.seen is not pose:
             self.seen = pose
             self._look()
+
+    def mark(self, marked: tuple[Opened, int] | None) -> None:
+        """Mark a Gaussian of a scene in all panes, or none."""
+        self._marked = marked
+        self._look()
+        self.window.post_redraw()
 
     def steer(self, pose: Pose) -> None:
         """Look from a pose that moves on."""
@@ -375,10 +392,15 @@ class Stage:
         return self.painter.tick() or looked or any(stuck)
 
 
+def _same_colours(before: Shown, after: Shown) -> bool:
+    """Whether centres are coloured by the same quantity and scale."""
+    return (before.colouring, before.scale) == (after.colouring, after.scale)
+
+
 def _same_centres(before: Shown, after: Shown) -> bool:
     """Whether the same centres are shown, in the same colours."""
     return (
-        before.colouring == after.colouring
+        _same_colours(before, after)
         and before.appearance.least_opacity == after.appearance.least_opacity
         and all(before.drawn.get(each) is after.drawn.get(each) for each in after.scenes)
     )

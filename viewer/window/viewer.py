@@ -11,7 +11,7 @@ from open3d.visualization import gui
 
 import gs_codec
 from viewer.pictures.screenshot import compose, save_picture
-from viewer.scenes.choice import COLOURINGS, MODES, Choice
+from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Choice
 from viewer.scenes.request import Request
 from viewer.window import dialogs
 from viewer.window.dock import Dock
@@ -21,6 +21,7 @@ from viewer.window.mouse import Place
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
+from viewer.window.picking import Picking
 from viewer.window.saved import Saved
 from viewer.window.stage import Stage
 from viewer.window.visits import Visits
@@ -54,6 +55,7 @@ class Viewer:
     visits : Visits
     loading : Loading
     saved : Saved
+    picking : Picking
     panel : Panel
     dock : Dock
     keys : Keys
@@ -68,6 +70,8 @@ class Viewer:
         self.choice = Choice(
             set(request.layers), request.colouring, request.mode, octree=request.octree
         )
+        if request.scale is not None:
+            self.choice.scales[request.colouring] = request.scale
         self.message: tuple[str, str] | None = None
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
@@ -86,6 +90,7 @@ class Viewer:
             self._focused,
         )
         self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
+        self.picking = Picking(self)
         self.dock = Dock(self, self._select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
@@ -145,6 +150,11 @@ class Viewer:
         """Colour centres by the next of `COLOURINGS`."""
         index = (COLOURINGS.index(self.choice.colouring) + 1) % len(COLOURINGS)
         self.set_colouring(COLOURINGS[index])
+
+    def set_logarithmic(self, logarithmic: bool) -> None:
+        """Set whether the scale of the present colours of centres is logarithmic."""
+        self.choice.scales[self.choice.colouring] = SCALES[logarithmic]
+        self.refresh()
 
     def set_octree(self, **changes: Any) -> None:
         """Change the depth or the colouring of the octree's cells."""
@@ -210,7 +220,7 @@ class Viewer:
             self.stage.look_from(*framing(self.stage.pose, scene.positions, scene.opacities))
 
     def _clicked(self, pane: Pane, at: Place) -> None:
-        pass
+        self.picking.click(pane, at)
 
     def _focused(self, pane: Pane, at: Place) -> None:
         self.stage.focus(pane, at)
@@ -225,6 +235,7 @@ class Viewer:
         if thrust is not None and pose is not None:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
         flown = self.saved.tick()
+        self.modal.settle()
         drawn = self.stage.tick()
         self.visits.tick()
         return drawn or flown or (thrust is not None and not self.stage.painter.leads)

@@ -36,7 +36,6 @@ from viewer.pictures.layers import (
     error_image,
     error_legend,
     heat,
-    thinned,
 )
 from viewer.pictures.picture import (
     Shown,
@@ -50,7 +49,7 @@ from viewer.pictures.screenshot import draw_request
 from viewer.pictures.splats import measure
 from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
-from viewer.scenes.opened import Opened, open_scene, read_pruned, turned
+from viewer.scenes.opened import Opened, open_scene, read_pruned, thinned, turned
 from viewer.scenes.pose import UPS, Pose, look_at, of_camera, overview, up_of
 from viewer.scenes.request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views

@@ -33,7 +33,7 @@ class Loading:
 
         def read(stale: Stale) -> Any:
             scenes = request.scenes(viewer.worker.progress(stale, viewer.panel.show_progress))
-            viewer.worker.progress(stale, lambda _: self._preview(scenes, stale))("preview", 1, 1)
+            self._preview(stale, scenes)
             return scenes, self._first_views(stale, scenes), find_pruned(request, scenes[0])
 
         def done(found: tuple[list[Opened], Views, Pruned | None]) -> None:
@@ -41,19 +41,23 @@ class Loading:
                 _remember(scene)
             self.show(*found)
 
-        def failed(error: Exception) -> None:
-            viewer.stage.painter.until = None
-            viewer.fail(error)
-
         viewer.panel.say("loading ...", progress=0)
-        viewer.worker.submit("load", read, done, failed)
+        viewer.worker.submit("load", read, done, self._failed)
 
-    def _preview(self, scenes: list[Opened], stale: Stale) -> None:
-        """Show centres from above, until it is known where to look from or that job is stale."""
+    def _preview(self, stale: Stale, scenes: list[Opened]) -> None:
+        """Show centres from above, until it is known where to look from; part of a job."""
         viewer = self._viewer
-        viewer.stage.put(scenes, None)
-        viewer.visits.put(Views(), 0)
-        viewer.stage.painter.until = stale
+
+        def show(_: float) -> None:
+            viewer.stage.put(scenes, None)
+            viewer.visits.put(Views(), 0)
+            viewer.stage.painter.until = stale
+
+        viewer.worker.progress(stale, show)("preview", 1, 1)
+
+    def _failed(self, error: Exception) -> None:
+        self._viewer.stage.painter.until = None
+        self._viewer.fail(error)
 
     def _first_views(self, stale: Stale, scenes: list[Opened]) -> Views:
         """The cameras to begin with; part of the job that loads scenes."""
@@ -81,6 +85,8 @@ class Loading:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
             opened = open_scene(Path(path), progress=progress)
             scenes = [*before[:pane], opened, *before[pane + 1 :]]
+            if not before:
+                self._preview(stale, scenes)
             return scenes, self._first_views(stale, scenes) if chosen and not pane else views
 
         def done(found: tuple[list[Opened], Views]) -> None:
@@ -88,7 +94,7 @@ class Loading:
             self.show(*found, viewer.stage.pruned if pane else None)
 
         viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
-        viewer.worker.submit("load", read, done, viewer.fail)
+        viewer.worker.submit("load", read, done, self._failed)
 
     def stop(self) -> None:
         """Stop loading; the scenes shown stay."""

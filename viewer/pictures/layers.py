@@ -145,10 +145,11 @@ def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.f
 
 def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Points:
     """Pruned Gaussians, at most `most`, in the colours of the reasons."""
-    gone = np.flatnonzero(pruned.labels)
+    labels = pruned.of(scene).labels
+    gone = np.flatnonzero(labels)
     gone = gone[thinned(len(gone), most or len(gone))]
     palette = np.array([reason_colour(k) for k in range(max(len(pruned.reasons), 1))], np.float32)
-    return Points(scene.positions[gone], palette[pruned.labels[gone] - 1])
+    return Points(scene.positions[gone], palette[labels[gone] - 1])
 
 
 def box_lines(boxes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import gs_codec
 from gs_codec.files.scenes import gaussian_bits_of_file, read_scene, turn_scene
-from gs_codec.formats.cloud import to_cloud, turn_cloud
+from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
 from gs_codec.scene import SH_C0, SH_COEFFICIENTS, float_bytes
 
@@ -56,6 +56,14 @@ class Opened:
         The coordinate system of the file.
     path : Path
         Of the file; a cloud has none.
+    modified : int or None
+        When the file was written last, nanoseconds.
+    system_given : bool
+        Whether `system` is what `turned` made it, and not what the file states.
+    whole : Opened or None
+        Of an edited scene, the M Gaussians before edits, as in the file; None if all are left.
+    left : ndarray, shape (M,), bool, or None
+        Which of them are left.
     """
 
     name: str
@@ -64,6 +72,10 @@ class Opened:
     info: Any = None
     system: str = CONVENTION
     path: Path = Path()
+    modified: int | None = None
+    system_given: bool = False
+    whole: Opened | None = None
+    left: NDArray[np.bool_] | None = None
 
     @property
     def title(self) -> str:
@@ -74,6 +86,16 @@ class Opened:
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.positions)
+
+    @property
+    def file_count(self) -> int:
+        """Number of Gaussians of the file, before edits."""
+        return self.count if self.whole is None else self.whole.count
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """Rows of the file ``(N,)`` that its Gaussians are."""
+        return np.arange(self.count) if self.left is None else np.flatnonzero(self.left)
 
     @cached_property
     def positions(self) -> NDArray[np.float32]:
@@ -113,10 +135,12 @@ class Opened:
         Empty if the file is not ``.egs``, has one block, or restores the original order.
         """
         info = self.info
-        if info is None or info.keeps_order or self.count <= info.block_size:
+        if info is None or info.keeps_order or self.file_count <= info.block_size:
             return np.zeros((0, 2, 3), np.float32)
-        starts = range(0, self.count, info.block_size)
-        blocks = [self.positions[start : start + info.block_size] for start in starts]
+        starts = np.searchsorted(self.rows, range(0, self.file_count, info.block_size))
+        blocks = [block for block in np.split(self.positions, starts[1:]) if len(block)]
+        if not blocks:
+            return np.zeros((0, 2, 3), np.float32)
         return np.stack([np.quantile(block, _BOX, axis=0) for block in blocks]).astype(np.float32)
 
     @cached_property
@@ -130,6 +154,9 @@ class Opened:
         """
         if self.bits_unknown:
             return None
+        if self.whole is not None:
+            bits = self.whole.bits
+            return None if bits is None else bits[self.rows]
         bits = gaussian_bits_of_file(self.path)
         if len(bits) != self.count:
             raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
@@ -160,6 +187,7 @@ def open_scene(
     """
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
+    written = modified(source)
     scene = read_scene(source, "drop", progress, None, max_bytes)
     cloud = to_cloud(turn_scene(scene, CONVENTION))
     try:
@@ -167,7 +195,23 @@ def open_scene(
     except gs_codec.GsCodecError:  # not an .egs file
         info = None
     path, system = Path(source), system_of(scene)
-    return Opened(path.name, cloud, os.path.getsize(path), info, system, path)
+    return Opened(path.name, cloud, os.path.getsize(path), info, system, path, written)
+
+
+def modified(path: Path | str) -> int | None:
+    """When a file was written last, nanoseconds; None if it cannot be told."""
+    try:
+        return os.stat(path).st_mtime_ns
+    except OSError:
+        return None
+
+
+def keep(scene: Opened, left: NDArray[np.bool_]) -> Opened:
+    """The Gaussians of a whole scene that are left ``(N,)``; the scene itself if these are all."""
+    if left.all():
+        return scene
+    cloud = to_cloud(from_cloud(scene.cloud, "keep").take(left))
+    return replace(scene, cloud=cloud, whole=scene, left=left)
 
 
 def turned(scene: Opened) -> Opened:
@@ -176,9 +220,8 @@ def turned(scene: Opened) -> Opened:
     For a file in another coordinate system that does not say so.
     """
     was = scene.system == _OTHER
-    return replace(
-        scene, cloud=turn_cloud(scene.cloud, _OTHER), system=CONVENTION if was else _OTHER
-    )
+    cloud, system = turn_cloud(scene.cloud, _OTHER), CONVENTION if was else _OTHER
+    return replace(scene, cloud=cloud, system=system, system_given=not scene.system_given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +243,10 @@ class Pruned:
         """Number of Gaussians by reason."""
         counts = np.bincount(self.labels, minlength=len(self.reasons) + 1)[1:]
         return dict(zip(self.reasons, counts.tolist(), strict=True))
+
+    def of(self, scene: Opened) -> Pruned:
+        """The same of the Gaussians that are left in an edited scene."""
+        return self if scene.whole is None else replace(self, labels=self.labels[scene.rows])
 
 
 def read_pruned(folder: Path | str, scene: Opened) -> Pruned:

@@ -20,14 +20,12 @@ from viewer.scenes import edits as editing
 from viewer.scenes.edits import HOW, Edits
 from viewer.scenes.opened import Opened, Pruned, open_scene, turned
 from viewer.scenes.pose import look_at
+from viewer.scenes.region import REGIONS, Region, in_polygon, in_region
 from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import (
-    box_corners,
     by_reason,
     in_largest_cluster,
-    in_polygon,
     in_range,
-    in_region,
     inside_box,
     not_floating,
 )
@@ -77,7 +75,9 @@ def test_a_region_selects_centres_that_are_seen_in_it(scene, least):
     size, focal = (640, 400), 0.866 * 400
     middle = np.median(scene.positions, axis=0)
     pose = look_at(scene.positions[0].astype(float) + 0.01, middle.astype(float))
-    box = box_corners((500, 320), (120, 60))
+    box = Region("box", (500, 320))
+    box.extend((9, 400))
+    box.extend((120, 60))
     expected, behind = [], 0
     for point, opacity in zip(scene.positions.tolist(), scene.opacities.tolist(), strict=True):
         x, y, depth = pose.rotation @ (np.array(point) - pose.position)
@@ -87,7 +87,24 @@ def test_a_region_selects_centres_that_are_seen_in_it(scene, least):
         expected.append(inside and depth > 0.2 and opacity >= least)
     assert behind
     assert 20 < sum(expected) < 680
-    np.testing.assert_array_equal(in_region(scene, pose, size, box, least), expected)
+    np.testing.assert_array_equal(in_region(scene, pose, size, box.corners, least), expected)
+
+
+def test_what_is_no_place_is_in_no_region():
+    gaussians = random_scene(4, 0)
+    gaussians.positions[:] = [[0, np.nan, np.inf, 0], [0, 0, 0, -np.inf], [1, 1, 1, 1]]
+    pose, box = look_at(np.zeros(3), np.array([0.0, 0.0, 1.0])), [(0, 0), (9, 0), (9, 9), (0, 9)]
+    assert in_region(Opened("", to_cloud(gaussians)), pose, (9, 9), box).tolist() == [1, 0, 0, 0]
+    assert not in_region(Opened("", to_cloud(random_scene(0, 0))), pose, (9, 9), box).size
+
+
+def test_a_lasso_follows_the_mouse_and_a_click_draws_nothing():
+    lasso = Region("lasso", (0, 0))
+    for place in ((1, 1), (10, 0), (11, 1), (10, 10)):
+        lasso.extend(place)
+    assert lasso.corners == [(0, 0), (10, 0), (10, 10)]
+    for kind in REGIONS:
+        assert Region(kind, (5, 5)).corners == [(5, 5)]
 
 
 @pytest.mark.parametrize(

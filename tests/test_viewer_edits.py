@@ -22,13 +22,7 @@ from viewer.scenes.opened import Opened, Pruned, open_scene, turned
 from viewer.scenes.pose import look_at
 from viewer.scenes.region import REGIONS, Region, in_polygon, in_region
 from viewer.scenes.saving import save_scene
-from viewer.scenes.selecting import (
-    by_reason,
-    in_largest_cluster,
-    in_range,
-    inside_box,
-    not_floating,
-)
+from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +128,26 @@ def test_unknown_quantities_are_refused(scene):
         in_range(scene, "size", 0, 1)
 
 
+def test_rules_choose_what_statistics_count(file):
+    """Of a scene in which every share has some."""
+    some = read_ply(file, "drop")
+    for k, (group, value) in enumerate(
+        {"log_scale": 3.0, "f_dc": np.nan, "opacity": -9.0}.items(), 10
+    ):
+        getattr(some, group)[0, k] = value
+    cloud = to_cloud(some.take(np.array([*range(700), 5, 6])))
+    cloud.point.f_dc.numpy()[700] += 1
+    shares = gs_codec.edit.statistics(cloud).shares
+    names = rules(Pruned(("geometry",), np.zeros(702, np.uint8)))
+    assert names[: len(shares)] == [share.name for share in shares]
+    assert names[len(shares) :] == ["floaters", "outside the largest cluster", "pruned by geometry"]
+    scene = Opened("", cloud)
+    for share in shares:
+        assert by_rule(scene, share.name).sum() == share.count > 0
+    assert np.flatnonzero(by_rule(scene, "same centre")).tolist() == [700, 701]
+    assert np.flatnonzero(by_rule(scene, "duplicate")).tolist() == [701]
+
+
 # Steps, and the way back
 
 
@@ -218,7 +232,7 @@ def test_what_is_left_refers_to_the_rows_of_the_file(tmp_path):
     np.testing.assert_allclose(scene.blocks[1], np.quantile(block, (0.02, 0.98), axis=0), rtol=1e-6)
     labels = (np.arange(3000) % 4).astype(np.uint8)
     pruned = Pruned(("geometry", "importance", "error"), labels)
-    np.testing.assert_array_equal(by_reason(scene, pruned, "importance"), labels[left] == 2)
+    np.testing.assert_array_equal(by_rule(scene, "pruned by importance", pruned), labels[left] == 2)
 
 
 def test_nothing_but_a_number_of_steps_is_kept(scene, monkeypatch):
@@ -267,9 +281,9 @@ def kept_by(action: Action, scene: Opened) -> np.ndarray:
     if action.name == "crop-box":
         return inside_box(scene, action.arguments[:3], action.arguments[3:])
     if action.name == "remove-floaters":
-        return not_floating(scene, None, None)
+        return ~by_rule(scene, "floaters")
     if action.name == "keep-largest-cluster":
-        return in_largest_cluster(scene)
+        return ~by_rule(scene, "outside the largest cluster")
     name, _, number = action.arguments
     return in_range(scene, name, number, np.inf)
 

@@ -11,10 +11,14 @@ import gs_codec
 from gs_codec.edit.clusters import largest_cluster
 from gs_codec.edit.floaters import find_floaters
 from gs_codec.edit.selection import attribute_names, attribute_values, in_box
+from gs_codec.edit.shares import SHARES, members
 from gs_codec.formats.cloud import from_cloud
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 from viewer.scenes.opened import Opened, Progress, Pruned
+
+#: Rules beside the shares of statistics.
+_FLOATERS, _APART, _PRUNED = "floaters", "outside the largest cluster", "pruned by "
 
 
 def quantity_names(scene: Opened) -> list[str]:
@@ -52,26 +56,44 @@ def in_range(scene: Opened, name: str, low: float, high: float) -> NDArray[np.bo
     return (values >= low) & (values <= high)
 
 
-def by_reason(scene: Opened, pruned: Pruned, reason: str) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` preparation removed for a reason of `Pruned`."""
-    return pruned.of(scene).labels == 1 + pruned.reasons.index(reason)
+def rules(pruned: Pruned | None) -> list[str]:
+    """Names of the rules of `by_rule`, for a scene with a report or without one."""
+    reasons = () if pruned is None else pruned.reasons
+    return [*SHARES, _FLOATERS, _APART, *(f"{_PRUNED}{reason}" for reason in reasons)]
+
+
+def by_rule(
+    scene: Opened,
+    rule: str,
+    pruned: Pruned | None = None,
+    cameras: Sequence[Camera] | None = None,
+    progress: Progress | None = None,
+) -> NDArray[np.bool_]:
+    """Which Gaussians ``(N,)`` a rule chooses.
+
+    Parameters
+    ----------
+    scene : Opened
+    rule : str
+        A name of `rules`: a share of `gs_codec.edit.statistics`, what
+        `gs_codec.edit.remove_floaters` or `keep_largest_cluster` remove, or a reason for pruning.
+    pruned : Pruned or None
+    cameras : sequence of gs_codec's Camera, optional
+        As for `gs_codec.edit.remove_floaters`.
+    progress : callable, optional
+    """
+    if rule.startswith(_PRUNED) and pruned is not None:
+        reason = 1 + pruned.reasons.index(rule.removeprefix(_PRUNED))
+        return pruned.of(scene).labels == reason
+    gaussians = gaussians_of(scene)
+    if rule == _FLOATERS:
+        return find_floaters(gaussians, cameras, progress) > 0
+    return ~largest_cluster(gaussians) if rule == _APART else members(gaussians, rule)
 
 
 def inside_box(scene: Opened, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:
     """Which Gaussians ``(N,)`` `gs_codec.edit.crop_box` keeps; raises as it does."""
     return in_box(gaussians_of(scene), low, high)
-
-
-def not_floating(
-    scene: Opened, cameras: Sequence[Camera] | None, progress: Progress | None
-) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` `gs_codec.edit.remove_floaters` keeps."""
-    return find_floaters(gaussians_of(scene), cameras, progress) == 0
-
-
-def in_largest_cluster(scene: Opened) -> NDArray[np.bool_]:
-    """Which Gaussians ``(N,)`` `gs_codec.edit.keep_largest_cluster` keeps."""
-    return largest_cluster(gaussians_of(scene))
 
 
 def gaussians_of(scene: Opened) -> Scene:

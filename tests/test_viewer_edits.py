@@ -64,8 +64,7 @@ def test_a_polygon_holds_what_it_surrounds_once(number):
     np.testing.assert_array_equal(in_polygon(points, corners), expected)
 
 
-@pytest.mark.parametrize("least", [0.0, 0.5])
-def test_a_region_selects_centres_that_are_seen_in_it(scene, least):
+def test_a_region_selects_drawn_centres_before_the_camera(scene):
     size, focal = (640, 400), 0.866 * 400
     middle = np.median(scene.positions, axis=0)
     pose = look_at(scene.positions[0].astype(float) + 0.01, middle.astype(float))
@@ -73,15 +72,18 @@ def test_a_region_selects_centres_that_are_seen_in_it(scene, least):
     box.extend((9, 400))
     box.extend((120, 60))
     expected, behind = [], 0
-    for point, opacity in zip(scene.positions.tolist(), scene.opacities.tolist(), strict=True):
+    for point in scene.positions.tolist():
         x, y, depth = pose.rotation @ (np.array(point) - pose.position)
         u, v = focal * x / depth + 320, focal * y / depth + 200
         inside = 120 <= u < 500 and 60 <= v < 320
         behind += inside and depth <= 0.2
-        expected.append(inside and depth > 0.2 and opacity >= least)
+        expected.append(inside and depth > 0.2)
     assert behind
     assert 20 < sum(expected) < 680
-    np.testing.assert_array_equal(in_region(scene, pose, size, box.corners, least), expected)
+    np.testing.assert_array_equal(in_region(scene, pose, size, box.corners), expected)
+    drawn = np.arange(700) % 2 == 0
+    found = in_region(scene, pose, size, box.corners, drawn)
+    np.testing.assert_array_equal(found, expected & drawn)
 
 
 def test_what_is_no_place_is_in_no_region():
@@ -233,6 +235,18 @@ def test_what_is_left_refers_to_the_rows_of_the_file(tmp_path):
     labels = (np.arange(3000) % 4).astype(np.uint8)
     pruned = Pruned(("geometry", "importance", "error"), labels)
     np.testing.assert_array_equal(by_rule(scene, "pruned by importance", pruned), labels[left] == 2)
+
+
+def test_what_is_drawn_is_the_same_array_until_it_changes(scene):
+    edits = Edits(scene)
+    edits.select(np.arange(scene.count) < 100)
+    edits.hide()
+    drawn = edits.drawn
+    assert np.flatnonzero(~drawn).tolist() == list(range(100))
+    edits.select(np.arange(scene.count) < 200)
+    assert edits.drawn is drawn
+    edits.delete()
+    assert (len(edits.drawn), (~edits.drawn).sum()) == (600, 100)
 
 
 def test_nothing_but_a_number_of_steps_is_kept(scene, monkeypatch):

@@ -50,12 +50,15 @@ class Edits:
     whole : Opened
     scene : Opened
         What is left; `whole` itself if nothing is deleted.
+    drawn : ndarray, shape (N,), bool, or None
+        Which Gaussians are drawn; None if none is hidden. The same array as long as that is so.
     """
 
     def __init__(self, whole: Opened) -> None:
         self.whole = self.scene = whole
         nothing = np.packbits(np.zeros(whole.count, bool))
         self._state = _State("", nothing, nothing, nothing)
+        self.drawn: NDArray[np.bool_] | None = None
         self._saved = nothing
         self._before: deque[_State] = deque(maxlen=_STEPS)
         self._after: list[_State] = []
@@ -75,11 +78,6 @@ class Edits:
     def hidden_count(self) -> int:
         """Number of hidden Gaussians."""
         return int(np.unpackbits(self._state.hidden).sum(dtype=np.int64))
-
-    @property
-    def drawn(self) -> NDArray[np.bool_] | None:
-        """Which Gaussians ``(N,)`` are drawn; None if none is hidden."""
-        return ~self._of_scene(self._state.hidden) if self.hidden_count else None
 
     @property
     def unsaved(self) -> bool:
@@ -182,6 +180,7 @@ class Edits:
 
     def _be(self, state: _State) -> None:
         """Take on a state, and the scene that is left in it."""
+        before, was = self._state, self.scene
         self._state = state
         known = [scene for deleted, scene in self._known if deleted is state.deleted]
         if known:
@@ -190,6 +189,8 @@ class Edits:
             left = ~np.unpackbits(state.deleted, count=self.whole.count).astype(bool)
             self.scene = keep(self.whole, left)
             self._known.append((state.deleted, self.scene))
+        if self.scene is not was or state.hidden is not before.hidden:
+            self.drawn = ~self._of_scene(state.hidden) if self.hidden_count else None
 
     def _of_scene(self, bits: _Bits) -> NDArray[np.bool_]:
         """A mask ``(N,)`` of the scene, of one of the file."""

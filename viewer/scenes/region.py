@@ -57,9 +57,9 @@ def in_region(
     pose: Pose,
     size: tuple[int, int],
     corners: Sequence[Pixel],
-    least_opacity: float = 0.0,
+    drawn: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
-    """Which Gaussians have their centre in a region of a picture, and are drawn.
+    """Which Gaussians have their centre in a region of a picture.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ def in_region(
         Width and height of the picture, pixels.
     corners : sequence of pairs of float
         Corners of a polygon, pixels; one that crosses itself holds what it surrounds once.
-    least_opacity : float
-        Those below it are not drawn, 0-1.
+    drawn : ndarray, shape (N,), bool, or None
+        Those to select from; None for all.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def in_region(
     pixels, depth = pose.project(scene.positions, *size)
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     near = (depth > NEAR) & ((pixels >= low) & (pixels <= high)).all(axis=1)
-    asked = np.flatnonzero(near & (scene.opacities >= least_opacity))
+    asked = np.flatnonzero(near if drawn is None else near & drawn)
     chosen[asked] = in_polygon(pixels[asked], corners)
     return chosen
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
 from viewer.pictures.picture import BACKGROUND, CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
+from viewer.scenes.region import Pixel
+from viewer.window.strokes import STROKES, stroke_mesh
 
 _BACKGROUND = (*BACKGROUND, 1.0)
 
@@ -95,6 +98,25 @@ class Pane:
         nearby = np.diag([_BEFORE * near] * 3 + [1.0])
         transform = np.linalg.inv(pose.extrinsics) @ nearby
         self.widget.scene.set_geometry_transform("outline", transform)
+
+    def show_stroke(
+        self, corners: Sequence[Pixel], pose: Pose, width: int, height: int, left: int = 0
+    ) -> None:
+        """Draw a closed line in front of everything, or remove it; sizes as for `look`.
+
+        Corners are pixels of the pane; two or more are drawn.
+        """
+        fx, fy, cx, cy = pose.lens(width, height)
+        near = self.widget.scene.camera.get_near()
+        for name, (wide, grey, depth) in STROKES.items():
+            if len(corners) < 2:
+                self._replace(name, None, None)
+                continue
+            mesh = stroke_mesh(corners, wide, (fx, fy, cx - left, cy))
+            self._replace(name, mesh, _solid((grey, grey, grey)))
+            nearby = np.diag([depth * near] * 3 + [1.0])
+            transform = np.linalg.inv(pose.extrinsics) @ nearby
+            self.widget.scene.set_geometry_transform(name, transform)
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""
@@ -198,11 +220,16 @@ def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialR
         o3d.utility.Vector3dVector(np.array(corners)),
         o3d.utility.Vector3iVector(np.array(triangles + [t[::-1] for t in triangles], np.int32)),
     )
+    return mesh, _solid(LINE_COLOUR)
+
+
+def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:
+    """A material of one colour, RGB as it is to be seen."""
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
     # Open3D takes this colour as sRGB, but output without post-processing stays linear.
-    material.base_color = (*np.power(LINE_COLOUR, 1 / 2.2), 1.0)
-    return mesh, material
+    material.base_color = (*np.power(colour, 1 / 2.2), 1.0)
+    return material
 
 
 def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:

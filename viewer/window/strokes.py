@@ -9,8 +9,8 @@ import open3d as o3d
 
 from viewer.scenes.region import Pixel
 
-#: A light line on a darker, wider one: widths, pixels, and grey levels.
-STROKES = {"stroke edge": (4.0, 0.05), "stroke": (2.0, 0.95)}
+#: A light line on a dark, wider one: width in pixels, grey level, and depth in near planes.
+STROKES = {"stroke edge": (5.0, 0.05, 1.4), "stroke": (2.0, 0.95, 1.2)}
 
 
 def stroke_mesh(

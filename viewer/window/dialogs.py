@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -128,16 +129,11 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
 
 def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
     """Ask which of two scenes to replace."""
-    dialog, box = _box(window, "Open", f"Show {name} in place of")
-    for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
-
-        def chosen(index: int = index) -> None:
-            window.close_dialog()
-            then(index)
-
-        _add_button(box, f"{letter}: {scene}", chosen)
-    _add_button(box, "Cancel", window.close_dialog)
-    window.show_dialog(dialog)
+    choices = {
+        f"{letter}: {scene}": partial(then, index)
+        for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True))
+    }
+    ask_among(window, "Open", f"Show {name} in place of", choices | {"Cancel": lambda: None})
 
 
 def ask_open(window: Modal, then: Callable[[str], None]) -> None:
@@ -149,7 +145,36 @@ def ask_open(window: Modal, then: Callable[[str], None]) -> None:
 def ask_save(window: Modal, then: Callable[[str], None]) -> None:
     """Ask where to write a picture."""
     kind = (".png", "PNG images (.png)")
-    _ask(window, gui.FileDialog.SAVE, "Save a picture", kind, then)
+    _ask(window, gui.FileDialog.SAVE, "Save a picture", kind, then, ".png")
+
+
+def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
+    """Ask where to write a scene; a file that exists is asked about."""
+
+    def chosen(path: str) -> None:
+        if not Path(path).exists():
+            then(path)
+            return
+        choices = {"Replace": lambda: then(path), "Cancel": lambda: None}
+        ask_among(window, "Save", f"{Path(path).name} exists.", choices)
+
+    kind = (" ".join(_SCENES), "3DGS scenes")
+    _ask(window, gui.FileDialog.SAVE, "Save the scene", kind, chosen, ".egs")
+
+
+def ask_among(
+    window: Modal, title: str, text: str, choices: Mapping[str, Callable[[], None]]
+) -> None:
+    """Ask to choose one of several actions, each a button; Esc closes the dialog."""
+    dialog, box = _box(window, title, text)
+    for name, action in choices.items():
+
+        def chosen(action: Callable[[], None] = action) -> None:
+            window.close_dialog()
+            action()
+
+        _add_button(box, name, chosen)
+    window.show_dialog(dialog)
 
 
 def _ask(
@@ -158,8 +183,12 @@ def _ask(
     title: str,
     kind: tuple[str, str],
     then: Callable[[str], None],
+    suffix: str = "",
 ) -> None:
-    """Ask for a file; `kind` has its suffixes and their description."""
+    """Ask for a file; `kind` has its suffixes and their description.
+
+    A name that is typed without a suffix gets `suffix`.
+    """
     dialog = gui.FileDialog(purpose, title, window.theme)
     dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
@@ -173,12 +202,12 @@ def _ask(
     def enter() -> None:
         path = _typed(dialog)
         if path is not None:
-            done(path)
+            done(str(path if path.suffix else path.with_suffix(suffix)))
 
     window.show_dialog(dialog, enter)
 
 
-def _typed(dialog: gui.FileDialog) -> str | None:
+def _typed(dialog: gui.FileDialog) -> Path | None:
     """The path of the name that was typed; None if there is none, as when opening files."""
     widgets = list(inside(dialog))
     names = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
@@ -186,8 +215,7 @@ def _typed(dialog: gui.FileDialog) -> str | None:
         return None
     folders = next(w for w in widgets if isinstance(w, gui.Combobox))
     parts = [folders.get_item(k) for k in range(folders.selected_index + 1)]
-    path = Path(*parts, names[0])
-    return str(path if path.suffix else path.with_suffix(".png"))
+    return Path(*parts, names[0])
 
 
 def inside(widget: gui.Widget) -> Iterator[gui.Widget]:

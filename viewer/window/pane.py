@@ -99,21 +99,17 @@ class Pane:
         transform = np.linalg.inv(pose.extrinsics) @ nearby
         self.widget.scene.set_geometry_transform("outline", transform)
 
-    def show_stroke(
-        self, corners: Sequence[Pixel], pose: Pose, width: int, height: int, left: int = 0
-    ) -> None:
-        """Draw a closed line in front of everything, or remove it; sizes as for `look`.
+    def show_stroke(self, corners: Sequence[Pixel], pose: Pose, width: int, height: int) -> None:
+        """Draw a closed line in front of everything; with fewer than two corners, remove it.
 
-        Corners are pixels of the pane; two or more are drawn.
+        Corners are pixels of the picture, whose size is as for `look`.
         """
-        fx, fy, cx, cy = pose.lens(width, height)
-        near = self.widget.scene.camera.get_near()
+        near, lens = self.widget.scene.camera.get_near(), pose.lens(width, height)
         for name, (wide, grey, depth) in STROKES.items():
             if len(corners) < 2:
                 self._replace(name, None, None)
                 continue
-            mesh = stroke_mesh(corners, wide, (fx, fy, cx - left, cy))
-            self._replace(name, mesh, _solid((grey, grey, grey)))
+            self._replace(name, stroke_mesh(corners, wide, lens), _solid((grey, grey, grey)))
             nearby = np.diag([depth * near] * 3 + [1.0])
             transform = np.linalg.inv(pose.extrinsics) @ nearby
             self.widget.scene.set_geometry_transform(name, transform)

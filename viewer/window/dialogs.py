@@ -2,41 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from open3d.visualization import gui
 
-from viewer.scenes.choice import LAYERS
-from viewer.window.panel import folded
+from gs_codec.files.suffixes import WRITTEN
+from gs_codec.formats.registry import SUFFIXES
 
 #: Longest line of a dialog, characters.
 _WIDTH = 76
 
-_KEYS = (
-    ("drag", "turn"),
-    ("ctrl + drag, right drag", "shift"),
-    ("wheel up, down", "move nearer, farther"),
-    ("N, P", "next, previous view"),
-    ("R", "back to the view after moving away"),
-    ("Home", "overview"),
-    ("U", "next up axis"),
-    ("T", "convert B: reverse its y and z axes"),
-    ("M", "side by side, wipe, flip"),
-    ("F", "one view: switch between A and B"),
-    ("left, right", "move the wipe; its line can be dragged"),
-    ("1 ... 6", ", ".join(LAYERS)),
-    ("C", "colour centres by the next quantity"),
-    ("O", "open a scene"),
-    ("S", "save a picture"),
-    ("Backspace", "stop loading"),
-    ("H", "this help"),
-    ("Q, Esc", "quit; Esc in a dialog closes it, Enter is OK"),
-)
-
-HELP = "\n".join(f"{keys}: {what}" for keys, what in _KEYS)
+#: Suffixes of scenes that are read.
+_SCENES = " ".join(SUFFIXES)
 
 
 class Modal:
@@ -127,19 +108,46 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
     box.add_child(row)
 
 
+def ask_among(
+    window: Modal, title: str, text: str, choices: Sequence[tuple[str, Callable[[], None]]]
+) -> None:
+    """Ask to choose one of several actions, each a button, or none."""
+    dialog, box = _box(window, title, text)
+    for name, action in choices:
+
+        def chosen(action: Callable[[], None] = action) -> None:
+            window.close_dialog()
+            action()
+
+        _add_button(box, name, chosen)
+    _add_button(box, "Cancel", window.close_dialog)
+    window.show_dialog(dialog)
+
+
 def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
     """Ask which of two scenes to replace."""
-    choices = {
-        f"{letter}: {scene}": partial(then, index)
+    choices = [
+        (f"{letter}: {scene}", partial(then, index))
         for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True))
-    }
-    ask_among(window, "Open", f"Show {name} in place of", choices | {"Cancel": lambda: None})
+    ]
+    ask_among(window, "Open", f"Show {name} in place of", choices)
 
 
-def ask_open(window: Modal, then: Callable[[str], None]) -> None:
+def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
+    """Ask which of some files to open."""
+    told = "Opened last" if paths else "No file was opened before."
+    choices = [(shortened(str(path), _WIDTH), partial(then, str(path))) for path in paths]
+    ask_among(window, "Recent", told, choices)
+
+
+def shortened(path: str, most: int) -> str:
+    """The end of a path, at most so many characters."""
+    return path if len(path) <= most else "..." + path[3 - most :]
+
+
+def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
     """Ask for a scene's file."""
-    kind = (".ply .egs .splat .spz .sog .json", "3DGS scenes")
-    _ask(window, gui.FileDialog.OPEN, "Open a scene", kind, then)
+    ask_file(window, title, (_SCENES, "3DGS scenes"), then)
 
 
 def ask_save(window: Modal, then: Callable[[str], None]) -> None:
@@ -149,39 +157,32 @@ def ask_save(window: Modal, then: Callable[[str], None]) -> None:
 
 
 def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
-    """Ask where to write a scene; a file that exists is asked about."""
+    """Ask where to write a scene, and whether to replace a file that exists."""
 
     def chosen(path: str) -> None:
-        if not Path(path).exists():
+        if Path(path).exists():
+            choices = [("Replace it", partial(then, path))]
+            ask_among(window, "Save the scene", f"{Path(path).name} exists.", choices)
+        else:
             then(path)
-            return
-        choices = {"Replace": lambda: then(path), "Cancel": lambda: None}
-        ask_among(window, "Save", f"{Path(path).name} exists.", choices)
 
-    kind = (" ".join(_SCENES), "3DGS scenes")
+    kind = (" ".join(WRITTEN), "3DGS scenes")
     _ask(window, gui.FileDialog.SAVE, "Save the scene", kind, chosen, ".egs")
 
 
-def ask_among(
-    window: Modal, title: str, text: str, choices: Mapping[str, Callable[[], None]]
+def ask_file(
+    window: Modal, title: str, kind: tuple[str, str] | None, then: Callable[[str], None]
 ) -> None:
-    """Ask to choose one of several actions, each a button; Esc closes the dialog."""
-    dialog, box = _box(window, title, text)
-    for name, action in choices.items():
-
-        def chosen(action: Callable[[], None] = action) -> None:
-            window.close_dialog()
-            action()
-
-        _add_button(box, name, chosen)
-    window.show_dialog(dialog)
+    """Ask for a file that exists, with one of the suffixes of `kind`, or, without, for a folder."""
+    purpose = gui.FileDialog.OPEN_DIR if kind is None else gui.FileDialog.OPEN
+    _ask(window, purpose, title, kind, then)
 
 
 def _ask(
     window: Modal,
     purpose: Any,
     title: str,
-    kind: tuple[str, str],
+    kind: tuple[str, str] | None,
     then: Callable[[str], None],
     suffix: str = "",
 ) -> None:
@@ -190,7 +191,8 @@ def _ask(
     A name that is typed without a suffix gets `suffix`.
     """
     dialog = gui.FileDialog(purpose, title, window.theme)
-    dialog.add_filter(*kind)
+    if kind is not None:
+        dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
 
     def done(path: str) -> None:
@@ -223,3 +225,8 @@ def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
     for child in widget.get_children():
         yield child
         yield from inside(child)
+
+
+def folded(text: str, width: int) -> list[str]:
+    """The lines of a text, wrapped to at most `width` characters."""
+    return [part for line in text.splitlines() for part in textwrap.wrap(line, width) or [""]]

@@ -107,9 +107,9 @@ def test_a_lasso_follows_the_mouse_and_a_click_draws_nothing():
     ("name", "low", "high", "value"),
     [
         ("opacity", 0.3, 0.999, lambda g: 1 / (1 + np.exp(-g.opacity[0].astype(float)))),
-        ("longest_scale", 0.01, 0.05, lambda g: np.exp(g.log_scale.max(axis=0).astype(float))),
+        ("longest scale", 0.01, 0.05, lambda g: np.exp(g.log_scale.max(axis=0).astype(float))),
         ("z", -0.5, 1.0, lambda g: g.positions[2]),
-        ("sh_energy", 0.1, 0.2, lambda g: (g.f_rest.astype(float) ** 2).sum(axis=0)),
+        ("SH energy", 0.1, 0.2, lambda g: (g.f_rest.astype(float) ** 2).sum(axis=0)),
     ],
 )
 def test_a_range_of_a_quantity(scene, file, name, low, high, value):
@@ -349,10 +349,10 @@ def test_edits_stay_when_a_scene_is_turned(scene):
     edits.select(np.arange(scene.count) < 100)
     edits.delete()
     edits.select(np.arange(edits.scene.count) < 7)
-    edits.turn()
     expected = turned(scene)
+    edits.turn(expected)
     np.testing.assert_array_equal(edits.scene.positions, expected.positions[100:])
-    assert edits.scene.title == "scene.ply, turned from RUB"
+    assert edits.scene.title == "scene.ply, edited, turned from RUB"
     assert edits.count == 7
     edits.undo()
     edits.undo()

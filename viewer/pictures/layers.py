@@ -22,6 +22,9 @@ _VIRIDIS = np.array(
 #: Colours of the reasons for pruning, in order.
 _REASONS = np.array([(0, 220, 255), (255, 160, 0), (255, 40, 80), (190, 90, 255)]) / 255.0
 
+#: Colour of what is selected: on no colour map, and seen on dark, light and grey by everybody.
+SELECTED = (1.0, 0.25, 0.95)
+
 #: Edges of a box.
 EDGES = 12
 
@@ -150,6 +153,13 @@ def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Po
     gone = gone[thinned(len(gone), most or len(gone))]
     palette = np.array([reason_colour(k) for k in range(max(len(pruned.reasons), 1))], np.float32)
     return Points(scene.positions[gone], palette[labels[gone] - 1])
+
+
+def selected_centres(scene: Opened, selected: NDArray[np.bool_], most: int) -> Points:
+    """Centres of the selected Gaussians ``(N,)``, at most `most`, in `SELECTED`."""
+    rows = np.flatnonzero(selected)
+    rows = rows[thinned(len(rows), most)]
+    return Points(scene.positions[rows], np.full((len(rows), 3), SELECTED, np.float32))
 
 
 def box_lines(boxes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from viewer.scenes.opened import Opened, keep, turned
+from viewer.scenes.opened import Opened, keep
 
 #: How a choice of Gaussians changes the selection.
 HOW = ("replace", "add", "remove")
@@ -161,9 +161,9 @@ class Edits:
         left = np.ones(self.whole.count, bool) if saved.left is None else saved.left
         self._saved = np.packbits(~left)
 
-    def turn(self) -> None:
-        """Convert the scene's coordinate system as `turned` does; the steps stay."""
-        self.whole = turned(self.whole)
+    def turn(self, whole: Opened) -> None:
+        """Take on the whole scene as `turned` made it; the steps stay."""
+        self.whole = whole
         self._known.clear()
         self._be(self._state)
 

@@ -79,8 +79,9 @@ class Opened:
 
     @property
     def title(self) -> str:
-        """The name, and the coordinate system that the scene was converted from, if any."""
-        return self.name if self.system == CONVENTION else f"{self.name}, turned from {self.system}"
+        """The name, whether it is edited, and the system that it was converted from, if any."""
+        name = self.name if self.whole is None else f"{self.name}, edited"
+        return name if self.system == CONVENTION else f"{name}, turned from {self.system}"
 
     @property
     def count(self) -> int:
@@ -207,7 +208,7 @@ def modified(path: Path | str) -> int | None:
 
 
 def keep(scene: Opened, left: NDArray[np.bool_]) -> Opened:
-    """The Gaussians of a whole scene that are left ``(N,)``; the scene itself if these are all."""
+    """The Gaussians of a whole scene that are left ``(M,)``; the scene itself if these are all."""
     if left.all():
         return scene
     cloud = to_cloud(from_cloud(scene.cloud, "keep").take(left))
@@ -264,9 +265,9 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
     except _DAMAGE as error:
         reason = str(error).splitlines()[:1] or [type(error).__name__]
         raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason[0]})") from error
-    if labels.dtype != np.uint8 or labels.shape != (scene.count,):
+    if labels.dtype != np.uint8 or labels.shape != (scene.file_count,):
         raise gs_codec.GsCodecError(
-            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.count:,}"
+            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.file_count:,}"
         )
     if labels.max(initial=0) > len(reasons):
         raise gs_codec.GsCodecError(f"{folder}: label {labels.max()}, expected 0 to {len(reasons)}")

@@ -21,23 +21,19 @@ from viewer.scenes.opened import Opened, Progress, Pruned
 _FLOATERS, _APART, _PRUNED = "floaters", "outside the largest cluster", "pruned by "
 
 
-def quantity_names(scene: Opened) -> list[str]:
-    """Names of the quantities that `quantity` has of a scene."""
-    return [*attribute_names(gaussians_of(scene)), *_DERIVED]
-
-
 def quantity(scene: Opened, name: str) -> NDArray:
     """A quantity ``(N,)`` of each Gaussian.
 
-    It is an attribute of `gs_codec.edit.select`, in the same unit, or ``sh_energy``: the sum of
-    squares of all SH-AC.
+    It is an attribute of `gs_codec.edit.select`, in the same unit, named as there or as
+    `gs_codec.edit.statistics` names it (``longest scale``); or ``SH energy``: the sum of squares of
+    all SH-AC.
 
     Raises
     ------
     gs_codec.GsCodecError
         If the scene has none of this name.
     """
-    gaussians = gaussians_of(scene)
+    gaussians, name = gaussians_of(scene), name.replace(" ", "_")
     if name in _DERIVED:
         return _DERIVED[name](gaussians)
     if name not in attribute_names(gaussians):
@@ -46,7 +42,7 @@ def quantity(scene: Opened, name: str) -> NDArray:
 
 
 _DERIVED: Mapping[str, Callable[[Scene], NDArray]] = {
-    "sh_energy": lambda scene: np.square(scene.f_rest, dtype=np.float64).sum(axis=0)
+    "SH_energy": lambda scene: np.square(scene.f_rest, dtype=np.float64).sum(axis=0)
 }
 
 

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from open3d.visualization import gui
 
 import gs_codec
 from viewer.scenes.edits import Edits
 from viewer.scenes.opened import Opened
-from viewer.scenes.region import REGIONS, Pixel, Region, in_region
+from viewer.scenes.region import REGIONS, Region, in_region
 from viewer.scenes.saving import save_scene
 from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
 from viewer.window import dialogs
+from viewer.window.mouse import Place
+from viewer.window.pane import Pane
 from viewer.window.worker import Stale, Worker
-
-if TYPE_CHECKING:
-    from viewer.window.viewer import Viewer
 
 #: What a drag in a pane does: the first moves the camera, the others draw a region.
 TOOLS = ("navigate", *REGIONS)
@@ -30,77 +30,104 @@ class Editor:
 
     Parameters
     ----------
-    viewer : Viewer
+    viewer : viewer.window.viewer.Viewer
 
     Attributes
     ----------
     tool : str
         One of `TOOLS`.
+    all : list of Edits
+        Of the scenes that are shown.
     number : int
         Which scene is edited: 0 or 1.
     worker : Worker
         What selects and saves; pictures are drawn meanwhile.
     """
 
-    def __init__(self, viewer: Viewer) -> None:
-        self.viewer = viewer
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
         self.tool = "navigate"
         self.number = 0
-        self._edits: list[Edits] = []
+        self.all: list[Edits] = []
+        self._pane: Pane | None = None
         self._region: Region | None = None
         self._how = "replace"
         self.worker = Worker(viewer.post)
 
     def put(self, scenes: Sequence[Opened]) -> None:
         """Take on the scenes that are shown; those that were there keep their edits."""
-        known = {edits.scene: edits for edits in self._edits}
-        self._edits = [known.get(scene) or Edits(scene) for scene in scenes]
+        self._pane = self._region = None
+        known = {edits.scene: edits for edits in self.all}
+        self.all = [known.get(scene) or Edits(scene) for scene in scenes]
         self.number = min(self.number, max(len(scenes) - 1, 0))
-        self._region = None
+        self.show()
 
     @property
     def edits(self) -> Edits | None:
         """The edits of the scene that is edited; None without one."""
-        return self._edits[self.number] if self._edits else None
+        return self.all[self.number] if self.all else None
 
     @property
     def unsaved(self) -> list[int]:
         """Which scenes have edits that are not saved."""
-        return [k for k, edits in enumerate(self._edits) if edits.unsaved]
+        return [k for k, edits in enumerate(self.all) if edits.unsaved]
 
     @property
     def rules(self) -> list[str]:
         """The rules by which Gaussians of the scene can be selected."""
-        return rules(self.viewer.stage.pruned if self.number == 0 else None)
+        return rules(self._viewer.stage.pruned if self.number == 0 else None)
+
+    def set_number(self, number: int) -> None:
+        """Edit another scene."""
+        self.number = number
+        self._viewer.panel.refresh()
 
     # The tool
 
     def set_tool(self, tool: str) -> None:
         """Choose a tool of `TOOLS`; a second time, go back to the first."""
+        self._drop()
         self.tool = TOOLS[0] if tool == self.tool else tool
-        self.viewer.panel.refresh()
+        self._viewer.stage.mouse.tool = None if self.tool == TOOLS[0] else self
+        self._viewer.panel.refresh()
 
-    def press(self, number: int, place: Pixel, how: str) -> None:
-        """Begin to draw a region in a pane, at a pixel of its scene's picture."""
-        self.number, self._how = number, how
-        self._region = Region(self.tool, place)
+    def begin(self, pane: Pane, at: Place, event: Any) -> None:
+        """Begin to draw a region in a pane; see `Tool`."""
+        self._drop()
+        added = event.is_modifier_down(gui.KeyModifier.SHIFT)
+        removed = event.is_modifier_down(gui.KeyModifier.CTRL)
+        self._how = "add" if added else "remove" if removed else "replace"
+        self._pane, self._region = pane, Region(self.tool, at)
 
-    def drag(self, place: Pixel) -> None:
-        """Draw on."""
-        if self._region is not None:
-            self._region.extend(place)
-            self.viewer.stage.show_stroke(self.number, self._region.corners)
-
-    def release(self) -> None:
-        """Select what is in the region; a click selects nothing, and drops the selection."""
-        region, self._region = self._region, None
-        stage, edits = self.viewer.stage, self.edits
-        if region is None or edits is None or stage.pose is None:
+    def move(self, at: Place) -> None:
+        """Draw on, as far as the pane goes."""
+        stage, pane, region = self._viewer.stage, self._pane, self._region
+        if pane is None or region is None:
             return
-        stage.show_stroke(self.number, [])
-        scene, size = edits.scene, stage.picture_size
-        chosen = in_region(scene, stage.pose, size, region.corners, edits.drawn)
+        frame = pane.widget.frame
+        left, top = stage.place(pane, frame.x, frame.y)
+        ends = (left, top), (left + frame.width - 1, top + frame.height - 1)
+        x, y = np.clip(at, *ends).tolist()
+        region.extend((x, y))
+        pane.show_stroke(region.corners, stage.pose, *stage.picture_size)
+
+    def end(self) -> None:
+        """Select what is in the region; a click alone selects nothing."""
+        stage, pane, region = self._viewer.stage, self._pane, self._region
+        self._drop()
+        if pane is None or region is None:
+            return
+        self.number = stage.panes.index(pane)
+        edits = self.all[self.number]
+        size, drawn = stage.picture_size, edits.drawn
+        chosen = in_region(edits.scene, stage.pose, size, region.corners, drawn)
         self.do(lambda edits: edits.select(chosen, self._how))
+
+    def _drop(self) -> None:
+        """Drop the region that is being drawn, if any."""
+        if self._pane is not None:
+            self._pane.show_stroke([], self._viewer.stage.pose, *self._viewer.stage.picture_size)
+        self._pane = self._region = None
 
     # Steps
 
@@ -112,32 +139,27 @@ class Editor:
         try:
             step(edits)
         except gs_codec.GsCodecError as error:
-            self.viewer.fail(error)
+            self._viewer.fail(error)
             return
         self.show()
 
     def show(self) -> None:
         """Show the edits in the panes and in the panel."""
-        stage = self.viewer.stage
-        for number, edits in enumerate(self._edits):
+        stage = self._viewer.stage
+        for number, edits in enumerate(self.all):
             if stage.scenes[number] is not edits.scene:
                 stage.replace(number, edits.scene)
-            stage.mark(number, edits.selected if edits.count else None)
-        self.viewer.panel.refresh()
+            stage.mark(number, edits.selected)
+        self._viewer.refresh_panel()
 
     def drawn(self, scene: Opened) -> NDArray[np.bool_] | None:
         """Which Gaussians ``(N,)`` of a scene are drawn; None if none is hidden."""
-        found = [edits.drawn for edits in self._edits if edits.scene is scene]
+        found = [edits.drawn for edits in self.all if edits.scene is scene]
         return found[0] if found else None
 
-    def select_range(
-        self, scene: Opened, quantity: str, low: float, high: float, how: str = "replace"
-    ) -> None:
+    def select_range(self, name: str, low: float, high: float) -> None:
         """Select by a range of a quantity, both ends included; see `in_range`."""
-        shown = [edits.scene for edits in self._edits]
-        if scene in shown:
-            self.number = shown.index(scene)
-            self.do(lambda edits: edits.select(in_range(scene, quantity, low, high), how))
+        self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high)))
 
     def crop(self, low: Sequence[float], high: Sequence[float]) -> None:
         """Delete what is outside a box."""
@@ -154,10 +176,11 @@ class Editor:
 
     def select_by(self, rule: str) -> None:
         """Select by a rule of `rules`, in the background."""
-        edits, viewer = self.edits, self.viewer
+        edits, viewer = self.edits, self._viewer
         if edits is None:
             return
-        scene, pruned, views = edits.scene, viewer.stage.pruned, viewer.views
+        scene, views = edits.scene, viewer.visits.views
+        pruned = viewer.stage.pruned if self.number == 0 else None
         cameras = None if views.chosen else views.cameras or None
 
         def choose(stale: Stale) -> NDArray[np.bool_]:
@@ -172,15 +195,19 @@ class Editor:
         viewer.panel.say(f"looking for {rule} ...", progress=0)
         self.worker.submit("select", choose, done, viewer.fail)
 
+    def stop(self) -> None:
+        """Stop selecting by a rule."""
+        self.worker.cancel("select")
+
     # Saving
 
     def ask_save(self, then: Callable[[], None] = lambda: None) -> None:
         """Ask where to save the scene that is edited, and save it; then do something."""
-        dialogs.ask_save_scene(self.viewer.modal, lambda path: self.save(path, then))
+        dialogs.ask_save_scene(self._viewer.modal, lambda path: self.save(path, then))
 
     def save(self, path: str, then: Callable[[], None] = lambda: None) -> None:
         """Save the scene that is edited, in the background; the suffix selects the format."""
-        edits, viewer, target = self.edits, self.viewer, Path(path)
+        edits, viewer, target = self.edits, self._viewer, Path(path)
         if edits is None:
             return
         scene = edits.scene
@@ -209,7 +236,7 @@ class Editor:
         if not asked:
             return False
         self.number = asked[0]
-        edits = self._edits[asked[0]]
+        edits = self.all[asked[0]]
 
         def discard() -> None:
             edits.mark_saved(edits.scene)
@@ -220,6 +247,6 @@ class Editor:
             self.ask_save(discard)
 
         text = f"{edits.scene.name} was edited and is not saved."
-        choices = {"Save as ...": save, "Discard": discard, "Cancel": lambda: None}
-        dialogs.ask_among(self.viewer.modal, "Unsaved edits", text, choices)
+        choices = [("Save as ...", save), ("Discard the edits", discard)]
+        dialogs.ask_among(self._viewer.modal, "Unsaved edits", text, choices)
         return True

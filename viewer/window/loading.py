@@ -63,6 +63,8 @@ class Loading:
             dialogs.ask_pane(viewer.modal, Path(path).name, names, partial(self.open, path))
             return
         pane = len(before) if pane is None else min(pane, len(before))
+        if viewer.editor.ask_unsaved([pane], partial(self.open, path, pane)):
+            return
         views, chosen = viewer.visits.views, viewer.request.chosen
 
         def read(stale: Stale) -> tuple[list[Opened], Views]:
@@ -79,8 +81,9 @@ class Loading:
         viewer.worker.submit("load", read, done, viewer.fail)
 
     def stop(self) -> None:
-        """Stop loading; the scenes shown stay."""
+        """Stop loading or selecting; the scenes shown stay."""
         self._viewer.worker.cancel("load")
+        self._viewer.editor.stop()
         self._viewer.panel.say("")
 
     def show(self, scenes: list[Opened], views: Views, pruned: Pruned | None) -> None:
@@ -88,6 +91,7 @@ class Loading:
         viewer = self._viewer
         same = viewer.stage.scenes[:1] == scenes[:1]
         viewer.stage.put(scenes, pruned)
+        viewer.editor.put(scenes)
         viewer.panel.say("")
         if not same:  # else keep the present pose
             viewer.visits.put(views, first_view(viewer.request, views))
@@ -98,12 +102,15 @@ class Loading:
         viewer = self._viewer
         if len(viewer.stage.scenes) < 2:
             return
-        first, second = viewer.stage.scenes
+        edits = viewer.editor.all[1]
+        whole = edits.whole
 
         def done(scene: Opened) -> None:
-            self.show([first, scene], viewer.visits.views, viewer.stage.pruned)
+            edits.turn(scene)
+            scenes = [viewer.stage.scenes[0], edits.scene]
+            self.show(scenes, viewer.visits.views, viewer.stage.pruned)
 
-        viewer.worker.submit("load", lambda stale: turned(second), done, viewer.fail)
+        viewer.worker.submit("load", lambda stale: turned(whole), done, viewer.fail)
 
     def open_cameras(self, path: str) -> None:
         """Look from the cameras of a file; photographs of others are no longer shown."""

@@ -12,7 +12,14 @@ from open3d.visualization import gui, rendering
 
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
-from viewer.pictures.picture import BACKGROUND, CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
+from viewer.pictures.picture import (
+    BACKGROUND,
+    CELL_SIZE,
+    LINE_COLOUR,
+    POINT_SIZE,
+    PRUNED_SIZE,
+    SELECTED_SIZE,
+)
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.region import Pixel
@@ -32,7 +39,7 @@ HIDDEN = 1, 1
 _BEFORE, _OUTLINE = 1.5, 1.5
 
 #: Sizes of points by their name; of others `POINT_SIZE`.
-_SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE}
+_SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
 
 #: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2

@@ -10,6 +10,7 @@ from open3d.visualization import gui
 
 from viewer.pictures.layers import Legend, heat_bar
 from viewer.window.dialogs import folded
+from viewer.window.edit_tab import EditTab
 from viewer.window.pane import picture_of
 from viewer.window.scene_tab import SceneTab
 from viewer.window.view_tab import ViewTab
@@ -33,7 +34,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view : SceneTab, ViewTab
+    scene, view, edit : SceneTab, ViewTab, EditTab
     """
 
     def __init__(self, viewer: Any, font: int) -> None:
@@ -52,7 +53,8 @@ class Panel:
         self._loading.visible = False
         self._head.add_child(self._loading)
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
-        self._named: dict[str, Tab] = {"Scene": self.scene, "View": self.view}
+        self.edit = EditTab(viewer, widgets)
+        self._named: dict[str, Tab] = {"Scene": self.scene, "View": self.view, "Edit": self.edit}
         self.tabs = gui.TabControl()
         for name, tab in self._named.items():
             self.tabs.add_tab(name, tab.widget)

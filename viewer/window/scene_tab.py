@@ -120,7 +120,8 @@ class SceneTab:
         self.mode.selected_index = MODES.index(choice.mode)
         self.turned.visible = two
         self.turned.checked = two and stage.scenes[1].system != CONVENTION
-        counts = list(stage.pruned.counts.items()) if stage.pruned is not None else []
+        pruned = None if stage.pruned is None else stage.pruned.of(stage.scenes[0])
+        counts = [] if pruned is None else list(pruned.counts.items())
         for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
             label.visible = bool(n)
             label.text = f"{n:,} pruned by {reason}"

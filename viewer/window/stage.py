@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from viewer.pictures.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
+from viewer.pictures.layers import PIXEL_LEGEND, Legend, centres, pruned_centres, selected_centres
 from viewer.pictures.octree import MOST_CUBES
 from viewer.pictures.picture import Shown, depth_at, measure, picture, wipe_line
 from viewer.scenes.choice import Choice
@@ -104,17 +104,12 @@ class Stage:
 
     def put(self, scenes: list[Opened], pruned: Pruned | None) -> None:
         """Show other scenes."""
-        self.worker.cancel("picture")
-        self.worker.cancel("centres")
-        self.worker.cancel("measure")
-        self.worker.cancel("focus")
+        self._forget()
         for pane in self.panes:
             pane.widget.visible = False
             pane.widget.scene.clear_geometry()
         self.scenes, self.pruned = scenes, pruned
-        self.views.clear()
-        self._coloured = self._coming = None
-        self._measured = (None, "")
+        self.views = {}
         self.panes = [Pane(self.window, scene) for scene in scenes]
         self._octree.put(self.panes, _CUBES[self.device], self._most)
         if pruned is not None:
@@ -125,6 +120,34 @@ class Stage:
             if self.by_hand:
                 # A draft until the first picture is drawn.
                 pane.show_points("draft", centres(pane.scene, "colour", scenes, self._most))
+
+    def replace(self, number: int, scene: Opened) -> None:
+        """Show a scene after an edit of it, from the same pose."""
+        self._forget()
+        pane = self.panes[number]
+        self.scenes[number] = pane.scene = scene
+        # Not changed in place, because a job may still add to it.
+        self.views = {each: self.views[each] for each in self.scenes if each in self.views}
+        pane.show_splats(False)
+        for name in ("draft", "centres"):
+            pane.points.pop(name, None)
+        if number == 0 and self.pruned is not None:
+            pane.points["pruned"] = pruned_centres(scene, self.pruned, self._most)
+        self._octree.show(None)
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.refresh()
+
+    def _forget(self) -> None:
+        """Stop what draws and measures, because scenes change."""
+        for kind in ("picture", "centres", "measure", "focus"):
+            self.worker.cancel(kind)
+        self._coloured = self._coming = None
+        self._measured = (None, "")
+
+    def mark(self, number: int, selected: NDArray[np.bool_]) -> None:
+        """Show which Gaussians ``(N,)`` of a scene are selected."""
+        pane = self.panes[number]
+        pane.show_points("selected", selected_centres(pane.scene, selected, self._most))
 
     @property
     def shown(self) -> Shown:

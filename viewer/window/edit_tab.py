@@ -55,9 +55,9 @@ class EditTab:
         def does(step: Any) -> Any:
             return lambda: self._editor.do(step)
 
-        self._count = gui.Label("")
-        self._count.text_color = gui.Color(*SELECTED)
-        self.widget.add_child(self._count)
+        self.count = gui.Label("")
+        self.count.text_color = gui.Color(*SELECTED)
+        self.widget.add_child(self.count)
         self._row(
             ("All", does(Edits.select_all), "ctrl + A"),
             ("None", does(Edits.select_none), "ctrl + D"),
@@ -118,7 +118,7 @@ class EditTab:
         if edits is None:
             return
         hidden = f", {edits.hidden_count:,} hidden" if edits.hidden_count else ""
-        self._count.text = f"{edits.count:,} of {edits.scene.count:,} selected{hidden}"
+        self.count.text = f"{edits.count:,} of {edits.scene.count:,} selected{hidden}"
         for text in ("Delete", "Hide", "Of selection"):
             self.buttons[text].enabled = bool(edits.count)
         self.buttons["Show all"].enabled = bool(edits.hidden_count)

@@ -55,9 +55,9 @@ class SceneTab:
         for index, label in enumerate(self._reasons):
             label.text_color = gui.Color(*reason_colour(index))
             self.widget.add_child(label)
-        self._numbers = gui.Label("")
-        self._numbers.font_id = font
-        self.widget.add_child(self._numbers)
+        self.numbers = gui.Label("")
+        self.numbers.font_id = font
+        self.widget.add_child(self.numbers)
 
     def _add_files(self, widgets: Widgets) -> None:
         """Buttons that open and save files."""
@@ -125,7 +125,7 @@ class SceneTab:
         for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
             label.visible = bool(n)
             label.text = f"{n:,} pruned by {reason}"
-        self._numbers.text = self._all_numbers()
+        self.numbers.text = self._all_numbers()
 
     def _all_numbers(self) -> str:
         stage = self._viewer.stage

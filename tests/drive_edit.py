@@ -114,9 +114,8 @@ def steps(driver: Driver, found: dict) -> None:
     counts, found["quality"] = [original.count], [stage.quality]
     before = driver.scenes(driver.rest())
     for key in ("Delete", "ctrl+z", "ctrl+shift+z", "ctrl+z", "ctrl+y"):
-        scene = stage.scenes[0]
         driver.key(key)
-        driver.wait(lambda: stage.scenes[0] is not scene)
+        driver.wait(lambda: stage.scenes[0].count != counts[-1])
         image = driver.scenes(driver.rest())
         counts.append(stage.scenes[0].count)
         found.setdefault("changed", []).append(int((np.abs(image - before) > 12).sum()))

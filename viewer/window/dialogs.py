@@ -195,21 +195,22 @@ def _ask(
         dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
 
-    def done(path: str) -> None:
+    def done(name: str) -> None:
         window.close_dialog()
-        then(path)
+        path = Path(name)
+        then(str(path if path.suffix else path.with_suffix(suffix)))
 
     dialog.set_on_done(done)
 
     def enter() -> None:
         path = _typed(dialog)
         if path is not None:
-            done(str(path if path.suffix else path.with_suffix(suffix)))
+            done(path)
 
     window.show_dialog(dialog, enter)
 
 
-def _typed(dialog: gui.FileDialog) -> Path | None:
+def _typed(dialog: gui.FileDialog) -> str | None:
     """The path of the name that was typed; None if there is none, as when opening files."""
     widgets = list(inside(dialog))
     names = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
@@ -217,7 +218,7 @@ def _typed(dialog: gui.FileDialog) -> Path | None:
         return None
     folders = next(w for w in widgets if isinstance(w, gui.Combobox))
     parts = [folders.get_item(k) for k in range(folders.selected_index + 1)]
-    return Path(*parts, names[0])
+    return str(Path(*parts, names[0]))
 
 
 def inside(widget: gui.Widget) -> Iterator[gui.Widget]:

@@ -60,7 +60,7 @@ class Editor:
         known = {edits.scene: edits for edits in self.all}
         self.all = [known.get(scene) or Edits(scene) for scene in scenes]
         self.number = min(self.number, max(len(scenes) - 1, 0))
-        self.show()
+        self._mark()
 
     @property
     def edits(self) -> Edits | None:
@@ -115,7 +115,7 @@ class Editor:
         """Select what is in the region; a click alone selects nothing."""
         stage, pane, region = self._viewer.stage, self._pane, self._region
         self._drop()
-        if pane is None or region is None:
+        if pane is None or region is None or pane not in stage.visible:
             return
         self.number = stage.panes.index(pane)
         edits = self.all[self.number]
@@ -149,8 +149,12 @@ class Editor:
         for number, edits in enumerate(self.all):
             if stage.scenes[number] is not edits.scene:
                 stage.replace(number, edits.scene)
-            stage.mark(number, edits.selected)
+        self._mark()
         self._viewer.refresh_panel()
+
+    def _mark(self) -> None:
+        for number, edits in enumerate(self.all):
+            self._viewer.stage.mark(number, edits.selected)
 
     def drawn(self, scene: Opened) -> NDArray[np.bool_] | None:
         """Which Gaussians ``(N,)`` of a scene are drawn; None if none is hidden."""
@@ -169,10 +173,11 @@ class Editor:
     def box(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
         """Lowest and highest coordinates ``(3,)`` of what is selected; None if nothing is."""
         edits = self.edits
-        if edits is None or not edits.count:
+        if edits is None:
             return None
         centres = edits.scene.positions[edits.selected]
-        return centres.min(axis=0), centres.max(axis=0)
+        centres = centres[np.isfinite(centres).all(axis=1)]
+        return (centres.min(axis=0), centres.max(axis=0)) if len(centres) else None
 
     def select_by(self, rule: str) -> None:
         """Select by a rule of `rules`, in the background."""
@@ -203,7 +208,8 @@ class Editor:
 
     def ask_save(self, then: Callable[[], None] = lambda: None) -> None:
         """Ask where to save the scene that is edited, and save it; then do something."""
-        dialogs.ask_save_scene(self._viewer.modal, lambda path: self.save(path, then))
+        if self.edits is not None:
+            dialogs.ask_save_scene(self._viewer.modal, lambda path: self.save(path, then))
 
     def save(self, path: str, then: Callable[[], None] = lambda: None) -> None:
         """Save the scene that is edited, in the background; the suffix selects the format."""
@@ -238,13 +244,16 @@ class Editor:
         self.number = asked[0]
         edits = self.all[asked[0]]
 
-        def discard() -> None:
-            edits.mark_saved(edits.scene)
+        def go_on() -> None:
             if not self.ask_unsaved(numbers, then):
                 then()
 
+        def discard() -> None:
+            edits.mark_saved(edits.scene)
+            go_on()
+
         def save() -> None:
-            self.ask_save(discard)
+            self.ask_save(go_on)
 
         text = f"{edits.scene.name} was edited and is not saved."
         choices = [("Save as ...", save), ("Discard the edits", discard)]

@@ -67,15 +67,18 @@ class Loading:
             return
         views, chosen = viewer.visits.views, viewer.request.chosen
 
-        def read(stale: Stale) -> tuple[list[Opened], Views]:
+        def read(stale: Stale) -> tuple[Opened, Views]:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
             opened = open_scene(Path(path), progress=progress)
-            scenes = [*before[:pane], opened, *before[pane + 1 :]]
-            return scenes, self._first_views(stale, scenes) if chosen and not pane else views
+            return opened, self._first_views(stale, [opened]) if chosen and not pane else views
 
-        def done(found: tuple[list[Opened], Views]) -> None:
-            _remember(found[0][pane])
-            self.show(*found, viewer.stage.pruned if pane else None)
+        def done(found: tuple[Opened, Views]) -> None:
+            if viewer.editor.ask_unsaved([pane], partial(done, found)):  # edited meanwhile
+                return
+            opened, seen = found
+            _remember(opened)
+            scenes = [*viewer.stage.scenes[:pane], opened, *viewer.stage.scenes[pane + 1 :]]
+            self.show(scenes, seen, viewer.stage.pruned if pane else None)
 
         viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
         viewer.worker.submit("load", read, done, viewer.fail)
@@ -138,16 +141,14 @@ class Loading:
     def open_report(self, path: str) -> None:
         """Show what a report says was pruned from the first scene; its file or folder."""
         viewer = self._viewer
-        scenes = list(viewer.stage.scenes)
+        scene = viewer.stage.scenes[0]
         folder = Path(path) if Path(path).is_dir() else Path(path).parent
 
         def done(pruned: Pruned) -> None:
             viewer.choice.layers.add("pruned")
-            self.show(scenes, viewer.visits.views, pruned)
+            self.show(list(viewer.stage.scenes), viewer.visits.views, pruned)
 
-        viewer.worker.submit(
-            "load", lambda stale: read_pruned(folder, scenes[0]), done, viewer.fail
-        )
+        viewer.worker.submit("load", lambda stale: read_pruned(folder, scene), done, viewer.fail)
 
     def ask_open(self, pane: int | None = None) -> None:
         """Ask for a scene's file, and open it as by `open`."""

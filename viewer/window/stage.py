@@ -334,7 +334,9 @@ class Stage:
 
     def place(self, pane: Pane, x: int, y: int) -> Place:
         """The pixel of a pane's picture at a pixel of the window."""
-        left = self._columns(self.size[0])[self.visible.index(pane)][3]
+        columns = dict(zip(self.visible, self._columns(self.size[0]), strict=True))
+        # A pane may have been hidden while the mouse was dragged in it.
+        left = columns[pane][3] if pane in columns else 0
         return x - pane.widget.frame.x + left + 0.5, y - pane.widget.frame.y + 0.5
 
     def tick(self) -> bool:

@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from test_viewer_edits import crossings
 
 import gs_codec
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from gs_codec.edit import Action
+from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import write_ply
 from samples.generate import generate
 from viewer.scenes.numbers import quality_text
@@ -229,6 +232,90 @@ def test_a_broken_file_is_told_and_the_window_lives(found):
 
 def test_loading_is_stopped(found):
     assert found["stopped"] == 2 * ["loading a.ply ...", "", "b.egs"]
+
+
+@pytest.fixture(scope="module")
+def edited(display, folder) -> dict:
+    return drive("drive_edit.py", display, folder)
+
+
+def rows_in(folder: Path, name: str, pose: list, *corners: tuple[int, int]) -> set[int]:
+    """Gaussians of a file in a polygon whose corners are pixels of the mouse, one by one."""
+    rotation, position, (fx, fy, cx, cy) = pose
+    polygon = [(x + 0.5, y + 0.5) for x, y in corners]
+    found = set()
+    for row, point in enumerate(read_scene(folder / name).positions.T.astype(float)):
+        x, y, depth = np.array(rotation) @ (point - position)
+        if depth > 0.2 and crossings(fx * x / depth + cx, fy * y / depth + cy, polygon) % 2:
+            found.add(row)
+    return found
+
+
+BOX = (60, 40), (150, 40), (150, 160), (60, 160)
+
+
+def test_regions_select_what_is_in_them(edited, folder):
+    pose = edited["pose"]
+    box = rows_in(folder, "a.ply", pose, *BOX)
+    assert len(box) > 20
+    assert set(edited["box"]) == box
+    added = box | rows_in(folder, "a.ply", pose, (160, 60), (220, 80), (200, 200), (110, 210))
+    assert len(added) > len(box)
+    assert set(edited["added"]) == added
+    removed = added - rows_in(folder, "a.ply", pose, (110, 100), edited["edge"], (120, 220))
+    assert len(removed) < len(added)
+    assert set(edited["removed"]) == removed
+    number, other = edited["other"]
+    assert number == 1
+    assert set(other) == rows_in(folder, "b.egs", pose, *BOX)
+
+
+def test_a_region_and_the_selection_are_seen(edited):
+    light, dark = edited["stroke"]
+    assert light > 200
+    assert dark < 50
+    assert edited["marked"] > 200
+    assert edited["label"] == f"{len(edited['box'])} of 3,000 selected"
+
+
+def test_edits_are_seen_undone_and_done_again(edited):
+    left = 3000 - len(edited["removed"])
+    assert edited["counts"] == 3 * [3000, left]
+    assert [changed > 1000 for changed in edited["changed"]] == [True, False, True, False, True]
+    assert edited["changed"][1::2] == [0, 0]
+    assert edited["same pose"]
+    assert edited["back"]
+    assert edited["quality"] == 3 * edited["quality"][:2]
+    assert edited["quality"][0] != edited["quality"][1]
+    assert edited["captions"] == [" A: a.ply, edited", " B: b.egs"]
+    assert f"Gaussians               {left:,}\n  of the file           3,000\n" in edited["numbers"]
+    assert edited["hidden"] == [len(edited["removed"]), 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [
+        ("filtered.egs", Action("filter", "opacity>=0.5")),
+        ("cropped.ply", Action("crop-box", "-1.5,-1.25,-1,0.75,1,2")),
+        ("cluster.ply", Action("keep-largest-cluster")),
+    ],
+)
+def test_scenes_are_saved_as_convert_does(edited, folder, name, action, tmp_path):
+    done = gs_codec.convert_file(folder / "a.ply", tmp_path / name, actions=[action])
+    assert 100 < done.count < 3000
+    assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
+def test_saving_tells_and_asks(edited):
+    assert edited["said"].startswith("filtered.egs is written: 2,174")
+    assert edited["unsaved"] == [False, True]
+    assert edited["asked"]
+
+
+def test_edits_that_are_not_saved_are_asked_about(edited):
+    assert edited["opened"] == [["a.ply", True], ["b.egs", False]]
+    assert edited["asks"]
+    assert edited["closes"]
 
 
 @pytest.fixture(scope="module")

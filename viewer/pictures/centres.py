@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewer.pictures.layers import (
+    SELECTED,
     UNKNOWN,
     Legend,
     Points,
@@ -190,7 +191,15 @@ def colour_errors(scene: Opened, reference: Opened, some: Some) -> NDArray[np.fl
 
 def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Points:
     """Pruned Gaussians, at most `most`, in the colours of the reasons."""
-    gone = np.flatnonzero(pruned.labels)
+    labels = pruned.of(scene).labels
+    gone = np.flatnonzero(labels)
     gone = gone[thinned(len(gone), most or len(gone))]
     palette = np.array([reason_colour(k) for k in range(max(len(pruned.reasons), 1))], np.float32)
-    return Points(scene.positions[gone], palette[pruned.labels[gone] - 1])
+    return Points(scene.positions[gone], palette[labels[gone] - 1])
+
+
+def selected_centres(scene: Opened, selected: NDArray[np.bool_], most: int) -> Points:
+    """Centres of the selected Gaussians ``(N,)``, at most `most`, in `SELECTED`."""
+    rows = np.flatnonzero(selected)
+    rows = rows[thinned(len(rows), most)]
+    return Points(scene.positions[rows], np.full((len(rows), 3), SELECTED, np.float32))

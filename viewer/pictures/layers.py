@@ -29,6 +29,9 @@ _ROUNDS = (1.0, 0.7, 0.45)
 #: Colour of what is not known.
 UNKNOWN = (0.45, 0.45, 0.45)
 
+#: Colour of what is selected: on no colour map, and seen on dark, light and grey by everybody.
+SELECTED = (1.0, 0.25, 0.95)
+
 #: Edges of a box.
 EDGES = 12
 

@@ -33,7 +33,7 @@ from viewer.scenes.pose import Pose
 
 #: Side of a centre, pixels.
 POINT_SIZE = 2
-PRUNED_SIZE = CELL_SIZE = 3
+PRUNED_SIZE = CELL_SIZE = SELECTED_SIZE = 3
 
 #: Nothing nearer to the camera than this is drawn, scene units.
 _NEAR = 1e-3

@@ -124,7 +124,7 @@ def compose(
     parts = _arrange(drawn, labels, mode, wipe, front)
     has_first = mode != "flip" or len(scenes) < 2 or front == 0
     if shown.pruned is not None and "pruned" in shown.layers and has_first:
-        write_reasons(parts[0], shown.pruned)
+        write_reasons(parts[0], shown.pruned.of(shown.scenes[0]))
     if photograph is not None:
         parts.append(labelled(_fitted(photograph, width, height), [(0, "photograph")], []))
     return to_pillow(side_by_side([from_pillow(part) for part in parts]))

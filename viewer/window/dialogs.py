@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from open3d.visualization import gui
 
+from gs_codec.files.suffixes import WRITTEN
 from gs_codec.formats.registry import SUFFIXES
 
 #: Longest line of a dialog, characters.
@@ -120,33 +122,36 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
     box.add_child(row)
 
 
-def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
-    """Ask which of two scenes to replace."""
-    dialog, box = _box(window, "Open", f"Show {name} in place of")
-    for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
+def ask_among(
+    window: Modal, title: str, text: str, choices: Sequence[tuple[str, Callable[[], None]]]
+) -> None:
+    """Ask to choose one of several actions, each a button, or none."""
+    dialog, box = _box(window, title, text)
+    for name, action in choices:
 
-        def chosen(index: int = index) -> None:
+        def chosen(action: Callable[[], None] = action) -> None:
             window.close_dialog()
-            then(index)
+            action()
 
-        _add_button(box, f"{letter}: {scene}", chosen)
+        _add_button(box, name, chosen)
     _add_button(box, "Cancel", window.close_dialog)
     window.show_dialog(dialog)
+
+
+def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
+    """Ask which of two scenes to replace."""
+    choices = [
+        (f"{letter}: {scene}", partial(then, index))
+        for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True))
+    ]
+    ask_among(window, "Open", f"Show {name} in place of", choices)
 
 
 def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
     """Ask which of some files to open."""
     told = "Opened last" if paths else "No file was opened before."
-    dialog, box = _box(window, "Recent", told)
-    for path in paths:
-
-        def chosen(path: Path = path) -> None:
-            window.close_dialog()
-            then(str(path))
-
-        _add_button(box, shortened(str(path), _WIDTH), chosen)
-    _add_button(box, "Cancel", window.close_dialog)
-    window.show_dialog(dialog)
+    choices = [(shortened(str(path), _WIDTH), partial(then, str(path))) for path in paths]
+    ask_among(window, "Recent", told, choices)
 
 
 def shortened(path: str, most: int) -> str:
@@ -169,6 +174,20 @@ def ask_save(window: Modal, title: str, kind: tuple[str, str], then: Callable[[s
     _ask(window, gui.FileDialog.SAVE, title, kind, done)
 
 
+def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
+    """Ask where to write a scene, and whether to replace a file that exists."""
+
+    def chosen(path: str) -> None:
+        if Path(path).exists():
+            choices = [("Replace it", partial(then, path))]
+            ask_among(window, "Save the scene", f"{Path(path).name} exists.", choices)
+        else:
+            then(path)
+
+    kind = (" ".join(WRITTEN), "3DGS scenes")
+    _ask(window, gui.FileDialog.SAVE, "Save the scene", kind, chosen, ".egs")
+
+
 def ask_file(
     window: Modal, title: str, kind: tuple[str, str] | None, then: Callable[[str], None]
 ) -> None:
@@ -183,16 +202,21 @@ def _ask(
     title: str,
     kind: tuple[str, str] | None,
     then: Callable[[str], None],
+    suffix: str = "",
 ) -> None:
-    """Ask for a file; `kind` has its suffixes and their description."""
+    """Ask for a file; `kind` has its suffixes and their description.
+
+    A name that is typed without a suffix gets `suffix`.
+    """
     dialog = gui.FileDialog(purpose, title, window.theme)
     if kind is not None:
         dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
 
-    def done(path: str) -> None:
+    def done(name: str) -> None:
         window.close_dialog()
-        then(path)
+        path = Path(name)
+        then(str(path if path.suffix else path.with_suffix(suffix)))
 
     dialog.set_on_done(done)
 

@@ -13,11 +13,19 @@ from open3d.visualization import gui, rendering
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
 from viewer.pictures.marker import LINES
-from viewer.pictures.picture import CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
+from viewer.pictures.picture import (
+    CELL_SIZE,
+    LINE_COLOUR,
+    POINT_SIZE,
+    PRUNED_SIZE,
+    SELECTED_SIZE,
+)
 from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose, of_camera
+from viewer.scenes.region import Pixel
+from viewer.window.strokes import STROKES, stroke_mesh
 
 #: Near and far plane, relative to the farthest depth of the scene.
 _NEAR, _BEYOND = 1e-4, 1.1
@@ -34,7 +42,7 @@ _BEFORE, _OUTLINE = 1.5, 1.5
 _MARKS, _MARKED = ("mark's edge", "mark"), (1.4, 1.3)
 
 #: Sizes of points by their name; of others `POINT_SIZE`.
-_SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE}
+_SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
 
 #: Frames until the pane changes its size for an instant, after splats were removed from it: without
 #: this, Open3D would go on showing them instead of anything else.
@@ -61,8 +69,6 @@ class Pane:
     """
 
     def __init__(self, window: gui.Window, scene: Opened) -> None:
-        self.scene = scene
-        self.points: dict[str, Points] = {}
         self.widget = gui.SceneWidget()
         self.widget.scene = rendering.Open3DScene(window.renderer)
         self.widget.scene.show_skybox(False)
@@ -70,12 +76,20 @@ class Pane:
         # Off: colours stay unchanged, and frames take half the time.
         view.set_post_processing(False)
         view.set_antialiasing(False)
-        self._outlined: list | None = None
         self._picture: NDArray[np.float32] | None = None
         self._background = Appearance().background
         self._splats: Look | None = None
         self._stuck = 0
         self._show_background()
+        self.put(scene)
+
+    def put(self, scene: Opened) -> None:
+        """Show another scene, of which nothing is shown yet."""
+        self.show_splats(None)
+        self.widget.scene.clear_geometry()
+        self.scene = scene
+        self.points: dict[str, Points] = {}
+        self._outlined: list | None = None
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
         self._corners = np.asarray(self._box.get_box_points())
@@ -135,6 +149,19 @@ class Pane:
         if colour != self._background:
             self._background = colour
             self._show_background()
+
+    def show_stroke(self, corners: Sequence[Pixel], pose: Pose, width: int, height: int) -> None:
+        """Draw a closed line in front of everything; with fewer than two corners, remove it.
+
+        Corners are pixels of the picture, whose size is as for `look`.
+        """
+        lens = pose.lens(width, height)
+        for name, (wide, grey, depth) in STROKES.items():
+            if len(corners) < 2:
+                self._replace(name, None, None)
+                continue
+            self._replace(name, stroke_mesh(corners, wide, lens), _solid((grey, grey, grey)))
+            self._bring_near(name, pose, depth)
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""
@@ -278,11 +305,16 @@ def _rings(
         o3d.utility.Vector3dVector(np.concatenate(rings)),
         o3d.utility.Vector3iVector(np.array(triangles + [t[::-1] for t in triangles], np.int32)),
     )
+    return mesh, _solid(colour)
+
+
+def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:
+    """A material of one colour, RGB as it is to be seen."""
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
     # Open3D takes this colour as sRGB, but output without post-processing stays linear.
     material.base_color = (*np.power(colour, 1 / 2.2), 1.0)
-    return mesh, material
+    return material
 
 
 def camera_lines(cameras: Sequence[Any]) -> o3d.geometry.LineSet:

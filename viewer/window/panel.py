@@ -11,6 +11,7 @@ from open3d.visualization import gui
 from viewer.pictures.centres import KINDS
 from viewer.pictures.layers import Legend
 from viewer.window.dialogs import folded
+from viewer.window.edit_tab import EditTab
 from viewer.window.pane import picture_of
 from viewer.window.pick_tab import PickTab
 from viewer.window.scene_tab import SceneTab
@@ -39,7 +40,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view, pick : SceneTab, ViewTab, PickTab
+    scene, view, pick, edit : SceneTab, ViewTab, PickTab, EditTab
     """
 
     def __init__(self, viewer: Any, font: int) -> None:
@@ -58,11 +59,12 @@ class Panel:
         self._loading.visible = False
         self._head.add_child(self._loading)
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
-        self.pick = PickTab(viewer, widgets, font)
+        self.pick, self.edit = PickTab(viewer, widgets, font), EditTab(viewer, widgets)
         self._named: dict[str, Tab] = {
             "Scene": self.scene,
             "View": self.view,
             "Pick": self.pick,
+            "Edit": self.edit,
         }
         self.tabs = gui.TabControl()
         for name, tab in self._named.items():

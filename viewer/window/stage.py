@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from viewer.pictures.centres import centres, pruned_centres
+from viewer.pictures.centres import centres, pruned_centres, selected_centres
 from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points
 from viewer.pictures.marker import marker
 from viewer.pictures.octree import MOST_CUBES
@@ -92,6 +92,7 @@ class Stage:
         self._changed, self._failed = changed, failed
         self.scenes: list[Opened] = []
         self.panes: list[Pane] = []
+        self._made: list[Pane] = []
         self.pruned: Pruned | None = None
         self.drawn: dict[Opened, NDArray[np.bool_]] = {}
         self.pose: Pose | None = None
@@ -112,34 +113,59 @@ class Stage:
 
     def put(self, scenes: list[Opened], pruned: Pruned | None) -> None:
         """Show other scenes."""
-        self.worker.cancel("centres")
-        self.worker.cancel("focus")
-        for pane in self.panes:
-            pane.widget.visible = False
-            pane.widget.scene.clear_geometry()
-        self.scenes = scenes
-        self.drawn = {scene: mask for scene, mask in self.drawn.items() if scene in scenes}
-        # Not changed in place, because a job may still add to it.
-        self.views = {scene: self.views[scene] for scene in scenes if scene in self.views}
-        self._coloured = self._marked = None
-        self.painter.put(scenes)
-        self.panes = [Pane(self.window, scene) for scene in scenes]
-        self._octree.put(self.panes, _CUBES[self.device], self._most)
-        self.put_pruned(pruned)
-        for pane in self.panes:
+        before = self._keep(scenes)
+        # Open3D cannot remove panes, and they take memory: those that there are serve again.
+        for number, scene in enumerate(scenes[: len(self._made)]):
+            if before[number : number + 1] != [scene]:
+                self._made[number].put(scene)
+                self._made[number].show_picture(None)
+        for scene in scenes[len(self._made) :]:
+            pane = Pane(self.window, scene)
+            self._made.append(pane)
             self.window.add_child(pane.widget)
             self.mouse.attach(pane)
-            if self.by_hand:
-                # Until the first picture is drawn.
+        self.panes = self._made[: len(scenes)]
+        for pane in self._made:
+            pane.widget.visible = pane in self.panes
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.put_pruned(pruned)
+        if self.by_hand:  # until the first pictures are drawn
+            for pane in self.panes:
                 look = self.shown.look(pane.scene)
                 points = centres(pane.scene, "colour", scenes, _DRAFT, look=look)
                 pane.show_points("draft", points)
+
+    def replace(self, number: int, scene: Opened) -> None:
+        """Show a scene after an edit of it, from the same pose."""
+        self._keep([*self.scenes[:number], scene, *self.scenes[number + 1 :]])
+        self.panes[number].put(scene)
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.put_pruned(self.pruned)
+        self.refresh()
+
+    def _keep(self, scenes: list[Opened]) -> list[Opened]:
+        """Stop what draws other scenes than these, and forget them; return those before."""
+        self.worker.cancel("centres")
+        self.worker.cancel("focus")
+        before, self.scenes = self.scenes, list(scenes)
+        # Not changed in place, because a job may still add to them.
+        self.drawn = {each: self.drawn[each] for each in scenes if each in self.drawn}
+        self.views = {each: self.views[each] for each in scenes if each in self.views}
+        self._coloured = self._marked = None
+        self.painter.put(scenes)
+        self._octree.show(None)
+        return before
 
     def put_pruned(self, pruned: Pruned | None) -> None:
         """Show what a report says was pruned from the first scene."""
         self.pruned = pruned
         if pruned is not None:
             self.panes[0].points["pruned"] = pruned_centres(self.scenes[0], pruned, self._most)
+
+    def show_selected(self, number: int, selected: NDArray[np.bool_]) -> None:
+        """Show which Gaussians ``(N,)`` of a scene are selected."""
+        pane = self.panes[number]
+        pane.show_points("selected", selected_centres(pane.scene, selected, self._most))
 
     @property
     def shown(self) -> Shown:
@@ -376,7 +402,9 @@ class Stage:
 
     def place(self, pane: Pane, x: int, y: int) -> Place:
         """The pixel of a pane's picture at a pixel of the window."""
-        left = self.columns[self.visible.index(pane)][3]
+        columns = dict(zip(self.visible, self.columns, strict=True))
+        # A pane may have been hidden while the mouse was dragged in it.
+        left = columns[pane][3] if pane in columns else 0
         return x - pane.widget.frame.x + left + 0.5, y - pane.widget.frame.y + 0.5
 
     def tick(self) -> bool:

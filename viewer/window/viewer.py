@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Choice
 from viewer.scenes.request import Request
 from viewer.window import dialogs
 from viewer.window.dock import Dock
+from viewer.window.editor import Editor
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading
 from viewer.window.mouse import Place
@@ -58,6 +60,7 @@ class Viewer:
     picking : Picking
     panel : Panel
     dock : Dock
+    editor : Editor
     keys : Keys
     modal : Modal
         The dialog that is open, if one is.
@@ -76,9 +79,7 @@ class Viewer:
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
         self.modal = dialogs.Modal(self.window)
-        self.worker = Worker(
-            lambda call: gui.Application.instance.post_to_main_thread(self.window, call)
-        )
+        self.worker = Worker(self.post)
         self.stage = Stage(
             self.window,
             self.worker,
@@ -90,8 +91,8 @@ class Viewer:
             self._focused,
         )
         self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
-        self.picking = Picking(self)
-        self.dock = Dock(self, self._select_range)
+        self.picking, self.editor = Picking(self), Editor(self)
+        self.dock = Dock(self, self.editor.select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
         self.window.set_on_layout(self._lay_out)
@@ -101,6 +102,10 @@ class Viewer:
         self.panel.refresh()
         if request.a is not None:
             self.loading.begin()
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Make the window's thread call a function."""
+        gui.Application.instance.post_to_main_thread(self.window, call)
 
     def _pictured(self) -> None:
         self.panel.refresh()
@@ -225,9 +230,6 @@ class Viewer:
     def _focused(self, pane: Pane, at: Place) -> None:
         self.stage.focus(pane, at)
 
-    def _select_range(self, quantity: str, low: float, high: float) -> None:
-        pass
-
     def _tick(self) -> bool:
         now = time.monotonic()
         seconds, self._ticked = min(now - self._ticked, _STEP), now
@@ -243,7 +245,8 @@ class Viewer:
     @property
     def busy(self) -> bool:
         """Whether the window is still loading or drawing."""
-        return self.worker.busy or self.saved.flying or not self.stage.resting
+        working = self.worker.busy or self.editor.worker.busy
+        return working or self.saved.flying or not self.stage.resting
 
     def _lay_out(self, context: Any) -> None:
         rect = self.window.content_rect
@@ -285,9 +288,10 @@ class Viewer:
         self.worker.submit("save", draw, done, self.fail)
 
     def _close(self) -> bool:
-        if not self.modal.close():
+        if not self.modal.close() or self.editor.ask_unsaved((0, 1), self.window.close):
             return False
         self.worker.end()
+        self.editor.worker.end()
         return True
 
 

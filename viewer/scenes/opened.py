@@ -71,6 +71,11 @@ class Opened:
         return self.name if self.system == CONVENTION else f"{self.name}, turned from {self.system}"
 
     @property
+    def is_stored(self) -> bool:
+        """Whether its file holds this very scene."""
+        return self.path != Path()
+
+    @property
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.positions)

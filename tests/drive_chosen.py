@@ -26,23 +26,23 @@ def run(folder: Path) -> dict:
     Panel.say = record
     driver = Driver(folder, request=Request(folder / "a.ply", size=(640, 320)))
     viewer = driver.viewer
-    driver.wait(lambda: bool(viewer.viewpoints))
-    found: dict = {"where": [viewer.where]}
+    driver.wait(lambda: bool(viewer.visits.viewpoints))
+    found: dict = {"where": [viewer.visits.where]}
     driver.wait(lambda: np.ptp(driver.models()) > 1)  # laid out
     found["at_first"] = driver.models()
-    driver.wait(lambda: len(viewer.viewpoints) > 1)
+    driver.wait(lambda: len(viewer.visits.viewpoints) > 1)
     found["said"] = list(said)
-    found["where"].append(viewer.where)
+    found["where"].append(viewer.visits.where)
     found["after"] = driver.models()
     found["drawn"] = float(driver.scenes(driver.rest()).std())
     for key in ("n", "Home", "u"):
         driver.key(key)
         driver.rest()
         found[key] = driver.models()
-        found["where"].append(viewer.where)
-    viewer.open(str(folder / "b.egs"), 0)
+        found["where"].append(viewer.visits.where)
+    viewer.loading.open(str(folder / "b.egs"), 0)
     driver.wait(lambda: viewer.stage.scenes[0].name == "b.egs")
-    found["other"] = [viewer.number, viewer.where, viewer.choice.up]
+    found["other"] = [viewer.visits.number, viewer.visits.where, viewer.choice.up]
     return found
 
 

@@ -22,7 +22,7 @@ def many(driver: Driver) -> int:
     for keys in ("mf", "nmf15", "mf5", "5fm", "p5mf"):
         for _ in range(8):
             for key in keys:
-                driver.viewer.press(ord(key))
+                driver.viewer.keys.press(ord(key))
                 driver.tick(1 + pressed % 2, redraw=True)
                 pressed += 1
     return pressed
@@ -59,7 +59,7 @@ def state(driver: Driver) -> list:
     """Whether a dialog is open; what keys change that are not for it."""
     choice = driver.viewer.choice
     is_open = driver.viewer.modal.dialog is not None
-    return [is_open, driver.viewer.number, choice.mode, sorted(choice.layers)]
+    return [is_open, driver.viewer.visits.number, choice.mode, sorted(choice.layers)]
 
 
 if __name__ == "__main__":

@@ -93,7 +93,7 @@ class Driver:
 
     def scenes(self, image: np.ndarray) -> np.ndarray:
         """The part of the window that is not the panel, nor captions."""
-        right = self.viewer.panel.widget.frame.x - 4  # its corners are round
+        right = self.viewer.panel.tabs.frame.x - 4  # its corners are round
         return image[self.viewer.stage.caption_height :, :right]
 
     def xdotool(self, *arguments: object) -> None:
@@ -108,7 +108,7 @@ class Driver:
         """Click on a layer's checkbox, and wait until that has come through."""
         viewer = self.viewer
         wanted = viewer.choice.layers ^ {layer}
-        self.click(viewer.panel.boxes[layer])
+        self.click(viewer.panel.scene.boxes[layer])
         self.wait(lambda: viewer.choice.layers == wanted)
 
     def wait(self, done: Callable[[], bool]) -> None:
@@ -172,7 +172,7 @@ def outlined(driver: Driver, image: np.ndarray) -> list[float]:
 def layers(driver: Driver, first: np.ndarray) -> dict:
     """How many pixels of each half of the panes a layer changes; how far it is back without it."""
     found, before = {}, first
-    for layer in driver.viewer.panel.boxes:
+    for layer in driver.viewer.panel.scene.boxes:
         driver.toggle(layer)
         after = driver.rest()
         changed = np.abs(driver.scenes(after) - driver.scenes(before)).max(axis=2) > 12
@@ -240,7 +240,7 @@ def stop_loading(driver: Driver) -> list[str]:
 
         viewer.worker.submit("save", wait, print, print)  # what is to be stopped waits behind it
         started.wait(60)
-        viewer.open(str(driver.folder / "a.ply"), 1)
+        viewer.loading.open(str(driver.folder / "a.ply"), 1)
         driver.tick(5)
         scenes.append(viewer.panel.status.text)
         stop()
@@ -268,7 +268,7 @@ def octree(driver: Driver) -> dict:
     viewer, corner = driver.viewer, driver.viewer.window.os_frame
     driver.toggle("octree")
     first = driver.scenes(driver.rest())
-    frame, depths = viewer.panel.depth.frame, []
+    frame, depths = viewer.panel.scene.depth.frame, []
     y = corner.y + frame.y + frame.height // 2
     columns = np.linspace(frame.x + 10, frame.get_right() - 10, 12).round().astype(int)
     driver.xdotool("mousemove", corner.x + columns[5], y, "mousedown", 1)
@@ -297,13 +297,13 @@ def views(driver: Driver, found: dict) -> None:
     viewer = driver.viewer
     driver.key("n")
     driver.rest()
-    found["number"] = viewer.number
+    found["number"] = viewer.visits.number
     driver.key("p")
     driver.rest()
     found["back"] = driver.models()
     driver.key("Home")
     driver.rest()
-    found["where"].append(viewer.where)
+    found["where"].append(viewer.visits.where)
     driver.key("n")
     driver.rest()
     driver.toggle("error")
@@ -344,7 +344,7 @@ def run(folder: Path) -> dict:
     found["drawn"] = float(driver.scenes(first).std())
     found["quality"] = viewer.stage.quality
     found["captions"] = [label.text for label in viewer.stage.captions]
-    found["where"] = [viewer.where]
+    found["where"] = [viewer.visits.where]
     found["outlined"] = outlined(driver, first)
     found["layers"] = layers(driver, first)
     found["at_first"] = driver.models()
@@ -352,24 +352,24 @@ def run(folder: Path) -> dict:
     moved = driver.rest()
     found["after_drag"] = driver.models()
     found["drag_changed"] = int((np.abs(driver.scenes(moved) - driver.scenes(first)) > 12).sum())
-    found["where"].append(viewer.where)
+    found["where"].append(viewer.visits.where)
     driver.key("r")
     driver.rest()
-    found["where"].append(viewer.where)
+    found["where"].append(viewer.visits.where)
     found["drags"] = drags(driver)
     found["wheel"] = wheel(driver)
-    viewer.window.size = gui.Size(660, 340)
+    viewer.window.size = gui.Size(680, 520)
     driver.rest()
     found["octree"] = octree(driver)
     found["near"] = [p.widget.scene.camera.get_near() for p in viewer.stage.panes]
     views(driver, found)
     wipes(driver, found)
     found["asked"] = [[scene.name for scene in viewer.stage.scenes]]
-    viewer.open(str(folder / "a.ply"))
+    viewer.loading.open(str(folder / "a.ply"))
     driver.rest()
     found["asked"].append([scene.name for scene in viewer.stage.scenes])
     viewer.window.close_dialog()
-    viewer.open(str(folder / "report" / "report.json"), 1)
+    viewer.loading.open(str(folder / "report" / "report.json"), 1)
     driver.rest()
     found["message"] = viewer.message
     viewer.dismiss()

@@ -27,7 +27,7 @@ def dragged(
     """Where a drag along corners ends, each part of it in so many events."""
     hand, last = navigator(pose), pose
     x, y = 300, 200
-    hand.hold(pose, x, y, shifts)
+    hand.hold(pose, x, y, "shift" if shifts else "turn")
     for right, down in way:
         for k in range(1, events + 1):
             at = x + round(k * right / events), y + round(k * down / events)
@@ -105,7 +105,7 @@ def test_shifts_carry_the_point_ahead_with_the_mouse_and_it_stays_the_centre():
     np.testing.assert_allclose(pixel(shifted), [400, 240], atol=1e-9)
     np.testing.assert_array_equal(shifted.rotation, POSE.rotation)
     centre = shifted.position + hand.distance * shifted.rotation[2]
-    turned = hand.turned(shifted, 0.2, 0.1)
+    turned = hand.turned(shifted, 0.2, 0.1, hand.distance)
     np.testing.assert_allclose(pixel(turned, centre), [300, 200], atol=1e-9)
 
 

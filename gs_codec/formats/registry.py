@@ -41,6 +41,9 @@ _BY_SUFFIX: dict[str, Format] = {f".{name}": name for name in get_args(Format)} 
     **dict.fromkeys(usd.SUFFIXES, "usd"),
 }
 
+#: Suffixes of the files that are read.
+SUFFIXES = tuple(_BY_SUFFIX)
+
 _BY_CONTENT: tuple[tuple[bytes, Format], ...] = (
     (EGS, "egs"),
     (b"ply\n", "ply"),
@@ -88,7 +91,7 @@ class SceneFile:
             if head.startswith(begin):
                 return _in_zip(self.data) if begin == ZIP else name
         if suffix not in _BY_SUFFIX:
-            listed = ", ".join(_BY_SUFFIX)
+            listed = ", ".join(SUFFIXES)
             raise InvalidInput(
                 f"{self.path}: begins with {head[:4]!a}, expected {listed} of a scene"
             )

@@ -153,25 +153,59 @@ def splats(
     views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
 ) -> NDArray[np.float32]:
     """A scene drawn by the rasteriser; `views` caches its renderer and last pictures."""
-    camera = pose.camera(width, height)
-    if scene not in views:
-        views[scene] = gs_codec.render(scene.cloud, [camera]), {}
-    renderer, pictures = views[scene]
+    renderer, pictures = _renderer(views, scene, pose, width, height)
     key = pose, width, height
     if key not in pictures:
-        pictures[key] = renderer.draw(camera).colour
+        pictures[key] = renderer.draw(pose.camera(width, height)).colour
         for old in list(pictures)[:-_KEPT]:
             del pictures[old]
     return pictures[key]
 
 
-def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> str:
-    """PSNR and SSIM of the second scene against the first, in the camera's own frame."""
+def _renderer(
+    views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
+) -> tuple[Any, dict]:
+    """The renderer of a scene, made once, and its last pictures."""
+    if scene not in views:
+        views[scene] = gs_codec.render(scene.cloud, [pose.camera(width, height)]), {}
+    return views[scene]
+
+
+def depth_at(
+    views: dict[Opened, Any],
+    scene: Opened,
+    pose: Pose,
+    at: tuple[float, float],
+    size: tuple[int, int],
+) -> float:
+    """The depth of what is seen at a pixel of a picture of this size; 0 where nothing is."""
+    _, _, cx, cy = pose.lens(*size)
+    camera = pose.camera(*size) | {
+        "width": 1,
+        "height": 1,
+        "cx": cx - at[0] + 0.5,
+        "cy": cy - at[1] + 0.5,
+    }
+    seen = _renderer(views, scene, pose, *size)[0].draw(camera)
+    return float(seen.depth[0, 0])
+
+
+def quality(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> Any:
+    """`gs_codec.compare_images` of two scenes in the camera's frame; None if it is too small."""
     width, height = pose.measured
     if min(width, height) < _LEAST_SIDE:
-        return f"frame of {width}x{height}: too small"
+        return None
     images = [splats(views, scene, pose, width, height) for scene in scenes]
-    return quality_text(gs_codec.compare_images(*images))
+    return gs_codec.compare_images(*images)
+
+
+def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> str:
+    """`quality` as text."""
+    found = quality(views, scenes, pose)
+    if found is None:
+        width, height = pose.measured
+        return f"frame of {width}x{height}: too small"
+    return quality_text(found)
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:

@@ -17,6 +17,25 @@ MODES = ("side", "wipe", "flip")
 CELL_COLOURINGS = ("occupancy", "bits")
 DEPTHS = range(1, 13)
 
+#: Quantities whose histograms are shown below the panes.
+QUANTITIES = (
+    "opacity",
+    "longest scale",
+    "shortest scale",
+    "red",
+    "green",
+    "blue",
+    "SH band 1",
+    "SH band 2",
+    "SH band 3",
+    "x",
+    "y",
+    "z",
+)
+
+#: What is shown below the panes.
+DOCKS = ("nothing", "PSNR of views", "views", *(f"histogram: {name}" for name in QUANTITIES))
+
 
 @dataclass(frozen=True)
 class OctreeChoice:
@@ -53,6 +72,10 @@ class Choice:
     up : str
         Name of the up axis, in `UPS` or "cameras".
     octree : OctreeChoice
+    flying : bool
+        Whether a drag looks around instead of turning about the point ahead.
+    dock : str
+        What is shown below the panes, of `DOCKS`.
     """
 
     layers: set[str]
@@ -62,3 +85,5 @@ class Choice:
     wipe: float = 0.5
     up: str = "-y"
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    flying: bool = False
+    dock: str = "nothing"

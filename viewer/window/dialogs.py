@@ -2,40 +2,20 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from open3d.visualization import gui
 
-from viewer.scenes.choice import LAYERS
-from viewer.window.panel import folded
+from gs_codec.formats.registry import SUFFIXES
 
 #: Longest line of a dialog, characters.
 _WIDTH = 76
 
-_KEYS = (
-    ("drag", "turn"),
-    ("ctrl + drag, right drag", "shift"),
-    ("wheel up, down", "move nearer, farther"),
-    ("N, P", "next, previous view"),
-    ("R", "back to the view after moving away"),
-    ("Home", "overview"),
-    ("U", "next up axis"),
-    ("T", "convert B: reverse its y and z axes"),
-    ("M", "side by side, wipe, flip"),
-    ("F", "one view: switch between A and B"),
-    ("left, right", "move the wipe; its line can be dragged"),
-    ("1 ... 6", ", ".join(LAYERS)),
-    ("C", "colour centres by the next quantity"),
-    ("O", "open a scene"),
-    ("S", "save a picture"),
-    ("Backspace", "stop loading"),
-    ("H", "this help"),
-    ("Q, Esc", "quit; Esc in a dialog closes it, Enter is OK"),
-)
-
-HELP = "\n".join(f"{keys}: {what}" for keys, what in _KEYS)
+#: Suffixes of scenes that are read.
+_SCENES = " ".join(SUFFIXES)
 
 
 class Modal:
@@ -140,10 +120,29 @@ def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[in
     window.show_dialog(dialog)
 
 
-def ask_open(window: Modal, then: Callable[[str], None]) -> None:
+def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
+    """Ask which of some files to open."""
+    told = "Opened last" if paths else "No file was opened before."
+    dialog, box = _box(window, "Recent", told)
+    for path in paths:
+
+        def chosen(path: Path = path) -> None:
+            window.close_dialog()
+            then(str(path))
+
+        _add_button(box, shortened(str(path), _WIDTH), chosen)
+    _add_button(box, "Cancel", window.close_dialog)
+    window.show_dialog(dialog)
+
+
+def shortened(path: str, most: int) -> str:
+    """The end of a path, at most so many characters."""
+    return path if len(path) <= most else "..." + path[3 - most :]
+
+
+def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
     """Ask for a scene's file."""
-    kind = (".ply .egs .splat .spz .sog .json", "3DGS scenes")
-    _ask(window, gui.FileDialog.OPEN, "Open a scene", kind, then)
+    ask_file(window, title, (_SCENES, "3DGS scenes"), then)
 
 
 def ask_save(window: Modal, then: Callable[[str], None]) -> None:
@@ -152,16 +151,25 @@ def ask_save(window: Modal, then: Callable[[str], None]) -> None:
     _ask(window, gui.FileDialog.SAVE, "Save a picture", kind, then)
 
 
+def ask_file(
+    window: Modal, title: str, kind: tuple[str, str] | None, then: Callable[[str], None]
+) -> None:
+    """Ask for a file that exists, with one of the suffixes of `kind`, or, without, for a folder."""
+    purpose = gui.FileDialog.OPEN_DIR if kind is None else gui.FileDialog.OPEN
+    _ask(window, purpose, title, kind, then)
+
+
 def _ask(
     window: Modal,
     purpose: Any,
     title: str,
-    kind: tuple[str, str],
+    kind: tuple[str, str] | None,
     then: Callable[[str], None],
 ) -> None:
     """Ask for a file; `kind` has its suffixes and their description."""
     dialog = gui.FileDialog(purpose, title, window.theme)
-    dialog.add_filter(*kind)
+    if kind is not None:
+        dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
 
     def done(path: str) -> None:
@@ -195,3 +203,8 @@ def inside(widget: gui.Widget) -> Iterator[gui.Widget]:
     for child in widget.get_children():
         yield child
         yield from inside(child)
+
+
+def folded(text: str, width: int) -> list[str]:
+    """The lines of a text, wrapped to at most `width` characters."""
+    return [part for line in text.splitlines() for part in textwrap.wrap(line, width) or [""]]

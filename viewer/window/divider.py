@@ -6,16 +6,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from open3d.visualization import gui, rendering
+from open3d.visualization import gui
 
 from viewer.pictures.picture import LINE_COLOUR
-from viewer.window.pane import picture_of
+from viewer.window.canvas import Canvas
 
 #: Dots that show that the line can be dragged: number, size and distance in pixels; grey level.
 _DOTS, _DOT, _STEP, _DOT_COLOUR = 5, 4, 9, 0.2
 
 
-class Divider:
+def make_divider(window: gui.Window, slide: Callable[[int], None]) -> Canvas:
     """A line in the gap between two panes.
 
     Parameters
@@ -25,32 +25,11 @@ class Divider:
         Called with the column of the window to which the line was dragged.
     """
 
-    def __init__(self, window: gui.Window, slide: Callable[[int], None]) -> None:
-        self._slide = slide
-        # Only scene widgets report mouse events.
-        self.widget = gui.SceneWidget()
-        self.widget.scene = rendering.Open3DScene(window.renderer)
-        self.widget.scene.show_skybox(False)
-        self.widget.scene.view.set_post_processing(False)
-        self.widget.set_on_mouse(self._mouse)
-        self._size = (0, 0)
-        window.add_child(self.widget)
-
-    def move_to(self, rect: gui.Rect) -> None:
-        """Set its position in the window; to hide it, its size is `HIDDEN`."""
-        # If only the position changed, Open3D would draw the scene at the old position.
-        self.widget.frame = gui.Rect(rect.x, rect.y, rect.width, rect.height + 1)
-        self.widget.frame = rect
-        if self._size != (rect.width, rect.height):
-            self._size = (rect.width, rect.height)
-            image = picture_of(_dotted(rect.width, rect.height))
-            self.widget.scene.set_background((*LINE_COLOUR, 1.0), image)
-        self.widget.force_redraw()
-
-    def _mouse(self, event: Any) -> Any:
+    def mouse(event: Any) -> None:
         if event.type == gui.MouseEvent.Type.DRAG:
-            self._slide(event.x)
-        return gui.Widget.EventCallbackResult.CONSUMED
+            slide(event.x)
+
+    return Canvas(window, _dotted, mouse)
 
 
 def _dotted(width: int, height: int) -> np.ndarray:

@@ -1,8 +1,9 @@
-"""Mouse navigation: turn about a point ahead, shift, move nearer."""
+"""Navigation: turn about a point ahead, look around, shift, move nearer, fly."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import open3d as o3d
@@ -29,6 +30,13 @@ _LEAST = 0.02
 #: Half width, relative to depth, of the region straight ahead; most centres to look at for it.
 _AHEAD, _SAMPLES = 0.25, 20_000
 
+#: Least opacity of centres that a frame has to show; quantiles of their coordinates that it shows.
+_SEEN, _MOST_OF = 0.1, (0.02, 0.98)
+
+
+#: What a drag does: turn about the point ahead, look around from where the camera is, or shift it.
+DragKind = Literal["turn", "look", "shift"]
+
 
 @dataclass(frozen=True)
 class _Drag:
@@ -37,11 +45,11 @@ class _Drag:
     pose: Pose
     x: int
     y: int
-    shifts: bool
+    kind: DragKind
 
 
 class Navigator:
-    """Moves a camera by the mouse.
+    """Moves a camera by mouse and keys.
 
     A drag is measured from its start, so the resulting pose does not depend on the number of
     events, and dragging back to the start restores the pose.
@@ -65,9 +73,9 @@ class Navigator:
         self.distance, self._least = distance, _LEAST * distance
         self._drag = None
 
-    def hold(self, pose: Pose, x: int, y: int, shifts: bool = False) -> None:
-        """Begin a drag that turns the camera, or shifts it."""
-        self._drag = _Drag(pose, x, y, shifts)
+    def hold(self, pose: Pose, x: int, y: int, kind: DragKind = "turn") -> None:
+        """Begin a drag."""
+        self._drag = _Drag(pose, x, y, kind)
 
     def release(self) -> None:
         """End a drag."""
@@ -78,12 +86,17 @@ class Navigator:
         held = self._drag
         if held is None:
             return None
-        if held.shifts:
+        if held.kind == "shift":
             return self.shifted(held.pose, x - held.x, y - held.y, width, height)
-        return self.turned(held.pose, (x - held.x) / height, (y - held.y) / height)
+        right, down = (x - held.x) / height, (y - held.y) / height
+        if held.kind == "turn":
+            return self.turned(held.pose, right, down, self.distance)
+        # What is in the middle of the picture follows the mouse.
+        angle = height / held.pose.lens(width, height)[1] / _TURN
+        return self.turned(held.pose, -angle * right, -angle * down, 0.0)
 
-    def turned(self, pose: Pose, right: float, down: float) -> Pose:
-        """The pose turned about the point ahead by a drag, in heights of the picture."""
+    def turned(self, pose: Pose, right: float, down: float, distance: float) -> Pose:
+        """The pose turned about the point at a distance by a drag, in heights of the picture."""
         ahead, up = pose.rotation[2], self.up
         across = np.cross(ahead, up)
         steep = np.linalg.norm(across) < _LEVEL
@@ -94,11 +107,10 @@ class Navigator:
         wanted = slope - _TURN * (drag @ np.cross(ahead, across))
         tilt = np.clip(wanted, min(-_STEEPEST, slope), max(_STEEPEST, slope)) - slope
         turn = _about(up, -_TURN * (drag @ across)) @ _about(across, tilt)
-        centre = pose.position + self.distance * ahead
         return replace(
             pose,
             rotation=pose.rotation @ turn.T,
-            position=centre - self.distance * (turn @ ahead),
+            position=pose.position + distance * (ahead - turn @ ahead),
         )
 
     def shifted(self, pose: Pose, right: int, down: int, width: int, height: int) -> Pose:
@@ -114,6 +126,49 @@ class Navigator:
         position = pose.position + (self.distance - left) * pose.rotation[2]
         self.distance = max(left, self._least)
         return replace(pose, position=position)
+
+    def flown(self, pose: Pose, thrust: NDArray, seconds: float) -> Pose:
+        """The pose after a flight along the camera's axes, in distances ahead per second."""
+        return replace(
+            pose, position=pose.position + seconds * self.distance * (thrust @ pose.rotation)
+        )
+
+
+def focused(pose: Pose, pixel: tuple[float, float], depth: float, size: tuple[int, int]) -> Pose:
+    """The pose shifted so that what is at a pixel, at a depth, comes to the picture's middle."""
+    fx, fy, _, _ = pose.lens(*size)
+    offset = (pixel[0] - size[0] / 2) / fx, (pixel[1] - size[1] / 2) / fy
+    shift = depth * (offset[0] * pose.rotation[0] + offset[1] * pose.rotation[1])
+    return replace(pose, position=pose.position + shift)
+
+
+def framing(pose: Pose, positions: NDArray, opacities: NDArray) -> tuple[Pose, float]:
+    """The pose moved until its frame shows the scene, and the distance of the scene's middle.
+
+    The few far centres, and those that are hardly seen, may be outside.
+    """
+    some = np.isfinite(positions).all(axis=1) & (opacities >= _SEEN)
+    centres = positions[some if some.any() else slice(None)].astype(np.float64)
+    centres = centres[np.isfinite(centres).all(axis=1)]
+    if not len(centres):
+        return pose, 1.0
+    low, high = np.quantile(centres, _MOST_OF, axis=0)
+    reach = float(np.linalg.norm(high - low)) / 2 or 1.0
+    sides = 2 * pose.focal[0] * pose.frame[1] / pose.frame[0], 2 * pose.focal[1]
+    distance = reach * float(np.hypot(1.0, max(sides)))
+    middle = (low + high) / 2
+    return replace(pose, position=middle - distance * pose.rotation[2]), distance
+
+
+def field_of_view(pose: Pose) -> float:
+    """The angle from the lower to the upper side of the frame, degrees."""
+    return float(np.degrees(2 * np.arctan(0.5 / pose.focal[1])))
+
+
+def with_field_of_view(pose: Pose, degrees: float) -> Pose:
+    """The pose with another `field_of_view`."""
+    factor = 0.5 / np.tan(np.radians(degrees) / 2) / pose.focal[1]
+    return replace(pose, focal=(pose.focal[0] * factor, pose.focal[1] * factor))
 
 
 def distance_ahead(pose: Pose, positions: NDArray) -> float:

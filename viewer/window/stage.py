@@ -12,12 +12,13 @@ from open3d.visualization import gui
 
 from viewer.pictures.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
 from viewer.pictures.octree import MOST_CUBES
-from viewer.pictures.picture import Shown, measure, picture, wipe_line
+from viewer.pictures.picture import Shown, depth_at, measure, picture, wipe_line
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
-from viewer.window.divider import Divider
-from viewer.window.navigation import Navigator, distance_ahead
+from viewer.window.divider import make_divider
+from viewer.window.mouse import Mouse, Place
+from viewer.window.navigation import Navigator, distance_ahead, focused
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.pane import HIDDEN, Pane
 from viewer.window.worker import Stale, Worker
@@ -50,16 +51,22 @@ class Stage:
         Called when a picture or measurement is ready.
     failed : callable
         Called with the exception of a failed job.
+    clicked, focused : callable
+        Called with a pane and a pixel of its picture after a click and a double click.
 
     Attributes
     ----------
     scenes, panes : list
+    views : dict
+        What draws each scene, and its last pictures.
     pruned : Pruned or None
     pose : Pose or None
     navigator : Navigator
     captions : list of gui.Label
         The captions above the panes.
-    divider : Divider
+    divider : Canvas
+        The line of a wipe.
+    mouse : Mouse
     """
 
     def __init__(
@@ -70,6 +77,8 @@ class Stage:
         device: Literal["gpu", "cpu"],
         changed: Callable[[], None],
         failed: Callable[[Exception], None],
+        clicked: Callable[[Pane, Place], None],
+        focused: Callable[[Pane, Place], None],
     ) -> None:
         self.window, self.worker, self.choice, self.device = window, worker, choice, device
         self._changed, self._failed = changed, failed
@@ -81,10 +90,11 @@ class Stage:
         self.captions = [gui.Label("") for _ in range(2)]
         for label in self.captions:
             window.add_child(label)
-        self.divider = Divider(window, self._slide)
+        self.divider = make_divider(window, self._slide)
+        self.mouse = Mouse(self, clicked, focused)
         self.size, self._left = (1, 1), 0
         self._measured: tuple[Pose | None, str] = (None, "")
-        self._views: dict[Opened, Any] = {}
+        self.views: dict[Opened, Any] = {}
         self._coloured: Any = None
         self._octree = OctreeLayer(worker, changed, failed)
         self._moved_at = 0.0
@@ -97,11 +107,12 @@ class Stage:
         self.worker.cancel("picture")
         self.worker.cancel("centres")
         self.worker.cancel("measure")
+        self.worker.cancel("focus")
         for pane in self.panes:
             pane.widget.visible = False
             pane.widget.scene.clear_geometry()
         self.scenes, self.pruned = scenes, pruned
-        self._views.clear()
+        self.views.clear()
         self._coloured = self._coming = None
         self._measured = (None, "")
         self.panes = [Pane(self.window, scene) for scene in scenes]
@@ -110,7 +121,7 @@ class Stage:
             self.panes[0].points["pruned"] = pruned_centres(scenes[0], pruned, self._most)
         for pane in self.panes:
             self.window.add_child(pane.widget)
-            pane.widget.set_on_mouse(self._mouse)
+            self.mouse.attach(pane)
             if self.by_hand:
                 # A draft until the first picture is drawn.
                 pane.show_points("draft", centres(pane.scene, "colour", scenes, self._most))
@@ -200,11 +211,27 @@ class Stage:
 
     # Layout and cameras
 
-    def look_from(self, pose: Pose) -> None:
-        """Look from another pose."""
+    def look_from(self, pose: Pose, distance: float | None = None) -> None:
+        """Look from another pose, at the distance of what is ahead, or another."""
         self.pose = pose
-        self.navigator.aim(distance_ahead(pose, self.scenes[0].positions))
+        ahead = distance_ahead(pose, self.scenes[0].positions) if distance is None else distance
+        self.navigator.aim(ahead)
         self.arrange()
+
+    def focus(self, pane: Pane, at: Place) -> None:
+        """Bring what is at a pixel of a pane's picture to the middle."""
+        views, scene, pose, size = self.views, pane.scene, self.pose, self.picture_size
+        if pose is None:
+            return
+
+        def done(depth: float) -> None:
+            if depth > 0 and self.pose is pose:
+                self.look_from(focused(pose, at, depth, size), depth)
+
+        def find(stale: Stale) -> float:
+            return depth_at(views, scene, pose, at, size)
+
+        self.worker.submit("focus", find, done, self._failed)
 
     def arrange(self) -> None:
         """Lay out the panes and redraw their pictures."""
@@ -271,32 +298,21 @@ class Stage:
             if len(self.scenes) > 1:
                 pane.outline(self.pose, wide, height)
 
-    def _mouse(self, event: Any) -> Any:
-        """Turn by dragging, shift with ctrl or another button, move nearer with the wheel.
+    def steer(self, pose: Pose) -> None:
+        """Look from a pose that moves on."""
+        self.pose = pose
+        self._moved_at, self._drawn = time.monotonic(), None
+        self._look()
 
-        All panes follow one pose. Open3D's own mouse control is not used, because it works from a
-        camera that only Open3D can set.
-        """
-        pose, navigator, kind = self.pose, self.navigator, gui.MouseEvent.Type
-        if pose is None:
-            return gui.SceneWidget.EventCallbackResult.CONSUMED
-        moved = None
-        if event.type == kind.BUTTON_DOWN:
-            left = event.is_button_down(gui.MouseButton.LEFT)
-            shifts = not left or event.is_modifier_down(gui.KeyModifier.CTRL)
-            navigator.hold(pose, event.x, event.y, shifts)
-        elif event.type == kind.DRAG:
-            wide = self._columns(self.size[0])[0][2]
-            moved = navigator.drag(event.x, event.y, wide, self.size[1])
-        elif event.type == kind.BUTTON_UP:
-            navigator.release()
-        elif event.type == kind.WHEEL:
-            moved = navigator.nearer(pose, event.wheel_dy)
-        if moved is not None:
-            self.pose = moved
-            self._moved_at, self._drawn = time.monotonic(), None
-            self._look()
-        return gui.SceneWidget.EventCallbackResult.CONSUMED
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """Width and height of the picture of each pane, of which a wipe shows parts, pixels."""
+        return self._columns(self.size[0])[0][2], self.size[1]
+
+    def place(self, pane: Pane, x: int, y: int) -> Place:
+        """The pixel of a pane's picture at a pixel of the window."""
+        left = self._columns(self.size[0])[self.visible.index(pane)][3]
+        return x - pane.widget.frame.x + left + 0.5, y - pane.widget.frame.y + 0.5
 
     def tick(self) -> bool:
         """Draw pictures, coarse ones while the camera moves."""
@@ -321,7 +337,7 @@ class Stage:
     def _draw(self, coarse: int) -> None:
         """Start drawing the pictures of all visible panes; after full ones, measure B."""
         visible, shown, by_hand = list(self.visible), self.shown, self.by_hand
-        views, pose, (width, height) = self._views, self.pose, self.size
+        views, pose, (width, height) = self.views, self.pose, self.size
         columns = self._columns(width)
         assert pose is not None
         wanted = [by_hand or shown.shows_error(pane.scene) for pane in visible]
@@ -356,7 +372,7 @@ class Stage:
 
     def _measure(self) -> None:
         """Start measuring B in the frame of the present view, unless that is done."""
-        views, scenes, pose = self._views, list(self.scenes), self.pose
+        views, scenes, pose = self.views, list(self.scenes), self.pose
         if len(scenes) < 2 or pose is None or self._measured[0] is pose:
             return
 

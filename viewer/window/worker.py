@@ -71,10 +71,15 @@ class Worker:
         return progress
 
     @property
+    def kinds(self) -> set[str]:
+        """The kinds of the jobs that wait or run."""
+        with self._changed:
+            return {*self._waiting, *filter(None, [self._running])}
+
+    @property
     def busy(self) -> bool:
         """Whether any job waits or runs."""
-        with self._changed:
-            return bool(self._waiting) or self._running is not None
+        return bool(self.kinds)
 
     def end(self) -> None:
         """Let the thread end after its current job."""

@@ -1,0 +1,309 @@
+"""Charts below the panes: qualities of views, pictures of views, histograms of attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from viewer.pictures.picture import BACKGROUND, from_pillow, to_pillow
+
+if TYPE_CHECKING:
+    from gs_codec.edit import AttributeStatistics
+
+#: Size of text; margins around a chart: left, top, right, bottom; pixels.
+_TEXT, _MARGINS = 13, (64, 26, 16, 22)
+
+#: Colours of scenes A and B, which the colour-blind tell apart; of text, of lines, of a range.
+_SCENES = ((86, 180, 233), (230, 159, 0))
+_WHITE, _GREY, _RANGE = (235, 235, 235), (120, 120, 125), (75, 75, 60)
+
+#: Height of the names of views below their pictures, pixels.
+_LINE = 22
+
+
+class Chart(Protocol):
+    """A picture of any size."""
+
+    def draw(self, width: int, height: int) -> NDArray[np.float32]:
+        """The picture ``(height, width, 3)``, 0-1; width and height in pixels."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """A line of text in place of a chart."""
+
+    text: str
+
+    def draw(self, width: int, height: int) -> NDArray[np.float32]:
+        """See `Chart`."""
+        canvas, pen = _blank(width, height)
+        pen.text((_MARGINS[0], height // 2), self.text, _WHITE, _font(), "lm")
+        return from_pillow(canvas)
+
+
+@dataclass(frozen=True)
+class QualityChart:
+    """Bars of the PSNR of views, the worst first.
+
+    Attributes
+    ----------
+    names : sequence of str
+        Of all views.
+    decibels : mapping of int to float
+        PSNR of views that are measured, by their index; infinite if both scenes look the same.
+    here : int or None
+        The view that is shown.
+    """
+
+    names: Sequence[str]
+    decibels: Mapping[int, float]
+    here: int | None = None
+
+    @property
+    def order(self) -> list[int]:
+        """Measured views, the worst first."""
+        return sorted(self.decibels, key=lambda index: (self.decibels[index], index))
+
+    def draw(self, width: int, height: int) -> NDArray[np.float32]:
+        """See `Chart`."""
+        canvas, pen = _blank(width, height)
+        left, top, right, bottom = _box(width, height)
+        finite = np.array([value for value in self.decibels.values() if np.isfinite(value)])
+        low, high = (np.floor(finite.min()), np.ceil(finite.max() + 0.5)) if len(finite) else (0, 1)
+        low = min(low, high - 2)
+
+        def row(value: float) -> int:
+            return round(bottom - (min(value, high) - low) / (high - low) * (bottom - top))
+
+        _rule(pen, row, np.linspace(low, high, 3), left, right)
+        step = (right - left) / max(len(self.order), 1)
+        for place, index in enumerate(self.order):
+            first = round(left + place * step)
+            last = max(round(left + (place + 0.85) * step) - 1, first)
+            colour = _WHITE if index == self.here else _SCENES[1]
+            pen.rectangle((first, row(self.decibels[index]) - 1, last, bottom), fill=colour)
+        pen.text((left, 5), self._told(), _WHITE, _font())
+        if len(finite):
+            mean = row(float(finite.mean()))
+            pen.line((left, mean, right, mean), _SCENES[0], 2)
+        return from_pillow(canvas)
+
+    def _told(self) -> str:
+        """What the chart says in words."""
+        done, count = len(self.decibels), len(self.names)
+        if not done:
+            return f"PSNR of {count} views, B against A: measuring ..."
+        worst = self.order[0]
+        values = np.array(list(self.decibels.values()))
+        said = f"worst {decibels(self.decibels[worst])} ({self.names[worst]}), "
+        said += f"mean {decibels(float(values.mean()))} (line)"
+        measured = "" if done == count else f" {done} of"
+        return f"PSNR of{measured} {count} views, B against A: {said}. Click a bar to go there."
+
+    def view_at(self, x: float, width: int) -> int | None:
+        """The view whose bar is at a column."""
+        left, _, right, _ = _box(width, 1)
+        place = int((x - left) / (right - left) * len(self.order) // 1)
+        return self.order[place] if left <= x < right and self.order else None
+
+
+@dataclass(frozen=True)
+class ContactSheet:
+    """Small pictures of views beside each other.
+
+    Attributes
+    ----------
+    names : sequence of str
+        Of the views, in the order they are shown.
+    pictures : mapping of str to ndarray, shape (h, w, 3), float32, 0-1
+        Those that are drawn.
+    here : int or None
+        Place of the view that is shown.
+    first : float
+        Place of the view at the left edge, which scrolling changes.
+    """
+
+    names: Sequence[str]
+    pictures: Mapping[str, NDArray[np.float32]]
+    here: int | None = None
+    first: float = 0.0
+
+    def draw(self, width: int, height: int) -> NDArray[np.float32]:
+        """See `Chart`."""
+        canvas, pen = _blank(width, height)
+        wide, high = self.cell(height)
+        for place in range(
+            int(self.first), min(int(self.first + width / wide) + 1, len(self.names))
+        ):
+            left = round((place - self.first) * wide)
+            image = self.pictures.get(self.names[place])
+            if image is not None:
+                small = to_pillow(image)
+                small.thumbnail((wide - 4, high - 4))
+                canvas.paste(small, (left + (wide - small.width) // 2, (high - small.height) // 2))
+            name = _fitted(self.names[place], wide - 6)
+            pen.text((left + wide // 2, high + 1), name, _WHITE, _font(), "ma")
+            if place == self.here:
+                pen.rectangle(
+                    (left + 1, 1, left + wide - 2, height - 2), outline=_SCENES[1], width=2
+                )
+        return from_pillow(canvas)
+
+    @staticmethod
+    def cell(height: int) -> tuple[int, int]:
+        """Width and height of what a view takes without its name, pixels."""
+        high = max(height - _LINE, 8)
+        return max(high * 3 // 2, 12), high
+
+    def view_at(self, x: float, height: int) -> int | None:
+        """The place of the view at a column."""
+        place = int(self.first + x / self.cell(height)[0])
+        return place if 0 <= place < len(self.names) else None
+
+    def scrolled(self, steps: float, width: int, height: int) -> float:
+        """Where `first` is after scrolling by steps."""
+        last = len(self.names) - width / self.cell(height)[0]
+        return float(np.clip(self.first + steps, 0, max(last, 0)))
+
+
+@dataclass(frozen=True)
+class HistogramChart:
+    """Histograms of one attribute in one or two scenes, on a common scale.
+
+    Attributes
+    ----------
+    scenes : sequence of AttributeStatistics
+        Of one or two scenes, in `gs_codec.edit`'s sense.
+    chosen : tuple of two float, or None
+        A range of values that is marked.
+    """
+
+    scenes: Sequence[AttributeStatistics]
+    chosen: tuple[float, float] | None = None
+
+    @property
+    def _log(self) -> bool:
+        return self.scenes[0].name.endswith(" scale")
+
+    @property
+    def selects(self) -> bool:
+        """Whether each Gaussian has one value, so that a range selects Gaussians."""
+        return not self.scenes[0].name.startswith("SH band")
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest value of the axis; logarithms of scales."""
+        ends = [self._on_axis(np.array([s.edges[0], s.edges[-1]])) for s in self.scenes if s.edges]
+        if not ends:
+            return 0.0, 1.0
+        low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+        return float(low), float(high if high > low else low + 1)
+
+    def _on_axis(self, values: NDArray) -> NDArray[np.float64]:
+        values = np.asarray(values, np.float64)
+        return np.log10(np.maximum(values, np.finfo(float).tiny)) if self._log else values
+
+    def draw(self, width: int, height: int) -> NDArray[np.float32]:
+        """See `Chart`."""
+        canvas, pen = _blank(width, height)
+        left, top, right, bottom = _box(width, height)
+        if self.chosen is not None:
+            columns = [self._column(value, width) for value in self.chosen]
+            pen.rectangle((columns[0], top, columns[1], bottom), fill=_RANGE)
+        most = max((max(s.counts, default=0) for s in self.scenes), default=0) or 1
+        for number, scene in enumerate(self.scenes):
+            thick = 2 if number else 5  # of two that are the same, both are seen
+            self._outline(pen, scene, (_SCENES[number], thick), most, width, height)
+        for value in np.linspace(*self.span, 7):
+            shown = 10.0**value if self._log else value
+            column = round(
+                left + (value - self.span[0]) / (self.span[1] - self.span[0]) * (right - left)
+            )
+            pen.line((column, bottom, column, bottom + 3), _GREY)
+            pen.text((column, bottom + 4), f"{shown:.3g}", _WHITE, _font(), "ma")
+        pen.text((left - 6, top), f"{most:,}", _WHITE, _font(), "ra")
+        first = self.scenes[0]
+        told = f"{first.name}, {first.unit}"
+        told += ": A blue, B orange" if len(self.scenes) > 1 else ""
+        if self.chosen is not None:
+            told += f"; {self.chosen[0]:.4g} to {self.chosen[1]:.4g}"
+        hint = " Drag to select a range." if self.selects else ""
+        pen.text((left, 5), f"{told}.{hint}", _WHITE, _font())
+        return from_pillow(canvas)
+
+    def _outline(
+        self,
+        pen: ImageDraw.ImageDraw,
+        scene: AttributeStatistics,
+        pencil: tuple[tuple[int, int, int], int],
+        most: int,
+        width: int,
+        height: int,
+    ) -> None:
+        """Draw the steps of one scene, in a colour and width."""
+        colour, thick = pencil
+        _, top, _, bottom = _box(width, height)
+        points: list[tuple[int, int]] = []
+        for k, count in enumerate(scene.counts):
+            row = round(bottom - count / most * (bottom - top))
+            points += [(self._column(edge, width), row) for edge in scene.edges[k : k + 2]]
+        if points:
+            pen.line([(points[0][0], bottom), *points, (points[-1][0], bottom)], colour, thick)
+
+    def _column(self, value: float, width: int) -> int:
+        left, _, right, _ = _box(width, 1)
+        low, high = self.span
+        share = (float(self._on_axis(np.array(value))) - low) / (high - low)
+        return round(left + min(max(share, 0.0), 1.0) * (right - left))
+
+    def value_at(self, x: float, width: int) -> float:
+        """The value at a column; beyond the axis that of its end."""
+        left, _, right, _ = _box(width, 1)
+        share = min(max((x - left) / (right - left), 0.0), 1.0)
+        low, high = self.span
+        value = low + share * (high - low)
+        return float(10.0**value if self._log else value)
+
+
+def decibels(value: float) -> str:
+    """A PSNR as text."""
+    return f"{value:.2f} dB" if np.isfinite(value) else "the same"
+
+
+def _blank(width: int, height: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    colour = tuple(round(255 * c) for c in BACKGROUND)
+    canvas = Image.new("RGB", (width, height), colour)
+    pen = ImageDraw.Draw(canvas)
+    pen.line((0, 0, width, 0), _GREY)
+    return canvas, pen
+
+
+def _box(width: int, height: int) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of a chart inside its margins."""
+    left, top, right, bottom = _MARGINS
+    return left, top, max(width - right, left + 1), max(height - bottom, top + 1)
+
+
+def _rule(
+    pen: ImageDraw.ImageDraw, row: Callable[[float], int], values: NDArray, left: int, right: int
+) -> None:
+    """Draw lines across at values of an axis, with the values left of them."""
+    for value in values:
+        pen.line((left, row(value), right, row(value)), _GREY)
+        pen.text((left - 6, row(value)), f"{value:g}", _WHITE, _font(), "rm")
+
+
+def _fitted(text: str, width: int) -> str:
+    """The end of a text that fits a width, pixels."""
+    while text and _font().getlength(text) > width:
+        text = text[1:]
+    return text
+
+
+def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(_TEXT)

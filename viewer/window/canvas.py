@@ -1,0 +1,66 @@
+"""A picture in the window that reports what the mouse does on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numpy.typing import NDArray
+from open3d.visualization import gui, rendering
+
+from viewer.pictures.picture import BACKGROUND
+from viewer.window.pane import picture_of
+
+
+class Canvas:
+    """A picture of the size of its widget.
+
+    Parameters
+    ----------
+    window : gui.Window
+    draw : callable
+        Called with width and height, pixels; returns a picture ``(H, W, 3)``, float32, 0-1.
+    mouse : callable
+        Called with a mouse event.
+
+    Attributes
+    ----------
+    widget : gui.SceneWidget
+        Only scene widgets report mouse events.
+    """
+
+    def __init__(
+        self,
+        window: gui.Window,
+        draw: Callable[[int, int], NDArray],
+        mouse: Callable[[Any], None],
+    ) -> None:
+        self._draw, self._report = draw, mouse
+        self.widget = gui.SceneWidget()
+        self.widget.scene = rendering.Open3DScene(window.renderer)
+        self.widget.scene.show_skybox(False)
+        self.widget.scene.view.set_post_processing(False)
+        self.widget.set_on_mouse(self._mouse)
+        self._size = (0, 0)
+        window.add_child(self.widget)
+
+    def move_to(self, rect: gui.Rect) -> None:
+        """Set its place in the window; to hide it, its size is `HIDDEN`."""
+        # If only the position changed, Open3D would draw the scene at the old position.
+        self.widget.frame = gui.Rect(rect.x, rect.y, rect.width, rect.height + 1)
+        self.widget.frame = rect
+        if self._size != (rect.width, rect.height):
+            self._size = (rect.width, rect.height)
+            self.redraw()
+        self.widget.force_redraw()
+
+    def redraw(self) -> None:
+        """Draw the picture anew."""
+        if min(self._size) > 0:
+            image = picture_of(self._draw(*self._size))
+            self.widget.scene.set_background((*BACKGROUND, 1.0), image)
+            self.widget.force_redraw()
+
+    def _mouse(self, event: Any) -> Any:
+        self._report(event)
+        return gui.Widget.EventCallbackResult.CONSUMED

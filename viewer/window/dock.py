@@ -1,0 +1,163 @@
+"""What is shown below the panes: qualities of views, pictures of views, or a histogram."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from open3d.visualization import gui
+
+from gs_codec.edit import statistics
+from viewer.pictures.charts import Chart, ContactSheet, HistogramChart, Message, QualityChart
+from viewer.scenes.choice import DOCKS
+from viewer.scenes.opened import Opened
+from viewer.window.canvas import Canvas
+from viewer.window.pane import HIDDEN
+from viewer.window.survey import Survey
+from viewer.window.worker import Stale
+
+#: Share of the window's height, and most pixels.
+_SHARE, _HIGHEST = 0.25, 170
+
+
+class Dock:
+    """A chart below the panes.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+    selected : callable
+        Called with the quantity and a range of its values that was dragged in a histogram.
+
+    Attributes
+    ----------
+    survey : Survey
+    chart : Chart
+    canvas : Canvas
+    """
+
+    def __init__(self, viewer: Any, selected: Callable[[str, float, float], None]) -> None:
+        self._viewer, self._selected = viewer, selected
+        self.survey = Survey(viewer, self._surveyed)
+        self._statistics: dict[Opened, dict[str, Any]] = {}
+        self._first = 0.0
+        self._held: float | None = None
+        self.chart: Chart = Message("")
+        self.canvas = Canvas(viewer.window, self._draw, self._mouse)
+
+    @property
+    def height(self) -> int:
+        """What it takes of the window, pixels."""
+        if self._viewer.choice.dock == "nothing":
+            return 0
+        return min(int(_SHARE * self._viewer.window.content_rect.height), _HIGHEST)
+
+    def lay_out(self, rect: gui.Rect, corner: gui.Rect) -> None:
+        """Put it into a part of the window; if nothing is shown, at a corner."""
+        hidden = gui.Rect(corner.x, corner.y, *HIDDEN)
+        self.canvas.move_to(rect if rect.height > 0 else hidden)
+
+    def refresh(self) -> None:
+        """Update it to the choice and to the scenes."""
+        viewer = self._viewer
+        shown, scenes = viewer.choice.dock, viewer.stage.scenes
+        views = [each.name for each in viewer.visits.viewpoints]
+        self.survey.ask("decibels", shown == "PSNR of views" and len(scenes) > 1)
+        self.survey.ask("pictures", shown == "views" and bool(scenes))
+        if not scenes:
+            self.chart = Message("No scene is open.")
+        elif shown == "PSNR of views":
+            self.chart = self._qualities(views)
+        elif shown == "views":
+            here = None if viewer.visits.moved else viewer.visits.number
+            named = dict(enumerate(views))
+            pictures = {named[k]: image for k, image in self.survey.pictures.items()}
+            self.chart = ContactSheet(views, pictures, here, self._first)
+        elif shown != "nothing":
+            self.chart = self._histogram(shown.removeprefix("histogram: "))
+        if shown != "nothing":
+            self.canvas.redraw()
+
+    def _surveyed(self) -> None:
+        self.refresh()
+        self._viewer.panel.refresh()
+
+    def _qualities(self, views: list[str]) -> Chart:
+        viewer = self._viewer
+        if len(viewer.stage.scenes) < 2:
+            return Message("PSNR of views needs two scenes: open another version as B.")
+        first = viewer.visits.views.first
+        if len(views) <= first:
+            return Message("No views: open cameras, or wait until they are chosen.")
+        measured = {k - first: value for k, value in self.survey.decibels.items()}
+        here = None if viewer.visits.moved else viewer.visits.number - first
+        return QualityChart(views[first:], measured, here)
+
+    def _histogram(self, name: str) -> Chart:
+        """The histogram of an attribute; statistics of scenes are found once."""
+        scenes = self._viewer.stage.scenes
+        self._statistics = {s: self._statistics[s] for s in scenes if s in self._statistics}
+        missing = [scene for scene in scenes if scene not in self._statistics]
+        if missing:
+            self._describe(missing[0])
+            return Message("histogram: counting ...")
+        found = [each for s in scenes if (each := self._statistics[s].get(name)) is not None]
+        if not found:
+            return Message(f"No {name}: SH of a lower degree.")
+        before = self.chart
+        kept = isinstance(before, HistogramChart) and before.scenes[0].name == name
+        return HistogramChart(found, before.chosen if kept else None)  # type: ignore[attr-defined]
+
+    def _describe(self, scene: Opened) -> None:
+        def find(stale: Stale) -> dict[str, Any]:
+            return {each.name: each for each in statistics(scene.cloud).attributes}
+
+        def done(found: dict[str, Any]) -> None:
+            self._statistics[scene] = found
+            self.refresh()
+
+        if "statistics" not in self._viewer.worker.kinds:
+            self._viewer.worker.submit("statistics", find, done, self._viewer.fail)
+
+    def _draw(self, width: int, height: int) -> Any:
+        return self.chart.draw(width, height)
+
+    # The mouse
+
+    def _mouse(self, event: Any) -> None:
+        kind, frame = gui.MouseEvent.Type, self.canvas.widget.frame
+        x, chart = event.x - frame.x, self.chart
+        if isinstance(chart, HistogramChart):
+            if chart.selects:
+                self._range(chart, event, x)
+        elif event.type == kind.WHEEL and isinstance(chart, ContactSheet):
+            self._first = chart.scrolled(-event.wheel_dy, frame.width, frame.height)
+            self.refresh()
+        elif event.type == kind.BUTTON_DOWN:
+            view = None
+            if isinstance(chart, ContactSheet):
+                view = chart.view_at(x, frame.height)
+            elif isinstance(chart, QualityChart):
+                view = chart.view_at(x, frame.width)
+                view = None if view is None else view + self._viewer.visits.views.first
+            if view is not None:
+                self._viewer.visits.go_to(view)
+
+    def _range(self, chart: HistogramChart, event: Any, x: float) -> None:
+        """Mark the range that is dragged; select it at its end."""
+        kind, width = gui.MouseEvent.Type, self.canvas.widget.frame.width
+        if event.type == kind.BUTTON_DOWN:
+            self._held = x
+        elif event.type == kind.DRAG and self._held is not None:
+            ends = sorted(chart.value_at(each, width) for each in (self._held, x))
+            self.chart = replace(chart, chosen=(ends[0], ends[1]))
+            self.canvas.redraw()
+        elif event.type == kind.BUTTON_UP and self._held is not None:
+            self._held = None
+            if chart.chosen is not None:
+                self._selected(chart.scenes[0].name, *chart.chosen)
+
+    def next(self) -> str:
+        """What is shown after the present."""
+        return DOCKS[(DOCKS.index(self._viewer.choice.dock) + 1) % len(DOCKS)]

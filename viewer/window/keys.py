@@ -1,0 +1,126 @@
+"""The keys of the window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import methodcaller
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from open3d.visualization import gui
+
+from viewer.scenes.choice import LAYERS
+
+#: Distance by which a key moves the wipe, relative to the width.
+_WIPE = 0.02
+
+#: Axes of the camera (right, down, forward) along which keys fly; how much faster with shift.
+_THRUSTS = {
+    ord("w"): (0, 0, 1),
+    ord("s"): (0, 0, -1),
+    ord("a"): (-1, 0, 0),
+    ord("d"): (1, 0, 0),
+    ord("q"): (0, 1, 0),
+    ord("e"): (0, -1, 0),
+}
+_FASTER = 4.0
+
+_SHIFT = int(gui.KeyName.LEFT_SHIFT), int(gui.KeyName.RIGHT_SHIFT)
+_CONTROL = int(gui.KeyName.LEFT_CONTROL), int(gui.KeyName.RIGHT_CONTROL)
+
+
+class Key(NamedTuple):
+    """A key, as help calls it, and what it does in a viewer; without code, what the mouse does."""
+
+    name: str
+    what: str
+    code: int | None = None
+    action: Callable[[Any], object] | None = None
+    control: bool = False
+
+
+def _wipe(way: int) -> Callable[[Any], object]:
+    """An action that moves the wipe."""
+    return lambda viewer: viewer.set_wipe(viewer.choice.wipe + way * _WIPE)
+
+
+KEYS = (
+    Key("drag", "turn; while flying, look around"),
+    Key("ctrl + drag, right drag", "shift"),
+    Key("wheel up, down", "move nearer, farther"),
+    Key("click, double click", "pick a Gaussian, bring it to the middle"),
+    Key("W A S D, Q E", "fly ahead, left, back, right, down, up; faster with shift"),
+    Key("V", "drags turn, or look around", ord("v"), lambda v: v.set_flying(not v.choice.flying)),
+    Key("N", "next view", ord("n"), lambda v: v.visits.go(1)),
+    Key("P", "previous view", ord("p"), lambda v: v.visits.go(-1)),
+    Key("R", "back to the view after moving away", ord("r"), lambda v: v.visits.reset()),
+    Key("Home", "overview", int(gui.KeyName.HOME), lambda v: v.visits.overview()),
+    Key("G", "go back until all is seen", ord("g"), lambda v: v.frame_all()),
+    Key("U", "next up axis", ord("u"), lambda v: v.visits.next_up()),
+    Key("T", "convert B: reverse its y and z axes", ord("t"), lambda v: v.loading.turn()),
+    Key("M", "side by side, wipe, flip", ord("m"), lambda v: v.next_mode()),
+    Key("F", "one view: switch between A and B", ord("f"), lambda v: v.flip()),
+    Key("left", "move the wipe; its line can be dragged", int(gui.KeyName.LEFT), _wipe(-1)),
+    Key("right", "move the wipe", int(gui.KeyName.RIGHT), _wipe(1)),
+    *(
+        Key(str(number), f"layer: {layer}", ord(str(number)), methodcaller("toggle", layer))
+        for number, layer in enumerate(LAYERS, 1)
+    ),
+    Key("C", "colour centres by the next quantity", ord("c"), lambda v: v.next_colouring()),
+    Key("K", "show the next chart below", ord("k"), lambda v: v.next_dock()),
+    Key("O", "open a scene", ord("o"), lambda v: v.loading.ask_open()),
+    Key("ctrl + S", "save a picture", ord("s"), lambda v: v.ask_save(), control=True),
+    Key("Backspace", "stop loading", int(gui.KeyName.BACKSPACE), lambda v: v.loading.stop()),
+    Key("H", "this help", ord("h"), lambda v: v.help()),
+    Key("Esc", "quit; in a dialog, close it; Enter is OK"),
+    Key("ctrl + Q", "quit", ord("q"), lambda v: v.window.close(), control=True),
+)
+
+_ACTIONS = {(key.code, key.control): key.action for key in KEYS if key.action is not None}
+
+
+def help_text() -> str:
+    """What keys and mouse do, a line for each."""
+    return "\n".join(f"{key.name}: {key.what}" for key in KEYS)
+
+
+class Keys:
+    """Handles the keys of a window, and knows which are held.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._held: set[int] = set()
+
+    def event(self, event: Any) -> bool:
+        """Handle a key event; tell whether it was for anything."""
+        down, key = event.type == gui.KeyEvent.Type.DOWN, int(event.key)
+        (self._held.add if down else self._held.discard)(key)
+        if self._viewer.modal.key(event):
+            self._held.clear()
+            return True
+        return down and self.press(key, bool(self._held.intersection(_CONTROL)))
+
+    def press(self, key: int, control: bool = False) -> bool:
+        """Do the action of a key; tell whether it has one."""
+        action = _ACTIONS.get((key, control))
+        if action is not None:
+            action(self._viewer)
+        return action is not None or key in _THRUSTS
+
+    @property
+    def thrust(self) -> NDArray[np.float64] | None:
+        """Where the keys that are held fly to, along the camera's axes; None if they do not."""
+        if self._held.intersection(_CONTROL):
+            return None
+        thrust = np.zeros(3)
+        for key in self._held.intersection(_THRUSTS):
+            thrust += _THRUSTS[key]
+        if self._held.intersection(_SHIFT):
+            thrust *= _FASTER
+        return thrust if thrust.any() else None

@@ -1,0 +1,178 @@
+"""Loading of scenes, cameras, photographs and reports into the window."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gs_codec
+from viewer.scenes.opened import Opened, Pruned, open_scene, read_pruned, turned
+from viewer.scenes.recent import recent_files, remember
+from viewer.scenes.request import find_pruned, find_views, first_view
+from viewer.scenes.viewpoints import Views
+from viewer.window import dialogs
+from viewer.window.worker import Stale
+
+
+class Loading:
+    """Loads files in the background, and shows them when they are there.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+
+    def begin(self) -> None:
+        """Load what was requested."""
+        viewer, request = self._viewer, self._viewer.request
+
+        def read(stale: Stale) -> Any:
+            scenes = request.scenes(viewer.worker.progress(stale, viewer.panel.show_progress))
+            return scenes, self._first_views(stale, scenes), find_pruned(request, scenes[0])
+
+        def done(found: tuple[list[Opened], Views, Pruned | None]) -> None:
+            for scene in found[0]:
+                _remember(scene)
+            self.show(*found)
+
+        viewer.panel.say("loading ...", progress=0)
+        viewer.worker.submit("load", read, done, viewer.fail)
+
+    def _first_views(self, stale: Stale, scenes: list[Opened]) -> Views:
+        """The cameras to begin with; part of the job that loads scenes."""
+        viewer = self._viewer
+        if viewer.request.chosen:
+            told = "choosing the first view ..."
+            viewer.worker.progress(stale, partial(viewer.panel.say, told))("views", 1, 1)
+        return find_views(viewer.request, scenes[0])
+
+    def open(self, path: str, pane: int | None = None) -> None:
+        """Open a file as the first scene, the second, or in place of one of two (0 or 1).
+
+        If two scenes are open and `pane` is None, a dialog asks which one to replace.
+        """
+        viewer = self._viewer
+        before = list(viewer.stage.scenes)
+        if len(before) > 1 and pane is None:
+            names = [scene.name for scene in before]
+            dialogs.ask_pane(viewer.modal, Path(path).name, names, partial(self.open, path))
+            return
+        pane = len(before) if pane is None else min(pane, len(before))
+        views, chosen = viewer.visits.views, viewer.request.chosen
+
+        def read(stale: Stale) -> tuple[list[Opened], Views]:
+            progress = viewer.worker.progress(stale, viewer.panel.show_progress)
+            opened = open_scene(Path(path), progress=progress)
+            scenes = [*before[:pane], opened, *before[pane + 1 :]]
+            return scenes, self._first_views(stale, scenes) if chosen and not pane else views
+
+        def done(found: tuple[list[Opened], Views]) -> None:
+            _remember(found[0][pane])
+            self.show(*found, viewer.stage.pruned if pane else None)
+
+        viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
+        viewer.worker.submit("load", read, done, viewer.fail)
+
+    def stop(self) -> None:
+        """Stop loading; the scenes shown stay."""
+        self._viewer.worker.cancel("load")
+        self._viewer.panel.say("")
+
+    def show(self, scenes: list[Opened], views: Views, pruned: Pruned | None) -> None:
+        """Show opened scenes instead of the present ones."""
+        viewer = self._viewer
+        same = viewer.stage.scenes[:1] == scenes[:1]
+        viewer.stage.put(scenes, pruned)
+        viewer.panel.say("")
+        if not same:  # else keep the present pose
+            viewer.visits.put(views, first_view(viewer.request, views))
+        viewer.refresh()
+
+    def turn(self) -> None:
+        """Convert B from the other coordinate system, or back; for files that do not state it."""
+        viewer = self._viewer
+        if len(viewer.stage.scenes) < 2:
+            return
+        first, second = viewer.stage.scenes
+
+        def done(scene: Opened) -> None:
+            self.show([first, scene], viewer.visits.views, viewer.stage.pruned)
+
+        viewer.worker.submit("load", lambda stale: turned(second), done, viewer.fail)
+
+    def open_cameras(self, path: str) -> None:
+        """Look from the cameras of a file; photographs of others are no longer shown."""
+        viewer = self._viewer
+        scene = viewer.stage.scenes[0]
+        request = replace(viewer.request, cameras=path, view=None, images=None)
+
+        def done(views: Views) -> None:
+            viewer.panel.say("")
+            viewer.request = request
+            viewer.visits.put(views, first_view(request, views))
+
+        viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
+        viewer.worker.submit("load", lambda stale: find_views(request, scene), done, viewer.fail)
+
+    def open_photographs(self, folder: str) -> None:
+        """Show the photographs in a folder beside the scenes, each with its camera."""
+        viewer = self._viewer
+        if viewer.request.chosen:
+            viewer.fail(gs_codec.GsCodecError("photographs: need cameras of a file"))
+            return
+        viewer.request = replace(viewer.request, images=Path(folder))
+        viewer.visits.go_to(max(viewer.visits.number, viewer.visits.views.first))
+
+    def open_report(self, path: str) -> None:
+        """Show what a report says was pruned from the first scene; its file or folder."""
+        viewer = self._viewer
+        scenes = list(viewer.stage.scenes)
+        folder = Path(path) if Path(path).is_dir() else Path(path).parent
+
+        def done(pruned: Pruned) -> None:
+            viewer.choice.layers.add("pruned")
+            self.show(scenes, viewer.visits.views, pruned)
+
+        viewer.worker.submit(
+            "load", lambda stale: read_pruned(folder, scenes[0]), done, viewer.fail
+        )
+
+    def ask_open(self, pane: int | None = None) -> None:
+        """Ask for a scene's file, and open it as by `open`."""
+        title = "Open a scene" if pane is None else f"Open {'AB'[pane]}"
+        dialogs.ask_open(self._viewer.modal, title, partial(self.open, pane=pane))
+
+    def ask_recent(self) -> None:
+        """Ask which of the files that were opened last to open."""
+        dialogs.ask_recent(self._viewer.modal, recent_files(), self.open)
+
+    def ask_cameras(self) -> None:
+        """Ask for a file of cameras, and look from them."""
+        kind = (".json .bin .txt", "Cameras: JSON, COLMAP")
+        self._ask("Open cameras", kind, self.open_cameras)
+
+    def ask_photographs(self) -> None:
+        """Ask for the folder of photographs, and show them."""
+        self._ask("Photographs of the cameras", None, self.open_photographs)
+
+    def ask_report(self) -> None:
+        """Ask for the report of what was pruned from the first scene, and show it."""
+        kind = (".json", "report.json of prepare")
+        self._ask("Report of what was pruned from A", kind, self.open_report)
+
+    def _ask(self, title: str, kind: tuple[str, str] | None, then: Any) -> None:
+        if not self._viewer.stage.scenes:
+            self._viewer.fail(gs_codec.GsCodecError(f"{title.lower()}: open a scene first"))
+            return
+        dialogs.ask_file(self._viewer.modal, title, kind, then)
+
+
+def _remember(scene: Opened) -> None:
+    """Remember a scene that was read from a file."""
+    if scene.file_bytes is not None:
+        remember(scene.path)

@@ -1,0 +1,121 @@
+"""The mouse on the panes: it navigates, clicks, and draws with a tool."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+from open3d.visualization import gui
+
+from viewer.window.navigation import DragKind
+from viewer.window.pane import Pane
+
+#: Pixels that the mouse may move in a click; seconds between the clicks of a double click.
+_STILL, _DOUBLE = 3, 0.4
+
+#: A pixel of a pane's picture.
+Place = tuple[float, float]
+
+
+class Tool(Protocol):
+    """What takes drags with the left button while it is chosen; places are pixels of a picture."""
+
+    def begin(self, pane: Pane, at: Place, event: Any) -> None:
+        """Begin a drag; `event` has the keys that are held."""
+
+    def move(self, at: Place) -> None:
+        """Go on."""
+
+    def end(self) -> None:
+        """End it."""
+
+
+class Mouse:
+    """Events of the mouse on panes.
+
+    Open3D's own mouse control is not used, because it works from a camera that only Open3D can set.
+
+    Parameters
+    ----------
+    stage : viewer.window.stage.Stage
+    clicked, focused : callable
+        Called with a pane and a `Place` after a click and a double click.
+
+    Attributes
+    ----------
+    tool : Tool or None
+    """
+
+    def __init__(
+        self,
+        stage: Any,
+        clicked: Callable[[Pane, Place], None],
+        focused: Callable[[Pane, Place], None],
+    ) -> None:
+        self._stage, self._clicked, self._focused = stage, clicked, focused
+        self.tool: Tool | None = None
+        self._drawing = False
+        self._pressed: tuple[int, int] | None = None
+        self._last = (0.0, 0, 0)
+
+    def attach(self, pane: Pane) -> None:
+        """Take the events of a pane."""
+        pane.widget.set_on_mouse(partial(self._event, pane))
+
+    def _event(self, pane: Pane, event: Any) -> Any:
+        stage, kind = self._stage, gui.MouseEvent.Type
+        if stage.pose is not None:
+            if event.type == kind.BUTTON_DOWN:
+                self._press(pane, event)
+            elif event.type == kind.DRAG:
+                self._drag(pane, event)
+            elif event.type == kind.BUTTON_UP:
+                self._release(pane, event)
+            elif event.type == kind.WHEEL:
+                self._pressed = None
+                stage.steer(stage.navigator.nearer(stage.pose, event.wheel_dy))
+        return gui.SceneWidget.EventCallbackResult.CONSUMED
+
+    def _press(self, pane: Pane, event: Any) -> None:
+        left = event.is_button_down(gui.MouseButton.LEFT)
+        self._pressed = (event.x, event.y) if left else None
+        self._drawing = left and self.tool is not None
+        if self.tool is not None and self._drawing:
+            self.tool.begin(pane, self._stage.place(pane, event.x, event.y), event)
+            return
+        kind: DragKind = "look" if self._stage.choice.flying else "turn"
+        if not left or event.is_modifier_down(gui.KeyModifier.CTRL):
+            kind = "shift"
+        self._stage.navigator.hold(self._stage.pose, event.x, event.y, kind)
+
+    def _drag(self, pane: Pane, event: Any) -> None:
+        if self._pressed is not None:
+            apart = abs(event.x - self._pressed[0]), abs(event.y - self._pressed[1])
+            if max(apart) > _STILL:
+                self._pressed = None
+        if self.tool is not None and self._drawing:
+            self.tool.move(self._stage.place(pane, event.x, event.y))
+        elif self._pressed is None:
+            moved = self._stage.navigator.drag(event.x, event.y, *self._stage.picture_size)
+            if moved is not None:
+                self._stage.steer(moved)
+
+    def _release(self, pane: Pane, event: Any) -> None:
+        self._stage.navigator.release()
+        if self.tool is not None and self._drawing:
+            self.tool.end()
+        if self._pressed is None or self._drawing:
+            self._drawing = False
+            return
+        self._pressed = None
+        at, (before, x, y) = self._stage.place(pane, event.x, event.y), self._last
+        now = time.monotonic()
+        near = max(abs(event.x - x), abs(event.y - y)) <= _STILL
+        if near and now - before < _DOUBLE:
+            self._last = (0.0, 0, 0)
+            self._focused(pane, at)
+        else:
+            self._last = (now, event.x, event.y)
+            self._clicked(pane, at)

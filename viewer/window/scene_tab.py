@@ -1,0 +1,143 @@
+"""The tab of scenes: files, layers, colours, numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from open3d.visualization import gui
+
+from gs_codec.formats.coordinates import CONVENTION
+from viewer.pictures.layers import reason_colour
+from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES
+from viewer.scenes.numbers import between, facts
+from viewer.window.widgets import Widgets
+
+_MODE_NAMES = ("side by side", "wipe", "one, F flips")
+
+_DRAWN_BY = {"gpu": "splats: Open3D's shader", "cpu": "splats: our rasteriser, on the CPU"}
+
+
+class SceneTab:
+    """Files, layers and numbers of the scenes.
+
+    Attributes
+    ----------
+    widget : gui.Widget
+    boxes : dict of str to gui.Checkbox
+        By layer.
+    colouring, cells, mode : gui.Combobox
+    depth : gui.Slider
+    """
+
+    def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
+        self._viewer = viewer
+        self.widget = widgets.column()
+        self._add_files(widgets)
+        self.boxes = {
+            layer: widgets.checkbox(layer, lambda _, layer=layer: viewer.toggle(layer))  # type: ignore[misc]
+            for layer in LAYERS
+        }
+        rows = list(self.boxes.values())
+        for k in range(0, len(rows), 3):
+            widgets.row(self.widget, *rows[k : k + 3])
+        self.colouring = widgets.choice(
+            self.widget, "centres by", COLOURINGS, lambda k: viewer.set_colouring(COLOURINGS[k])
+        )
+        self._add_octree(widgets)
+        self.mode = widgets.choice(
+            self.widget, "two scenes", _MODE_NAMES, lambda k: viewer.set_mode(MODES[k])
+        )
+        self.turned = widgets.checkbox(
+            "reverse B's y and z axes (T)", lambda _: viewer.loading.turn()
+        )
+        self.widget.add_child(self.turned)
+        self._reasons = [gui.Label("") for _ in range(4)]
+        for index, label in enumerate(self._reasons):
+            label.text_color = gui.Color(*reason_colour(index))
+            self.widget.add_child(label)
+        self._numbers = gui.Label("")
+        self._numbers.font_id = font
+        self.widget.add_child(self._numbers)
+
+    def _add_files(self, widgets: Widgets) -> None:
+        """Buttons that open and save files."""
+        loading = self._viewer.loading
+        rows = (
+            (
+                ("Open A", lambda: loading.ask_open(0)),
+                ("Open B", lambda: loading.ask_open(1)),
+                ("Recent", loading.ask_recent),
+                ("Help", self._viewer.help),
+            ),
+            (
+                ("Cameras", loading.ask_cameras),
+                ("Photos", loading.ask_photographs),
+                ("Report", loading.ask_report),
+                ("Picture", self._viewer.ask_save),
+            ),
+        )
+        tips = {
+            "Photos": "Show the photographs of the cameras, in a folder.",
+            "Report": "Show what was pruned from A: report.json of prepare.",
+            "Picture": "Save a picture of what is shown.",
+        }
+        for row in rows:
+            buttons = [widgets.button(text, action, tips.get(text, "")) for text, action in row]
+            widgets.row(self.widget, *buttons)
+
+    def _add_octree(self, widgets: Widgets) -> None:
+        """Controls of the octree, which show with it."""
+        set_octree = self._viewer.set_octree
+        self._octree = gui.Vert(0.25 * widgets.em)
+        self.widget.add_child(self._octree)
+        self.cells = widgets.choice(
+            self._octree,
+            "octree by",
+            CELL_COLOURINGS,
+            lambda k: set_octree(colouring=CELL_COLOURINGS[k]),
+        )
+        ends = DEPTHS[0], DEPTHS[-1]
+        self.depth = widgets.slider(
+            self._octree,
+            "octree's depth",
+            ends,
+            lambda value: set_octree(depth=int(value)),
+            whole=True,
+        )
+
+    def refresh(self) -> None:
+        """Update controls and numbers."""
+        choice, stage = self._viewer.choice, self._viewer.stage
+        two = len(stage.scenes) > 1
+        for layer, box in self.boxes.items():
+            box.checked = layer in choice.layers
+        self.boxes["pruned"].enabled = stage.pruned is not None
+        self.boxes["error"].enabled = self.mode.enabled = two
+        self.colouring.selected_index = COLOURINGS.index(choice.colouring)
+        self._octree.visible = "octree" in choice.layers
+        self.cells.selected_index = CELL_COLOURINGS.index(choice.octree.colouring)
+        self.depth.int_value = choice.octree.depth
+        self.mode.selected_index = MODES.index(choice.mode)
+        self.turned.visible = two
+        self.turned.checked = two and stage.scenes[1].system != CONVENTION
+        counts = list(stage.pruned.counts.items()) if stage.pruned is not None else []
+        for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
+            label.visible = bool(n)
+            label.text = f"{n:,} pruned by {reason}"
+        self._numbers.text = self._all_numbers()
+
+    def _all_numbers(self) -> str:
+        stage = self._viewer.stage
+        lines = [_DRAWN_BY[stage.device]] if stage.scenes else []
+        if len(stage.scenes) > 1:
+            wide, high = stage.pose.measured if stage.pose is not None else (0, 0)
+            lines += [
+                "",
+                f"B against A in the frame, {wide}x{high}:",
+                f"  {stage.quality or '...'}",
+            ]
+            lines += [f"{name}: {value}" for name, value in between(*stage.scenes)]
+        for letter, scene in zip("AB", stage.scenes, strict=False):
+            lines += ["", f"{letter}: {scene.name}"]
+            lines += [f"{name:<16} {value:>12}" for name, value in facts(scene)]
+        return "\n".join(lines)

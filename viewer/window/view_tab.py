@@ -1,0 +1,98 @@
+"""The tab of the view: where one looks from, and the list of cameras."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from open3d.visualization import gui
+
+from viewer.pictures.charts import decibels
+from viewer.scenes.choice import DOCKS
+from viewer.window.dialogs import folded, shortened
+from viewer.window.navigation import field_of_view
+from viewer.window.widgets import Widgets, choose
+
+#: Vertical field of view, degrees.
+_ANGLES = (10, 120)
+
+#: Orders of the list of cameras.
+_ORDERS = ("number", "name", "PSNR")
+
+
+class ViewTab:
+    """Navigation, and the list of viewpoints.
+
+    Attributes
+    ----------
+    widget : gui.Widget
+    up, order, dock : gui.Combobox
+    angle : gui.Slider
+    list : gui.ListView
+    """
+
+    def __init__(self, viewer: Any, widgets: Widgets) -> None:
+        self._viewer = viewer
+        self.widget = widgets.column()
+        visits = viewer.visits
+        widgets.row(
+            self.widget,
+            widgets.button("<", lambda: visits.go(-1), "previous view (P)"),
+            widgets.button(">", lambda: visits.go(1), "next view (N)"),
+            widgets.button("Reset", visits.reset, "back to the view (R)"),
+            widgets.button("Overview", visits.overview, "Home"),
+            widgets.button("All", viewer.frame_all, "go back until all is seen (G)"),
+        )
+        self._where = gui.Label("")
+        self.widget.add_child(self._where)
+        self.flying = widgets.checkbox("drags look around (V); fly: WASD, QE", viewer.set_flying)
+        self.widget.add_child(self.flying)
+        self.up = widgets.choice(
+            self.widget, "up axis", (), lambda k: visits.set_up(visits.views.ups[k])
+        )
+        self.angle = widgets.slider(
+            self.widget, "field of view, degrees", _ANGLES, viewer.set_field_of_view
+        )
+        self.dock = widgets.choice(self.widget, "below", DOCKS, lambda k: viewer.set_dock(DOCKS[k]))
+        self.order = widgets.choice(self.widget, "views by", _ORDERS, lambda _: self.refresh())
+        self.list = gui.ListView()
+        self.list.set_max_visible_items(20)
+        self.list.set_on_selection_changed(self._chosen)
+        self.widget.add_child(self.list)
+        self._listed: list[str] = []
+        self._places: list[int] = []
+
+    def refresh(self) -> None:
+        """Update controls and the list."""
+        viewer, visits = self._viewer, self._viewer.visits
+        self._where.text = "\n".join(folded(visits.where, 38)) if visits.viewpoints else ""
+        self.flying.checked = viewer.choice.flying
+        choose(self.up, visits.views.ups, visits.views.ups.index(viewer.choice.up))
+        if viewer.stage.pose is not None:
+            self.angle.double_value = field_of_view(viewer.stage.pose)
+        self.dock.selected_index = DOCKS.index(viewer.choice.dock)
+        self._list()
+
+    def _list(self) -> None:
+        visits, known = self._viewer.visits, self._viewer.dock.survey.decibels
+        points = visits.viewpoints
+        order = self.order.selected_text
+        places = list(range(len(points)))
+        if order == "name":
+            places = sorted(places, key=lambda k: points[k].name)
+        elif order == "PSNR":
+            places = sorted(places, key=lambda k: (known.get(k, float("inf")), k))
+        self._places = places
+        lines = [
+            shortened(points[k].name, 26) + (f"  {decibels(known[k])}" if k in known else "")
+            for k in self._places
+        ]
+        if lines != self._listed:
+            self._listed = lines
+            self.list.set_items(lines)
+        here = visits.number if self._places and not visits.moved else None
+        self.list.selected_index = -1 if here is None else self._places.index(here)
+
+    def _chosen(self, _: str, __: bool) -> None:
+        place = self.list.selected_index
+        if 0 <= place < len(self._places):
+            self._viewer.visits.go_to(self._places[place])

@@ -1,0 +1,95 @@
+"""Widgets as the panel has them, each with what it calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from open3d.visualization import gui
+
+
+class Widgets:
+    """Makes widgets of one look.
+
+    Parameters
+    ----------
+    em : float
+        Size of the font, pixels.
+    """
+
+    def __init__(self, em: float) -> None:
+        self.em = em
+
+    def column(self) -> gui.Widget:
+        """What a tab holds."""
+        margins = gui.Margins(0.5 * self.em, 0.5 * self.em, 0.5 * self.em, 0.5 * self.em)
+        return gui.ScrollableVert(0.3 * self.em, margins)
+
+    def row(self, parent: gui.Widget, *children: gui.Widget) -> gui.Horiz:
+        """Widgets beside each other, added to a parent."""
+        row = gui.Horiz(0.3 * self.em)
+        for child in children:
+            row.add_child(child)
+        parent.add_child(row)
+        return row
+
+    def button(self, text: str, action: Callable[[], None], tip: str = "") -> gui.Button:
+        """A button."""
+        button = gui.Button(text)
+        button.horizontal_padding_em, button.vertical_padding_em = 0.5, 0.1
+        button.set_on_clicked(action)
+        button.tooltip = tip
+        return button
+
+    def checkbox(self, text: str, checked: Callable[[bool], None]) -> gui.Checkbox:
+        """A box to check; `checked` is told whether it is."""
+        box = gui.Checkbox(text)
+        box.set_on_checked(checked)
+        return box
+
+    def choice(
+        self, parent: gui.Widget, text: str, names: Sequence[str], chosen: Callable[[int], None]
+    ) -> gui.Combobox:
+        """A labelled choice, added to a parent; `chosen` is told the index."""
+        box = gui.Combobox()
+        for name in names:
+            box.add_item(name)
+        box.set_on_selection_changed(lambda _, index: chosen(int(index)))
+        self.row(parent, self._lowered(text), box)
+        return box
+
+    def _lowered(self, text: str) -> gui.Widget:
+        """A label on the line of the text of a choice beside it."""
+        below = gui.Vert(0, gui.Margins(0, 0.2 * self.em, 0, 0))
+        below.add_child(gui.Label(text))
+        return below
+
+    def slider(
+        self,
+        parent: gui.Widget,
+        text: str,
+        limits: tuple[int, int] | tuple[float, float],
+        moved: Callable[[float], None],
+        whole: bool = False,
+    ) -> gui.Slider:
+        """A labelled slider, added to a parent; `moved` is told its value."""
+        slider = gui.Slider(gui.Slider.INT if whole else gui.Slider.DOUBLE)
+        slider.set_limits(*limits)
+        slider.set_on_value_changed(lambda value: moved(float(value)))
+        parent.add_child(gui.Label(text))
+        parent.add_child(slider)
+        return slider
+
+
+def choose(box: gui.Combobox, names: Sequence[str], index: int) -> None:
+    """Set the names of a choice, if they are others, and which is chosen."""
+    if [box.get_item(k) for k in range(box.number_of_items)] != list(names):
+        box.clear_items()
+        for name in names:
+            box.add_item(name)
+    box.selected_index = index
+
+
+def monospace() -> int:
+    """The font for numbers; call this before a window is created."""
+    description = gui.FontDescription(gui.FontDescription.MONOSPACE)
+    return gui.Application.instance.add_font(description)

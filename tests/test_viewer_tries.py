@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,10 +43,9 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def tries(folder) -> Iterator[Tries]:
-    tries = Tries(open_scene(folder / "a.ply"), read_cameras(folder / "cameras.json"))
-    yield tries
-    tries.close()
+def tries(folder, tmp_path_factory) -> Tries:
+    files = tmp_path_factory.mktemp("files")
+    return Tries(open_scene(folder / "a.ply"), files, read_cameras(folder / "cameras.json"))
 
 
 def command(*arguments: object) -> dict:
@@ -100,7 +99,7 @@ def test_its_numbers_are_those_of_the_commands(tries, folder, tmp_path):
         assert told["between"] == found.between.as_dict()
 
 
-def test_without_cameras_views_are_estimated_once(folder, monkeypatch):
+def test_without_cameras_views_are_estimated_once(folder, tmp_path, monkeypatch):
     asked: list[tuple] = []
 
     def two_of_them(*arguments, progress):
@@ -108,7 +107,7 @@ def test_without_cameras_views_are_estimated_once(folder, monkeypatch):
         return find_cameras(*arguments, progress=progress)[:2]
 
     monkeypatch.setattr(module, "find_cameras", two_of_them)
-    tries = Tries(open_scene(folder / "a.ply"))
+    tries = Tries(open_scene(folder / "a.ply"), tmp_path)
     told: list[str] = []
     for _ in range(2):
         quality = tries.measure(*tries.encode(Asked("s")), lambda stage, *_: told.append(stage))
@@ -116,17 +115,15 @@ def test_without_cameras_views_are_estimated_once(folder, monkeypatch):
     assert [(cameras, split) for cameras, _, split in asked] == [("auto", "held-out")]
     assert told[-2:] == ["views", "views"]
     assert told.count("cameras") > 2
-    tries.close()
 
 
-def test_a_cloud_is_encoded_as_its_file_is(tries, folder):
+def test_a_cloud_is_encoded_as_its_file_is(tries, folder, tmp_path):
     cloud = gs_codec.read(folder / "a.ply")
-    of_cloud = Tries(Opened("cloud", cloud), tries.cameras)
+    of_cloud = Tries(Opened("cloud", cloud), tmp_path, tries.cameras)
     for asked in (Asked("m"), Asked("m", "bits", 150.0), Asked("s", "steps", 1.0, True)):
         tried, opened = of_cloud.encode(asked)
         assert tried.path.read_bytes() == tries.encode(asked)[0].path.read_bytes()
         assert tried.report.ratio == opened.raw_bytes / opened.file_bytes
-    of_cloud.close()
 
 
 def test_they_are_kept_in_order_and_opened_again(tries):
@@ -193,21 +190,19 @@ def test_an_unreachable_target_tells_the_range(tries):
 
 def test_a_file_that_changed_is_refused(tmp_path):
     write_ply(tmp_path / "a.ply", random_scene(300, 0))
-    tries = Tries(open_scene(tmp_path / "a.ply"))
+    tries = Tries(open_scene(tmp_path / "a.ply"), tmp_path)
     write_ply(tmp_path / "a.ply", random_scene(200, 0))
     with pytest.raises(gs_codec.GsCodecError, match=r"a\.ply: changed after it was opened"):
         tries.encode(Asked("m"))
     assert files(tries)
-    tries.close()
 
 
-def test_gaussians_that_are_not_finite_are_left_out_but_by_lossless():
+def test_gaussians_that_are_not_finite_are_left_out_but_by_lossless(tmp_path):
     scene = random_scene(300, 0)
     scene.positions[0, 7] = np.nan
-    tries = Tries(Opened("cloud", to_cloud(scene)))
+    tries = Tries(Opened("cloud", to_cloud(scene)), tmp_path)
     counts = {profile: tries.encode(Asked(profile))[1].count for profile in ("m", "lossless")}
     assert counts == {"m": 299, "lossless": 300}
-    tries.close()
 
 
 def test_only_egs_is_saved(tries, tmp_path):
@@ -219,7 +214,10 @@ def test_only_egs_is_saved(tries, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_files_go_when_it_is_closed(tries):
-    tries.encode(Asked("s"))
-    tries.close()
-    assert not tries.folder.exists()
+def test_other_cameras_measure_anew(tries):
+    tried, opened = tries.encode(Asked("s"))
+    for cameras in (tries.cameras, tries.cameras[:2]):
+        tries.add(replace(tried, quality=tries.measure(tried, opened)))
+        tries.look_from(cameras)
+    assert tries.all[0].quality is None
+    assert [view.name for view in tries.measure(tried).views] == ["view1"]

@@ -131,11 +131,13 @@ class Try:
 class Tries:
     """A scene, and its encodings in temporary files.
 
-    Jobs, which `encode` and `measure` are, run in one thread; the rest is of the window's thread.
+    `encode` and `measure` run in one background thread; the rest is of the window's thread.
 
     Parameters
     ----------
     source : Opened
+    folder : Path
+        Where files are made; who made it removes it.
     cameras : sequence of gs_codec's Camera
         Those that were given; estimated ones are used if there are none.
     max_bytes : int, optional
@@ -145,19 +147,26 @@ class Tries:
     ----------
     all : list of Try
         The earliest first.
-    folder : Path
-        Of the files.
     """
 
     def __init__(
-        self, source: Opened, cameras: Sequence[Any] = (), max_bytes: int | None = None
+        self,
+        source: Opened,
+        folder: Path,
+        cameras: Sequence[Any] = (),
+        max_bytes: int | None = None,
     ) -> None:
         self.source, self.cameras, self.max_bytes = source, cameras, max_bytes
         self.all: list[Try] = []
-        self._files = tempfile.TemporaryDirectory(prefix="gs-viewer-", ignore_cleanup_errors=True)
-        self.folder = Path(self._files.name)
+        self.folder = Path(tempfile.mkdtemp(dir=folder))
         self._begun = 0
-        self._measured_in: list[Any] | None = None
+        self._held_out: tuple[Any, list[Any]] = None, []
+
+    def look_from(self, cameras: Sequence[Any]) -> None:
+        """Use other cameras; what others measured is forgotten."""
+        if list(cameras) != list(self.cameras):
+            self.cameras = cameras
+            self.all = [replace(tried, quality=None) for tried in self.all]
 
     def encode(self, asked: Asked, progress: Progress | None = None) -> tuple[Try, Opened]:
         """Encode the scene, and decode the result; `progress` may raise to stop it.
@@ -205,12 +214,12 @@ class Tries:
         ------
         gs_codec.GsCodecError
         """
-        first = scene_of(self.source.cloud)
-        if self._measured_in is None:
-            cameras = list(self.cameras) or "auto"
-            self._measured_in = find_cameras(cameras, first, "held-out", progress=progress)
+        first, cameras = scene_of(self.source.cloud), self.cameras
+        if self._held_out[0] is not cameras:
+            asked = list(cameras) or "auto"
+            self._held_out = cameras, find_cameras(asked, first, "held-out", progress=progress)
         opened = opened or tried.open(progress, self.max_bytes)
-        return compare_views(first, scene_of(opened.cloud), self._measured_in, progress=progress)
+        return compare_views(first, scene_of(opened.cloud), self._held_out[1], progress=progress)
 
     def add(self, tried: Try) -> None:
         """Keep a try, or the same try with its quality."""
@@ -228,7 +237,3 @@ class Tries:
             raise gs_codec.GsCodecError(f"{path}: expected a name that ends in .egs")
         with tried.path.open("rb") as source, atomic_writer(path) as target:
             shutil.copyfileobj(source, target)
-
-    def close(self) -> None:
-        """Remove the files."""
-        self._files.cleanup()

@@ -83,11 +83,14 @@ class Loading:
         self._viewer.worker.cancel("load")
         self._viewer.panel.say("")
 
-    def show(self, scenes: list[Opened], views: Views, pruned: Pruned | None) -> None:
-        """Show opened scenes instead of the present ones."""
+    def show(
+        self, scenes: list[Opened], views: Views, pruned: Pruned | None, stay: bool = False
+    ) -> None:
+        """Show opened scenes instead of the present ones; from the same pose to `stay`."""
         viewer = self._viewer
-        same = viewer.stage.scenes[:1] == scenes[:1]
+        same = stay or viewer.stage.scenes[:1] == scenes[:1]
         viewer.stage.put(scenes, pruned)
+        viewer.panel.stay()
         viewer.panel.say("")
         if not same:  # else keep the present pose
             viewer.visits.put(views, first_view(viewer.request, views))

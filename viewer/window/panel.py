@@ -11,6 +11,7 @@ from open3d.visualization import gui
 from viewer.pictures.layers import Legend, heat_bar
 from viewer.window.dialogs import folded
 from viewer.window.pane import picture_of
+from viewer.window.rate_tab import RateTab
 from viewer.window.scene_tab import SceneTab
 from viewer.window.view_tab import ViewTab
 from viewer.window.widgets import Widgets
@@ -33,7 +34,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view : SceneTab, ViewTab
+    scene, view, rate : SceneTab, ViewTab, RateTab
     """
 
     def __init__(self, viewer: Any, font: int) -> None:
@@ -52,7 +53,8 @@ class Panel:
         self._loading.visible = False
         self._head.add_child(self._loading)
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
-        self._named: dict[str, Tab] = {"Scene": self.scene, "View": self.view}
+        self.rate = RateTab(viewer, widgets, font)
+        self._named: dict[str, Tab] = {"Scene": self.scene, "View": self.view, "Rate": self.rate}
         self.tabs = gui.TabControl()
         for name, tab in self._named.items():
             self.tabs.add_tab(name, tab.widget)
@@ -75,6 +77,10 @@ class Panel:
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
         self.tabs.selected_tab_index = list(self._named).index(name)
+
+    def stay(self) -> None:
+        """Keep the tab in front: Open3D goes to the first when panes are added to the window."""
+        self.tabs.selected_tab_index = self.tabs.selected_tab_index
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""

@@ -15,6 +15,7 @@ from viewer.scenes.choice import COLOURINGS, MODES, Choice
 from viewer.scenes.request import Request
 from viewer.window import dialogs
 from viewer.window.dock import Dock
+from viewer.window.encoding import Encoding
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading
 from viewer.window.mouse import Place
@@ -49,6 +50,7 @@ class Viewer:
     stage : Stage
     visits : Visits
     loading : Loading
+    encoding : Encoding
     panel : Panel
     dock : Dock
     keys : Keys
@@ -80,7 +82,7 @@ class Viewer:
             self._clicked,
             self._focused,
         )
-        self.visits, self.loading = Visits(self), Loading(self)
+        self.visits, self.loading, self.encoding = Visits(self), Loading(self), Encoding(self)
         self.dock = Dock(self, self._select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
@@ -263,6 +265,7 @@ class Viewer:
         if not self.modal.close():
             return False
         self.worker.end()
+        self.encoding.close()
         return True
 
 

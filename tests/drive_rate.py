@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,9 @@ from typing import Any
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
+from viewer.scenes.opened import Progress
 from viewer.scenes.request import Request
+from viewer.scenes.tries import Asked, Tries
 from viewer.window.dialogs import inside
 
 #: Seconds that an encoding may take, on a busy machine that compiles kernels.
@@ -70,8 +73,13 @@ class Rates:
         """Click on a line of the list."""
         frame, em = self.tab.list.frame, self.driver.viewer.window.theme.font_size
         self.driver.move(frame.x + 60, frame.y + (line + 0.5) * 1.25 * em)
-        self.driver.xdotool("click", 1)
+        self.driver.xdotool("mousedown", 1)
+        self.driver.xdotool("mouseup", 1)
         self.wait(lambda: self.tab.list.selected_index == line)
+
+    def files(self) -> list[str]:
+        """Names of the files of tries."""
+        return sorted(path.name for path in self.encoding.tries.folder.iterdir())
 
     def state(self) -> dict[str, Any]:
         """What is shown, and told."""
@@ -93,18 +101,7 @@ def encodings(rates: Rates) -> dict:
     rates.finish()
     found["sized"] = rates.state()
     found["quality"] = viewer.stage.quality
-    rates.choose("m", 3, 0.05)
-    rates.encode()
-    rates.wait(lambda: ":" in rates.encoding.doing[0])
-    number = viewer.visits.number
-    driver.key("n")
-    driver.rest()
-    # Panes are drawn while it encodes.
-    found["meanwhile"] = [viewer.visits.number - number, rates.encoding.encodes]
-    driver.click(rates.tab.stop)
-    rates.wait(lambda: rates.encoding.doing is None)
-    rates.wait(lambda: not rates.encoding.worker.busy)
-    found["stopped"] = rates.state()
+    found |= stop(rates)
     rates.choose("m", 1, 0.001)
     rates.encode()
     rates.wait(lambda: viewer.message is not None)
@@ -112,6 +109,36 @@ def encodings(rates: Rates) -> dict:
     driver.key("Escape")
     driver.rest()
     return found
+
+
+def stop(rates: Rates) -> dict:
+    """What is drawn while a scene is encoded, and what is left after Cancel."""
+    driver, visits, encode = rates.driver, rates.driver.viewer.visits, Tries.encode
+    started, go_on = threading.Event(), threading.Event()
+
+    def held(tries: Tries, asked: Asked, progress: Progress) -> Any:
+        def slow(stage: str, done: int, total: int) -> None:
+            progress(stage, done, total)
+            started.set()
+            go_on.wait(_PATIENCE)
+
+        return encode(tries, asked, slow)
+
+    Tries.encode = held  # type: ignore[method-assign, assignment]
+    rates.choose("l", 0)
+    rates.encode()
+    rates.wait(lambda: started.is_set() and ":" in rates.encoding.doing[0])
+    found: dict = {"doing": rates.encoding.doing[0]}
+    driver.key("n")
+    driver.rest()
+    found["meanwhile"] = [visits.number, rates.encoding.encodes]
+    driver.click(rates.tab.stop)
+    rates.wait(lambda: rates.encoding.doing is None)
+    go_on.set()
+    rates.wait(lambda: not rates.encoding.worker.busy)
+    Tries.encode = encode  # type: ignore[method-assign]
+    driver.rest()
+    return found | {"stopped": rates.state(), "files": rates.files()}
 
 
 def history(rates: Rates) -> dict:
@@ -131,7 +158,7 @@ def history(rates: Rates) -> dict:
     driver.tick(5)
     driver.xdotool("keydown", "Return")
     driver.xdotool("keyup", "Return")
-    rates.wait(lambda: (driver.folder / "saved.egs").exists())
+    rates.wait((driver.folder / "saved.egs").exists)
     driver.rest()
     rates.select(0)
     driver.click(rates.tab.as_a)
@@ -142,9 +169,8 @@ def history(rates: Rates) -> dict:
 
 
 def run(folder: Path) -> dict:
-    request = Request(
-        folder / "a.ply", cameras=str(folder / "cameras.json"), view=0, size=(1000, 640)
-    )
+    cameras = str(folder / "cameras.json")
+    request = Request(folder / "a.ply", cameras=cameras, view=0, size=(760, 480))
     driver = Driver(folder, request=request)
     driver.rest()
     driver.viewer.panel.show("Rate")
@@ -152,10 +178,10 @@ def run(folder: Path) -> dict:
     rates = Rates(driver)
     found = encodings(rates) | history(rates)
     files = rates.encoding.tries.folder.parent
-    found["files"] = [files.exists()]
+    found["left"] = [files.exists()]
     subprocess.run(["xdotool", "key", "Escape"], check=True)
     found["closes"] = any(not driver.app.run_one_tick() for _ in range(100))
-    found["files"].append(files.exists())
+    found["left"].append(files.exists())
     return found
 
 

@@ -38,7 +38,7 @@ def dialogs(driver: Driver) -> dict:
         driver.key(end)
         found[end] = state(driver)
     for name, end in (("quiet mnn", "Return"), ("q", "Escape")):
-        driver.key("s")
+        driver.key("ctrl+s")
         driver.tick(5)
         field = next(w for w in inside(viewer.modal.dialog) if isinstance(w, gui.TextEdit))
         driver.click(field)

@@ -145,7 +145,7 @@ def history(rates: Rates) -> dict:
     """Tries in both panes, one of them saved, and the source again."""
     driver, viewer = rates.driver, rates.driver.viewer
     found: dict = {}
-    rates.select(1)
+    rates.select(2)
     driver.click(rates.tab.as_a)
     rates.wait(lambda: rates.encoding.letters(1) == "A")
     driver.rest()

@@ -59,7 +59,8 @@ class Asked:
             "bits": f" {self.value:.4g} bits",
             "loss": f" {self.value:.3g} dB",
         }
-        return self.profile + amounts[self.wish] + (" guided" if self.guided else "")
+        told = self.guided and self.wish != "loss"
+        return self.profile + amounts[self.wish] + (" guided" if told else "")
 
     @property
     def config(self) -> gs_codec.Config:

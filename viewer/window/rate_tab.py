@@ -59,7 +59,7 @@ class RateTab:
     start, stop, as_a, as_b, save : gui.Button
     list : gui.ListView
     lines : list of str
-        Of the list: the source, and each try.
+        Of the list: the source, and each try, the newest first.
     """
 
     def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
@@ -68,6 +68,7 @@ class RateTab:
         self._scales: dict[str, _Scale] = {}
         self._source: Opened | None = None
         self.lines: list[str] = []
+        self._places: list[int] = []
         self._chosen = 0
         self._add_request(widgets)
         self._add_tries(widgets)
@@ -148,10 +149,12 @@ class RateTab:
 
     def _select(self, _: str, twice: bool) -> None:
         """Choose what the list has selected; at a double click, show it as B."""
-        self._chosen = max(self.list.selected_index, 0)
-        self.refresh()
-        if twice:
-            self._show(1)
+        place = self.list.selected_index
+        if 0 <= place < len(self._places):
+            self._chosen = self._places[place]
+            self.refresh()
+            if twice:
+                self._show(1)
 
     def refresh(self) -> None:
         """Update controls, list and numbers."""
@@ -192,15 +195,18 @@ class RateTab:
         self._scales = found
 
     def _refresh_tries(self) -> None:
+        """Update the list, the newest try first after the source, and the numbers."""
         encoding = self._viewer.encoding
         entries = list(encoding.scenes)
-        lines = [f"{encoding.letters(k) or '   '}  {_line(x)}" for k, x in enumerate(entries)]
-        if len(lines) != len(self.lines):
-            self._chosen = max(len(lines) - 1, 0)
+        if len(entries) != len(self._places):
+            self._places = [*range(len(entries))[:1], *range(len(entries) - 1, 0, -1)]
+            self._chosen = max(len(entries) - 1, 0)
+        lines = [f"{encoding.letters(k) or '   '}  {_line(entries[k])}" for k in self._places]
         if lines != self.lines:
             self.lines = lines
             self.list.set_items(lines)
-        self.list.selected_index = self._chosen
+        if entries:
+            self.list.selected_index = self._places.index(self._chosen)
         for button in (self.as_a, self.as_b):
             button.enabled = bool(entries)
         chosen = entries[self._chosen] if entries else None
@@ -241,11 +247,17 @@ class RateTab:
 def _line(entry: Try | Opened) -> str:
     """A line of the list."""
     if isinstance(entry, Opened):
-        size = "" if entry.file_bytes is None else f"  {size_text(entry.file_bytes)}"
+        size = "" if entry.file_bytes is None else f"  {_short(entry.file_bytes)}"
         return f"{shortened(entry.name, 24)}{size}"
     report, quality = entry.report, entry.quality
-    line = f"{entry.name}  {size_text(report.file_bytes)}  {report.ratio:.1f}x"
+    line = f"{entry.name}  {_short(report.file_bytes)}  {report.ratio:.3g}x"
     if quality is None:
         return line
     psnr = quality.mean.between.psnr
     return f"{line}  the same" if math.isinf(psnr) else f"{line}  {psnr:.2f} dB"
+
+
+def _short(size: int) -> str:
+    """Bytes with a unit, in three digits or whole."""
+    number, unit = size_text(size).split()
+    return f"{float(number):{'.3g' if float(number) < 999.5 else '.0f'}} {unit}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from gs_codec.edit import Action
 from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import write_ply
 from samples.generate import generate
-from viewer.scenes.numbers import quality_text
+from viewer.scenes.numbers import quality_text, size_text
 from viewer.scenes.pose import look_at
 
 pytestmark = pytest.mark.skipif(
@@ -530,3 +531,72 @@ def test_without_a_driver_it_says_so(display, folder):
     assert result.returncode == 2
     assert result.stderr.startswith("gs-viewer: error: no Vulkan device")
     assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def rated(display, folder) -> dict:
+    return drive("drive_rate.py", display, folder)
+
+
+def test_an_encoding_becomes_b_with_the_numbers_of_the_commands(rated, folder):
+    assert rated["empty"] == {"names": ["a.ply"], "lines": [], "told": ""}
+    encoded, first = folder / "saved.egs", rated["m"]
+    assert first["names"] == ["a.ply", "#1 m"]
+    info = gs_codec.inspect(encoded)
+    times = (folder / "a.ply").stat().st_size / info.file_bytes
+    compared = gs_codec.compare(folder / "a.ply", encoded, str(folder / "cameras.json"))
+    mean, worst = compared.mean.between, compared.worst.between
+    told = first["told"].splitlines()
+    assert told[0] == "#1 m"
+    rows = {line[:20].strip(): line[20:].strip() for line in told[1:5]}
+    assert rows["file"] == size_text(info.file_bytes)
+    assert rows["times smaller"] == f"{times:.1f}"
+    bits = sum(stream.bits_per_gaussian for stream in info.streams)
+    assert rows["bits / Gaussian"] == f"{bits:.1f}"
+    assert f"  {quality_text(compared.views[0].between)}" in told
+    assert "2 views against the source:" in told
+    assert told[-3:] == [
+        f"  mean {quality_text(mean)}",
+        f"  worst {quality_text(worst)}",
+        f"    in {compared.worst.name}",
+    ]
+    line = f"B  #1 m  {info.file_bytes / 1e3:.3g} kB  {times:.3g}x  {mean.psnr:.2f} dB"
+    assert first["lines"] == [f"A  a.ply  {times * info.file_bytes / 1e3:.3g} kB", line]
+    assert encoded.read_bytes() == gs_codec.encode(gs_codec.read(folder / "a.ply"))
+
+
+def test_a_target_is_met_that_the_slider_chose(rated):
+    shown, bits = rated["sized"], rated["bits"]
+    assert 20 < bits < 80
+    assert shown["names"] == ["a.ply", f"#2 s {bits:.4g} bits"]
+    reached = next(line for line in shown["told"].splitlines() if line.startswith("bits"))
+    assert 0.97 * bits < float(reached.split()[-1]) <= bits + 0.05
+    assert f"  {rated['quality']}" in shown["told"].splitlines()
+
+
+def test_panes_are_drawn_while_it_encodes_and_cancel_leaves_what_was_there(rated):
+    assert rated["doing"].startswith("encoding: ")
+    assert rated["meanwhile"] == [2, True]
+    for what in ("names", "lines"):
+        assert rated["stopped"][what] == rated["sized"][what]
+    assert rated["files"] == ["1.egs", "2.egs"]
+
+
+def test_an_unreachable_target_tells_what_is_in_reach(rated):
+    title, text = rated["refused"]
+    assert title == "Not possible"
+    assert re.search(r"target 1,000 bytes: [\d,]+ to [\d,]+ bytes are in reach$", text)
+
+
+def test_any_two_tries_are_compared_from_where_one_is(rated):
+    both, bits = rated["both"], f"{rated['bits']:.4g}"
+    assert both["names"] == ["#1 m", f"#2 s {bits} bits"]
+    assert [line[0] for line in both["lines"]] == [" ", "B", "A"]
+    assert both["at"] == 2
+    assert both["quality"] not in rated["stopped"]["told"]
+    assert rated["back"]["names"] == rated["sized"]["names"]
+
+
+def test_files_of_tries_go_with_the_window(rated):
+    assert rated["closes"]
+    assert rated["left"] == [True, False]

@@ -95,6 +95,11 @@ class Opened:
         return name if self.system == CONVENTION else f"{name}, turned from {self.system}"
 
     @property
+    def is_stored(self) -> bool:
+        """Whether its file holds this very scene."""
+        return self.path != Path()
+
+    @property
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.positions)

@@ -107,17 +107,20 @@ class Loading:
         self._viewer.editor.stop()
         self._viewer.panel.say("")
 
-    def show(self, scenes: list[Opened], views: Views, pruned: Pruned | None) -> None:
-        """Show opened scenes instead of the present ones."""
+    def show(
+        self, scenes: list[Opened], views: Views, pruned: Pruned | None, stay: bool = False
+    ) -> None:
+        """Show opened scenes instead of the present ones; from the same pose to `stay`."""
         viewer = self._viewer
         stage, previewed = viewer.stage, viewer.stage.painter.waits
         stage.painter.until = None
-        same = stage.scenes[:1] == scenes[:1] and not previewed
+        same = stay or (stage.scenes[:1] == scenes[:1] and not previewed)
         if previewed and stage.scenes == scenes:
             stage.put_pruned(pruned)
         else:
             stage.put(scenes, pruned)
         viewer.editor.put(scenes)
+        viewer.panel.stay()
         viewer.panel.say("")
         if not same:  # else keep the present pose
             viewer.visits.put(views, first_view(viewer.request, views))

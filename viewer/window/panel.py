@@ -14,6 +14,7 @@ from viewer.window.dialogs import folded
 from viewer.window.edit_tab import EditTab
 from viewer.window.pane import picture_of
 from viewer.window.pick_tab import PickTab
+from viewer.window.rate_tab import RateTab
 from viewer.window.scene_tab import SceneTab
 from viewer.window.view_tab import ViewTab
 from viewer.window.widgets import Widgets
@@ -40,7 +41,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view, pick, edit : SceneTab, ViewTab, PickTab, EditTab
+    scene, view, rate, pick, edit : SceneTab, ViewTab, RateTab, PickTab, EditTab
     """
 
     def __init__(self, viewer: Any, font: int) -> None:
@@ -60,9 +61,11 @@ class Panel:
         self._head.add_child(self._loading)
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
         self.pick, self.edit = PickTab(viewer, widgets, font), EditTab(viewer, widgets)
+        self.rate = RateTab(viewer, widgets, font)
         self._named: dict[str, Tab] = {
             "Scene": self.scene,
             "View": self.view,
+            "Rate": self.rate,
             "Pick": self.pick,
             "Edit": self.edit,
         }
@@ -91,6 +94,10 @@ class Panel:
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
         self.tabs.selected_tab_index = list(self._named).index(name)
+
+    def stay(self) -> None:
+        """Keep the tab in front: Open3D goes to the first when panes are added to the window."""
+        self.tabs.selected_tab_index = self.tabs.selected_tab_index
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""

@@ -17,6 +17,7 @@ from viewer.scenes.request import Request
 from viewer.window import dialogs
 from viewer.window.dock import Dock
 from viewer.window.editor import Editor
+from viewer.window.encoding import Encoding
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading
 from viewer.window.mouse import Place
@@ -58,6 +59,7 @@ class Viewer:
     loading : Loading
     saved : Saved
     picking : Picking
+    encoding : Encoding
     panel : Panel
     dock : Dock
     editor : Editor
@@ -91,7 +93,7 @@ class Viewer:
             self._focused,
         )
         self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
-        self.picking, self.editor = Picking(self), Editor(self)
+        self.picking, self.editor, self.encoding = Picking(self), Editor(self), Encoding(self)
         self.dock = Dock(self, self.editor.select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
@@ -291,7 +293,7 @@ class Viewer:
         if not self.modal.close() or self.editor.ask_unsaved((0, 1), self.window.close):
             return False
         self.worker.end()
-        self.editor.worker.end()
+        self.encoding.close()
         return True
 
 

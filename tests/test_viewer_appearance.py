@@ -16,7 +16,7 @@ from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.renderer import render
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import ANTIALIASED
-from viewer.pictures.layers import centres
+from viewer.pictures.centres import centres
 from viewer.pictures.picture import Shown, draw_scene, picture
 from viewer.pictures.splats import Drawer, measure, splats
 from viewer.scenes.appearance import Look, gaussians_drawn

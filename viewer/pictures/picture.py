@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from viewer.pictures.centres import centres, pruned_centres, why_unknown
 from viewer.pictures.cubes import Cubes, draw_cubes
 from viewer.pictures.layers import (
     EDGES,
@@ -19,12 +20,10 @@ from viewer.pictures.layers import (
     Points,
     block_colour,
     box_lines,
-    centres,
     error_image,
-    heat_bar,
-    pruned_centres,
     reason_colour,
 )
+from viewer.pictures.marker import draw_marker, marker
 from viewer.pictures.octree import Octree
 from viewer.pictures.splats import Drawer, drawer_of
 from viewer.scenes.appearance import Look
@@ -34,7 +33,7 @@ from viewer.scenes.pose import Pose
 
 #: Side of a centre, pixels.
 POINT_SIZE = 2
-PRUNED_SIZE = CELL_SIZE = 3
+PRUNED_SIZE = CELL_SIZE = SELECTED_SIZE = 3
 
 #: Nothing nearer to the camera than this is drawn, scene units.
 _NEAR = 1e-3
@@ -46,7 +45,7 @@ LINE_COLOUR = (0.85, 0.85, 0.85)
 #: RGB behind charts.
 BACKGROUND = (0.07, 0.07, 0.08)
 #: Height of text and length of the bar of a legend, pixels.
-_TEXT, _BAR = 13, 200
+TEXT, _BAR = 13, 200
 
 
 @dataclass(frozen=True)
@@ -68,6 +67,10 @@ class Shown:
     drawn : mapping of Opened to ndarray, shape (N,), bool
         Which Gaussians are drawn; a scene that is not in it has none hidden. Drawings are kept as
         long as the arrays are the same ones.
+    scale : str or None
+        One of `SCALES`, for the colours of centres; None is that of the quantity.
+    marked : tuple of Opened and int, or None
+        A Gaussian that is marked in all pictures: its scene, and its number in it.
     """
 
     layers: Collection[str]
@@ -77,6 +80,8 @@ class Shown:
     octree: OctreeChoice = field(default_factory=OctreeChoice)
     appearance: Appearance = field(default_factory=Appearance)
     drawn: Mapping[Opened, NDArray[np.bool_]] = field(default_factory=dict)
+    scale: str | None = None
+    marked: tuple[Opened, int] | None = None
 
     def look(self, scene: Opened) -> Look:
         """How a scene is drawn."""
@@ -103,6 +108,9 @@ class Shown:
         remark = ", error against A" if self.shows_error(scene) else ""
         if "octree" in self.layers and self.octree.colouring == "bits" and scene.bits_unknown:
             remark += f", bits unknown: {scene.bits_unknown}"
+        if "centres" in self.layers:
+            reason = why_unknown(scene, self.colouring, self.scenes)
+            remark += f", {self.colouring} unknown: {reason}" if reason else ""
         return remark
 
 
@@ -123,7 +131,7 @@ def draw_scene(
     if shown.shows_error(scene):
         legends.append(PIXEL_LEGEND)
     if "centres" in shown.layers:
-        points = centres(scene, shown.colouring, shown.scenes, look=shown.look(scene))
+        points = centres(scene, shown.colouring, shown.scenes, None, shown.scale, shown.look(scene))
         draw_points(image, points, pose, POINT_SIZE)
         if points.legend is not None:
             legends.append(points.legend)
@@ -141,6 +149,10 @@ def draw_scene(
             draw_points(image, cells, pose, CELL_SIZE)
         if cells.legend is not None:
             legends.append(cells.legend)
+    if shown.marked is not None:
+        canvas = to_pillow(image)
+        draw_marker(canvas, marker(*shown.marked, pose, width, height))
+        image = from_pillow(canvas)
     return image, legends
 
 
@@ -263,15 +275,14 @@ def labelled(
     """The image with captions at its top, each with its column, and legends at its bottom."""
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
-    font = ImageFont.load_default(_TEXT)
+    font = ImageFont.load_default(TEXT)
     for left, caption in captions:
         _write(pen, (left + 8, 6), caption, font)
-    bar = to_pillow(heat_bar(_BAR, 10))
     for row, legend in enumerate(reversed(legends)):
         top = canvas.height - 52 * (row + 1)
         _write(pen, (20, top), legend.title, font)
-        canvas.paste(bar, (20, top + 20))
-        columns = np.linspace(20, 20 + _BAR, len(legend.marks))
+        canvas.paste(to_pillow(legend.bar(_BAR, 10)), (20, top + 20))
+        columns = 20 + _BAR * legend.places
         for column, mark in zip(columns, legend.marks, strict=True):
             _write(pen, (round(column), top + 32), mark, font, "ma")
     return canvas
@@ -285,7 +296,7 @@ def reasons_text(pruned: Pruned) -> list[tuple[str, tuple[float, float, float]]]
 
 def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
     """Write the reasons for pruning, with counts, into the upper left corner below the caption."""
-    pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(_TEXT)
+    pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(TEXT)
     for row, (text, colour) in enumerate(reasons_text(pruned)):
         top = 26 + 18 * row
         pen.rectangle((8, top + 3, 18, top + 13), fill=_bytes(colour))

@@ -8,7 +8,11 @@ from dataclasses import dataclass, field
 LAYERS = ("splats", "centres", "pruned", "boxes", "error", "octree")
 
 #: Quantities that centres can be coloured by.
-COLOURINGS = ("colour", "opacity", "scale", "error")
+COLOURINGS = ("colour", "opacity", "scale", "error", "bits", "sh", "class", "block")
+
+#: Scales of the colours of magnitudes; those that have them, and which they have by default.
+SCALES = ("linear", "log")
+SCALED = {"opacity": "linear", "scale": "log", "error": "log", "bits": "linear", "sh": "log"}
 
 #: How two scenes are shown.
 MODES = ("side", "wipe", "flip")
@@ -85,6 +89,8 @@ class Choice:
         Names in `LAYERS`.
     colouring : str
         One of `COLOURINGS`.
+    scales : dict of str
+        The scale of each of `SCALED`.
     mode : str
         One of `MODES`.
     front : {0, 1}
@@ -111,3 +117,9 @@ class Choice:
     flying: bool = False
     dock: str = "nothing"
     appearance: Appearance = field(default_factory=Appearance)
+    scales: dict[str, str] = field(default_factory=SCALED.copy)
+
+    @property
+    def scale(self) -> str | None:
+        """The scale of the colouring, if it has one."""
+        return self.scales.get(self.colouring)

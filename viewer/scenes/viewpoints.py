@@ -112,3 +112,18 @@ def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
         Viewpoint(name, upright(of_camera(view), axis), view)
         for name, view in zip(names, views.cameras, strict=True)
     ]
+
+
+def nearest_camera(cameras: Sequence[Any], position: NDArray, forward: NDArray) -> Any:
+    """The camera that sees most nearly what is seen from a position in a direction.
+
+    Parameters
+    ----------
+    cameras : sequence of gs_codec's Camera
+        At least one.
+    position, forward : ndarray, shape (3,)
+        `forward` is a unit vector.
+    """
+    away = np.linalg.norm([camera.position - position for camera in cameras], axis=1)
+    turned = [1 - camera.rotation[2] @ forward for camera in cameras]
+    return cameras[int(np.argmin(away / (np.median(away) or 1.0) + turned))]

@@ -9,16 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points, centres, pruned_centres
+from viewer.pictures.centres import centres, pruned_centres, selected_centres
+from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points
+from viewer.pictures.marker import marker
 from viewer.pictures.octree import MOST_CUBES
 from viewer.pictures.picture import Shown, wipe_line
 from viewer.pictures.splats import Drawer, depth_at
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, distance_ahead
 from viewer.window.divider import make_divider
 from viewer.window.mouse import Mouse, Place
-from viewer.window.navigation import Navigator, distance_ahead, focused
+from viewer.window.navigation import Navigator, focused
 from viewer.window.octree_layer import OctreeLayer
 from viewer.window.painter import Columns, Painter
 from viewer.window.pane import HIDDEN, Pane
@@ -90,6 +92,7 @@ class Stage:
         self._changed, self._failed = changed, failed
         self.scenes: list[Opened] = []
         self.panes: list[Pane] = []
+        self._made: list[Pane] = []
         self.pruned: Pruned | None = None
         self.drawn: dict[Opened, NDArray[np.bool_]] = {}
         self.pose: Pose | None = None
@@ -104,38 +107,65 @@ class Stage:
         self.views: dict[Opened, Drawer] = {}
         self.painter = Painter(self, changed, failed)
         self._coloured: Shown | None = None
+        self._marked: tuple[Opened, int] | None = None
         self._octree = OctreeLayer(worker, changed, failed)
         self._laid_out = False
 
     def put(self, scenes: list[Opened], pruned: Pruned | None) -> None:
         """Show other scenes."""
-        self.worker.cancel("centres")
-        self.worker.cancel("focus")
-        for pane in self.panes:
-            pane.widget.visible = False
-            pane.widget.scene.clear_geometry()
-        self.scenes = scenes
-        self.drawn = {scene: mask for scene, mask in self.drawn.items() if scene in scenes}
-        # Not changed in place, because a job may still add to it.
-        self.views = {scene: self.views[scene] for scene in scenes if scene in self.views}
-        self._coloured = None
-        self.painter.put(scenes)
-        self.panes = [Pane(self.window, scene) for scene in scenes]
-        self._octree.put(self.panes, _CUBES[self.device], self._most)
-        self.put_pruned(pruned)
-        for pane in self.panes:
+        before = self._keep(scenes)
+        # Open3D cannot remove panes, and they take memory: those that there are serve again.
+        for number, scene in enumerate(scenes[: len(self._made)]):
+            if before[number : number + 1] != [scene]:
+                self._made[number].put(scene)
+                self._made[number].show_picture(None)
+        for scene in scenes[len(self._made) :]:
+            pane = Pane(self.window, scene)
+            self._made.append(pane)
             self.window.add_child(pane.widget)
             self.mouse.attach(pane)
-            if self.by_hand:
-                # Until the first picture is drawn.
+        self.panes = self._made[: len(scenes)]
+        for pane in self._made:
+            pane.widget.visible = pane in self.panes
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.put_pruned(pruned)
+        if self.by_hand:  # until the first pictures are drawn
+            for pane in self.panes:
                 look = self.shown.look(pane.scene)
-                pane.show_points("draft", centres(pane.scene, "colour", scenes, _DRAFT, look))
+                points = centres(pane.scene, "colour", scenes, _DRAFT, look=look)
+                pane.show_points("draft", points)
+
+    def replace(self, number: int, scene: Opened) -> None:
+        """Show a scene after an edit of it, from the same pose."""
+        self._keep([*self.scenes[:number], scene, *self.scenes[number + 1 :]])
+        self.panes[number].put(scene)
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.put_pruned(self.pruned)
+        self.refresh()
+
+    def _keep(self, scenes: list[Opened]) -> list[Opened]:
+        """Stop what draws other scenes than these, and forget them; return those before."""
+        self.worker.cancel("centres")
+        self.worker.cancel("focus")
+        before, self.scenes = self.scenes, list(scenes)
+        # Not changed in place, because a job may still add to them.
+        self.drawn = {each: self.drawn[each] for each in scenes if each in self.drawn}
+        self.views = {each: self.views[each] for each in scenes if each in self.views}
+        self._coloured = self._marked = None
+        self.painter.put(scenes)
+        self._octree.show(None)
+        return before
 
     def put_pruned(self, pruned: Pruned | None) -> None:
         """Show what a report says was pruned from the first scene."""
         self.pruned = pruned
         if pruned is not None:
             self.panes[0].points["pruned"] = pruned_centres(self.scenes[0], pruned, self._most)
+
+    def show_selected(self, number: int, selected: NDArray[np.bool_]) -> None:
+        """Show which Gaussians ``(N,)`` of a scene are selected."""
+        pane = self.panes[number]
+        pane.show_points("selected", selected_centres(pane.scene, selected, self._most))
 
     @property
     def shown(self) -> Shown:
@@ -147,8 +177,10 @@ class Stage:
             tuple(self.scenes),
             self.pruned,
             choice.octree,
-            appearance=choice.appearance,
-            drawn=dict(self.drawn),
+            choice.appearance,
+            dict(self.drawn),
+            choice.scale,
+            self._marked,
         )
 
     @property
@@ -159,10 +191,12 @@ class Stage:
     @property
     def legends(self) -> list[Legend]:
         """The legends of the layers shown."""
-        layers, known = self.choice.layers, []
-        coloured = self._coloured
-        if "centres" in layers and coloured and coloured.colouring == self.choice.colouring:
-            known = [p.points["centres"].legend for p in self.panes[:1]]
+        layers, coloured = self.choice.layers, self._coloured
+        known: list[Legend | None] = []
+        if "centres" in layers and coloured and _same_colours(coloured, self.shown):
+            # They are the same wherever the quantity is known.
+            legends = [pane.points["centres"].legend for pane in self.panes]
+            known += [legend for legend in legends if legend is not None][:1]
         if "error" in layers and len(self.scenes) > 1:
             known.append(PIXEL_LEGEND)
         known.append(self._octree.legend)
@@ -231,8 +265,9 @@ class Stage:
             return
 
         def colour(stale: Stale) -> list[Points]:
+            chosen, scenes = shown.colouring, shown.scenes
             return [
-                centres(p.scene, shown.colouring, shown.scenes, most, shown.look(p.scene))
+                centres(p.scene, chosen, scenes, most, shown.scale, shown.look(p.scene))
                 for p in panes
             ]
 
@@ -338,12 +373,20 @@ class Stage:
             pane.look(self.seen, wide, height, left)
             if len(self.scenes) > 1:
                 pane.outline(self.seen, wide, height)
+            lines = marker(*self._marked, self.seen, wide, height) if self._marked else []
+            pane.mark(lines, self.seen, wide, height)
 
     def see(self, pose: Pose) -> None:
         """Let the panes look from a pose."""
         if self.seen is not pose:
             self.seen = pose
             self._look()
+
+    def mark(self, marked: tuple[Opened, int] | None) -> None:
+        """Mark a Gaussian of a scene in all panes, or none."""
+        self._marked = marked
+        self._look()
+        self.window.post_redraw()
 
     def steer(self, pose: Pose) -> None:
         """Look from a pose that moves on."""
@@ -359,7 +402,9 @@ class Stage:
 
     def place(self, pane: Pane, x: int, y: int) -> Place:
         """The pixel of a pane's picture at a pixel of the window."""
-        left = self.columns[self.visible.index(pane)][3]
+        columns = dict(zip(self.visible, self.columns, strict=True))
+        # A pane may have been hidden while the mouse was dragged in it.
+        left = columns[pane][3] if pane in columns else 0
         return x - pane.widget.frame.x + left + 0.5, y - pane.widget.frame.y + 0.5
 
     def tick(self) -> bool:
@@ -375,10 +420,15 @@ class Stage:
         return self.painter.tick() or looked or any(stuck)
 
 
+def _same_colours(before: Shown, after: Shown) -> bool:
+    """Whether centres are coloured by the same quantity and scale."""
+    return (before.colouring, before.scale) == (after.colouring, after.scale)
+
+
 def _same_centres(before: Shown, after: Shown) -> bool:
     """Whether the same centres are shown, in the same colours."""
     return (
-        before.colouring == after.colouring
+        _same_colours(before, after)
         and before.appearance.least_opacity == after.appearance.least_opacity
         and all(before.drawn.get(each) is after.drawn.get(each) for each in after.scenes)
     )

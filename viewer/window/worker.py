@@ -122,13 +122,13 @@ class Worker:
             return self._ended or self._wanted[kind] != number
 
         def give(call: Callable[[Any], None], value: Any) -> None:
-            if not stale():
-                call(value)
+            # The window may be gone when a job ends after it.
+            if not self._ended:
+                self._post(lambda: None if stale() else call(value))
 
         try:
             result = job(stale)
         except Exception as error:
-            problem = error
-            self._post(lambda: give(failed, problem))
+            give(failed, error)
         else:
-            self._post(lambda: give(done, result))
+            give(done, result)

@@ -52,6 +52,7 @@ class Modal:
         """Show a dialog with actions for Enter and Esc; without `escape`, Esc closes it."""
         self.dialog, self._enter, self._escape = dialog, enter, escape or self.close_dialog
         self._window.show_dialog(dialog)
+        self._window.post_redraw()
 
     def close_dialog(self) -> None:
         """Close the dialog."""

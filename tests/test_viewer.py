@@ -26,10 +26,9 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
-from viewer.pictures import screenshot
 from viewer.main import app, main
+from viewer.pictures import screenshot
 from viewer.pictures.layers import (
-    LAYERS,
     Points,
     box_lines,
     centres,
@@ -50,7 +49,7 @@ from viewer.pictures.picture import (
     wiped,
 )
 from viewer.pictures.screenshot import draw_request
-from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.choice import LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
 from viewer.scenes.opened import Opened, open_scene, read_pruned, turned
 from viewer.scenes.pose import UPS, Pose, look_at, of_camera, overview, up_of
@@ -629,6 +628,12 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch,
         (["viewer/error.png", "--screenshot", "x.png"], "error.png: begins with"),
         (["a.ply", "--colour", "red"], "colour 'red': expected colour"),
         (["a.ply", "--unknown"], "No such option"),
+        (["a.ply", "--screenshot", "x.jpg"], "x.jpg: expected .png"),
+        (["a.ply", "--screenshot", "none/x.png"], "none/x.png: no directory 'none'"),
+        (["a.ply", "--screenshot", "x.png", "--mode", "flip"], "mode flip: needs two scenes"),
+        (["a.ply", "--turntable", "x", "--colour", "error"], "colour error: needs two scenes"),
+        (["a.ply", "--turntable", "x", "--layers", "error"], "layers error: needs two scenes"),
+        (["a.ply", "--screenshot", "x.png", "--layers", "pruned"], "layers pruned: needs a report"),
         (["a.ply", "--octree-depth", "13"], "octree-depth 13: expected 1 to 12"),
     ],
 )
@@ -659,15 +664,20 @@ def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
     }.items():
         shutil.copy(files / name, files / copy)
     poses = [STRAIGHT.camera(40, 30) | {"img_name": f"view{k}"} for k in range(4)]
-    (files / "cameras.json").write_text(json.dumps(poses))
+    for name in ("cameras.json", "path.json"):
+        (files / name).write_text(json.dumps(poses))
     root = Path(__file__).parent.parent
     text = (root / "README.md").read_text() + (root / "viewer" / "README.md").read_text()
     lines = re.findall(r"^    gs-viewer (scene[^#\n]*)", text, re.MULTILINE)
-    assert len(lines) >= 5
+    assert len(lines) >= 7
     for k, line in enumerate(lines):
         wanted = [*shlex.split(line), "--width", "120", "--height", "80"]
-        out = tmp_path / f"{k}.png"
-        result = CliRunner().invoke(app, [*wanted, "--screenshot", str(out)])
+        film = {"--turntable", "--flythrough"}.intersection(wanted)
+        out = tmp_path / (f"frames{k}" if film else f"{k}.png")
+        for option in film:
+            wanted[wanted.index(option) + 1] = str(out)
+        wanted += ["--frames", "2"] if film else ["--screenshot", str(out)]
+        result = CliRunner().invoke(app, wanted)
         assert result.exit_code == 0, (line, result.output, result.exception)
         assert out.exists()
 

@@ -78,6 +78,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
     ------
     gs_codec.GsCodecError
     """
+    film.check(request)
     scenes = request.scenes()
     poses, told = _find_path(request, film, scenes[0])
     pruned = find_pruned(request, scenes[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -12,7 +13,15 @@ import gs_codec
 from gs_codec.cli.main import describe_error
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, OctreeChoice
+from viewer.scenes.choice import (
+    CELL_COLOURINGS,
+    COLOURINGS,
+    DEPTHS,
+    LAYERS,
+    SCALED,
+    SCALES,
+    OctreeChoice,
+)
 from viewer.scenes.pose import UPS
 
 if TYPE_CHECKING:
@@ -81,6 +90,13 @@ def command(
             rich_help_panel=_SHOWN,
         ),
     ] = "colour",
+    colour_scale: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Scale of {', '.join(SCALED)}: {', '.join(SCALES)}.",
+            show_default="linear for opacity and bits",
+        ),
+    ] = None,
     octree_depth: Annotated[
         int,
         typer.Option(
@@ -190,6 +206,7 @@ def command(
         max_bytes,
         up,
         OctreeChoice(octree_depth, octree_colour),
+        colour_scale,
     )
     request.check()
     film = _film(screenshot, turntable, flythrough, frames, fps, overwrite)
@@ -206,9 +223,18 @@ def command(
     from viewer.window.device import find_device
 
     device = find_device()
+    _leave_out_plotly()
     from viewer.window.viewer import run
 
     run(request, device)
+
+
+def _leave_out_plotly() -> None:
+    """Let Open3D not import Plotly and Dash, which takes longer than all else it imports."""
+    name, module = "open3d.visualization.draw_plotly", ModuleType("draw_plotly")
+    for each in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
+        setattr(module, each, None)
+    sys.modules.setdefault(name, module)
 
 
 def _film(

@@ -11,9 +11,11 @@ import numpy as np
 import gs_codec
 from gs_codec.rendering.images import find_image
 from gs_codec.rendering.photographs import read_photograph
-from viewer.pictures.layers import Points, centres, pruned_centres
+from viewer.pictures.centres import centres, pruned_centres
+from viewer.pictures.layers import Points
 from viewer.pictures.notes import draw_notes
-from viewer.scenes.choice import OctreeChoice
+from viewer.scenes.appearance import Look
+from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, open_scene, read_pruned
 from viewer.scenes.pose import of_camera
 from viewer.scenes.request import Request, parse_layers
@@ -30,6 +32,7 @@ def draw(
     pruned: str | Path | None = None,
     layers: Sequence[str] | None = None,
     colour: str = "colour",
+    colour_scale: str | None = None,
     octree_depth: int = OctreeChoice.depth,
     octree_colour: str = OctreeChoice.colouring,
     mode: str = "side",
@@ -49,8 +52,13 @@ def draw(
     layers : sequence of str, optional
         Of ``splats``, ``centres``, ``pruned``, ``boxes``, ``error`` and ``octree``; by default
         ``splats``, and ``pruned`` if a report is given.
-    colour : {"colour", "opacity", "scale", "error"}
-        Quantity that centres are coloured by.
+    colour : {"colour", "opacity", "scale", "error", "bits", "sh", "class", "block"}
+        Quantity that centres are coloured by: SH-DC; opacity; longest axis; difference in colour
+        from the nearest centre of the other scene; of an ``.egs`` file the bits that it takes, its
+        class of step sizes, or its block; the sum of the squares of its SH-AC.
+    colour_scale : {"linear", "log"}, optional
+        Scale of the colours of ``opacity`` and ``bits``, by default linear, or of ``scale``,
+        ``error`` and ``sh``, by default logarithmic.
     octree_depth : int
         Depth of the octree's cells, 1-12.
     octree_colour : {"occupancy", "bits"}
@@ -76,7 +84,10 @@ def draw(
     folder = Path(pruned) if pruned is not None else None
     shown = tuple(layers) if layers is not None else parse_layers(None, folder)
     octree, size = OctreeChoice(octree_depth, octree_colour), (width, height)
-    request = Request(a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree)
+    request = Request(
+        a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree,
+        scale=colour_scale,
+    )  # fmt: skip
     request.check()
     device = find_device()
     from viewer.window.viewer import run
@@ -263,7 +274,11 @@ class Actions:
         for layer, each in points.items():
             self._add(f"{scene.name}: {layer}", *point_geometry(each), not splats)
         if splats:
-            self._add(f"{scene.name}: splats", splat_cloud(scene), splat_material(scene))
+            self._add(
+                f"{scene.name}: splats",
+                splat_cloud(scene, Look()),
+                splat_material(scene, Appearance()),
+            )
 
     def _add(self, name: str, geometry: Any, material: Any, visible: bool = True) -> None:
         self._visualizer.add_geometry(name, geometry, material, _GROUP, 0.0, visible)

@@ -8,13 +8,12 @@ from typing import Any, Literal
 
 import gs_codec
 from gs_codec.report import Progress, step_counter
-from viewer.pictures.picture import Shown
 from viewer.pictures.reels import check_reel, is_folder, open_reel
-from viewer.pictures.screenshot import compose
+from viewer.pictures.screenshot import compose, shown_of
 from viewer.scenes.flight import flythrough
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
-from viewer.scenes.request import Request, find_pruned, find_views, first_view
+from viewer.scenes.request import Request, find_views, first_view
 from viewer.scenes.turntable import turntable
 from viewer.scenes.viewpoints import COUNT, find_viewpoints
 
@@ -81,8 +80,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
     film.check(request)
     scenes = request.scenes()
     poses, told = _find_path(request, film, scenes[0])
-    pruned = find_pruned(request, scenes[0])
-    shown = Shown(request.layers, request.colouring, tuple(scenes), pruned, request.octree)
+    shown = shown_of(request, scenes)
     advance = step_counter(progress, "frames", len(poses))
     views: dict[Opened, Any] = {}
     with open_reel(film.path, request.size, film.fps or FPS) as add:

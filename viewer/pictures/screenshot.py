@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from viewer.pictures.picture import (
     draw_scene,
     from_pillow,
     labelled,
-    measure,
     outlined,
     side_by_side,
     to_pillow,
@@ -27,6 +27,7 @@ from viewer.pictures.picture import (
     wiped,
     write_reasons,
 )
+from viewer.pictures.splats import measure
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.request import Request, find_pruned, find_views, first_view
@@ -55,14 +56,21 @@ def save_picture(picture: Image.Image, path: Path) -> None:
         picture.save(file, "PNG")
 
 
+def shown_of(request: Request, scenes: Sequence[Opened]) -> Shown:
+    """What a request shows of its scenes, which are open."""
+    pruned, scale = find_pruned(request, scenes[0]), request.scale
+    return Shown(
+        request.layers, request.colouring, tuple(scenes), pruned, request.octree, scale=scale
+    )
+
+
 def draw_request(request: Request) -> tuple[Image.Image, str]:
     """The requested picture, and a message if a photograph is missing, or ""."""
     scenes = request.scenes()
     views = find_views(request, scenes[0])
     viewpoints = find_viewpoints(scenes[0], views, request.up or views.ups[0])
     viewpoint = viewpoints[first_view(request, views)]
-    pruned = find_pruned(request, scenes[0])
-    shown = Shown(request.layers, request.colouring, tuple(scenes), pruned, request.octree)
+    shown = shown_of(request, scenes)
     photograph, missing = None, ""
     if request.images is not None:
         try:
@@ -116,7 +124,7 @@ def compose(
     parts = _arrange(drawn, labels, mode, wipe, front)
     has_first = mode != "flip" or len(scenes) < 2 or front == 0
     if shown.pruned is not None and "pruned" in shown.layers and has_first:
-        write_reasons(parts[0], shown.pruned)
+        write_reasons(parts[0], shown.pruned.of(shown.scenes[0]))
     if photograph is not None:
         parts.append(labelled(_fitted(photograph, width, height), [(0, "photograph")], []))
     return to_pillow(side_by_side([from_pillow(part) for part in parts]))
@@ -133,7 +141,8 @@ def _arrange(
     if len(drawn) > 1 and mode == "wipe":
         image = wiped(drawn[0][0], drawn[1][0], wipe)
         _, right = wipe_line(wipe, image.shape[1])
-        return [labelled(image, [(0, labels[0]), (right, labels[1])], drawn[1][1])]
+        legends = list(dict.fromkeys([*drawn[0][1], *drawn[1][1]]))
+        return [labelled(image, [(0, labels[0]), (right, labels[1])], legends)]
     if len(drawn) > 1 and mode == "flip":
         drawn, labels = [drawn[front]], [labels[front]]
     return [

@@ -106,8 +106,8 @@ class Pose:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixels ``(n, 2)`` and depths ``(n,)`` of points ``(n, 3)``."""
         fx, fy, cx, cy = self.lens(width, height)
-        x, y, depth = self.rotation @ (np.asarray(points, np.float64) - self.position).T
         with np.errstate(divide="ignore", invalid="ignore"):
+            x, y, depth = self.rotation @ (np.asarray(points, np.float64) - self.position).T
             u = fx * x / depth + cx
             v = fy * y / depth + cy
         return np.stack([u, v], axis=1), depth

@@ -8,7 +8,17 @@ from typing import Any
 
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES, OctreeChoice
+from gs_codec.rendering.cameras import find_cameras
+from viewer.scenes.choice import (
+    CELL_COLOURINGS,
+    COLOURINGS,
+    DEPTHS,
+    LAYERS,
+    MODES,
+    SCALED,
+    SCALES,
+    OctreeChoice,
+)
 from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
 from viewer.scenes.pose import UPS
 from viewer.scenes.viewpoints import Views, choose_views, given_views
@@ -40,6 +50,8 @@ class Request:
     up : str or None
         Which axis of the scene is up, of `UPS`.
     octree : OctreeChoice
+    scale : str or None
+        One of `SCALES`, for the colours of centres; None is that of the quantity.
     """
 
     a: Any = None
@@ -55,6 +67,7 @@ class Request:
     max_bytes: int | None = None
     up: str | None = None
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    scale: str | None = None
 
     def check(self) -> None:
         """Check everything that does not need opening a file.
@@ -65,6 +78,12 @@ class Request:
         """
         _check_among("layers", self.layers, LAYERS)
         _check_among("colour", [self.colouring], COLOURINGS)
+        _check_among("colour-scale", [self.scale or SCALES[0]], SCALES)
+        if self.scale is not None and self.colouring not in SCALED:
+            known = ", ".join(SCALED)
+            raise gs_codec.GsCodecError(f"colour-scale: expected colour {known}")
+        if self.colouring == "error" and self.a is not None and self.b is None:
+            raise gs_codec.GsCodecError("colour error: expected two scenes")
         _check_among("mode", [self.mode], MODES)
         _check_among("up", [self.up or "-y"], tuple(UPS))
         _check_among("octree-colour", [self.octree.colouring], CELL_COLOURINGS)
@@ -132,9 +151,12 @@ class Request:
             open_scene(source, progress=part(k), max_bytes=self.max_bytes)
             for k, source in enumerate(sources)
         ]
-        if self.octree.colouring == "bits" and scenes and all(x.bits_unknown for x in scenes):
-            scene = scenes[-1]
-            raise gs_codec.GsCodecError(f"octree-colour bits: {scene.name} is {scene.bits_unknown}")
+        wanted = {"octree-colour": self.octree.colouring, "colour": self.colouring}
+        for option, colouring in wanted.items():
+            reasons = [scene.unknown(colouring) for scene in scenes]
+            if reasons and all(reasons):
+                told = f"{option} {colouring}: {scenes[-1].name} is {reasons[-1]}"
+                raise gs_codec.GsCodecError(told)
         return scenes
 
 
@@ -162,7 +184,7 @@ def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
     if request.chosen:
         views = choose_views(scene, request.up, count if request.view is None else COUNT)
     else:
-        views = given_views(gs_codec.render(scene.cloud, request.cameras).cameras)
+        views = given_views(find_cameras(request.cameras, scene.gaussians))
     number = len(views.cameras)
     if request.view is not None and not 0 <= request.view < number:
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {number - 1}")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from open3d.visualization import gui
 
+from gs_codec.files.suffixes import WRITTEN
 from gs_codec.formats.registry import SUFFIXES
 
 #: Longest line of a dialog, characters.
@@ -19,7 +21,7 @@ _SCENES = " ".join(SUFFIXES)
 
 
 class Modal:
-    """The dialog of a window; while one is open, only it gets keys.
+    """The dialog of a window, and Esc: while a dialog is open, only it gets keys.
 
     Open3D asks to close the window whenever Esc goes down, repeats or goes up, before it reports
     the key.
@@ -27,6 +29,8 @@ class Modal:
     Attributes
     ----------
     dialog : gui.Dialog or None
+    cancels : list of callable
+        What Esc may end before it closes the window; each tells whether it ended anything.
     theme : gui.Theme
     """
 
@@ -35,7 +39,8 @@ class Modal:
         self.dialog: gui.Dialog | None = None
         self._enter: Callable[[], None] | None = None
         self._escape: Callable[[], None] = self.close_dialog
-        self._escaping = False
+        self._escaping = self._asked = self._closing = False
+        self.cancels: list[Callable[[], bool]] = []
         self.theme = window.theme
 
     def show_dialog(
@@ -58,6 +63,8 @@ class Modal:
         down = event.type == gui.KeyEvent.Type.DOWN
         if event.key == gui.KeyName.ESCAPE:
             self._escaping = down
+            if down and self._asked:
+                self._asked = not any(cancel() for cancel in self.cancels)
         if self.dialog is None:
             return False
         # While a text is edited, Open3D reports only that a key goes up.
@@ -74,7 +81,16 @@ class Modal:
         if self._escaping:
             self._escaping = False
             return False
-        return True
+        # Whether it was Esc, which may end something else, is reported next.
+        self._asked = not self._closing
+        return self._closing
+
+    def settle(self) -> None:
+        """Close the window if it was asked to, and Esc ended nothing instead."""
+        if self._asked:
+            self._asked, self._closing = False, True
+            # Not at once: Open3D is going through its windows.
+            gui.Application.instance.post_to_main_thread(self._window, self._window.close)
 
 
 def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:
@@ -89,8 +105,8 @@ def _box(window: Modal, title: str, text: str) -> tuple[gui.Dialog, gui.Vert]:
     em = window.theme.font_size
     dialog = gui.Dialog(title)
     box = gui.Vert(0.5 * em, gui.Margins(em, em, em, em))
-    for line in [title, *folded(text, _WIDTH)]:
-        box.add_child(gui.Label(line))
+    for part in (title, "\n".join(folded(text, _WIDTH))):
+        box.add_child(gui.Label(part))
     dialog.add_child(box)
     return dialog, box
 
@@ -106,33 +122,36 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
     box.add_child(row)
 
 
-def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
-    """Ask which of two scenes to replace."""
-    dialog, box = _box(window, "Open", f"Show {name} in place of")
-    for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
+def ask_among(
+    window: Modal, title: str, text: str, choices: Sequence[tuple[str, Callable[[], None]]]
+) -> None:
+    """Ask to choose one of several actions, each a button, or none."""
+    dialog, box = _box(window, title, text)
+    for name, action in choices:
 
-        def chosen(index: int = index) -> None:
+        def chosen(action: Callable[[], None] = action) -> None:
             window.close_dialog()
-            then(index)
+            action()
 
-        _add_button(box, f"{letter}: {scene}", chosen)
+        _add_button(box, name, chosen)
     _add_button(box, "Cancel", window.close_dialog)
     window.show_dialog(dialog)
+
+
+def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
+    """Ask which of two scenes to replace."""
+    choices = [
+        (f"{letter}: {scene}", partial(then, index))
+        for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True))
+    ]
+    ask_among(window, "Open", f"Show {name} in place of", choices)
 
 
 def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
     """Ask which of some files to open."""
     told = "Opened last" if paths else "No file was opened before."
-    dialog, box = _box(window, "Recent", told)
-    for path in paths:
-
-        def chosen(path: Path = path) -> None:
-            window.close_dialog()
-            then(str(path))
-
-        _add_button(box, shortened(str(path), _WIDTH), chosen)
-    _add_button(box, "Cancel", window.close_dialog)
-    window.show_dialog(dialog)
+    choices = [(shortened(str(path), _WIDTH), partial(then, str(path))) for path in paths]
+    ask_among(window, "Recent", told, choices)
 
 
 def shortened(path: str, most: int) -> str:
@@ -146,13 +165,26 @@ def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
 
 
 def ask_save(window: Modal, title: str, kind: tuple[str, str], then: Callable[[str], None]) -> None:
-    """Ask where to write a file; a name without suffix gets the first of `kind`."""
+    """Ask where to write a file, and whether to replace one that exists.
 
-    def done(path: str) -> None:
-        named = Path(path)
-        then(path if named.suffix else str(named.with_suffix(kind[0].split()[0])))
+    A name without suffix gets the first of `kind`.
+    """
 
-    _ask(window, gui.FileDialog.SAVE, title, kind, done)
+    def chosen(name: str) -> None:
+        path = Path(name)
+        path = path if path.suffix else path.with_suffix(kind[0].split()[0])
+        if path.exists():
+            choices = [("Replace it", partial(then, str(path)))]
+            ask_among(window, title, f"{path.name} exists.", choices)
+        else:
+            then(str(path))
+
+    _ask(window, gui.FileDialog.SAVE, title, kind, chosen)
+
+
+def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
+    """Ask where to write a scene, as by `ask_save`."""
+    ask_save(window, "Save the scene", (" ".join(WRITTEN), "3DGS scenes"), then)
 
 
 def ask_file(

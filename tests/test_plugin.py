@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gs_codec.rendering.inria import as_camera
-from viewer.pictures.layers import error_legend, heat_bar, reason_colour
+from viewer.pictures.layers import error_legend, reason_colour
 from viewer.pictures.notes import draw_notes
 from viewer.scenes.opened import Pruned
 from viewer.scenes.pose import look_at
@@ -24,7 +24,7 @@ def test_notes_have_legends_and_reasons():
     plain = draw_notes("a caption")
     full = draw_notes("a caption", [error_legend("error")], pruned)
     assert full.height > plain.height + 50
-    for colour in (reason_colour(0), reason_colour(1), heat_bar(2, 1)[0, -1]):
+    for colour in (reason_colour(0), reason_colour(1), error_legend("error").bar(2, 1)[0, -1]):
         assert has(full, colour)
         assert not has(plain, colour)
 

@@ -121,13 +121,12 @@ class Request:
                 f"{option} {value}"
                 for option, value, known in (
                     ("mode", self.mode, MODES[1:]),
-                    ("colour", self.colouring, ("error",)),
                     *(("layers", layer, ("error",)) for layer in self.layers),
                 )
                 if value in known
             ]
             if errors:
-                raise gs_codec.GsCodecError(f"{errors[0]}: needs two scenes")
+                raise gs_codec.GsCodecError(f"{errors[0]}: expected two scenes")
         if "pruned" in self.layers and self.pruned is None:
             raise gs_codec.GsCodecError("layers pruned: needs a report")
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -37,6 +38,13 @@ def tell(found: dict) -> NoReturn:
     """Print what came of it and end, as Open3D has no orderly end outside Application.run."""
     print("RESULT " + json.dumps(found), flush=True)
     os._exit(0)
+
+
+def give_up(reason: str) -> NoReturn:
+    """End with what went wrong; see `tell`."""
+    traceback.print_stack()
+    print(reason, file=sys.stderr, flush=True)
+    os._exit(1)
 
 
 class Driver:
@@ -89,7 +97,7 @@ class Driver:
             if equal == 2:
                 return now
             before = now
-        raise SystemExit("the window never rests")
+        return give_up("the window never rests")
 
     def scenes(self, image: np.ndarray) -> np.ndarray:
         """The part of the window that is not the panel, nor captions."""
@@ -113,11 +121,12 @@ class Driver:
 
     def wait(self, done: Callable[[], bool]) -> None:
         """Tick until what was clicked has come through."""
-        for _ in range(400):
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
             if done():
                 return
             self.tick(2)
-        raise SystemExit("a click does not come through")
+        give_up("a click does not come through")
 
     def click(self, widget: gui.Widget) -> None:
         frame = widget.frame

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from viewer.scenes.pose import Pose, look_at, up_of
-from viewer.window.navigation import Navigator, distance_ahead
+from viewer.window.navigation import (
+    Navigator,
+    distance_ahead,
+    field_of_view,
+    focused,
+    framing,
+    with_field_of_view,
+)
 
 TARGET = np.array([0.5, -0.2, 1.0])
 POSE = look_at(np.array([2.0, -3.0, -5.0]), TARGET)
@@ -166,3 +173,56 @@ def test_up_of_cameras_that_are_upside_down_as_often_is_across_their_right_axes(
     rotations = [np.eye(3), np.diag([-1.0, -1.0, 1.0]), np.eye(3)[[2, 1, 0]] * [[1], [1], [-1]]]
     rotations.append(rotations[2] * [[-1], [-1], [1]])
     np.testing.assert_allclose(np.abs(up_of(rotations)), [0, 1, 0], atol=1e-9)
+
+
+def test_looking_around_turns_where_the_camera_is_and_what_is_seen_follows():
+    hand = navigator()
+    hand.hold(POSE, 300, 200, "look")
+    looked = hand.drag(330, 180, *SIZE)
+    np.testing.assert_allclose(looked.position, POSE.position)
+    np.testing.assert_allclose(pixel(looked), [330, 180], atol=3)
+    np.testing.assert_allclose(matrix(hand.drag(300, 200, *SIZE)), matrix(POSE), atol=1e-12)
+
+
+def test_a_flight_goes_along_the_axes_by_distances_ahead():
+    hand = navigator()
+    flown = hand.flown(POSE, np.array([1.0, 0, 2.0]), 0.5)
+    axes = POSE.rotation @ (flown.position - POSE.position)
+    np.testing.assert_allclose(axes, [0.5 * hand.distance, 0, hand.distance], atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [(300, 200), (410.5, 33.5)])
+def test_what_is_focused_comes_to_the_middle_at_its_depth(at):
+    shifted = replace(POSE, shift=(0.1, -0.05))
+    point = focused(shifted, at, 4.0, SIZE)
+    depth = 4.0 * POSE.rotation[2]
+    moved = shifted.project((point.position + depth)[None], *SIZE)[0][0]
+    np.testing.assert_allclose(moved - shifted.lens(*SIZE)[2:], np.subtract(at, [300, 200]))
+    np.testing.assert_array_equal(point.rotation, POSE.rotation)
+
+
+@pytest.mark.parametrize("frame", [(600, 400), (300, 700)])
+def test_framing_shows_all_but_far_and_faint_centres(frame):
+    rng = np.random.default_rng(5)
+    centres = rng.normal(size=(2000, 3)).astype(np.float32) * [3, 1, 2] + 40
+    centres[:5], centres[5] = 1e6, np.nan
+    opacities = np.full(2000, 0.5)
+    centres[6:200], opacities[6:200] = -500, 0.01
+    framed, distance = framing(replace(POSE, frame=frame), centres, opacities)
+    left, top, right, bottom = framed.framed(*SIZE)
+    pixels, depth = framed.project(centres[200:], *SIZE)
+    assert (depth > 0).all()
+    inside = (pixels > (left, top)) & (pixels < (right, bottom))
+    assert inside.all(axis=1).mean() > 0.97
+    middle = framed.position + distance * framed.rotation[2]
+    np.testing.assert_allclose(middle, [40, 40, 40], atol=1)
+
+
+def test_a_scene_without_centres_is_framed_by_the_same_pose():
+    assert framing(POSE, np.zeros((0, 3)), np.zeros(0)) == (POSE, 1.0)
+
+
+def test_the_field_of_view_is_set_and_read():
+    wide = with_field_of_view(replace(POSE, focal=(1.0, 1.5)), 90)
+    assert field_of_view(wide) == pytest.approx(90)
+    assert wide.focal == pytest.approx((1 / 3, 0.5))

@@ -68,7 +68,11 @@ def folder(tmp_path_factory) -> Path:
 def drive(script: str, display: str, folder: Path) -> dict:
     """What came of driving a window by a script of this folder."""
     here = Path(__file__).parent
-    environment = os.environ | {"DISPLAY": display, "PYTHONPATH": str(here.parent)}
+    environment = os.environ | {
+        "DISPLAY": display,
+        "PYTHONPATH": str(here.parent),
+        "XDG_STATE_HOME": str(folder / "state"),
+    }
     result = subprocess.run(
         [sys.executable, here / script, folder],
         capture_output=True,
@@ -319,6 +323,78 @@ def test_centres_are_coloured_by_bits_on_the_scale_that_is_chosen(picked):
     assert linear[::4] == log[::4]
     assert linear[1:4] != log[1:4]
     assert found["changed"] > 1000
+
+
+@pytest.fixture(scope="module")
+def used(display, folder) -> dict:
+    return drive("drive_panel.py", display, folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "axis", "way"),
+    [("w", 2, 1), ("s", 2, -1), ("a", 0, -1), ("d", 0, 1), ("q", 1, 1), ("e", 1, -1)],
+)
+def test_keys_fly_along_the_axes_of_the_camera_while_held(used, key, axis, way):
+    before, after = used["flights"][key]
+    moved = np.subtract(after["position"], before["position"]) @ np.transpose(before["rotation"])
+    assert way * moved[axis] > 0.1
+    np.testing.assert_allclose(np.delete(moved, axis), 0, atol=1e-9)
+    np.testing.assert_array_equal(after["rotation"], before["rotation"])
+    assert used["flights"]["stops"]
+
+
+def test_while_looking_around_the_camera_stays_where_it_is(used):
+    before, flying, after = used["looks"]
+    assert flying
+    np.testing.assert_allclose(after["position"], before["position"])
+    assert np.abs(np.subtract(after["rotation"], before["rotation"])).max() > 0.05
+
+
+def test_a_double_click_brings_what_is_there_to_the_middle(used):
+    np.testing.assert_allclose(used["focuses"]["was"], used["focuses"]["at"], atol=1e-6)
+
+
+def test_all_of_the_scene_is_framed_and_the_panel_says_that_one_has_moved(used):
+    assert used["focuses"]["framed"] > 0.9
+    assert used["focuses"]["where"] == "moved away from view 0 of 2: view0 (R goes back)"
+
+
+def test_the_slider_sets_the_field_of_view(used):
+    before, after, where = used["angles"]
+    assert before == pytest.approx(2 * np.degrees(np.arctan(0.5 / 0.7697777)), abs=1e-3)
+    assert after > before + 5
+    assert where.startswith("moved away from view 0")
+
+
+def test_the_chart_of_views_is_that_of_compare_and_leads_to_them(used, folder):
+    charts = used["charts"]
+    scenes = folder / "a.ply", folder / "b.egs"
+    views = gs_codec.compare(*scenes, str(folder / "cameras.json"), split="all").views
+    assert list(charts["decibels"].values()) == [view.between.psnr for view in views]
+    assert charts["best"] == charts["went"] == 1
+    assert min(charts["pictures"]) > 0.02
+    assert charts["first"] == 0
+
+
+def test_a_range_is_dragged_in_a_histogram(used):
+    found = used["charts"]["histogram"]
+    assert found["name"] == "opacity"
+    assert found["chosen"] == found["ends"]
+    assert 0 < found["chosen"][0] < found["chosen"][1] < 1
+
+
+def test_views_are_listed_by_quality_and_visited_by_a_click(used):
+    assert used["listed"] == {"order": ["view0", "view1", "overview"], "went": "view1"}
+
+
+def test_cameras_photographs_reports_and_recent_files_are_opened(used):
+    assert used["opens"] == {
+        "where": "view 0 of 1: view1",
+        "photographed": True,
+        "layers": ["pruned", "splats"],
+        "recent": ["b.egs", "a.ply", "Cancel"],
+        "asked": ["Open", "Show b.egs in place of"],
+    }
 
 
 def test_the_plugin_opens_shows_what_was_pruned_and_compares(display, folder):

@@ -59,7 +59,7 @@ class ViewTab:
         self.list.set_on_selection_changed(self._chosen)
         self.widget.add_child(self.list)
         self._listed: list[str] = []
-        self._places: list[int] = []
+        self.places: list[int] = []
 
     def refresh(self) -> None:
         """Update controls and the list."""
@@ -81,18 +81,18 @@ class ViewTab:
             places = sorted(places, key=lambda k: points[k].name)
         elif order == "PSNR":
             places = sorted(places, key=lambda k: (known.get(k, float("inf")), k))
-        self._places = places
+        self.places = places
         lines = [
             shortened(points[k].name, 26) + (f"  {decibels(known[k])}" if k in known else "")
-            for k in self._places
+            for k in self.places
         ]
         if lines != self._listed:
             self._listed = lines
             self.list.set_items(lines)
-        here = visits.number if self._places and not visits.moved else None
-        self.list.selected_index = -1 if here is None else self._places.index(here)
+        here = visits.number if self.places and not visits.moved else None
+        self.list.selected_index = -1 if here is None else self.places.index(here)
 
     def _chosen(self, _: str, __: bool) -> None:
         place = self.list.selected_index
-        if 0 <= place < len(self._places):
-            self._viewer.visits.go_to(self._places[place])
+        if 0 <= place < len(self.places):
+            self._viewer.visits.go_to(self.places[place])

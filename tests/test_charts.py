@@ -1,0 +1,80 @@
+"""Charts below the panes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gs_codec.edit.description import statistics_of
+from samples.generate import generate
+from viewer.pictures.charts import ContactSheet, HistogramChart, Message, QualityChart
+
+SIZE = (700, 170)
+
+
+def colours(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+    """Columns of pixels of a colour."""
+    return np.flatnonzero((np.abs(255 * image - colour) < 1).all(axis=2).any(axis=0))
+
+
+def test_bars_are_sorted_and_found_where_they_are_drawn():
+    chart = QualityChart(["a", "b", "c"], {0: 40.0, 1: 33.0, 2: np.inf}, here=1)
+    assert chart.order == [1, 0, 2]
+    image = chart.draw(*SIZE)
+    assert image.shape == (170, 700, 3)
+    assert 0 <= image.min() < image.max() <= 1
+    bars = colours(image[:-25], (230, 159, 0))  # orange: those that are not shown
+    assert {chart.view_at(x, SIZE[0]) for x in bars} == {0, 2}
+    heights = [
+        int((np.abs(255 * image[:, x] - (230, 159, 0)) < 1).all(axis=1).sum())
+        for x in (bars[0], bars[-1])
+    ]
+    assert heights[1] > heights[0]
+    assert chart.view_at(0, SIZE[0]) is None
+    assert chart.view_at(SIZE[0] - 1, SIZE[0]) is None
+
+
+@pytest.mark.parametrize("decibels", [{}, {0: np.inf}, {1: 33.0}, {0: 30.0, 1: 30.0}])
+def test_few_or_equal_qualities_are_drawn(decibels):
+    chart = QualityChart(["a", "b"], decibels)
+    assert chart.draw(*SIZE).std() > 0
+    assert chart.view_at(300, SIZE[0]) in {None, *decibels}
+
+
+def test_views_are_found_where_their_pictures_are():
+    pictures = {"b": np.full((20, 30, 3), (1, 0, 0), np.float32)}
+    sheet = ContactSheet(["a", "b", "c", "d"], pictures, here=1)
+    red = colours(sheet.draw(*SIZE), (255, 0, 0))
+    assert {sheet.view_at(x, SIZE[1]) for x in red} == {1}
+    assert sheet.view_at(5000, SIZE[1]) is None
+    assert sheet.scrolled(-3, *SIZE) == 0
+    assert 0 < sheet.scrolled(99, *SIZE) < 4
+
+
+def test_a_histogram_has_one_axis_for_both_scenes_and_values_by_column():
+    scenes = [statistics_of(generate(500, 1, seed)) for seed in (1, 2)]
+    for name in ("opacity", "longest scale"):
+        both = [next(a for a in s.attributes if a.name == name) for s in scenes]
+        chart = HistogramChart(both)
+        assert chart.selects
+        ends = [chart.value_at(x, SIZE[0]) for x in (0, SIZE[0])]
+        assert ends[0] == pytest.approx(min(s.edges[0] for s in both))
+        assert ends[1] == pytest.approx(max(s.edges[-1] for s in both))
+        chosen = tuple(chart.value_at(x, SIZE[0]) for x in (200, 400))
+        marked = HistogramChart(both, chosen).draw(*SIZE)
+        columns = colours(marked, (75, 75, 60))
+        assert columns.min() == pytest.approx(200, abs=1)
+        assert columns.max() == pytest.approx(400, abs=1)
+
+
+def test_attributes_of_several_values_select_nothing():
+    found = statistics_of(generate(200, 1, 3)).attributes
+    band = HistogramChart([next(a for a in found if a.name == "SH band 1")])
+    assert not band.selects
+    assert band.draw(*SIZE).std() > 0
+
+
+def test_tiny_and_empty_charts_are_drawn():
+    nothing = statistics_of(generate(0, 0, 1)).attributes
+    for chart in (HistogramChart([nothing[0]]), QualityChart([], {}), Message("x")):
+        assert chart.draw(20, 12).shape == (12, 20, 3)

@@ -242,7 +242,9 @@ def test_cameras_that_see_most_are_those_of_a_greedy_choice():
 def test_evidence_of_cameras_is_gathered_once(table, monkeypatch):
     gathered = []
     monkeypatch.setattr(
-        module, "gather_evidence", lambda scene: gathered.append(scene) or gather_evidence(scene)
+        module,
+        "gather_evidence",
+        lambda scene, **rest: gathered.append(scene) or gather_evidence(scene, **rest),
     )
     plan = Plan(Steps(prune=10), "auto", width=24, views=2)
     encode_by_plan(table, table.float_bytes, Config("m"), plan)

@@ -36,21 +36,20 @@ from viewer.pictures.layers import (
     error_image,
     error_legend,
     heat,
-    thinned,
 )
 from viewer.pictures.picture import (
     Shown,
     draw_points,
     draw_scene,
-    measure,
     outlined,
     wipe_line,
     wiped,
 )
 from viewer.pictures.screenshot import draw_request
+from viewer.pictures.splats import measure
 from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
-from viewer.scenes.opened import Opened, open_scene, read_pruned, turned
+from viewer.scenes.opened import Opened, open_scene, read_pruned, thinned, turned
 from viewer.scenes.pose import UPS, Pose, look_at, of_camera, overview, up_of
 from viewer.scenes.request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
@@ -495,6 +494,22 @@ def test_only_the_newest_job_of_a_kind_is_told():
     worker.submit("picture", lambda _: 3, told.append, told.append)
     worker.cancel("picture")
     worker.end()
+
+
+def test_another_thread_does_not_wait_for_the_first_and_ends_with_it():
+    told, go_on, done = [], threading.Event(), threading.Event()
+    worker = Worker(lambda call: call())
+    worker.submit("load", lambda _: go_on.wait(10), told.append, told.append)
+    other = worker.another()
+    other.submit("picture", lambda _: 1, lambda result: (told.append(result), done.set()), print)
+    assert done.wait(10)
+    assert told == [1]
+    worker.end()
+    go_on.set()
+    other.submit("picture", lambda _: 2, told.append, told.append)
+    other.submit("picture", lambda _: 3, told.append, told.append)
+    time.sleep(0.05)
+    assert told == [1]
 
 
 def test_jobs_tell_how_far_they_are_and_end_when_nobody_waits():

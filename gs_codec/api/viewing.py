@@ -93,7 +93,9 @@ def render(
     def draw(camera: Camera) -> Rendering:
         return render_view(scene, camera, background, antialiased, accumulate, device=device)
 
-    return RenderedViews(find_cameras(cameras, scene, split, width), draw, progress)
+    return RenderedViews(
+        find_cameras(cameras, scene, split, width, progress=progress), draw, progress
+    )
 
 
 def compare(
@@ -167,7 +169,7 @@ def compare(
         stored = _stored_scene(first, max_bytes), _stored_scene(second, max_bytes)
         systems = system_of(stored[0]), system_of(stored[1])
         scenes = turn_axes(stored[0]), turn_axes(stored[1])
-        views = find_cameras(cameras, scenes[0], split, width)
+        views = find_cameras(cameras, scenes[0], split, width, progress=progress)
         weights = os.environ.get(VARIABLE) or None if lpips is None else lpips
         seen = compare_views(
             *scenes, views, gt_images, images, background, device, progress, weights

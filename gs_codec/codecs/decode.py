@@ -45,10 +45,10 @@ def decode_scene(
     return decode_part(data, Part(), threads, max_bytes, progress)[0]
 
 
-def decode_as(config: Config, data: bytes) -> Scene:
+def decode_as(config: Config, data: bytes, progress: Progress | None = None) -> Scene:
     """Decode what was encoded by a configuration, which names its format."""
     if config.format == EGS:
-        return decode_scene(data, config.threads)
+        return decode_scene(data, config.threads, progress=progress)
     return decode_interchange(data, config)
 
 

@@ -82,12 +82,16 @@ def encode_parts(
 
 
 def shape_scene(
-    scene: Scene, config: Config, steps: StepSizes, times: StageTimes
+    scene: Scene,
+    config: Config,
+    steps: StepSizes,
+    times: StageTimes,
+    progress: Progress | None = None,
 ) -> ShapedScene | RoundedScene:
     """Round everything but the colours of a cleaned scene, with finished step sizes."""
     if config.format != EGS:
         return round_scene(scene, config, steps, times)
-    return adaptive.shape_scene(scene, config, steps, times)
+    return adaptive.shape_scene(scene, config, steps, times, progress)
 
 
 def encode_shaped(

@@ -71,7 +71,7 @@ def encode_to_target(
         seen = Seen(views, views.held_out.errors(original, progress), progress)
     if plan is not None:
         known_views = None if views is None else views.renders
-        references = guiding_views(scene, plan, known_views)
+        references = guiding_views(scene, plan, known_views, progress)
     clean, changed = clean_scene(scene, config)
     asked = RateSearch(config, target, limit, references, seen, progress)
     if seen is not None and target.allow_prune:

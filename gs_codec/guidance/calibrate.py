@@ -28,6 +28,7 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.evidence import Evidence, gather_evidence
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.project import NEAR
+from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
@@ -72,7 +73,7 @@ class _Part(NamedTuple):
     stop: int
 
 
-def calibrated(scene: Scene, config: Config) -> Config:
+def calibrated(scene: Scene, config: Config, progress: Progress | None = None) -> Config:
     """The configuration with the coarseness at which `m` loses 0.05 dB of 30 in a scene's views.
 
     Profiles `l` and `s` change by the same factor. Scenes of fewer than 5,000 Gaussians, and those
@@ -81,21 +82,24 @@ def calibrated(scene: Scene, config: Config) -> Config:
     if scene.count < _LEAST:
         return config
     with np.errstate(all="ignore"):
-        octaves = _octaves(replace(scene, extra={}))
+        octaves = _octaves(replace(scene, extra={}), progress)
     coarseness, bounds = config.coarseness * 2.0**octaves, options_of(Config)["coarseness"]
     return replace(config, coarseness=min(max(coarseness, bounds.low), bounds.high))
 
 
-def _octaves(scene: Scene) -> float:
+def _octaves(scene: Scene, progress: Progress | None) -> float:
     """Log2 of the coarseness that `m` needs."""
+    advance = step_counter(progress, "calibrate", 2 + _ROUNDS)
     sample = scene.take(np.arange(0, scene.count, max(1, scene.count // _SAMPLE)))
     sample, _ = clean_scene(sample, Config(nonfinite="drop"))
     seen = gather_evidence(sample, quick=True)
     if seen is None:
         return 0.0
     shown, parts = _look(scene, seen)
+    advance()
     drawn = zip(parts, _images(shown, parts), strict=True)
     telling = [(part, colour) for part, (colour, left) in drawn if left <= _MOST_LEFT]
+    advance()
     if len(telling) < _LEAST_TELLING:
         return 0.0
     _, scales, _ = sort_axes(sample.log_scale, sample.rot)
@@ -109,6 +113,7 @@ def _octaves(scene: Scene) -> float:
         ]
         step = math.log2(_WANTED / max(float(np.quantile(errors, _QUANTILE)), 1e-12)) / _POWER
         octaves = min(max(octaves + step, -_FARTHEST), _FARTHEST)
+        advance()
         if abs(step) < _NEAR:
             break
     return _OCTAVE * round(octaves / _OCTAVE)

@@ -83,7 +83,7 @@ def _meet_drop(
     before = views.errors(scene, progress)
 
     def loss(data: bytes) -> float:
-        return views.drop(views.errors(decode_as(config, data), progress), before)
+        return views.drop(views.errors(decode_as(config, data, progress), progress), before)
 
     allowed = limit - loss(encode_scene(scene, config)[0])
     for attempt in range(1, _ATTEMPTS + 1):

@@ -217,8 +217,11 @@ def guide(scene: Scene, views: ReferenceViews, progress: Progress | None = None)
         loss = views.error(scene, progress)
     else:
         views = replace(views, images=images)
+    advance = step_counter(progress, "steps", 2)
     share = blind_share(scene, weights, views.cameras, views.origin == "estimated")
+    advance()
     adding = steps_adding(scene, found, share)
+    advance()
     pixels = sum(camera.width * camera.height for camera in views.cameras)
     return Guidance(adding, loss, pixels, views, weights, progress)
 

@@ -122,7 +122,7 @@ def encode_planned(
     from gs_codec.guidance.guide import guide
     from gs_codec.preparation.pipeline import guiding_views
 
-    references = guiding_views(scene, plan, references)
+    references = guiding_views(scene, plan, references, progress)
     if references is None:
         return _camera_free(scene, config, progress)
     times = StageTimes()
@@ -134,7 +134,7 @@ def encode_planned(
         with times.stage("views"):
             guidance = guide(clean, references, progress)
         profile = config.adaptive_profile()
-        shaped = shape_scene(clean, config, guidance.steps(profile), times)
+        shaped = shape_scene(clean, config, guidance.steps(profile), times, progress)
         with times.stage("recolour"):
             shaped = shaped.with_colours(guidance.recolour(shaped, profile))
         del guidance  # It holds large arrays: a weight for each Gaussian in each view.
@@ -164,6 +164,6 @@ def encode_camera_free(
         from gs_codec.guidance.calibrate import calibrated
 
         with times.stage("calibrate"), using_threads(config.threads, scene.count):
-            config = calibrated(scene, config)
+            config = calibrated(scene, config, progress)
     parts, report = encode_parts(scene, config, progress)
     return parts, replace(report, seconds=times.seconds | report.seconds)

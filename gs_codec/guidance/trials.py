@@ -105,7 +105,7 @@ class Trials:
             steps = None
             if self.guidance is not None:
                 steps = self.guidance.steps(config.adaptive_profile())
-            self.last = encode_scene(self.coloured, config, steps=steps)
+            self.last = encode_scene(self.coloured, config, self.asked.progress, steps)
         self.octaves = octaves
         self.asked.encodings += 1
         return len(self.last[0])
@@ -130,7 +130,7 @@ class Trials:
         profile = config.adaptive_profile()
         with self.asked.times.stage("recolour"):
             steps = self.guidance.steps(profile)
-            shaped = shape_scene(self.scene, config, steps, StageTimes())
+            shaped = shape_scene(self.scene, config, steps, StageTimes(), self.asked.progress)
             shaped = shaped.with_colours(choose(self.guidance, shaped, profile))
         self.coloured = shaped.source
         self.asked.encodings += 1
@@ -160,4 +160,4 @@ class Trials:
 
     def decoded(self) -> Scene:
         """The scene of the last encoding."""
-        return decode_as(self.asked.config, self.last[0])
+        return decode_as(self.asked.config, self.last[0], self.asked.progress)

@@ -114,7 +114,7 @@ def choose_views(scene: Scene, plan: Plan, progress: Progress | None = None) -> 
     InvalidInput
         If there are no cameras, no photograph of them is found, or one is broken.
     """
-    known = _split(scene, plan)
+    known = _split(scene, plan, progress)
     rest, test, _ = known
     cameras = _enough(known, plan.views)
     renders = draw_reference_views(scene, cameras, plan.background, progress)
@@ -168,7 +168,10 @@ def _targets(
 
 
 def guiding_views(
-    scene: Scene, plan: Plan, references: ReferenceViews | None = None
+    scene: Scene,
+    plan: Plan,
+    references: ReferenceViews | None = None,
+    progress: Progress | None = None,
 ) -> ReferenceViews | None:
     """The reference views of a plan that guide the encoder.
 
@@ -177,7 +180,7 @@ def guiding_views(
     none for a scene that does not tell where its cameras were and comes without: guessed ones would
     mislead.
     """
-    known = references or _split(scene, plan)
+    known = references or _split(scene, plan, progress)
     if known.origin == "anywhere":
         log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
         return None
@@ -209,7 +212,7 @@ class _Split(NamedTuple):
     origin: Origin
 
 
-def _split(scene: Scene, plan: Plan) -> _Split:
+def _split(scene: Scene, plan: Plan, progress: Progress | None) -> _Split:
     """Find the cameras of a plan.
 
     If none or all are marked, the same cameras guide and measure, but refinement, which would fit
@@ -217,7 +220,7 @@ def _split(scene: Scene, plan: Plan) -> _Split:
     """
     origin: Origin = "given"
     if plan.estimates:
-        found = guiding_cameras(scene, plan.views, plan.width)
+        found = guiding_cameras(scene, plan.views, plan.width, progress)
         cameras, origin = found.cameras, "estimated" if found.telling else "anywhere"
     else:
         cameras = find_cameras(plan.cameras, scene, "all", plan.width)

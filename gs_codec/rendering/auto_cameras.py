@@ -21,6 +21,7 @@ from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.evidence import Evidence, gather_evidence
 from gs_codec.rendering.project import NEAR
 from gs_codec.rendering.renderer import render
+from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
@@ -77,7 +78,9 @@ class Estimate(NamedTuple):
     shown: float
 
 
-def auto_cameras(scene: Scene, count: int = COUNT) -> list[Camera]:
+def auto_cameras(
+    scene: Scene, count: int = COUNT, progress: Progress | None = None
+) -> list[Camera]:
     """Choose cameras near those that a scene was trained with: first an overview, then others.
 
     The same scene gives the same cameras, of `WIDTH` x `HEIGHT` pixels.
@@ -87,10 +90,15 @@ def auto_cameras(scene: Scene, count: int = COUNT) -> list[Camera]:
     InvalidInput
         If no view shows anything.
     """
-    return estimate_views(scene, count).cameras
+    return estimate_views(scene, count, progress=progress).cameras
 
 
-def estimate_views(scene: Scene, count: int = COUNT, up: NDArray | None = None) -> Estimate:
+def estimate_views(
+    scene: Scene,
+    count: int = COUNT,
+    up: NDArray | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
     """The same cameras, and what is known of them.
 
     If `up` is given, also a unit vector, cameras are upright by that one instead.
@@ -100,14 +108,14 @@ def estimate_views(scene: Scene, count: int = COUNT, up: NDArray | None = None) 
     InvalidInput
         If no view shows anything.
     """
-    found = gather_evidence(scene)
+    found = gather_evidence(scene, progress=progress)
     chosen: list[Camera] = []
     shown = 0.0
     if found is not None and count > 0:
         rng = np.random.default_rng(1)
         seen = found if up is None else replace(found, up=up)
-        chosen = _overview(seen, rng)
-        others, shown = _others(seen, count - len(chosen), rng)
+        chosen = _overview(seen, rng, progress)
+        others, shown = _others(seen, count - len(chosen), rng, progress)
         chosen += others
     if found is None or not chosen:
         raise InvalidInput("cameras 'auto': no view shows anything of the scene")
@@ -115,7 +123,9 @@ def estimate_views(scene: Scene, count: int = COUNT, up: NDArray | None = None) 
     return Estimate(cameras, found.up, found.telling, shown)
 
 
-def guiding_cameras(scene: Scene, views: int, width: int | None = None) -> Estimate:
+def guiding_cameras(
+    scene: Scene, views: int, width: int | None = None, progress: Progress | None = None
+) -> Estimate:
     """Cameras to work by: two to four for each of the `views`, with no more pixels together.
 
     What all places see counts for more than pixels that show nothing smaller. The width of the
@@ -126,7 +136,7 @@ def guiding_cameras(scene: Scene, views: int, width: int | None = None) -> Estim
     InvalidInput
         If no view shows anything.
     """
-    found = estimate_views(scene, _MANY * views)
+    found = estimate_views(scene, _MANY * views, progress=progress)
     if width is None:
         fine = math.sqrt(_PIXELS * found.shown * scene.count * WIDTH / HEIGHT)
         width = round(min(max(fine, SMALL), SMALL * _LARGER))
@@ -140,7 +150,7 @@ def guiding_number(views: int, width: int) -> int:
     return math.ceil(_MANY * views / min(max(width / SMALL, 1.0), _LARGER) ** 2)
 
 
-def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
+def _overview(seen: Evidence, rng: np.random.Generator, progress: Progress | None) -> list[Camera]:
     """The level view with most of the subject in it, if any shows anything."""
     some = seen.places[rng.integers(len(seen.places), size=_OVERVIEWS)]
     middle = np.median(_subject(seen), axis=1)
@@ -149,9 +159,9 @@ def _overview(seen: Evidence, rng: np.random.Generator) -> list[Camera]:
     views = [look_at(middle + k * (place - middle), middle, seen) for k in back for place in some]
     rough = _thinned(seen)
     if rough is not seen:
-        finalists = np.argsort(-_rate_overviews(rough, views), kind="stable")[:_FINALISTS]
+        finalists = np.argsort(-_rate_overviews(rough, views, progress), kind="stable")[:_FINALISTS]
         views = [views[i] for i in np.sort(finalists)]
-    scores = _rate_overviews(seen, views)
+    scores = _rate_overviews(seen, views, progress)
     best = int(np.argmax(scores))
     if not math.isfinite(scores[best]):
         return []
@@ -179,7 +189,9 @@ def _whole(seen: Evidence, view: Camera) -> Camera:
     return replace(view, position=target - max(away, _MARGIN * whole) * view.rotation[2])
 
 
-def _rate_overviews(seen: Evidence, views: list[Camera]) -> NDArray[np.float64]:
+def _rate_overviews(
+    seen: Evidence, views: list[Camera], progress: Progress | None
+) -> NDArray[np.float64]:
     """Score of each view as an overview, higher is better."""
     points = _subject(seen)
 
@@ -194,7 +206,7 @@ def _rate_overviews(seen: Evidence, views: list[Camera]) -> NDArray[np.float64]:
         shares = inside.mean() ** 2, shown.mean(), level
         return score + 3 * sum(math.log(share + 0.01) for share in shares)
 
-    return np.array(run_all(judge, views))
+    return np.array(run_all(judge, views, advance=step_counter(progress, "cameras", len(views))))
 
 
 def _subject(seen: Evidence) -> NDArray[np.float64]:
@@ -214,7 +226,9 @@ def _thinned(seen: Evidence) -> Evidence:
     return replace(seen, thumb=thumb, subject=seen.subject[left])
 
 
-def _others(seen: Evidence, count: int, rng: np.random.Generator) -> tuple[list[Camera], float]:
+def _others(
+    seen: Evidence, count: int, rng: np.random.Generator, progress: Progress | None
+) -> tuple[list[Camera], float]:
     """Views of random Gaussians and the subject; of the better ones, those that together see most.
 
     Also the share of the Gaussians that each shows, on average.
@@ -235,7 +249,8 @@ def _others(seen: Evidence, count: int, rng: np.random.Generator) -> tuple[list[
         for place, target in zip(seen.places[some], targets, strict=True)
     ]
     rough = _thinned(seen)
-    judged = run_all(lambda view: _judge(rough, view), views)
+    advance = step_counter(progress, "cameras", len(views))
+    judged = run_all(lambda view: _judge(rough, view), views, advance=advance)
     scores = np.array([score for score, _ in judged])
     good = [int(i) for i in np.argsort(-scores, kind="stable") if np.isfinite(scores[i])]
     weights = np.array([weight for _, weight in judged])

@@ -20,6 +20,7 @@ from gs_codec.rendering.colmap import find_model, read_colmap
 from gs_codec.rendering.inria import as_camera, as_entry, read_inria
 from gs_codec.rendering.json_fields import MAX_BYTES, load_json, short
 from gs_codec.rendering.transforms import read_transforms
+from gs_codec.report import Progress
 from gs_codec.runtime.atomic import atomic_writer, check_writable
 from gs_codec.runtime.mapped import other_files
 from gs_codec.scene import Scene
@@ -196,6 +197,7 @@ def find_cameras(
     split: str = "all",
     width: int | None = None,
     auto: int = COUNT,
+    progress: Progress | None = None,
 ) -> list[Camera]:
     """Cameras of a file or folder (see `read_cameras`), ``auto`` ones, or those given.
 
@@ -212,6 +214,8 @@ def find_cameras(
         Width of the images, pixels; the height follows.
     auto : int
         Number of ``auto`` cameras.
+    progress : callable, optional
+        Told while ``auto`` cameras are chosen.
 
     Raises
     ------
@@ -223,7 +227,7 @@ def find_cameras(
     if not isinstance(source, str | Path):
         cameras = [as_camera(camera) for camera in source]
     elif str(source) == "auto":
-        cameras = auto_cameras(scene, auto)
+        cameras = auto_cameras(scene, auto, progress)
     else:
         with other_files():
             cameras = read_cameras(source)

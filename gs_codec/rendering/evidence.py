@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from gs_codec.coding.clean import finite_gaussians
 from gs_codec.coding.linear import combine
 from gs_codec.rendering.harmonics import sh_basis
+from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
@@ -94,7 +96,9 @@ class Evidence:
     telling: bool
 
 
-def gather_evidence(scene: Scene, quick: bool = False) -> Evidence | None:
+def gather_evidence(
+    scene: Scene, quick: bool = False, progress: Progress | None = None
+) -> Evidence | None:
     """Gather what a scene tells about its cameras; None if it has no finite Gaussians.
 
     The same scene gives the same places. A `quick` look tries fewer, and takes -y for up.
@@ -110,7 +114,7 @@ def gather_evidence(scene: Scene, quick: bool = False) -> Evidence | None:
     reach = max(float(np.quantile(distance, 0.75)), size)
     shown = _shown(thumb)
     tried = _QUICK if quick else _THOROUGH
-    places, shows = _places(points, shown, centre, size, reach, tried)
+    places, shows = _places(points, shown, centre, size, reach, tried, progress)
     order = np.argsort(-shows, kind="stable")[: max(1, int(tried.stay * tried.places))]
     telling = bool(shows[order].mean() - shows.mean() > _TELLING)
     subject = (sizes <= np.quantile(sizes, 0.1)) | (not telling)
@@ -149,6 +153,7 @@ def _places(
     size: float,
     reach: float,
     tried: _Tried,
+    progress: Progress | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Random places ``(P, 3)``, and for each the mean logarithm of what Gaussians show there."""
     rng = np.random.default_rng(0)
@@ -164,7 +169,9 @@ def _places(
     seen, around = np.ascontiguousarray(shown[:, :, some]), np.ascontiguousarray(points[some])
     if seen.any():
         parts = np.array_split(np.arange(len(places)), 16)
-        run_all(lambda part: _weigh(around, seen, places, soft, shows, part), parts)
+        advance = step_counter(progress, "cameras", len(parts))
+        weigh = partial(_weigh, around, seen, places, soft, shows)
+        run_all(weigh, parts, advance=advance)
     return places, shows
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewer.pictures.layers import (
+    SELECTED,
     UNKNOWN,
     Legend,
     Points,
@@ -18,13 +19,19 @@ from viewer.pictures.layers import (
     heat,
     legend_of,
     reason_colour,
-    thinned,
 )
+from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import SCALED
-from viewer.scenes.opened import Opened, Pruned
+from viewer.scenes.opened import Opened, Pruned, thinned
 
 #: Largest error of the linear scale, as that of `error_heat`.
 _LARGEST_ERROR = 64 / 255
+
+#: Which Gaussians are shown.
+Some = slice | NDArray[np.int64]
+
+#: All Gaussians are drawn.
+_PLAIN = Look()
 
 #: Most kinds of a legend.
 KINDS = 8
@@ -70,8 +77,9 @@ def centres(
     scenes: Sequence[Opened],
     most: int | None = None,
     scale: str | None = None,
+    look: Look = _PLAIN,
 ) -> Points:
-    """Centres of a scene, at most `most`, and their colours.
+    """Centres of the Gaussians of a scene that are drawn, at most `most`, and their colours.
 
     Parameters
     ----------
@@ -85,8 +93,9 @@ def centres(
     most : int, optional
     scale : {"linear", "log"}, optional
         By default as `SCALED` says.
+    look : Look
     """
-    some = thinned(scene.count, most or scene.count)
+    some = _some(scene, most or scene.count, look)
     positions = scene.positions[some]
     if colouring == "colour":
         return Points(positions, scene.colours[some])
@@ -106,6 +115,15 @@ def centres(
         assert values is not None
         colours, legend = _by_magnitude(magnitude, values[some], known, scale or SCALED[colouring])
     return Points(positions, colours, legend)
+
+
+def _some(scene: Opened, most: int, look: Look) -> Some:
+    """Which centres are shown."""
+    mask = which_drawn(scene, look)
+    if mask is None:
+        return thinned(scene.count, most)
+    drawn = np.flatnonzero(mask)
+    return drawn[thinned(len(drawn), most)]
 
 
 def why_unknown(scene: Opened, colouring: str, scenes: Sequence[Opened]) -> str:
@@ -134,7 +152,7 @@ def _by_error(errors: NDArray, scale: str) -> tuple[NDArray[np.float32], Legend]
 
 
 def _by_class(
-    scene: Opened, known: Sequence[Opened], some: slice
+    scene: Opened, known: Sequence[Opened], some: Some
 ) -> tuple[NDArray[np.float32], Legend]:
     """By the class of shape, from 0 to a multiple of 4."""
     classes = [each.classes[0] for each in known if each.classes is not None]
@@ -145,7 +163,7 @@ def _by_class(
 
 
 def _by_block(
-    scene: Opened, known: Sequence[Opened], some: slice
+    scene: Opened, known: Sequence[Opened], some: Some
 ) -> tuple[NDArray[np.float32], Legend]:
     most = max(each.block_numbers[-1] + 1 for each in known if each.block_numbers is not None)
     palette = np.array([block_colour(k) for k in range(most)], np.float32)
@@ -156,7 +174,7 @@ def _by_block(
     return palette[scene.block_numbers[some]], legend
 
 
-def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.float32]:
+def colour_errors(scene: Opened, reference: Opened, some: Some) -> NDArray[np.float32]:
     """Root-mean-square difference over RGB from the SH-DC colour of the nearest centre."""
     from scipy.spatial import cKDTree
 
@@ -173,7 +191,15 @@ def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.f
 
 def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Points:
     """Pruned Gaussians, at most `most`, in the colours of the reasons."""
-    gone = np.flatnonzero(pruned.labels)
+    labels = pruned.of(scene).labels
+    gone = np.flatnonzero(labels)
     gone = gone[thinned(len(gone), most or len(gone))]
     palette = np.array([reason_colour(k) for k in range(max(len(pruned.reasons), 1))], np.float32)
-    return Points(scene.positions[gone], palette[pruned.labels[gone] - 1])
+    return Points(scene.positions[gone], palette[labels[gone] - 1])
+
+
+def selected_centres(scene: Opened, selected: NDArray[np.bool_], most: int) -> Points:
+    """Centres of the selected Gaussians ``(N,)``, at most `most`, in `SELECTED`."""
+    rows = np.flatnonzero(selected)
+    rows = rows[thinned(len(rows), most)]
+    return Points(scene.positions[rows], np.full((len(rows), 3), SELECTED, np.float32))

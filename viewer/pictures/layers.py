@@ -29,6 +29,9 @@ _ROUNDS = (1.0, 0.7, 0.45)
 #: Colour of what is not known.
 UNKNOWN = (0.45, 0.45, 0.45)
 
+#: Colour of what is selected: on no colour map, and seen on dark, light and grey by everybody.
+SELECTED = (1.0, 0.25, 0.95)
+
 #: Edges of a box.
 EDGES = 12
 
@@ -107,11 +110,6 @@ def reason_colour(index: int) -> tuple[float, float, float]:
     """The colour of a reason for pruning, by its index."""
     red, green, blue = _KINDS[index % len(_KINDS)].tolist()
     return red, green, blue
-
-
-def thinned(count: int, most: int) -> slice:
-    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
-    return slice(None, None, max(1, -(-count // max(most, 1))))
 
 
 def block_colour(index: int) -> tuple[float, float, float]:

@@ -36,7 +36,7 @@ def marker(
     if not depth[0] > _NEAR or not np.isfinite(places).all():
         return []
     centre = places[0]
-    outline = splat_outline(scene.scene, as_camera(pose.camera(width, height)), row)
+    outline = splat_outline(scene.gaussians, as_camera(pose.camera(width, height)), row)
     around = _LEAST * _CIRCLE if outline is None else _widened(outline - centre)
     return [centre + around, centre + _CENTRE * _CIRCLE]
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from gs_codec.coding.cube import Cube
 from gs_codec.coding.morton import decode_morton
 from viewer.pictures.cubes import Cubes
-from viewer.pictures.layers import UNKNOWN, Legend, Points, heat, legend_of, thinned
+from viewer.pictures.layers import UNKNOWN, Legend, Points, heat, legend_of
 from viewer.scenes.choice import DEPTHS, OctreeChoice
-from viewer.scenes.opened import Opened
+from viewer.scenes.opened import Opened, thinned
 
 #: Most cells that are drawn as cubes; more are drawn as points in their middles.
 MOST_CUBES = 100_000

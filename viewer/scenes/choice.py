@@ -57,6 +57,28 @@ class OctreeChoice:
     colouring: str = "occupancy"
 
 
+@dataclass(frozen=True)
+class Appearance:
+    """How splats are drawn in panes and saved pictures; what is measured does not depend on it.
+
+    Attributes
+    ----------
+    sh_degree : int, 0-3
+        Highest SH degree of their colours.
+    scale : float, 0.05-2
+        Factor on their axes.
+    least_opacity : float, 0-1
+        Gaussians of lower opacity are not drawn, neither as splats nor as centres.
+    background : tuple of three float, 0-1
+        RGB behind everything.
+    """
+
+    sh_degree: int = 3
+    scale: float = 1.0
+    least_opacity: float = 0.0
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 @dataclass
 class Choice:
     """What is shown of the scenes, and how.
@@ -82,6 +104,7 @@ class Choice:
         Whether a drag looks around instead of turning about the point ahead.
     dock : str
         What is shown below the panes, of `DOCKS`.
+    appearance : Appearance
     """
 
     layers: set[str]
@@ -93,6 +116,7 @@ class Choice:
     octree: OctreeChoice = field(default_factory=OctreeChoice)
     flying: bool = False
     dock: str = "nothing"
+    appearance: Appearance = field(default_factory=Appearance)
     scales: dict[str, str] = field(default_factory=SCALED.copy)
 
     @property

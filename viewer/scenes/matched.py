@@ -69,7 +69,7 @@ class Match:
     """
 
     def __init__(self, first: Opened, second: Opened) -> None:
-        self._scenes = first.scene, second.scene
+        self._scenes = first.gaussians, second.gaussians
         self._sorts = any(isinstance(order_of(each), GridOrder) for each in self._scenes)
         self.matched_by = NEAREST
         self._rows: tuple[NDArray, NDArray] | None = None

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import gs_codec
 from gs_codec.codecs.matching import without_order
 from gs_codec.config import ADAPTIVE_PROFILES
+from gs_codec.errors import one_line
 from gs_codec.files.scenes import (
     gaussian_bits_of_file,
     gaussian_classes_of_file,
@@ -65,6 +66,14 @@ class Opened:
         Of the file; a cloud has none.
     comments : tuple of str
         Of the file; with an order that it states only if the scene was not turned.
+    modified : int or None
+        When the file was written last, nanoseconds.
+    system_given : bool
+        Whether `system` is what `turned` made it, and not what the file states.
+    whole : Opened or None
+        Of an edited scene, the M Gaussians before edits, as in the file; None if all are left.
+    left : ndarray, shape (M,), bool, or None
+        Which of them are left.
     """
 
     name: str
@@ -74,20 +83,40 @@ class Opened:
     system: str = CONVENTION
     path: Path = Path()
     comments: tuple[str, ...] = ()
+    modified: int | None = None
+    system_given: bool = False
+    whole: Opened | None = None
+    left: NDArray[np.bool_] | None = None
 
     @property
     def title(self) -> str:
-        """The name, and the coordinate system that the scene was converted from, if any."""
-        return self.name if self.system == CONVENTION else f"{self.name}, turned from {self.system}"
+        """The name, whether it is edited, and the system that it was converted from, if any."""
+        name = self.name if self.whole is None else f"{self.name}, edited"
+        return name if self.system == CONVENTION else f"{name}, turned from {self.system}"
+
+    @property
+    def is_stored(self) -> bool:
+        """Whether its file holds this very scene."""
+        return self.path != Path()
 
     @property
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.positions)
 
+    @property
+    def file_count(self) -> int:
+        """Number of Gaussians of the file, before edits."""
+        return self.count if self.whole is None else self.whole.count
+
     @cached_property
-    def scene(self) -> Scene:
-        """The same Gaussians as planes, with the file's comments."""
+    def rows(self) -> NDArray[np.int64]:
+        """Rows of the file ``(N,)`` that its Gaussians are."""
+        return np.arange(self.count) if self.left is None else np.flatnonzero(self.left)
+
+    @cached_property
+    def gaussians(self) -> Scene:
+        """Its Gaussians as gs_codec takes them, with the file's comments; shares memory."""
         return replace(from_cloud(self.cloud, "drop"), comments=self.comments)
 
     @cached_property
@@ -135,10 +164,12 @@ class Opened:
         Empty if the file is not ``.egs``, has one block, or restores the original order.
         """
         info = self.info
-        if info is None or info.keeps_order or self.count <= info.block_size:
+        if info is None or info.keeps_order or self.file_count <= info.block_size:
             return np.zeros((0, 2, 3), np.float32)
-        starts = range(0, self.count, info.block_size)
-        blocks = [self.positions[start : start + info.block_size] for start in starts]
+        starts = np.searchsorted(self.rows, range(0, self.file_count, info.block_size))
+        blocks = [block for block in np.split(self.positions, starts[1:]) if len(block)]
+        if not blocks:
+            return np.zeros((0, 2, 3), np.float32)
         return np.stack([np.quantile(block, _BOX, axis=0) for block in blocks]).astype(np.float32)
 
     @cached_property
@@ -152,6 +183,9 @@ class Opened:
         """
         if self.bits_unknown:
             return None
+        if self.whole is not None:
+            bits = self.whole.bits
+            return None if bits is None else bits[self.rows]
         bits = gaussian_bits_of_file(self.path)
         if len(bits) != self.count:
             raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
@@ -168,6 +202,9 @@ class Opened:
         """
         if self.unknown("class"):
             return None
+        if self.whole is not None:
+            classes = self.whole.classes
+            return None if classes is None else classes[:, self.rows]
         classes = gaussian_classes_of_file(self.path)
         if classes.shape[1] != self.count:
             raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
@@ -176,7 +213,7 @@ class Opened:
     @property
     def block_numbers(self) -> NDArray[np.int64] | None:
         """Number of the block of each Gaussian ``(N,)``; None if `unknown` says why."""
-        return None if self.unknown("block") else np.arange(self.count) // self.info.block_size
+        return None if self.unknown("block") else self.rows // self.info.block_size
 
     def unknown(self, colouring: str) -> str:
         """Why a quantity of `COLOURINGS` is not known of this scene alone; empty if it is."""
@@ -197,6 +234,11 @@ class Opened:
         return np.ascontiguousarray(self.cloud.point[name].numpy())
 
 
+def thinned(count: int, most: int) -> slice:
+    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
+    return slice(None, None, max(1, -(-count // max(most, 1))))
+
+
 def open_scene(
     source: Path | str | PointCloud,
     name: str = "",
@@ -211,6 +253,7 @@ def open_scene(
     """
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
+    written = modified(source)
     scene = read_scene(source, "drop", progress, None, max_bytes)
     shown = turn_scene(scene, CONVENTION)
     cloud = to_cloud(shown)
@@ -220,7 +263,24 @@ def open_scene(
         info = None
     path, system = Path(source), system_of(scene)
     size = os.path.getsize(path)
-    return Opened(path.name, cloud, size, info, system, path, shown.comments)
+    return Opened(path.name, cloud, size, info, system, path, shown.comments, written)
+
+
+def modified(path: Path | str) -> int | None:
+    """When a file was written last, nanoseconds; None if it cannot be told."""
+    try:
+        return os.stat(path).st_mtime_ns
+    except OSError:
+        return None
+
+
+def keep(scene: Opened, left: NDArray[np.bool_]) -> Opened:
+    """The Gaussians of a whole scene that are left ``(M,)``; the scene itself if these are all."""
+    if left.all():
+        return scene
+    cloud = to_cloud(from_cloud(scene.cloud, "keep").take(left))
+    comments = without_order(scene.gaussians).comments
+    return replace(scene, cloud=cloud, comments=comments, whole=scene, left=left)
 
 
 def turned(scene: Opened) -> Opened:
@@ -233,7 +293,8 @@ def turned(scene: Opened) -> Opened:
         scene,
         cloud=turn_cloud(scene.cloud, _OTHER),
         system=CONVENTION if was else _OTHER,
-        comments=without_order(scene.scene).comments,
+        comments=without_order(scene.gaussians).comments,
+        system_given=not scene.system_given,
     )
 
 
@@ -257,6 +318,10 @@ class Pruned:
         counts = np.bincount(self.labels, minlength=len(self.reasons) + 1)[1:]
         return dict(zip(self.reasons, counts.tolist(), strict=True))
 
+    def of(self, scene: Opened) -> Pruned:
+        """The same of the Gaussians that are left in an edited scene."""
+        return self if scene.whole is None else replace(self, labels=self.labels[scene.rows])
+
 
 def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
     """Read the report that ``gs-codec prepare --report`` wrote for a scene.
@@ -271,11 +336,11 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
         reasons = tuple(dict(json.loads((folder / "report.json").read_text())["removed"]))
         labels = np.load(folder / "labels.npy", allow_pickle=False)
     except _DAMAGE as error:
-        reason = str(error).splitlines()[:1] or [type(error).__name__]
-        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason[0]})") from error
-    if labels.dtype != np.uint8 or labels.shape != (scene.count,):
+        reason = one_line(error) or type(error).__name__
+        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason})") from error
+    if labels.dtype != np.uint8 or labels.shape != (scene.file_count,):
         raise gs_codec.GsCodecError(
-            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.count:,}"
+            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.file_count:,}"
         )
     if labels.max(initial=0) > len(reasons):
         raise gs_codec.GsCodecError(f"{folder}: label {labels.max()}, expected 0 to {len(reasons)}")

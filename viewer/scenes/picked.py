@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,12 +15,16 @@ from gs_codec.files.scenes import describe_gaussian_of_file
 from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.pixel import gaussian_weight, pixel_weights
 from gs_codec.scene import sh_bands
+from viewer.scenes.appearance import Look, gaussians_drawn
 from viewer.scenes.matched import Difference, Match
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
 
 #: Points are picked within this distance, pixels.
 _NEAR = 3.0
+
+#: All Gaussians are drawn.
+_PLAIN = Look()
 
 
 @dataclass(frozen=True)
@@ -94,18 +98,18 @@ class Picked:
     @property
     def position(self) -> NDArray[np.float32]:
         """Centre ``(3,)``, scene units."""
-        return self.scene.scene.positions[:, self.hit.row]
+        return self.scene.gaussians.positions[:, self.hit.row]
 
     @property
     def scales(self) -> NDArray[np.float64]:
         """Standard deviations ``(3,)`` along its axes, scene units."""
         with np.errstate(over="ignore"):
-            return np.exp(self.scene.scene.log_scale[:, self.hit.row].astype(np.float64))
+            return np.exp(self.scene.gaussians.log_scale[:, self.hit.row].astype(np.float64))
 
     @property
     def rotation(self) -> NDArray[np.float64]:
         """Unit quaternion wxyz ``(4,)``, w not negative; the identity if the norm is 0."""
-        rot = self.scene.scene.rot[:, self.hit.row].astype(np.float64)
+        rot = self.scene.gaussians.rot[:, self.hit.row].astype(np.float64)
         norm = np.linalg.norm(rot)
         unit = rot / norm if norm else np.eye(4)[0]
         return -unit if unit[0] < 0 else unit
@@ -131,7 +135,7 @@ class Picked:
     @property
     def sh_energy(self) -> list[float]:
         """Sum of the squares of the SH-AC of each band."""
-        own = self.scene.scene.f_rest[:, self.hit.row].reshape(3, -1).astype(np.float64)
+        own = self.scene.gaussians.f_rest[:, self.hit.row].reshape(3, -1).astype(np.float64)
         return [float(np.sum(own[:, band] ** 2)) for band in sh_bands(own.shape[1])]
 
 
@@ -159,6 +163,7 @@ class Picker:
         size: tuple[int, int],
         pixel: tuple[float, float],
         layers: Collection[str] = ("splats",),
+        look: Look = _PLAIN,
     ) -> Hit | None:
         """The Gaussian that a pixel shows of a scene; None if there is none.
 
@@ -176,10 +181,12 @@ class Picker:
             Column and row in it, from its upper left corner.
         layers : collection of str
             Names in `LAYERS`.
+        look : Look
+            What is not drawn is not picked.
         """
         scene = self.scenes[which]
         if "pruned" in layers and self.pruned is not None and which == 0:
-            gone = np.flatnonzero(self.pruned.labels)
+            gone = np.flatnonzero(self.pruned.of(scene).labels)
             found = _point_at(scene.positions[gone], pose, size, pixel)
             if found is not None:
                 return Hit(which, int(gone[found]))
@@ -187,7 +194,8 @@ class Picker:
             found = _point_at(scene.positions, pose, size, pixel)
             return None if found is None else Hit(which, found)
         column, row = (min(max(int(at), 0), most - 1) for at, most in zip(pixel, size, strict=True))
-        rows, weights = pixel_weights(scene.scene, as_camera(pose.camera(*size)), column, row)
+        drawn = gaussians_drawn(scene, look)
+        rows, weights = pixel_weights(drawn, as_camera(pose.camera(*size)), column, row)
         if not len(rows):
             return None
         most = int(np.argmax(weights))
@@ -203,17 +211,20 @@ class Picker:
         """
         scene, row = self.scenes[hit.which], hit.row
         camera = as_camera(pose.camera(*pose.measured))
-        contribution = Contribution(*gaussian_weight(scene.scene, camera, row), pose.measured)
+        contribution = Contribution(*gaussian_weight(scene.gaussians, camera, row), pose.measured)
         difference = self._match.difference(hit.which, row) if len(self.scenes) > 1 else None
-        reason = ""
-        if self.pruned is not None and hit.which == 0 and self.pruned.labels[row]:
-            reason = self.pruned.reasons[self.pruned.labels[row] - 1]
-        coded = None if scene.bits_unknown else _coded(scene, row)
+        if difference is not None:  # by its row in the file, too
+            other = self.scenes[1 - hit.which]
+            difference = replace(difference, row=int(other.rows[difference.row]))
+        reason, stored = "", int(scene.rows[row])
+        if self.pruned is not None and hit.which == 0 and self.pruned.labels[stored]:
+            reason = self.pruned.reasons[self.pruned.labels[stored] - 1]
+        coded = None if scene.bits_unknown else _coded(scene, stored)
         return Picked(scene, hit, contribution, coded, difference, reason)
 
 
 def _coded(scene: Opened, row: int) -> CodedGaussian:
-    if gs_codec.inspect(scene.path).count != scene.count:
+    if gs_codec.inspect(scene.path).count != scene.file_count:
         raise gs_codec.GsCodecError(f"{scene.path}: changed after it was opened")
     return describe_gaussian_of_file(scene.path, row)
 

@@ -32,7 +32,7 @@ _LISTED = 4
 def picked_sections(picked: Picked, letters: Sequence[str] = "AB") -> list[Section]:
     """Headings and rows that tell all of a picked Gaussian, with units."""
     hit, scene = picked.hit, picked.scene
-    row = "row, from 0", f"{hit.row:,} of {scene.count:,}"
+    row = "row, from 0", f"{scene.rows[hit.row]:,} of {scene.file_count:,}"
     sections: list[Section] = [(f"Gaussian of {letters[hit.which]}", [row, *_attributes(picked)])]
     wide, high = picked.contribution.size
     sections.append((f"In this view, {wide}x{high}", _in_view(picked.contribution, hit.weight)))

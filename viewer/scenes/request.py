@@ -8,6 +8,7 @@ from typing import Any
 
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
+from gs_codec.rendering.cameras import find_cameras
 from viewer.scenes.choice import (
     CELL_COLOURINGS,
     COLOURINGS,
@@ -103,6 +104,33 @@ class Request:
         if self.a is None and (self.pruned is not None or self.cameras is not None):
             raise gs_codec.GsCodecError("no scene to show")
 
+    def check_picture(self, name: str) -> None:
+        """Check also what has no effect in a picture, where no scene can be opened later.
+
+        `name` is that of the picture.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+        """
+        self.check()
+        if self.a is None:
+            raise gs_codec.GsCodecError(f"{name}: no scene to draw")
+        if self.b is None:
+            errors = [
+                f"{option} {value}"
+                for option, value, known in (
+                    ("mode", self.mode, MODES[1:]),
+                    ("colour", self.colouring, ("error",)),
+                    *(("layers", layer, ("error",)) for layer in self.layers),
+                )
+                if value in known
+            ]
+            if errors:
+                raise gs_codec.GsCodecError(f"{errors[0]}: needs two scenes")
+        if "pruned" in self.layers and self.pruned is None:
+            raise gs_codec.GsCodecError("layers pruned: needs a report")
+
     @property
     def chosen(self) -> bool:
         """Whether cameras are chosen from the scene, because none were given."""
@@ -145,8 +173,8 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
             raise gs_codec.GsCodecError(f"{name} '{each}': expected {', '.join(known)}")
 
 
-def find_views(request: Request, scene: Opened) -> Views:
-    """The cameras to look from; of those chosen from the scene the overview, or all for `view`.
+def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
+    """The cameras to look from; of those chosen from the scene `count`, or all for `view`.
 
     Raises
     ------
@@ -154,9 +182,9 @@ def find_views(request: Request, scene: Opened) -> Views:
         If they cannot be read, or the requested view does not exist.
     """
     if request.chosen:
-        views = choose_views(scene, request.up, 1 if request.view is None else COUNT)
+        views = choose_views(scene, request.up, count if request.view is None else COUNT)
     else:
-        views = given_views(gs_codec.render(scene.cloud, request.cameras).cameras)
+        views = given_views(find_cameras(request.cameras, scene.gaussians))
     number = len(views.cameras)
     if request.view is not None and not 0 <= request.view < number:
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {number - 1}")

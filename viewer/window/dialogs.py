@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from open3d.visualization import gui
 
+from gs_codec.files.suffixes import WRITTEN
 from gs_codec.formats.registry import SUFFIXES
 
 #: Longest line of a dialog, characters.
@@ -120,33 +122,36 @@ def _add_button(box: gui.Vert, text: str, action: Callable[[], None]) -> None:
     box.add_child(row)
 
 
-def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
-    """Ask which of two scenes to replace."""
-    dialog, box = _box(window, "Open", f"Show {name} in place of")
-    for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True)):
+def ask_among(
+    window: Modal, title: str, text: str, choices: Sequence[tuple[str, Callable[[], None]]]
+) -> None:
+    """Ask to choose one of several actions, each a button, or none."""
+    dialog, box = _box(window, title, text)
+    for name, action in choices:
 
-        def chosen(index: int = index) -> None:
+        def chosen(action: Callable[[], None] = action) -> None:
             window.close_dialog()
-            then(index)
+            action()
 
-        _add_button(box, f"{letter}: {scene}", chosen)
+        _add_button(box, name, chosen)
     _add_button(box, "Cancel", window.close_dialog)
     window.show_dialog(dialog)
+
+
+def ask_pane(window: Modal, name: str, scenes: Sequence[str], then: Callable[[int], None]) -> None:
+    """Ask which of two scenes to replace."""
+    choices = [
+        (f"{letter}: {scene}", partial(then, index))
+        for index, (letter, scene) in enumerate(zip("AB", scenes, strict=True))
+    ]
+    ask_among(window, "Open", f"Show {name} in place of", choices)
 
 
 def ask_recent(window: Modal, paths: Sequence[Path], then: Callable[[str], None]) -> None:
     """Ask which of some files to open."""
     told = "Opened last" if paths else "No file was opened before."
-    dialog, box = _box(window, "Recent", told)
-    for path in paths:
-
-        def chosen(path: Path = path) -> None:
-            window.close_dialog()
-            then(str(path))
-
-        _add_button(box, shortened(str(path), _WIDTH), chosen)
-    _add_button(box, "Cancel", window.close_dialog)
-    window.show_dialog(dialog)
+    choices = [(shortened(str(path), _WIDTH), partial(then, str(path))) for path in paths]
+    ask_among(window, "Recent", told, choices)
 
 
 def shortened(path: str, most: int) -> str:
@@ -159,10 +164,27 @@ def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
     ask_file(window, title, (_SCENES, "3DGS scenes"), then)
 
 
-def ask_save(window: Modal, then: Callable[[str], None]) -> None:
-    """Ask where to write a picture."""
-    kind = (".png", "PNG images (.png)")
-    _ask(window, gui.FileDialog.SAVE, "Save a picture", kind, then)
+def ask_save(window: Modal, title: str, kind: tuple[str, str], then: Callable[[str], None]) -> None:
+    """Ask where to write a file, and whether to replace one that exists.
+
+    A name without suffix gets the first of `kind`.
+    """
+
+    def chosen(name: str) -> None:
+        path = Path(name)
+        path = path if path.suffix else path.with_suffix(kind[0].split()[0])
+        if path.exists():
+            choices = [("Replace it", partial(then, str(path)))]
+            ask_among(window, title, f"{path.name} exists.", choices)
+        else:
+            then(str(path))
+
+    _ask(window, gui.FileDialog.SAVE, title, kind, chosen)
+
+
+def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
+    """Ask where to write a scene, as by `ask_save`."""
+    ask_save(window, "Save the scene", (" ".join(WRITTEN), "3DGS scenes"), then)
 
 
 def ask_file(
@@ -208,8 +230,7 @@ def _typed(dialog: gui.FileDialog) -> str | None:
         return None
     folders = next(w for w in widgets if isinstance(w, gui.Combobox))
     parts = [folders.get_item(k) for k in range(folders.selected_index + 1)]
-    path = Path(*parts, names[0])
-    return str(path if path.suffix else path.with_suffix(".png"))
+    return str(Path(*parts, names[0]))
 
 
 def inside(widget: gui.Widget) -> Iterator[gui.Widget]:

@@ -11,8 +11,10 @@ from open3d.visualization import gui
 from viewer.pictures.centres import KINDS
 from viewer.pictures.layers import Legend
 from viewer.window.dialogs import folded
+from viewer.window.edit_tab import EditTab
 from viewer.window.pane import picture_of
 from viewer.window.pick_tab import PickTab
+from viewer.window.rate_tab import RateTab
 from viewer.window.scene_tab import SceneTab
 from viewer.window.view_tab import ViewTab
 from viewer.window.widgets import Widgets
@@ -39,7 +41,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view, pick : SceneTab, ViewTab, PickTab
+    scene, view, rate, pick, edit : SceneTab, ViewTab, RateTab, PickTab, EditTab
     """
 
     def __init__(self, viewer: Any, font: int) -> None:
@@ -58,11 +60,14 @@ class Panel:
         self._loading.visible = False
         self._head.add_child(self._loading)
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
-        self.pick = PickTab(viewer, widgets, font)
+        self.pick, self.edit = PickTab(viewer, widgets, font), EditTab(viewer, widgets)
+        self.rate = RateTab(viewer, widgets, font)
         self._named: dict[str, Tab] = {
             "Scene": self.scene,
             "View": self.view,
+            "Rate": self.rate,
             "Pick": self.pick,
+            "Edit": self.edit,
         }
         self.tabs = gui.TabControl()
         for name, tab in self._named.items():
@@ -81,11 +86,18 @@ class Panel:
             part.frame = gui.Rect(rect.x, top, rect.width, high)
             bottom = top if at_bottom else bottom
         top = self._head.frame.get_bottom()
-        self.tabs.frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
+        frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
+        if _corners(frame) != _corners(self.tabs.frame):
+            # Open3D would go to the first tab.
+            self.tabs.frame, self.tabs.selected_tab_index = frame, self.tabs.selected_tab_index
 
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
         self.tabs.selected_tab_index = list(self._named).index(name)
+
+    def stay(self) -> None:
+        """Keep the tab in front: Open3D goes to the first when panes are added to the window."""
+        self.tabs.selected_tab_index = self.tabs.selected_tab_index
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""
@@ -105,6 +117,10 @@ class Panel:
             tab.refresh()
         self._legend.show(self._viewer.stage.legends)
         self._viewer.window.set_needs_layout()
+
+
+def _corners(rect: gui.Rect) -> tuple[int, int, int, int]:
+    return rect.x, rect.y, rect.width, rect.height
 
 
 class _Legends:

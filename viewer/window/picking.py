@@ -37,10 +37,10 @@ class Picking:
         """Pick what a pixel of a pane's picture shows; where nothing is, pick nothing."""
         stage, picker = self._viewer.stage, self._current()
         which, pose, size = stage.panes.index(pane), stage.pose, stage.picture_size
-        layers = frozenset(self._viewer.choice.layers)
+        layers, look = frozenset(self._viewer.choice.layers), stage.shown.look(pane.scene)
 
         def find(stale: Stale) -> Hit | None:
-            return picker.pick(which, pose, size, at, layers)
+            return picker.pick(which, pose, size, at, layers, look)
 
         def done(hit: Hit | None) -> None:
             if picker is not self._current():

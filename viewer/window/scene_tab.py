@@ -63,9 +63,9 @@ class SceneTab:
         for index, label in enumerate(self._reasons):
             label.text_color = gui.Color(*reason_colour(index))
             self.widget.add_child(label)
-        self._numbers = gui.Label("")
-        self._numbers.font_id = font
-        self.widget.add_child(self._numbers)
+        self.numbers = gui.Label("")
+        self.numbers.font_id = font
+        self.widget.add_child(self.numbers)
 
     def _add_files(self, widgets: Widgets) -> None:
         """Buttons that open and save files."""
@@ -130,11 +130,12 @@ class SceneTab:
         self.mode.selected_index = MODES.index(choice.mode)
         self.turned.visible = two
         self.turned.checked = two and stage.scenes[1].system != CONVENTION
-        counts = list(stage.pruned.counts.items()) if stage.pruned is not None else []
+        pruned = None if stage.pruned is None else stage.pruned.of(stage.scenes[0])
+        counts = [] if pruned is None else list(pruned.counts.items())
         for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
             label.visible = bool(n)
             label.text = f"{n:,} pruned by {reason}"
-        self._numbers.text = self._all_numbers()
+        self.numbers.text = self._all_numbers()
 
     def _all_numbers(self) -> str:
         stage = self._viewer.stage

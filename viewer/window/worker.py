@@ -36,7 +36,13 @@ class Worker:
         self._running: str | None = None
         self._changed = threading.Condition()
         self._ended = False
+        self._others: list[Worker] = []
         threading.Thread(target=self._run, daemon=True).start()
+
+    def another(self) -> Worker:
+        """A further thread, for jobs that these must not wait for; it ends with this one."""
+        self._others.append(Worker(self._post))
+        return self._others[-1]
 
     def submit(
         self,
@@ -82,11 +88,13 @@ class Worker:
         return bool(self.kinds)
 
     def end(self) -> None:
-        """Let the thread end after its current job."""
+        """Let the thread end after its current job, and further ones too."""
         with self._changed:
             self._ended = True
             self._waiting.clear()
             self._changed.notify()
+        for other in self._others:
+            other.end()
 
     def _run(self) -> None:
         while True:
@@ -114,13 +122,13 @@ class Worker:
             return self._ended or self._wanted[kind] != number
 
         def give(call: Callable[[Any], None], value: Any) -> None:
-            if not stale():
-                call(value)
+            # The window may be gone when a job ends after it.
+            if not self._ended:
+                self._post(lambda: None if stale() else call(value))
 
         try:
             result = job(stale)
         except Exception as error:
-            problem = error
-            self._post(lambda: give(failed, problem))
+            give(failed, error)
         else:
-            self._post(lambda: give(done, result))
+            give(done, result)

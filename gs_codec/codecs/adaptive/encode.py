@@ -93,11 +93,18 @@ def encode_adaptive(
     return _code(header, arranged, blocks, times, progress)
 
 
-def shape_scene(scene: Scene, config: Config, steps: StepSizes, times: StageTimes) -> ShapedScene:
+def shape_scene(
+    scene: Scene,
+    config: Config,
+    steps: StepSizes,
+    times: StageTimes,
+    progress: Progress | None = None,
+) -> ShapedScene:
     """Round everything but the colours of a cleaned scene, with finished step sizes."""
     header, arranged = _arrange(scene, config, steps, times)
+    advance = step_counter(progress, "quantise", header.block_count)
     with times.stage("quantise"):
-        blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header))
+        blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header), advance=advance)
     return ShapedScene(header, arranged, blocks)
 
 

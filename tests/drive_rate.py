@@ -1,0 +1,190 @@
+"""Encodes a scene in the viewer's window, in several ways, and prints what came of it.
+
+Run by test_viewer_window.py, in a process of its own, on a display of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from drive_viewer import Driver, tell
+from open3d.visualization import gui
+
+from viewer.scenes.opened import Progress
+from viewer.scenes.request import Request
+from viewer.scenes.tries import Asked, Tries
+from viewer.window.dialogs import inside
+
+#: Seconds that an encoding may take, on a busy machine that compiles kernels.
+_PATIENCE = 240
+
+
+class Rates:
+    """Clicks in the tab of rates."""
+
+    def __init__(self, driver: Driver) -> None:
+        self.driver, self.encoding = driver, driver.viewer.encoding
+        self.tab = driver.viewer.panel.rate
+
+    def wait(self, done: Callable[[], bool]) -> None:
+        end = time.monotonic() + _PATIENCE
+        while not done():
+            if time.monotonic() > end:
+                raise SystemExit(f"never done: {self.encoding.doing}, {self.driver.viewer.message}")
+            self.driver.tick(2)
+
+    def encode(self) -> None:
+        """Click on Encode."""
+        self.driver.click(self.tab.start)
+        self.wait(lambda: self.encoding.encodes)
+
+    def finish(self) -> None:
+        """Wait until all is encoded and measured."""
+        self.wait(lambda: self.encoding.doing is None)
+        self.driver.rest()
+
+    def choose(self, profile: str, wish: int, value: float | None = None) -> None:
+        """Choose how to encode, and leave the mouse out of it."""
+        self.tab.profile.selected_text, self.tab.wish.selected_index = profile, wish
+        self.tab.refresh()
+        if value is not None:
+            self.tab.number.double_value = value
+            self.tab.set_value(value)
+        self.driver.tick(3, redraw=True)
+
+    def slide(self) -> None:
+        """Drag the slider from its left to a quarter of its width."""
+        frame, corner = self.tab.slider.frame, self.driver.viewer.window.os_frame
+        y = corner.y + frame.y + frame.height // 2
+        self.driver.xdotool("mousemove", corner.x + frame.x + 10, y, "mousedown", 1)
+        for share in (0.1, 0.2, 0.25):
+            self.driver.xdotool("mousemove", corner.x + frame.x + round(share * frame.width), y)
+        self.driver.xdotool("mouseup", 1)
+        self.driver.tick(3, redraw=True)
+
+    def select(self, line: int) -> None:
+        """Click on a line of the list."""
+        frame, em = self.tab.list.frame, self.driver.viewer.window.theme.font_size
+        self.driver.move(frame.x + 60, frame.y + (line + 0.5) * 1.25 * em)
+        self.driver.xdotool("mousedown", 1)
+        self.driver.xdotool("mouseup", 1)
+        self.wait(lambda: self.tab.list.selected_index == line)
+
+    def files(self) -> list[str]:
+        """Names of the files of tries."""
+        return sorted(path.name for path in self.encoding.tries.folder.iterdir())
+
+    def state(self) -> dict[str, Any]:
+        """What is shown, and told."""
+        names = [scene.name for scene in self.driver.viewer.stage.scenes]
+        return {"names": names, "lines": self.tab.lines, "told": self.tab.told}
+
+
+def encodings(rates: Rates) -> dict:
+    """A profile; a size by the slider; one that is stopped; and one that is out of reach."""
+    driver, viewer = rates.driver, rates.driver.viewer
+    found: dict = {"empty": rates.state()}
+    rates.encode()
+    rates.finish()
+    found["m"] = rates.state()
+    rates.choose("s", 2)
+    rates.slide()
+    found["bits"] = rates.tab.asked.value
+    rates.encode()
+    rates.finish()
+    found["sized"] = rates.state()
+    found["quality"] = viewer.stage.quality
+    found |= stop(rates)
+    rates.choose("m", 1, 0.001)
+    rates.encode()
+    rates.wait(lambda: viewer.message is not None)
+    found["refused"] = viewer.message
+    driver.key("Escape")
+    driver.rest()
+    return found
+
+
+def stop(rates: Rates) -> dict:
+    """What is drawn while a scene is encoded, and what is left after Cancel."""
+    driver, visits, encode = rates.driver, rates.driver.viewer.visits, Tries.encode
+    started, go_on = threading.Event(), threading.Event()
+
+    def held(tries: Tries, asked: Asked, progress: Progress) -> Any:
+        def slow(stage: str, done: int, total: int) -> None:
+            progress(stage, done, total)
+            started.set()
+            go_on.wait(_PATIENCE)
+
+        return encode(tries, asked, slow)
+
+    Tries.encode = held  # type: ignore[method-assign, assignment]
+    rates.choose("l", 0)
+    rates.encode()
+    rates.wait(lambda: started.is_set() and ":" in rates.encoding.doing[0])
+    found: dict = {"doing": rates.encoding.doing[0]}
+    driver.key("n")
+    driver.rest()
+    found["meanwhile"] = [visits.number, rates.encoding.encodes]
+    driver.click(rates.tab.stop)
+    rates.wait(lambda: rates.encoding.doing is None)
+    go_on.set()
+    rates.wait(lambda: not rates.encoding.worker.busy)
+    Tries.encode = encode  # type: ignore[method-assign]
+    driver.rest()
+    return found | {"stopped": rates.state(), "files": rates.files()}
+
+
+def history(rates: Rates) -> dict:
+    """Tries in both panes, one of them saved, and the source again."""
+    driver, viewer = rates.driver, rates.driver.viewer
+    found: dict = {}
+    rates.select(2)
+    driver.click(rates.tab.as_a)
+    rates.wait(lambda: rates.encoding.letters(1) == "A")
+    driver.rest()
+    found["both"] = rates.state() | {"quality": viewer.stage.quality, "at": viewer.visits.number}
+    driver.click(rates.tab.save)
+    rates.wait(lambda: viewer.modal.dialog is not None)
+    driver.tick(5)
+    driver.click(next(w for w in inside(viewer.modal.dialog) if isinstance(w, gui.TextEdit)))
+    driver.xdotool("type", "saved")
+    driver.tick(5)
+    driver.xdotool("keydown", "Return")
+    driver.xdotool("keyup", "Return")
+    rates.wait((driver.folder / "saved.egs").exists)
+    driver.rest()
+    rates.select(0)
+    driver.click(rates.tab.as_a)
+    rates.wait(lambda: rates.encoding.letters(0) == "A")
+    driver.rest()
+    found["back"] = rates.state()
+    return found
+
+
+def run(folder: Path) -> dict:
+    cameras = str(folder / "cameras.json")
+    request = Request(folder / "a.ply", cameras=cameras, view=0, size=(760, 480))
+    driver = Driver(folder, request=request)
+    driver.rest()
+    driver.viewer.panel.show("Rate")
+    driver.tick(3, redraw=True)
+    rates = Rates(driver)
+    found = encodings(rates) | history(rates)
+    files = rates.encoding.tries.folder.parent
+    found["left"] = [files.exists()]
+    subprocess.run(["xdotool", "key", "Escape"], check=True)
+    found["closes"] = any(not driver.app.run_one_tick() for _ in range(100))
+    found["left"].append(files.exists())
+    return found
+
+
+if __name__ == "__main__":
+    os.chdir(sys.argv[1])  # where it is saved
+    tell(run(Path(sys.argv[1])))

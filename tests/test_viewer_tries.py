@@ -1,0 +1,223 @@
+"""Encodings that are tried in the viewer: files, numbers, and stopping at any step."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import random_scene
+from typer.testing import CliRunner
+
+import gs_codec
+from gs_codec.cli.main import app
+from gs_codec.formats.cloud import to_cloud
+from gs_codec.formats.ply import write_ply
+from gs_codec.rendering.cameras import find_cameras, read_cameras
+from samples.generate import generate
+from viewer.scenes import tries as module
+from viewer.scenes.opened import Opened, open_scene
+from viewer.scenes.pose import look_at
+from viewer.scenes.tries import Asked, Tries, Try
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A scene, and four cameras, of which two are held out."""
+    folder = tmp_path_factory.mktemp("tries")
+    scene = generate(1500, 1, 31)
+    write_ply(folder / "a.ply", scene)
+    centre = np.median(scene.positions, axis=1).astype(np.float64)
+    size = float(np.quantile(np.abs(scene.positions.T - centre), 0.8))
+    places = ((0.3, -0.5, -1), (1, -0.5, 0), (-0.4, -0.6, -0.9), (-1, -0.4, 0.1))
+    entries = [
+        look_at(centre + 4 * size * np.array(place), centre).camera(60, 40)
+        | {"img_name": f"view{k}", "split": "test" if k % 2 else "train"}
+        for k, place in enumerate(places)
+    ]
+    (folder / "cameras.json").write_text(json.dumps(entries))
+    return folder
+
+
+@pytest.fixture
+def tries(folder, tmp_path_factory) -> Tries:
+    files = tmp_path_factory.mktemp("files")
+    return Tries(open_scene(folder / "a.ply"), files, read_cameras(folder / "cameras.json"))
+
+
+def command(*arguments: object) -> dict:
+    """What a command prints as JSON."""
+    result = CliRunner().invoke(app, [*map(str, arguments), "--json"])
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def files(tries: Tries, *done: Try) -> bool:
+    """Whether the only files are those of some tries."""
+    return {path.name for path in tries.folder.iterdir()} == {each.path.name for each in done}
+
+
+@pytest.mark.parametrize(
+    ("asked", "options"),
+    [
+        (Asked(), ["-p", "m"]),
+        (Asked("s", "steps", 1.5, True), ["-p", "s", "--coarseness", "1.5", "--cameras", "C"]),
+        (Asked("m", "size", 40_000.0), ["-p", "m", "--target-size", "40kB"]),
+        (Asked("l", "bits", 200.0), ["-p", "l", "--target-bpg", "200"]),
+        (Asked("m", "loss", 0.5), ["-p", "m", "--max-psnr-drop", "0.5", "--cameras", "C"]),
+        (Asked("paper-s"), ["-p", "paper-s"]),
+        (Asked("lossless"), ["-p", "lossless"]),
+    ],
+    ids=str,
+)
+def test_a_try_is_the_file_of_the_command(tries, folder, tmp_path, asked, options):
+    options = [str(folder / "cameras.json") if each == "C" else each for each in options]
+    told = command("encode", folder / "a.ply", tmp_path / "b.egs", *options)
+    tried, opened = tries.encode(asked)
+    assert tried.path.read_bytes() == (tmp_path / "b.egs").read_bytes()
+    assert (tried.report.file_bytes, tried.report.ratio) == (told["file_bytes"], told["ratio"])
+    assert opened.name == tried.name
+    assert files(tries, tried)
+
+
+def test_its_numbers_are_those_of_the_commands(tries, folder, tmp_path):
+    tried, opened = tries.encode(Asked("s"))
+    tries.save(tried, tmp_path / "b.egs")
+    inspected = command("inspect", tmp_path / "b.egs")
+    assert tried.report.file_bytes == opened.file_bytes == inspected["file_bytes"]
+    assert tried.bits == pytest.approx(sum(s["bits_per_gaussian"] for s in inspected["streams"]))
+    assert opened.info.as_dict()["streams"] == inspected["streams"]
+    quality = tries.measure(tried, opened)
+    cameras = folder / "cameras.json"
+    compared = command("compare", folder / "a.ply", tmp_path / "b.egs", "--cameras", cameras)
+    assert [view.name for view in quality.views] == ["view1", "view3"]
+    for told, found in ((compared["mean"], quality.mean), (compared["worst"], quality.worst)):
+        assert told["view"] == found.name
+        assert told["between"] == found.between.as_dict()
+
+
+def test_without_cameras_views_are_estimated_once(folder, tmp_path, monkeypatch):
+    asked: list[tuple] = []
+
+    def two_of_them(*arguments, progress):
+        asked.append(arguments)
+        return find_cameras(*arguments, progress=progress)[:2]
+
+    monkeypatch.setattr(module, "find_cameras", two_of_them)
+    tries = Tries(open_scene(folder / "a.ply"), tmp_path)
+    told: list[str] = []
+    for _ in range(2):
+        quality = tries.measure(*tries.encode(Asked("s")), lambda stage, *_: told.append(stage))
+        assert [view.name for view in quality.views] == ["auto_00", "auto_01"]
+    assert [(cameras, split) for cameras, _, split in asked] == [("auto", "held-out")]
+    assert told[-2:] == ["views", "views"]
+    assert told.count("cameras") > 2
+
+
+def test_a_cloud_is_encoded_as_its_file_is(tries, folder, tmp_path):
+    cloud = gs_codec.read(folder / "a.ply")
+    of_cloud = Tries(Opened("cloud", cloud), tmp_path, tries.cameras)
+    for asked in (Asked("m"), Asked("m", "bits", 150.0), Asked("s", "steps", 1.0, True)):
+        tried, opened = of_cloud.encode(asked)
+        assert tried.path.read_bytes() == tries.encode(asked)[0].path.read_bytes()
+        assert tried.report.ratio == opened.raw_bytes / opened.file_bytes
+
+
+def test_they_are_kept_in_order_and_opened_again(tries):
+    for asked in (Asked("s"), Asked("m", "bits", 150.0)):
+        tries.add(tries.encode(asked)[0])
+    assert [tried.name for tried in tries.all] == ["#1 s", "#2 m 150 bits"]
+    opened = tries.all[1].open()
+    assert opened.name == "#2 m 150 bits"
+    assert opened.info.profile == "m"
+    assert len(opened.bits) == opened.count == 1500
+    measured = replace(tries.all[0], quality=tries.measure(tries.all[0]))
+    tries.add(measured)
+    assert [tried.quality is None for tried in tries.all] == [False, True]
+
+
+class Stopped(Exception):
+    """Ends an encoding, as `Cancelled` does in the window."""
+
+
+def stopped_at(number: int) -> Callable[[str, int, int], None]:
+    """A progress callback that stops at its `number`-th call."""
+    calls = iter(range(number))
+
+    def progress(stage: str, done: int, total: int) -> None:
+        if next(calls, None) is None:
+            raise Stopped
+
+    return progress
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [Asked("m"), Asked("paper-m"), Asked("lossless"), Asked("m", "size", 40_000.0)],
+    ids=str,
+)
+def test_it_stops_at_any_step_and_leaves_nothing(tries, asked):
+    steps: list[str] = []
+    tries.encode(asked, lambda stage, *_: steps.append(stage))[0].path.unlink()
+    assert len(steps) >= 3
+    for number in {0, 1, len(steps) // 2, len(steps) - 1}:
+        with pytest.raises(Stopped):
+            tries.encode(asked, stopped_at(number))
+        assert files(tries)
+
+
+def test_every_trial_of_a_search_tells_its_progress(tries):
+    steps: list[tuple[str, int, int]] = []
+    tried, _ = tries.encode(Asked("m", "size", 40_000.0), lambda *step: steps.append(step))
+    # Each encoding codes the one block; and the result is decoded once.
+    assert steps.count(("code", 1, 1)) == tried.report.rate.encodings > 1
+
+
+def test_measuring_stops(tries):
+    tried, opened = tries.encode(Asked("s"))
+    with pytest.raises(Stopped):
+        tries.measure(tried, opened, stopped_at(0))
+
+
+def test_an_unreachable_target_tells_the_range(tries):
+    with pytest.raises(gs_codec.InvalidInput, match=r"target 50 bytes: [\d,]+ to [\d,]+ bytes are"):
+        tries.encode(Asked("m", "size", 50.0))
+    assert files(tries)
+
+
+def test_a_file_that_changed_is_refused(tmp_path):
+    write_ply(tmp_path / "a.ply", random_scene(300, 0))
+    tries = Tries(open_scene(tmp_path / "a.ply"), tmp_path)
+    write_ply(tmp_path / "a.ply", random_scene(200, 0))
+    with pytest.raises(gs_codec.GsCodecError, match=r"a\.ply: changed after it was opened"):
+        tries.encode(Asked("m"))
+    assert files(tries)
+
+
+def test_gaussians_that_are_not_finite_are_left_out_but_by_lossless(tmp_path):
+    scene = random_scene(300, 0)
+    scene.positions[0, 7] = np.nan
+    tries = Tries(Opened("cloud", to_cloud(scene)), tmp_path)
+    counts = {profile: tries.encode(Asked(profile))[1].count for profile in ("m", "lossless")}
+    assert counts == {"m": 299, "lossless": 300}
+
+
+def test_only_egs_is_saved(tries, tmp_path):
+    tried, _ = tries.encode(Asked("s"))
+    with pytest.raises(gs_codec.GsCodecError, match=r"b\.ply: expected a name that ends in \.egs"):
+        tries.save(tried, tmp_path / "b.ply")
+    with pytest.raises(gs_codec.GsCodecError):
+        tries.save(tried, tmp_path / "missing" / "b.egs")
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_cameras_measure_anew(tries):
+    tried, opened = tries.encode(Asked("s"))
+    for cameras in (tries.cameras, tries.cameras[:2]):
+        tries.add(replace(tried, quality=tries.measure(tried, opened)))
+        tries.look_from(cameras)
+    assert tries.all[0].quality is None
+    assert [view.name for view in tries.measure(tried).views] == ["view1"]

@@ -1,0 +1,202 @@
+"""Encodes the first scene in the background, and shows what was tried."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from gs_codec.metrics.attributes import Comparison
+from viewer.scenes.opened import Opened, Progress, Pruned
+from viewer.scenes.tries import Asked, Tries, Try
+from viewer.window.worker import Cancelled, Stale
+
+#: Progress is shown at most this often, seconds: drawing the window takes time, too.
+_PERIOD = 0.2
+
+
+class Encoding:
+    """The tries of a window, and the jobs that make and measure them.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+
+    Attributes
+    ----------
+    worker : Worker
+        Runs jobs that take long, so that pictures need not wait.
+    tries : Tries or None
+        None until something was encoded.
+    doing : tuple of str and float, or None
+        What is being done, and how much of the step is, 0-1; None if nothing is.
+    encodes : bool
+        Whether a scene is being encoded.
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self.worker = viewer.worker.another()
+        self.tries: Tries | None = None
+        self.doing: tuple[str, float] | None = None
+        self.encodes = False
+        # Neither edited nor turned.
+        self._opened: WeakKeyDictionary[Opened, int] = WeakKeyDictionary()
+        self._pruned: Pruned | None = None
+        self._files: tempfile.TemporaryDirectory[str] | None = None
+
+    def encode(self, asked: Asked) -> None:
+        """Encode the first scene or, if that is a try, its source; the result becomes B."""
+        tries = self._begin()
+
+        def job(stale: Stale) -> tuple[Try, Opened]:
+            return tries.encode(asked, self._progress(stale, "encoding"))
+
+        def done(found: tuple[Try, Opened]) -> None:
+            tried, opened = found
+            tries.add(tried)
+            self._opened[opened] = tried.number
+            first = self._viewer.stage.scenes[0]
+            self.encodes = False
+            if first in self._opened:
+                self._put([first, opened])
+            self._measure(opened)
+
+        def failed(error: Exception) -> None:
+            self.encodes = False
+            self._measure()
+            self._viewer.fail(error)
+
+        self.worker.cancel("measure")
+        self.encodes = True
+        self._do("encoding", 0.0)
+        self.worker.submit("encode", job, done, failed)
+
+    def _begin(self) -> Tries:
+        """The tries of the scene that is shown; if it is another than before, none yet."""
+        viewer = self._viewer
+        scene, views = viewer.stage.scenes[0], viewer.visits.views
+        cameras = () if views.chosen else views.cameras
+        if self.tries is None or scene not in self._opened:
+            if self._files is None:
+                self._files = tempfile.TemporaryDirectory(prefix="gs-viewer-")
+            folder, most = Path(self._files.name), viewer.request.max_bytes
+            self.tries, self._pruned = Tries(scene, folder, cameras, most), viewer.stage.pruned
+            self._opened.clear()
+            self._opened[scene] = 0
+        self.tries.look_from(cameras)
+        return self.tries
+
+    def _measure(self, opened: Opened | None = None) -> None:
+        """Measure held-out views of the newest try that was not measured, then of the others.
+
+        `opened` is the newest, if it is open.
+        """
+        tries = self.tries
+        left = [] if tries is None else [tried for tried in tries.all if tried.quality is None]
+        if tries is None or not left:
+            self._do()
+            return
+        tried = left[-1]
+
+        def job(stale: Stale) -> Comparison:
+            return tries.measure(tried, opened, self._progress(stale, f"measuring #{tried.number}"))
+
+        def done(quality: Comparison) -> None:
+            tries.add(replace(tried, quality=quality))
+            self._measure()
+
+        def failed(error: Exception) -> None:
+            self._do()
+            self._viewer.fail(error)
+
+        self._do(f"measuring #{tried.number}", 0.0)
+        self.worker.submit("measure", job, done, failed)
+
+    def cancel(self) -> None:
+        """Stop encoding or measuring; what is shown stays."""
+        for kind in ("encode", "measure"):
+            self.worker.cancel(kind)
+        self.encodes = False
+        self._do()
+
+    def _do(self, text: str = "", share: float = 0.0) -> None:
+        self.doing = (text, share) if text else None
+        self._viewer.panel.rate.refresh()
+
+    def _progress(self, stale: Stale, what: str) -> Progress:
+        """Progress of a job, which ends if it is no longer wanted."""
+        told = 0.0
+
+        def progress(stage: str, done: int, total: int) -> None:
+            nonlocal told
+            if stale():
+                raise Cancelled
+            if time.monotonic() - told > _PERIOD:
+                told = time.monotonic()
+                self.worker.progress(stale, partial(self._do, f"{what}: {stage}"))(
+                    stage, done, total
+                )
+
+        return progress
+
+    # What was tried
+
+    @property
+    def scenes(self) -> Sequence[Try | Opened]:
+        """The source, and then the tries; none if nothing was encoded."""
+        return [] if self.tries is None else [self.tries.source, *self.tries.all]
+
+    def letters(self, number: int) -> str:
+        """In which panes one of `scenes` is shown: A, B, both, or none."""
+        shown = [self._opened.get(scene) for scene in self._viewer.stage.scenes]
+        return "".join(letter for letter, k in zip("AB", shown, strict=False) if k == number)
+
+    def show(self, number: int, pane: int) -> None:
+        """Show one of `scenes` as A or B (0 or 1)."""
+        viewer, chosen = self._viewer, self.scenes[number]
+
+        def put(opened: Opened) -> None:
+            self._opened[opened] = number
+            before = viewer.stage.scenes
+            self._put([opened, *before[1:]] if pane == 0 else [before[0], opened])
+
+        if isinstance(chosen, Opened):
+            put(chosen)
+            return
+
+        def job(stale: Stale) -> Opened:
+            progress = viewer.worker.progress(stale, viewer.panel.show_progress)
+            return chosen.open(progress, viewer.request.max_bytes)
+
+        viewer.panel.say(f"decoding {chosen.name} ...", progress=0)
+        viewer.worker.submit("load", job, put, viewer.fail)
+
+    def _put(self, scenes: list[Opened]) -> None:
+        """Show scenes from the present pose, and what was pruned if A is the source."""
+        viewer = self._viewer
+        is_source = self.tries is not None and scenes[0] is self.tries.source
+        pruned = self._pruned if is_source else None
+        viewer.loading.show(scenes, viewer.visits.views, pruned, stay=True)
+
+    def save(self, number: int, path: str) -> None:
+        """Write the file of a try, by its number."""
+        viewer, tries = self._viewer, self.tries
+        if tries is None:
+            return
+        tried = tries.all[number - 1]
+
+        def done(_: None) -> None:
+            viewer.panel.say(f"{Path(path).name} is written")
+
+        viewer.worker.submit("save", lambda stale: tries.save(tried, Path(path)), done, viewer.fail)
+
+    def close(self) -> None:
+        """Remove the files."""
+        if self._files is not None:
+            self._files.cleanup()

@@ -1,0 +1,266 @@
+"""The tab of rates: how to encode, what was tried, and what it gave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, SupportsFloat
+
+from open3d.visualization import gui
+
+from gs_codec.config import PROFILE_CHOICES
+from viewer.scenes.numbers import quality_text, size_text
+from viewer.scenes.opened import Opened
+from viewer.scenes.tries import WISHES, Asked, Try, has_steps
+from viewer.window import dialogs
+from viewer.window.dialogs import folded, shortened
+from viewer.window.widgets import Widgets
+
+#: Wishes as the tab names them.
+_WISHES = ("steps, times the profile's", "size, MB", "bits / Gaussian", "loss of views, dB")
+
+#: Ends of the slider: of steps and losses; of sizes, as shares of the raw scene's.
+_STEPS, _LOSSES, _SHARES = (0.25, 4.0), (0.01, 1.0), (1 / 200, 1 / 4)
+
+#: What is asked for at first: the profile's own steps, a share of the raw size, a loss.
+_STEP, _SHARE, _LOSS = 1.0, 1 / 20, 0.05
+
+#: Values that differ by less, relatively, are the same: widgets round to float32.
+_SAME = 1e-5
+
+#: Characters of a line, and lines of the list.
+_COLUMNS, _LINES = 38, 9
+
+
+@dataclass
+class _Scale:
+    """A wish's value in the unit of the tab, and the ends of its slider."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def within(self) -> float:
+        """The value that the slider shows."""
+        return min(max(self.value, self.low), self.high)
+
+
+class RateTab:
+    """How to encode, and the list of what was tried.
+
+    Attributes
+    ----------
+    widget : gui.Widget
+    profile, wish : gui.Combobox
+    guided : gui.Checkbox
+    number : gui.NumberEdit
+    slider : gui.Slider
+    start, stop, as_a, as_b, save : gui.Button
+    list : gui.ListView
+    lines : list of str
+        Of the list: the source, and each try, the newest first.
+    """
+
+    def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
+        self._viewer = viewer
+        self.widget = widgets.column()
+        self._scales: dict[str, _Scale] = {}
+        self._source: Opened | None = None
+        self.lines: list[str] = []
+        self._places: list[int] = []
+        self._chosen = 0
+        self._add_request(widgets)
+        self._add_tries(widgets)
+        self._numbers = gui.Label("")
+        self._numbers.font_id = font
+        self.widget.add_child(self._numbers)
+
+    def _add_request(self, widgets: Widgets) -> None:
+        """Controls of how to encode."""
+        self.profile = widgets.choice(
+            self.widget, "profile", PROFILE_CHOICES, lambda _: self.refresh()
+        )
+        self.profile.selected_text = "m"
+        self.guided = widgets.checkbox("camera-guided", lambda _: self.refresh())
+        self.guided.tooltip = "by the cameras that are open, else by estimated ones"
+        self.widget.add_child(self.guided)
+        self.wish = widgets.choice(self.widget, "by", _WISHES, lambda _: self.refresh())
+        self.number = gui.NumberEdit(gui.NumberEdit.DOUBLE)
+        self.number.decimal_precision = 3
+        self.number.set_limits(1e-3, 1e6)
+        self.number.set_on_value_changed(self.set_value)
+        self.widget.add_child(self.number)
+        self.slider = gui.Slider(gui.Slider.DOUBLE)
+        self.slider.set_on_value_changed(self._slide)
+        self.widget.add_child(self.slider)
+        self.start = widgets.button("Encode", lambda: self._viewer.encoding.encode(self.asked))
+        self.stop = widgets.button("Cancel", self._viewer.encoding.cancel)
+        widgets.row(self.widget, self.start, self.stop)
+        self._doing = gui.Label("")
+        self.progress = gui.ProgressBar()
+        self.widget.add_child(self._doing)
+        self.widget.add_child(self.progress)
+
+    def _add_tries(self, widgets: Widgets) -> None:
+        """The list of what was tried."""
+        self.list = gui.ListView()
+        self.list.set_max_visible_items(_LINES)
+        self.list.set_on_selection_changed(self._select)
+        self.widget.add_child(self.list)
+        self.as_a = widgets.button("Show as A", lambda: self._show(0))
+        self.as_b = widgets.button("Show as B", lambda: self._show(1))
+        self.save = widgets.button("Save", self._ask_save)
+        widgets.row(self.widget, self.as_a, self.as_b, self.save)
+
+    @property
+    def told(self) -> str:
+        """The numbers of the chosen try."""
+        return str(self._numbers.text)
+
+    @property
+    def asked(self) -> Asked:
+        """What the controls ask for."""
+        profile, wish = self.profile.selected_text, WISHES[self.wish.selected_index]
+        if not has_steps(profile):
+            return Asked(profile)
+        value = self._scales[wish].value * (1e6 if wish == "size" else 1)
+        return Asked(profile, wish, value, self.guided.checked or wish == "loss")
+
+    def set_value(self, value: SupportsFloat) -> None:
+        """Ask for a value of the wish."""
+        scale = self._scales.get(WISHES[self.wish.selected_index])
+        if scale is not None and not math.isclose(float(value), scale.value, rel_tol=_SAME):
+            scale.value = float(value)
+            self.refresh()
+
+    def _slide(self, value: SupportsFloat) -> None:
+        """Ask for a value of the slider, which also reports what it is set to."""
+        scale = self._scales.get(WISHES[self.wish.selected_index])
+        if scale is not None and not math.isclose(float(value), scale.within, rel_tol=_SAME):
+            self.set_value(value)
+
+    def _show(self, pane: int) -> None:
+        self._viewer.encoding.show(self._chosen, pane)
+
+    def _ask_save(self) -> None:
+        encoding, number = self._viewer.encoding, self._chosen
+        kind = ".egs", "gs_codec files (.egs)"
+        dialogs.ask_save(
+            self._viewer.modal, "Save the try", kind, lambda path: encoding.save(number, path)
+        )
+
+    def _select(self, _: str, twice: bool) -> None:
+        """Choose what the list has selected; at a double click, show it as B."""
+        place = self.list.selected_index
+        if 0 <= place < len(self._places):
+            self._chosen = self._places[place]
+            self.refresh()
+            if twice:
+                self._show(1)
+
+    def refresh(self) -> None:
+        """Update controls, list and numbers."""
+        self._refresh_request()
+        encoding = self._viewer.encoding
+        self.start.enabled = bool(self._viewer.stage.scenes) and not encoding.encodes
+        self.stop.enabled = encoding.doing is not None
+        self._doing.text, self.progress.value = encoding.doing or ("", 0.0)
+        self._refresh_tries()
+        self._viewer.window.post_redraw()
+
+    def _refresh_request(self) -> None:
+        """Update the controls of how to encode to the scene, and to each other."""
+        scenes = self._viewer.stage.scenes
+        if not scenes:
+            return
+        if self._source is not scenes[0]:
+            self._source = scenes[0]
+            self._find_scales(scenes[0])
+        steps, wish = has_steps(self.profile.selected_text), WISHES[self.wish.selected_index]
+        scale = self._scales[wish]
+        for control in (self.wish, self.number, self.slider):
+            control.enabled = steps
+        self.guided.enabled = steps and wish != "loss"
+        if self.number.double_value != scale.value:
+            self.number.double_value = scale.value
+        self.slider.set_limits(scale.low, scale.high)
+        self.slider.double_value = scale.within
+
+    def _find_scales(self, scene: Opened) -> None:
+        """Ends of the slider for a scene; what was asked for stays."""
+        raw = scene.raw_bytes
+        units = {"size": raw / 1e6, "bits": 8 * raw / max(scene.count, 1)}
+        found = {name: _Scale(_SHARE * u, *(s * u for s in _SHARES)) for name, u in units.items()}
+        found |= {"steps": _Scale(_STEP, *_STEPS), "loss": _Scale(_LOSS, *_LOSSES)}
+        for name, before in self._scales.items():
+            found[name].value = before.value
+        self._scales = found
+
+    def _refresh_tries(self) -> None:
+        """Update the list, the newest try first after the source, and the numbers."""
+        encoding = self._viewer.encoding
+        entries = list(encoding.scenes)
+        if len(entries) != len(self._places):
+            self._places = [*range(len(entries))[:1], *range(len(entries) - 1, 0, -1)]
+            self._chosen = max(len(entries) - 1, 0)
+        lines = [f"{encoding.letters(k) or '   '}  {_line(entries[k])}" for k in self._places]
+        if lines != self.lines:
+            self.lines = lines
+            self.list.set_items(lines)
+        if entries:
+            self.list.selected_index = self._places.index(self._chosen)
+        for button in (self.as_a, self.as_b):
+            button.enabled = bool(entries)
+        chosen = entries[self._chosen] if entries else None
+        self.save.enabled = isinstance(chosen, Try)
+        self._numbers.text = self._numbers_of(chosen) if isinstance(chosen, Try) else ""
+
+    def _numbers_of(self, tried: Try) -> str:
+        """The numbers of a try."""
+        report, quality, stage = tried.report, tried.quality, self._viewer.stage
+        rows = [
+            ("file", size_text(report.file_bytes)),
+            ("times smaller", f"{report.ratio:.1f}"),
+            ("bits / Gaussian", f"{tried.bits:.1f}"),
+        ]
+        if has_steps(tried.asked.profile):
+            rows.append(("steps, x profile's", f"{report.coarseness:.3g}"))
+        if report.dropped:
+            rows.append(("not finite, dropped", f"{report.dropped:,}"))
+        lines = folded(tried.name, _COLUMNS) + [f"{name:<20}{value:>14}" for name, value in rows]
+        if "B" in self._viewer.encoding.letters(tried.number):
+            lines += ["", "B against A, this view:", f"  {stage.quality or '...'}"]
+        if quality is not None:
+            lines += ["", f"{len(quality.views)} {self._kind()} against the source:"]
+            lines += [f"  mean {quality_text(quality.mean.between)}"]
+            lines += [f"  worst {quality_text(quality.worst.between)}"]
+            lines += [f"    in {shortened(quality.worst.name, 30)}"]
+        return "\n".join(lines)
+
+    def _kind(self) -> str:
+        """Which views are measured, in words."""
+        views = self._viewer.visits.views
+        if views.chosen:
+            return "estimated views"
+        held_out = any(camera.split == "test" for camera in views.cameras)
+        return "held-out views" if held_out else "views"
+
+
+def _line(entry: Try | Opened) -> str:
+    """A line of the list."""
+    if isinstance(entry, Opened):
+        size = "" if entry.file_bytes is None else f"  {_short(entry.file_bytes)}"
+        return f"{shortened(entry.name, 24)}{size}"
+    report, quality = entry.report, entry.quality
+    line = f"{entry.name}  {_short(report.file_bytes)}  {report.ratio:.3g}x"
+    if quality is None:
+        return line
+    psnr = quality.mean.between.psnr
+    return f"{line}  the same" if math.isinf(psnr) else f"{line}  {psnr:.2f} dB"
+
+
+def _short(size: int) -> str:
+    """Bytes with a unit, in three digits or whole."""
+    number, unit = size_text(size).split()
+    return f"{float(number):{'.3g' if float(number) < 999.5 else '.0f'}} {unit}"

@@ -51,8 +51,8 @@ _PUBLIC = {
     "gs_codec.rendering.renderer": ("RenderedViews", "Rendering", "Accumulations"),
 }
 
-__all__, __getattr__ = lazy_names(__name__, _PUBLIC, ["edit"])
+__all__, __getattr__ = lazy_names(__name__, _PUBLIC, ["edit", "viewer"])
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "edit"])
+    return sorted([*__all__, "edit", "viewer"])

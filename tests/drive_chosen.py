@@ -6,12 +6,15 @@ Run by test_viewer_window.py, in a process of its own, on a display of its own.
 from __future__ import annotations
 
 import sys
+import threading
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-from drive_viewer import Driver, tell
+from drive_viewer import Driver, grab, tell
 
 from viewer.scenes.request import Request
+from viewer.scenes.viewpoints import Views
+from viewer.window.loading import Loading
 from viewer.window.panel import Panel
 
 
@@ -24,11 +27,29 @@ def run(folder: Path) -> dict:
         say(panel, text, progress)
 
     Panel.say = record
+    go_on, first_views = threading.Event(), Loading._first_views
+
+    def hold(*arguments: Any) -> Views:
+        go_on.wait(60)
+        return first_views(*arguments)
+
+    Loading._first_views = hold
     driver = Driver(folder, request=Request(folder / "a.ply", size=(640, 320)))
     viewer = driver.viewer
     driver.wait(lambda: bool(viewer.visits.viewpoints))
-    found: dict = {"where": [viewer.visits.where]}
-    driver.wait(lambda: np.ptp(driver.models()) > 1)  # laid out
+    before = [0.0]
+
+    def drawn() -> bool:
+        viewer.window.post_redraw()
+        before[0] = float(driver.scenes(grab(viewer.window)).std())
+        return before[0] > 1
+
+    driver.wait(drawn)
+    found: dict = {"preview": [viewer.stage.painter.waits, before[0]]}
+    go_on.set()
+    driver.wait(lambda: viewer.visits.views.chosen)
+    found["where"] = [viewer.visits.where]
+    driver.tick(3)  # laid out
     found["at_first"] = driver.models()
     driver.wait(lambda: len(viewer.visits.viewpoints) > 1)
     found["said"] = list(said)

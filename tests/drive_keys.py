@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 from drive_viewer import Driver, tell
 from open3d.visualization import gui
 
@@ -30,7 +31,7 @@ def many(driver: Driver) -> int:
 
 def dialogs(driver: Driver) -> dict:
     """What keys do while a dialog is open, and after it."""
-    viewer, found = driver.viewer, {}
+    found: dict = {}
     for end in ("Escape", "Return"):
         for key in ("h", "n", "m", "1", "q"):
             driver.key(key)
@@ -39,19 +40,69 @@ def dialogs(driver: Driver) -> dict:
         found[end] = state(driver)
     for name, end in (("quiet mnn", "Return"), ("q", "Escape")):
         driver.key("ctrl+s")
-        driver.tick(5)
-        field = next(w for w in inside(viewer.modal.dialog) if isinstance(w, gui.TextEdit))
-        driver.click(field)
-        driver.xdotool("type", name)
-        driver.tick(5)
-        found[f"typed {name}"] = state(driver), field.text_value
-        driver.xdotool("keydown", end)  # as by a hand, which takes more than a frame
-        driver.xdotool("keyup", end)
-        driver.tick(5)
+        found[f"typed {name}"] = type_name(driver, name, end)
         found[f"{end} after {name}"] = state(driver)
     driver.rest()
     subprocess.run(["xdotool", "key", "Escape"], check=True)
     found["closes"] = any(not driver.app.run_one_tick() for _ in range(100))
+    return found
+
+
+def path(driver: Driver) -> dict:
+    """Poses that are kept by key and buttons, flown along, saved and opened again."""
+    viewer, saved = driver.viewer, driver.viewer.saved
+    viewer.panel.show("View")
+    tab = viewer.panel.view
+    driver.rest()
+    enabled = [[button.enabled for button in tab.path]]
+    driver.key("b")
+    driver.wait(lambda: len(saved.poses) == 1)
+    driver.key("n")
+    driver.rest()
+    for button, count in ((0, 2), (0, 3), (1, 2)):
+        driver.click(tab.path[button])
+        driver.wait(lambda count=count: len(saved.poses) == count)
+    enabled.append([button.enabled for button in tab.path])
+    kept = list(saved.poses)
+    viewer.visits.overview()
+    driver.click(tab.path[2])
+    driver.wait(lambda: saved.flying)
+    begun = driver.models()
+    driver.rest()
+    ends = [np.abs(viewer.stage.pose.position - pose.position).max() for pose in kept]
+    driver.click(tab.path[3])
+    type_name(driver, "path", "Return")
+    driver.wait(Path("path.json").exists)
+    saved.drop()
+    saved.open("path.json")
+    driver.wait(lambda: len(saved.poses) == 2)
+    apart = [np.abs(a.position - b.position).max() for a, b in zip(kept, saved.poses, strict=True)]
+    saved.open("nothing.json")
+    driver.wait(lambda: viewer.message is not None)
+    message = viewer.message
+    viewer.dismiss()
+    viewer.panel.show("Scene")
+    return {
+        "enabled": enabled,
+        "flown": driver.models() != begun,
+        "ends": ends,
+        "apart": max(apart),
+        "message": message,
+    }
+
+
+def type_name(driver: Driver, name: str, end: str) -> tuple[list, str]:
+    """Type a name into the dialog that is open, and a key; the state between, and the name."""
+    driver.wait(lambda: driver.viewer.modal.dialog is not None)
+    driver.tick(5)
+    field = next(w for w in inside(driver.viewer.modal.dialog) if isinstance(w, gui.TextEdit))
+    driver.click(field)
+    driver.xdotool("type", name)
+    driver.tick(5)
+    found = state(driver), field.text_value
+    driver.xdotool("keydown", end)  # as by a hand, which takes more than a frame
+    driver.xdotool("keyup", end)
+    driver.tick(5)
     return found
 
 
@@ -67,6 +118,8 @@ if __name__ == "__main__":
     driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images")
     driver.rest()
     found = {"pressed": many(driver)}
+    driver.rest()
+    found["path"] = path(driver)
     driver.rest()
     found["first"] = state(driver)
     tell(found | dialogs(driver))

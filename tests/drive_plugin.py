@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,12 @@ from open3d.visualization import O3DVisualizer, gui
 
 import gs_codec
 import viewer
+
+#: Geometries that there may be.
+NAMES = (
+    "a.ply: centres", "a.ply: kept", "a.ply: pruned", "b.egs: error against a.ply", "a.ply: splats",
+    "cameras.json: cameras",
+)  # fmt: skip
 
 
 def changes(before: np.ndarray, after: np.ndarray) -> int:
@@ -49,37 +56,80 @@ def run(folder: Path) -> dict:
         raise SystemExit("the window shows nothing new, or never rests")
 
     show()
-    try:
-        actions.compare(folder / "b.egs")
-    except gs_codec.GsCodecError as error:
-        refused = str(error)
+    refused = {"compare": told(lambda: actions.compare(folder / "b.egs"))}
+    refused["nearest"] = told(actions.nearest)
+    named, notes = [], []
     for action in (
         lambda: actions.open(folder / "a.ply"),
         lambda: actions.pruned(folder / "report"),
         lambda: actions.compare(folder / "b.egs"),
+        lambda: actions.photographs(folder / "cameras.json", folder / "images"),
+        lambda: look_from(folder, visualizer, 0),
+        actions.nearest,
     ):
         action()
         show()
-    count, titles = actions.scene.count, [visualizer.title]
-    named = ["centres", "pruned"]
-    left = [name for name in named if visualizer.scene.has_geometry(f"gs_codec {name}")]
+        named.append([name for name in NAMES if visualizer.scene.has_geometry(name)])
+        notes.append(noted(actions, visualizer, pictures[-1]))
+    here = visualizer.scene.camera.get_model_matrix()
+    look_from(folder, visualizer, 1)
+    app.run_one_tick()
+    refused["photograph"] = told(actions.nearest)
+    count = actions.scene.count
+    splats(actions, folder / "a.ply")
+    show()
+    named.append([name for name in NAMES if visualizer.scene.has_geometry(name)])
     actions.detach()
     show()
-    titles.append(visualizer.title)
-    try:
-        actions.open(folder / "a.ply")
-    except gs_codec.GsCodecError as error:
-        detached = str(error)
-    left.append([name for name in named if visualizer.scene.has_geometry(f"gs_codec {name}")])
+    named.append([name for name in NAMES if visualizer.scene.has_geometry(name)])
+    refused["detached"] = told(lambda: actions.open(folder / "a.ply"))
     changed = [changes(*pair) for pair in zip(pictures, pictures[1:], strict=False)]
+    visualizer.close()
+    ended = any(not app.run_one_tick() for _ in range(100))
     return {
         "changed": changed,
         "refused": refused,
         "count": count,
-        "titles": titles,
-        "left": left,
-        "detached": detached,
+        "named": named,
+        "notes": notes,
+        "here": here[:3, 3].tolist(),
+        "ended": ended,
     }
+
+
+def told(action: Callable[[], object]) -> str:
+    """How an action fails."""
+    try:
+        action()
+    except gs_codec.GsCodecError as error:
+        return str(error)
+    return "done"
+
+
+def look_from(folder: Path, visualizer: O3DVisualizer, number: int) -> None:
+    """Look from beside a camera."""
+    camera = gs_codec.read_cameras(folder / "cameras.json")[number]
+    right, down, forward = camera.rotation
+    eye = camera.position + 0.1 * right
+    visualizer.setup_camera(60, eye + forward, eye, -down)
+
+
+def noted(actions: viewer.plugin.Actions, visualizer: O3DVisualizer, shown: np.ndarray) -> int:
+    """How many colours there are where the window of notes is, if it is open."""
+    frame = actions._notes.frame
+    if frame is None:
+        return 0
+    x, y = frame.x - visualizer.os_frame.x, frame.y - visualizer.os_frame.y
+    part = shown[max(y, 0) : y + frame.height, max(x, 0) : x + frame.width]
+    return len(np.unique(part.reshape(-1, 3), axis=0))
+
+
+def splats(actions: viewer.plugin.Actions, path: Path) -> None:
+    """Open a scene as where a graphics card draws."""
+    plugin = sys.modules["viewer.plugin"]
+    kept, plugin.find_device = plugin.find_device, lambda: "gpu"
+    actions.open(path)
+    plugin.find_device = kept
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from viewer.window.dialogs import inside
 from viewer.window.keys import KEYS
 
 #: Keys that are pressed: all that do something but quit.
-_PRESSED = [key.code for key in KEYS if key.code is not None and not key.control]
+_PRESSED = [(k.code, k.control) for k in KEYS if k.code is not None and k.name != "ctrl + Q"]
 
 #: Widgets of the panel that are clicked at random, without those that are text.
 _CLICKED = (gui.Checkbox, gui.Button, gui.Slider, gui.ListView, gui.Combobox)
@@ -64,7 +64,8 @@ class Monkey:
         return int(frame.x + x * frame.width), int(frame.y + y * frame.height)
 
     def press(self) -> None:
-        self.driver.viewer.keys.press(int(self.rng.choice(_PRESSED)))
+        if self.driver.viewer.modal.dialog is None:
+            self.driver.viewer.keys.press(*_PRESSED[int(self.rng.integers(len(_PRESSED)))])
 
     def click(self) -> None:
         repeat = int(self.rng.integers(1, 3))
@@ -129,6 +130,8 @@ def run(folder: Path, seconds: float, seed: int) -> dict:
         driver.key("Escape")
         driver.tick(5)
     driver.rest()
+    for edits in driver.viewer.editor.all:
+        edits.mark_saved(edits.scene)  # else closing would ask
     subprocess.run(["xdotool", "key", "Escape"], check=True)
     closes = any(not driver.app.run_one_tick() for _ in range(100))
     return {"memory": memory, "done": monkey.done, "closes": closes}

@@ -21,6 +21,7 @@ import numpy as np
 from open3d.visualization import gui
 from PIL import ImageGrab
 
+from viewer.scenes.choice import Appearance
 from viewer.scenes.request import Request
 from viewer.window.pane import Pane
 from viewer.window.viewer import Viewer
@@ -149,6 +150,7 @@ class Driver:
             while process.poll() is None:  # frames are drawn between the events
                 self.tick()
             self.tick(3)
+            self.wait(lambda: self.viewer.stage.seen is self.viewer.stage.pose)
             models.append(self.models())
         self.xdotool("mouseup", button)
         return models
@@ -301,6 +303,37 @@ def octree(driver: Driver) -> dict:
     }
 
 
+def appearances(driver: Driver, before: np.ndarray) -> dict:
+    """What appearances and hidden Gaussians change of the panes, how far they are back without."""
+    viewer, found = driver.viewer, {}
+    teal = (0.1, 0.5, 0.6)
+    first = viewer.stage.scenes[0]
+    cases = {
+        "background": {"background": teal},
+        "scale": {"scale": 0.3},
+        "least opacity": {"least_opacity": 1.0},
+    }
+    for name, changes in cases.items():
+        viewer.set_appearance(**changes)
+        after = driver.scenes(driver.rest())
+        found[name] = int((np.abs(after - driver.scenes(before)) > 12).sum())
+        if name == "background":
+            apart = np.abs(after - np.rint(255 * np.array(teal))).max(axis=2)
+            found["teal"] = int((apart <= 1).sum())
+        plain = Appearance()
+        viewer.set_appearance(**{key: getattr(plain, key) for key in changes})
+    driver.rest()
+    viewer.stage.drawn = {first: np.zeros(first.count, bool)}
+    viewer.refresh()
+    halves = np.array_split(driver.scenes(driver.rest()), 2, axis=1)
+    found["hidden"] = [float(half.std()) for half in halves]
+    found["quality"] = viewer.stage.quality
+    viewer.stage.drawn = {}
+    viewer.refresh()
+    found["apart"] = int(np.abs(driver.scenes(driver.rest()) - driver.scenes(before)).max())
+    return found
+
+
 def views(driver: Driver, found: dict) -> None:
     """Go through views, and flip two scenes."""
     viewer = driver.viewer
@@ -356,6 +389,7 @@ def run(folder: Path) -> dict:
     found["where"] = [viewer.visits.where]
     found["outlined"] = outlined(driver, first)
     found["layers"] = layers(driver, first)
+    found["appearances"] = appearances(driver, first)
     found["at_first"] = driver.models()
     driver.drag(viewer.stage.panes[0], back=False)
     moved = driver.rest()

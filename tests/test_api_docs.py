@@ -107,11 +107,12 @@ def test_examples_run(example, folder, monkeypatch):
     monkeypatch.chdir(folder)
     shown = []
     monkeypatch.setattr("viewer.plugin.find_device", lambda: None)
+    monkeypatch.setattr("viewer.window.notes.NotesWindow", Mock())
     monkeypatch.setattr("viewer.window.viewer.run", lambda request, device: shown.append(request))
     example.globs |= {
         "gs_codec": gs_codec,
         "viewer": viewer,
-        "visualizer": Mock(spec=O3DVisualizer, title="Open3D"),
+        "visualizer": Mock(spec=O3DVisualizer, os_frame=Mock(height=400)),
     }
     said: list[str] = []
     result = doctest.DocTestRunner().run(example, out=said.append)

@@ -328,3 +328,26 @@ def test_a_system_is_one_of_right_or_left_up_or_down_back_or_forward(spz, ply, t
 )
 def test_the_last_comment_that_names_a_system_counts(comments, expected):
     assert replace(random_scene(1, 0), comments=comments).coordinates == expected
+
+
+def test_chosen_gaussians_are_kept_in_their_order(ply, tmp_path):
+    scene = read_ply(ply, "keep")
+    chosen = np.arange(scene.count) % 3 == 0
+    done = convert_file(ply, tmp_path / "a.ply", chosen=chosen)
+    assert done.count == np.count_nonzero(chosen)
+    assert_same_bits(read_ply(tmp_path / "a.ply", "keep"), scene.take(chosen))
+
+
+@pytest.mark.parametrize(
+    ("sources", "chosen", "said"),
+    [
+        (1, np.zeros(7, bool), r"chosen: bool \(7,\), expected bool \[\(\d+,\)\]"),
+        (1, np.arange(60), "chosen: int64"),
+        (2, np.ones(60, bool), r"expected bool \[\(60,\), \(60,\)\]"),
+        (1, np.zeros(60, bool), "chosen: no Gaussian"),
+    ],
+)
+def test_what_cannot_be_chosen_is_refused(ply, tmp_path, sources, chosen, said):
+    with pytest.raises(InvalidInput, match=said):
+        convert_file([ply] * sources, tmp_path / "a.ply", chosen=chosen)
+    assert not (tmp_path / "a.ply").exists()

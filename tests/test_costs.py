@@ -6,17 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, random_scene
+from scenes import edge_scenes, encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import decode_scene, encode_scene
-from gs_codec.codecs.adaptive.costs import symbol_bits
-from gs_codec.codecs.costs import gaussian_bits
+from gs_codec.codecs.adaptive.costs import block_costs, gaussian_classes
+from gs_codec.codecs.adaptive.decode import Blocks
+from gs_codec.codecs.adaptive.sh_ac import code_bands
+from gs_codec.codecs.costs import describe_gaussian, gaussian_bits
+from gs_codec.codecs.inspection import describe
 from gs_codec.config import PROFILE_CHOICES, Config
-from gs_codec.egs.file import SCENE_SECTIONS, SectionId, read_file
-
-#: Sections of symbols that `symbol_bits` leaves out, or that have none.
-_POSITIONS = {SectionId.GEOMETRY, SectionId.LOW_BITS}
-_OTHERS = SCENE_SECTIONS | _POSITIONS | {SectionId.STATES}
+from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, SectionId, read_file
 
 
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
@@ -46,8 +45,101 @@ def test_symbols_take_what_their_sections_do(profile, sh_degree):
     """To the words that the coder leaves unfilled: every pass is counted, with its tables."""
     scene = random_scene(6000, sh_degree, seed=4)
     file = read_file(encode_scene(scene, Config(profile))[0])
-    coded = 8 * sum(n for (section, _), n in file.sizes.items() if section not in _OTHERS)
-    assert symbol_bits(file).sum() == pytest.approx(coded, rel=0.003)
+    own = block_costs(Blocks(file, sh_degree), 0).bits
+    names = set(own)
+    bands = {f"sh{band}" for band in range(1, sh_degree + 1)}
+    assert names == bands | {"low-bits", "classes", "opacity", "scaling", "rotation", "sh-dc"}
+    coded = {name: 8 * file.sizes[SectionId.of_stream(name), 0] for name in names}
+    assert sum(own.values()).sum() == pytest.approx(sum(coded.values()), rel=0.003)
+    for name in names - {"classes"}:  # which have next to nothing
+        # Streams of a pass share the states of the coder, which move bits between them.
+        assert own[name].sum() == pytest.approx(coded[name], rel=0.03)
+
+
+def test_symbols_of_sh_are_of_the_gaussian_whose_levels_they_are():
+    """By going through the symbols as FORMAT.md lists them."""
+    rng = np.random.default_rng(6)
+    levels = np.rint(rng.laplace(scale=0.4, size=(3, 15, 40))).astype(np.int32)
+    levels[:, :, ::3] = 0
+    near = np.zeros((40, 2), np.uint8)
+    coded = code_bands(levels, near, np.zeros(40, np.int64), owned=True)
+    bands = [levels[:, band] for band in (slice(0, 3), slice(3, 8), slice(8, 15))]
+    left = np.abs(levels).sum(axis=(0, 1))
+    for number, (band, (values, _, owners)) in enumerate(zip(bands, coded, strict=True)):
+        expected = [(i, left[i]) for i in range(40)] if number == 0 else []
+        shares = np.abs(band).sum(axis=(0, 1))
+        if number < 2:
+            expected += [(i, shares[i]) for i in range(40) if left[i]]
+        left = left - shares
+        rest = shares.copy()
+        flat = band.reshape(-1, 40)
+        for k, row in enumerate(flat):
+            expected += [
+                (i, row[i] if k < len(flat) - 1 else np.sign(row[i])) for i in range(40) if rest[i]
+            ]
+            rest -= np.abs(row)
+        assert [*zip(owners.tolist(), np.abs(values).tolist(), strict=True)] == [
+            (i, abs(value)) for i, value in expected
+        ]
+
+
+@pytest.mark.parametrize("profile", PROFILE_CHOICES)
+def test_streams_of_gaussians_add_up_to_those_of_the_file(profile):
+    data = encode_scene(random_scene(1100, 2, seed=7), Config(profile, block_size=1024))[0]
+    file, bits = read_file(data, lambda s, _: s in DESCRIPTIONS), gaussian_bits(read_file(data))
+    every = [describe_gaussian(file, index) for index in range(1100)]
+    sums: dict[str, float] = {}
+    for index, found in enumerate(every):
+        assert found.block == index // file.header.block_size
+        assert sum(stream.bits for stream in found.streams) == pytest.approx(bits[index])
+        for stream in found.streams:
+            sums[stream.name] = sums.get(stream.name, 0.0) + stream.bits
+    expected = {stream.name: 8 * stream.bytes for stream in describe(file).streams}
+    assert list(sums) == list(expected)
+    assert sums == pytest.approx(expected)
+    own = {stream.name for stream in every[0].streams if not stream.shared}
+    assert bool(own) == (profile in ("l", "m", "s"))
+
+
+@pytest.mark.parametrize("guide", [None, made_up_guide()], ids=["camera-free", "guided"])
+def test_values_are_multiples_of_their_steps(guide):
+    """And steps are among those that `inspect` tells, and follow the classes."""
+    scene = random_scene(1500, 1, seed=8)
+    file = read_file(encode_by(scene, Config("m", block_size=1024), guide))
+    decoded = decode_scene(bytes(file.data))
+    info, classes = describe(file), gaussian_classes(file)
+    assert (classes.max() > 3) == (guide is not None)
+    ranges: dict[str, list[float]] = {}
+    for item in info.passes:
+        if item.finest_step < 1 and "sum" not in item.name and item.stream != "classes":
+            ranges.setdefault(item.stream, []).extend((item.finest_step, item.coarsest_step))
+    for index in range(0, 1500, 50):
+        steps = describe_gaussian(file, index).steps
+        assert [len(own) for own in steps.values()] == [3, 1, 3, 3, 1, 1]
+        for stream, (*known,) in ranges.items():
+            assert min(known) <= min(steps[stream]) <= max(steps[stream]) <= max(known)
+        longest, middle, shortest = decoded.log_scale[:, index].astype(float)
+        for value, step in (
+            (longest - middle, steps["scaling"][1]),
+            (middle - shortest, steps["scaling"][2]),
+        ):
+            assert value / step == pytest.approx(round(value / step), abs=1e-3)
+        grid = info.grid
+        sides = np.array(steps["geometry"])
+        cells = (decoded.positions[:, index] - np.array(grid.origin)) / sides
+        np.testing.assert_allclose(cells % 1, 0.5, atol=0.02)
+
+
+def test_classes_are_those_that_were_asked_for():
+    scene, steps = random_scene(900, 0, seed=9), []
+
+    def guide(scene, config):
+        steps.append(made_up_guide()(scene, config))
+        return steps[-1]
+
+    classes = gaussian_classes(read_file(encode_by(scene, Config("m"), guide)))
+    for own, asked in zip(classes, (steps[0].shape_class, steps[0].colour_class), strict=True):
+        np.testing.assert_array_equal(np.bincount(own), np.bincount(asked))
 
 
 def test_what_is_richer_takes_more():

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from viewer.scenes.pose import Pose, look_at, up_of
+from viewer.scenes.pose import Pose, distance_ahead, look_at, up_of
 from viewer.window.navigation import (
     Navigator,
-    distance_ahead,
     field_of_view,
     focused,
     framing,

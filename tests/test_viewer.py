@@ -26,33 +26,30 @@ from gs_codec.config import Config
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.coordinates import turn_axes
 from gs_codec.formats.ply import read_ply, write_ply
-from viewer import screenshot
 from viewer.main import app, main
+from viewer.pictures import screenshot
+from viewer.pictures.centres import centres, pruned_centres
 from viewer.pictures.layers import (
-    LAYERS,
+    UNKNOWN,
     Points,
     box_lines,
-    centres,
     error_image,
     error_legend,
     heat,
-    heat_bar,
-    pruned_centres,
-    thinned,
 )
 from viewer.pictures.picture import (
     Shown,
     draw_points,
     draw_scene,
-    measure,
     outlined,
     wipe_line,
     wiped,
 )
 from viewer.pictures.screenshot import draw_request
-from viewer.scenes.choice import OctreeChoice
+from viewer.pictures.splats import measure
+from viewer.scenes.choice import COLOURINGS, LAYERS, OctreeChoice
 from viewer.scenes.numbers import quality_text
-from viewer.scenes.opened import Opened, open_scene, read_pruned, turned
+from viewer.scenes.opened import Opened, open_scene, read_pruned, thinned, turned
 from viewer.scenes.pose import UPS, Pose, look_at, of_camera, overview, up_of
 from viewer.scenes.request import Request, find_views, first_view, parse_layers
 from viewer.scenes.viewpoints import Views, choose_views, find_viewpoints, given_views
@@ -203,7 +200,7 @@ def test_errors_are_those_of_the_nearest(files):
         assert brightness.argmax() == 5
         assert (brightness[np.arange(900) != 5] == brightness.min()).all()
     alone = centres(scene, "error", [scene])
-    np.testing.assert_array_equal(alone.colours, scene.colours)
+    assert (alone.colours == np.float32(UNKNOWN)).all()
     assert alone.legend is None
 
 
@@ -218,7 +215,7 @@ def test_two_scenes_share_one_range_of_sizes(files):
     assert second.colours.sum() > 1.2 * first.colours.sum()
 
 
-@pytest.mark.parametrize("colouring", ["colour", "opacity", "scale", "error"])
+@pytest.mark.parametrize("colouring", COLOURINGS)
 def test_centres_of_nothing(colouring):
     empty = Opened("empty", to_cloud(random_scene(3, 0, seed=1).take(np.arange(0))))
     assert centres(empty, colouring, [empty]).positions.shape == (0, 3)
@@ -241,7 +238,7 @@ def test_the_scale_of_errors_never_changes():
     np.testing.assert_array_equal(error_image(first, near)[:10], image[:10])
     legend = error_legend("error")
     assert legend.marks == ("0.25", "1", "4", "16", "64")
-    bar = heat_bar(5, 1)[0]
+    bar = legend.bar(5, 1)[0]
     np.testing.assert_allclose(image[0, 0], bar[legend.marks.index("1")], atol=1e-6)
     np.testing.assert_allclose(image[-1, 0], bar[legend.marks.index("16")], atol=1e-6)
 
@@ -497,6 +494,22 @@ def test_only_the_newest_job_of_a_kind_is_told():
     worker.submit("picture", lambda _: 3, told.append, told.append)
     worker.cancel("picture")
     worker.end()
+
+
+def test_another_thread_does_not_wait_for_the_first_and_ends_with_it():
+    told, go_on, done = [], threading.Event(), threading.Event()
+    worker = Worker(lambda call: call())
+    worker.submit("load", lambda _: go_on.wait(10), told.append, told.append)
+    other = worker.another()
+    other.submit("picture", lambda _: 1, lambda result: (told.append(result), done.set()), print)
+    assert done.wait(10)
+    assert told == [1]
+    worker.end()
+    go_on.set()
+    other.submit("picture", lambda _: 2, told.append, told.append)
+    other.submit("picture", lambda _: 3, told.append, told.append)
+    time.sleep(0.05)
+    assert told == [1]
 
 
 def test_jobs_tell_how_far_they_are_and_end_when_nobody_waits():

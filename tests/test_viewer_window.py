@@ -13,10 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from test_viewer_edits import crossings
 
 import gs_codec
 from gs_codec.codecs import encode_scene
 from gs_codec.config import Config
+from gs_codec.edit import Action
+from gs_codec.files.scenes import read_scene
 from gs_codec.formats.ply import write_ply
 from samples.generate import generate
 from viewer.scenes.numbers import quality_text, size_text
@@ -111,6 +114,16 @@ def test_what_is_of_one_scene_alone_shows_there(found, layer, owner):
     assert halves[1 - owner] < halves[owner] / 10
     assert halves[owner] > 100
     assert apart <= 4
+
+
+def test_appearances_and_hidden_gaussians_change_the_panes_but_no_numbers(found):
+    changed = found["appearances"]
+    assert min(changed[name] for name in ("background", "scale", "least opacity")) > 1000
+    assert changed["teal"] > 1000
+    hidden, whole = changed["hidden"]
+    assert hidden < whole / 2
+    assert changed["quality"] == found["quality"]
+    assert changed["apart"] <= 4
 
 
 def test_the_depth_of_the_octree_follows_the_slider(found):
@@ -223,6 +236,90 @@ def test_loading_is_stopped(found):
 
 
 @pytest.fixture(scope="module")
+def edited(display, folder) -> dict:
+    return drive("drive_edit.py", display, folder)
+
+
+def rows_in(folder: Path, name: str, pose: list, *corners: tuple[int, int]) -> set[int]:
+    """Gaussians of a file in a polygon whose corners are pixels of the mouse, one by one."""
+    rotation, position, (fx, fy, cx, cy) = pose
+    polygon = [(x + 0.5, y + 0.5) for x, y in corners]
+    found = set()
+    for row, point in enumerate(read_scene(folder / name).positions.T.astype(float)):
+        x, y, depth = np.array(rotation) @ (point - position)
+        if depth > 0.2 and crossings(fx * x / depth + cx, fy * y / depth + cy, polygon) % 2:
+            found.add(row)
+    return found
+
+
+BOX = (60, 40), (150, 40), (150, 160), (60, 160)
+
+
+def test_regions_select_what_is_in_them(edited, folder):
+    pose = edited["pose"]
+    box = rows_in(folder, "a.ply", pose, *BOX)
+    assert len(box) > 20
+    assert set(edited["box"]) == box
+    added = box | rows_in(folder, "a.ply", pose, (160, 60), (220, 80), (200, 200), (110, 210))
+    assert len(added) > len(box)
+    assert set(edited["added"]) == added
+    removed = added - rows_in(folder, "a.ply", pose, (110, 100), edited["edge"], (120, 220))
+    assert len(removed) < len(added)
+    assert set(edited["removed"]) == removed
+    number, other = edited["other"]
+    assert number == 1
+    assert set(other) == rows_in(folder, "b.egs", pose, *BOX)
+
+
+def test_a_region_and_the_selection_are_seen(edited):
+    light, dark = edited["stroke"]
+    assert light > 200
+    assert dark < 50
+    assert edited["marked"] > 200
+    assert edited["label"] == f"{len(edited['box'])} of 3,000 selected"
+
+
+def test_edits_are_seen_undone_and_done_again(edited):
+    left = 3000 - len(edited["removed"])
+    assert edited["counts"] == 3 * [3000, left]
+    assert [changed > 1000 for changed in edited["changed"]] == [True, False, True, False, True]
+    assert edited["changed"][1::2] == [0, 0]
+    assert edited["same pose"]
+    assert edited["back"]
+    assert edited["quality"] == 3 * edited["quality"][:2]
+    assert edited["quality"][0] != edited["quality"][1]
+    assert edited["captions"] == [" A: a.ply, edited", " B: b.egs"]
+    assert f"Gaussians               {left:,}\n  of the file           3,000\n" in edited["numbers"]
+    assert edited["hidden"] == [len(edited["removed"]), 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [
+        ("filtered.egs", Action("filter", "opacity>=0.5")),
+        ("cropped.ply", Action("crop-box", "-1.5,-1.25,-1,0.75,1,2")),
+        ("cluster.ply", Action("keep-largest-cluster")),
+    ],
+)
+def test_scenes_are_saved_as_convert_does(edited, folder, name, action, tmp_path):
+    done = gs_codec.convert_file(folder / "a.ply", tmp_path / name, actions=[action])
+    assert 100 < done.count < 3000
+    assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
+def test_saving_tells_and_asks(edited):
+    assert edited["said"].startswith("filtered.egs is written: 2,174")
+    assert edited["unsaved"] == [False, True]
+    assert edited["asked"]
+
+
+def test_edits_that_are_not_saved_are_asked_about(edited):
+    assert edited["opened"] == [["a.ply", True], ["b.egs", False]]
+    assert edited["asks"]
+    assert edited["closes"]
+
+
+@pytest.fixture(scope="module")
 def chosen(display, folder) -> dict:
     return drive("drive_chosen.py", display, folder)
 
@@ -238,6 +335,12 @@ def test_without_cameras_the_first_picture_is_upright_and_stays(chosen, folder):
     np.testing.assert_allclose(model[:3, :3].T, first.rotation * [[1], [-1], [-1]], atol=1e-4)
     np.testing.assert_array_equal(chosen["after"], chosen["at_first"])
     assert chosen["drawn"] > 10
+
+
+def test_centres_show_before_it_is_known_where_to_look_from(chosen):
+    waits, drawn = chosen["preview"]
+    assert waits
+    assert drawn > 1
 
 
 def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(chosen):
@@ -263,6 +366,20 @@ def keyed(display, folder) -> dict:
 
 def test_the_window_lives_through_many_keys(keyed):
     assert keyed["pressed"] == 136
+
+
+def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):
+    path = keyed["path"]
+    assert path["enabled"] == [[True, False, False, False, True], [True] * 5]
+    assert path["flown"]
+    first, last = path["ends"]
+    assert first > 0.1
+    assert last < 1e-9
+    assert path["apart"] < 1e-9
+    assert len(gs_codec.read_cameras(folder / "path.json")) == 2
+    title, text = path["message"]
+    assert title == "Not possible"
+    assert text.startswith("nothing.json: no such file")
 
 
 def test_keys_are_for_the_dialog_alone(keyed):
@@ -359,15 +476,45 @@ def test_cameras_photographs_reports_and_recent_files_are_opened(used):
     }
 
 
-def test_the_plugin_opens_shows_what_was_pruned_and_compares(display, folder):
-    found = drive("drive_plugin.py", display, folder)
-    assert found["count"] == 3000
-    assert found["refused"] == "no scene is open"
-    opened, pruned, compared, detached = found["changed"]
-    assert min(opened, pruned, compared, detached) > 1000
-    assert found["left"] == ["centres", []]
-    assert found["titles"] == ["plugin - colour error, of 255: 0.25 dark, 64 yellow", "plugin"]
-    assert found["detached"] == "detached from the visualizer"
+@pytest.fixture(scope="module")
+def plugged(display, folder) -> dict:
+    return drive("drive_plugin.py", display, folder)
+
+
+def test_the_plugin_names_what_it_shows_and_detaches(plugged):
+    cameras, error = "cameras.json: cameras", "b.egs: error against a.ply"
+    assert plugged["named"] == [
+        ["a.ply: centres"],
+        ["a.ply: kept", "a.ply: pruned"],
+        [error],
+        *[[error, cameras]] * 3,
+        ["a.ply: centres", "a.ply: splats", cameras],
+        [],
+    ]
+    opened, pruned, compared, lines, looked, nearest, splats, detached = plugged["changed"]
+    assert min(opened, pruned, compared, looked, nearest, splats, detached) > 1000
+    assert lines > 10
+    assert plugged["count"] == 3000
+
+
+def test_the_plugin_shows_legends_and_photographs_beside(plugged, folder):
+    opened, pruned, compared, *_, photograph = plugged["notes"]
+    assert opened == 0
+    assert min(pruned, compared) > 50  # a legend has many colours
+    assert photograph > 1
+    first = gs_codec.read_cameras(folder / "cameras.json")[0]
+    np.testing.assert_allclose(plugged["here"], first.position, atol=1e-4)
+    assert plugged["ended"]  # nothing is left open
+
+
+def test_the_plugin_tells_what_is_not_possible(plugged, folder):
+    suffixes = ".png, .jpg, .jpeg, .webp, .tif, .tiff, .bmp"
+    assert plugged["refused"] == {
+        "compare": "no scene is open",
+        "nearest": "no cameras are open",
+        "photograph": f"{folder / 'images'}: no image 'view1' ({suffixes})",
+        "detached": "detached from the visualizer",
+    }
 
 
 def test_without_a_driver_it_says_so(display, folder):

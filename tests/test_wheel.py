@@ -96,6 +96,20 @@ def test_unpacked_wheel_runs_elsewhere(unpacked, tmp_path):
     assert run("-c", code, cwd=tmp_path, path=unpacked) == version
 
 
+def test_the_viewer_has_a_second_name_and_is_loaded_once(unpacked, tmp_path):
+    code = (
+        "import sys, gs_codec\n"
+        "print('viewer' in sys.modules)\n"
+        "first = gs_codec.viewer\n"
+        "import gs_codec.viewer, viewer\n"
+        "print(first is gs_codec.viewer is viewer, 'open3d' in sys.modules)\n"
+        "from gs_codec.viewer import attach\n"
+        "print(attach is viewer.attach)\n"
+    )
+    found = run("-c", code, cwd=tmp_path, path=unpacked).split()
+    assert found == ["False", "True", "False", "True"]
+
+
 def test_unpacked_wheel_loads_every_command(unpacked, tmp_path):
     """Commands load the modules of theirs, so a package left out would show late."""
     code = (

@@ -1,7 +1,7 @@
 """Viewer of 3D Gaussian Splatting scenes: compare two versions, and show what was pruned.
 
 `draw` opens a window; `attach` adds actions to a window of Open3D. Names are loaded when first
-used, because loading Open3D takes a second.
+used, because loading Open3D takes a second. `gs_codec.viewer` is another name of this package.
 """
 
 from __future__ import annotations

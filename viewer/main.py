@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 import gs_codec
-from gs_codec.cli.output import log_to_stderr, print_status, print_text
+from gs_codec.cli.main import describe_error
+from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, OctreeChoice
+from viewer.scenes.choice import (
+    CELL_COLOURINGS,
+    COLOURINGS,
+    DEPTHS,
+    LAYERS,
+    SCALED,
+    SCALES,
+    OctreeChoice,
+)
 from viewer.scenes.pose import UPS
+
+if TYPE_CHECKING:
+    from viewer.pictures.film import Film
+    from viewer.scenes.request import Request
 
 app = typer.Typer(
     add_completion=False,
@@ -21,68 +35,155 @@ app = typer.Typer(
 )
 
 
-@app.command()
+#: Panels of the help.
+_INPUT, _SHOWN, _OUTPUT = "What to open", "What to show", "Pictures and films; no display is needed"
+
+
+@app.command(epilog="Without a scene, the window opens empty. H in it lists the keys.")
 def command(
-    a: Annotated[
-        Path | None, typer.Argument(metavar="[A]", help="A scene.", show_default=False)
-    ] = None,
+    a: Annotated[Path | None, typer.Argument(metavar="A", help=SCENES, show_default=False)] = None,
     b: Annotated[
         Path | None,
-        typer.Argument(metavar="[B]", help="Another version of it.", show_default=False),
+        typer.Argument(metavar="B", help="Another version of it.", show_default=False),
     ] = None,
     cameras: Annotated[
         str | None,
-        typer.Option(metavar="C", help=f"Cameras to look from: {CAMERAS}"),
+        typer.Option(metavar="C", help=f"Cameras to look from: {CAMERAS}", rich_help_panel=_INPUT),
     ] = None,
     gt_images: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Ground-truth images of the cameras, shown beside."),
+        typer.Option(
+            metavar="DIR",
+            help="Ground-truth images of the cameras, shown beside.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     pruned: Annotated[
         Path | None,
-        typer.Option(metavar="REPORT", help="Folder that prepare --report wrote for A."),
+        typer.Option(
+            metavar="REPORT",
+            help="Folder that prepare --report wrote for A.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    max_bytes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Largest size of a scene's floats; by default 1 GiB or 1000 times the file.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     layers: Annotated[
         str | None,
         typer.Option(
-            metavar="L,...", help=f"Layers to show: {', '.join(LAYERS)}.", show_default=False
+            metavar="L,...",
+            help=f"Layers: {', '.join(LAYERS)}; by default splats, and pruned with --pruned.",
+            rich_help_panel=_SHOWN,
         ),
     ] = None,
     colour: Annotated[
-        str, typer.Option(help=f"Colour centres by: {', '.join(COLOURINGS)}.")
+        str,
+        typer.Option(
+            metavar="C",
+            help=f"Colour centres by: {', '.join(COLOURINGS)}.",
+            rich_help_panel=_SHOWN,
+        ),
     ] = "colour",
+    colour_scale: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Scale of {', '.join(SCALED)}: {', '.join(SCALES)}.",
+            show_default="linear for opacity and bits",
+        ),
+    ] = None,
     octree_depth: Annotated[
-        int, typer.Option(help=f"Depth of the octree's cells, {DEPTHS[0]}-{DEPTHS[-1]}.")
+        int,
+        typer.Option(
+            metavar="N",
+            help=f"Depth of the octree's cells, {DEPTHS[0]}-{DEPTHS[-1]}.",
+            rich_help_panel=_SHOWN,
+        ),
     ] = OctreeChoice.depth,
     octree_colour: Annotated[
-        str, typer.Option(help=f"Colour the octree's cells by: {', '.join(CELL_COLOURINGS)}.")
+        str,
+        typer.Option(
+            metavar="C",
+            help=f"Colour the octree's cells by: {', '.join(CELL_COLOURINGS)}.",
+            rich_help_panel=_SHOWN,
+        ),
     ] = OctreeChoice.colouring,
     mode: Annotated[
-        str, typer.Option(help="Two scenes: side by side, wipe (one view, A left), or flip (B).")
+        str,
+        typer.Option(
+            metavar="M",
+            help="Two scenes: side, wipe (one view, A left), or flip (one view, B).",
+            rich_help_panel=_SHOWN,
+        ),
     ] = "side",
     view: Annotated[
-        int | None, typer.Option(help="Camera to begin with, from 0.", show_default=False)
+        int | None,
+        typer.Option(metavar="N", help="Camera to begin with, from 0.", rich_help_panel=_SHOWN),
     ] = None,
     up: Annotated[
         str | None,
         typer.Option(
             metavar="AXIS",
             help=f"Up axis: {', '.join(UPS)}; by default from cameras, given or estimated.",
-            show_default=False,
+            rich_help_panel=_SHOWN,
         ),
     ] = None,
+    width: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            help="Width of the window or picture, pixels.",
+            rich_help_panel=_SHOWN,
+        ),
+    ] = 1280,
+    height: Annotated[
+        int, typer.Option(metavar="N", help="Its height.", rich_help_panel=_SHOWN)
+    ] = 800,
     screenshot: Annotated[
         Path | None,
-        typer.Option(metavar="PNG", help="Write a picture and exit; needs no display."),
-    ] = None,
-    max_bytes: Annotated[
-        int | None,
         typer.Option(
-            help="Largest size of a scene's floats.", show_default="1 GiB or 1000 times the file"
+            metavar="PNG", help="Write a picture instead of a window.", rich_help_panel=_OUTPUT
         ),
     ] = None,
-    width: Annotated[int, typer.Option(help="Width of the window or picture, pixels.")] = 1280,
-    height: Annotated[int, typer.Option(help="Its height.")] = 800,
+    turntable: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT",
+            help="Write a film once around the scene: .mp4, or a folder of PNG frames.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    flythrough: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT",
+            help="Write a film from each of --cameras to the next, in the order of the file.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Frames of a film; by default 180.", rich_help_panel=_OUTPUT
+        ),
+    ] = None,
+    fps: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Frames a second of an .mp4 film; by default 24.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    overwrite: Annotated[
+        bool,
+        typer.Option("--overwrite", help="Replace an existing film.", rich_help_panel=_OUTPUT),
+    ] = False,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
     """Show a 3D Gaussian Splatting scene, or two versions of one, of any format."""
@@ -105,8 +206,13 @@ def command(
         max_bytes,
         up,
         OctreeChoice(octree_depth, octree_colour),
+        colour_scale,
     )
     request.check()
+    film = _film(screenshot, turntable, flythrough, frames, fps, overwrite)
+    if film is not None:
+        _write_film(request, film)
+        return
     if screenshot is not None:
         from viewer.pictures.screenshot import write_screenshot
 
@@ -117,25 +223,70 @@ def command(
     from viewer.window.device import find_device
 
     device = find_device()
+    _leave_out_plotly()
     from viewer.window.viewer import run
 
     run(request, device)
+
+
+def _leave_out_plotly() -> None:
+    """Let Open3D not import Plotly and Dash, which takes longer than all else it imports."""
+    name, module = "open3d.visualization.draw_plotly", ModuleType("draw_plotly")
+    for each in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
+        setattr(module, each, None)
+    sys.modules.setdefault(name, module)
+
+
+def _film(
+    screenshot: Path | None,
+    turntable: Path | None,
+    flythrough: Path | None,
+    frames: int | None,
+    fps: int | None,
+    overwrite: bool,
+) -> Film | None:
+    """The film that was asked for, if one was; options without effect are refused."""
+    outputs = {"screenshot": screenshot, "turntable": turntable, "flythrough": flythrough}
+    asked = [name for name, path in outputs.items() if path is not None]
+    if len(asked) > 1:
+        raise gs_codec.GsCodecError(f"{asked[0]} and {asked[1]}: expected one of them")
+    path = turntable or flythrough
+    if path is None:
+        for name, value in (("frames", frames), ("fps", fps), ("overwrite", overwrite or None)):
+            if value is not None:
+                raise gs_codec.GsCodecError(f"{name}: needs --turntable or --flythrough")
+        return None
+    from viewer.pictures.film import FRAMES, Film
+
+    kind: Literal["turntable", "flythrough"] = "flythrough" if flythrough else "turntable"
+    return Film(kind, path, FRAMES if frames is None else frames, fps, overwrite)
+
+
+def _write_film(request: Request, film: Film) -> None:
+    from viewer.pictures.film import write_film
+
+    film.check(request)
+    with progress_bar() as progress:
+        told = write_film(request, film, progress)
+    print_text(f"{film.path}: {film.frames} frames, {told}")
 
 
 def main() -> None:
     """Run the command; errors of use and input exit with status 2."""
     log_to_stderr("gs-viewer")
     try:
-        app(standalone_mode=False)
-    except (gs_codec.GsCodecError, OSError) as error:
-        print_status(f"gs-viewer: error: {error}")
+        status = app(standalone_mode=False)
+    except (gs_codec.GsCodecError, OSError, MemoryError) as error:
+        print_status(f"gs-viewer: error: {describe_error(error)}")
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
-        print_status("gs-viewer: interrupted")
-        sys.exit(130)
+        status = 130
     except Exception as error:
         # Usage errors of Typer; its releases define the class in different modules.
         if not hasattr(error, "format_message"):
             raise
         print_status(f"gs-viewer: error: {' '.join(error.format_message().split())}")
         sys.exit(2)
+    if status == 130:
+        print_status("gs-viewer: interrupted")
+        sys.exit(status)

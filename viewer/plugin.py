@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import gs_codec
-from viewer.pictures.layers import Points, centres, pruned_centres
-from viewer.scenes.choice import OctreeChoice
+from gs_codec.rendering.images import find_image
+from gs_codec.rendering.photographs import read_photograph
+from viewer.pictures.centres import centres, pruned_centres
+from viewer.pictures.layers import Points
+from viewer.pictures.notes import draw_notes
+from viewer.scenes.appearance import Look
+from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, open_scene, read_pruned
+from viewer.scenes.pose import of_camera
 from viewer.scenes.request import Request, parse_layers
-from viewer.scenes.viewpoints import choose_views, find_viewpoints
+from viewer.scenes.viewpoints import choose_views, find_viewpoints, nearest_camera
 from viewer.window.device import find_device
+
+#: The group of the geometries that actions show.
+_GROUP = "gs_codec"
 
 
 def draw(
@@ -23,6 +32,7 @@ def draw(
     pruned: str | Path | None = None,
     layers: Sequence[str] | None = None,
     colour: str = "colour",
+    colour_scale: str | None = None,
     octree_depth: int = OctreeChoice.depth,
     octree_colour: str = OctreeChoice.colouring,
     mode: str = "side",
@@ -42,8 +52,13 @@ def draw(
     layers : sequence of str, optional
         Of ``splats``, ``centres``, ``pruned``, ``boxes``, ``error`` and ``octree``; by default
         ``splats``, and ``pruned`` if a report is given.
-    colour : {"colour", "opacity", "scale", "error"}
-        Quantity that centres are coloured by.
+    colour : {"colour", "opacity", "scale", "error", "bits", "sh", "class", "block"}
+        Quantity that centres are coloured by: SH-DC; opacity; longest axis; difference in colour
+        from the nearest centre of the other scene; of an ``.egs`` file the bits that it takes, its
+        class of step sizes, or its block; the sum of the squares of its SH-AC.
+    colour_scale : {"linear", "log"}, optional
+        Scale of the colours of ``opacity`` and ``bits``, by default linear, or of ``scale``,
+        ``error`` and ``sh``, by default logarithmic.
     octree_depth : int
         Depth of the octree's cells, 1-12.
     octree_colour : {"occupancy", "bits"}
@@ -69,7 +84,10 @@ def draw(
     folder = Path(pruned) if pruned is not None else None
     shown = tuple(layers) if layers is not None else parse_layers(None, folder)
     octree, size = OctreeChoice(octree_depth, octree_colour), (width, height)
-    request = Request(a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree)
+    request = Request(
+        a, b, cameras, None, folder, shown, colour, mode, size=size, octree=octree,
+        scale=colour_scale,
+    )  # fmt: skip
     request.check()
     device = find_device()
     from viewer.window.viewer import run
@@ -80,8 +98,14 @@ def draw(
 def attach(visualizer: Any) -> Actions:
     """Add actions to the menu of an `open3d.visualization.O3DVisualizer`.
 
-    The actions open an ``.egs`` (or ``.ply``) scene, show the Gaussians that a report lists as
-    pruned, and colour centres by their error against another version. Each asks for a file.
+    The actions open a scene of any format that `gs_codec` reads, show the Gaussians that a report
+    lists as pruned, colour centres by their error against another version, and show cameras and
+    the photograph of the one nearest to the view. Each asks for a file.
+
+    Splats are drawn by Open3D's shader if a graphics card draws the window, else centres. Names of
+    geometries say the file and the layer. Legends and photographs are in a small window of their
+    own, which closes with the visualizer: so `set_on_close` of the visualizer is taken. If you set
+    another function, call `Actions.detach` in it.
 
     Parameters
     ----------
@@ -105,9 +129,11 @@ def attach(visualizer: Any) -> Actions:
     """
     actions = Actions(visualizer)
     for title, ask in (
-        ("Open a compressed scene ...", actions.ask_open),
+        ("Open a scene ...", actions.ask_open),
         ("Show what was pruned ...", actions.ask_pruned),
         ("Compare with another version ...", actions.ask_compare),
+        ("Open cameras and photographs ...", actions.ask_photographs),
+        ("Go to the nearest camera", actions.ask_nearest),
     ):
         visualizer.add_action(title, lambda _, ask=ask: ask())
     return actions
@@ -120,17 +146,27 @@ class Actions:
     ----------
     scene : Opened or None
         The scene opened last.
+    cameras : list of gs_codec's Camera
+        Those opened last.
     """
 
     def __init__(self, visualizer: Any) -> None:
-        self._visualizer = visualizer
-        self._title, self._attached = visualizer.title, True
+        from viewer.window.notes import NotesWindow
+
+        self._visualizer, self._attached = visualizer, True
+        self._notes = NotesWindow()
+        self._shown: list[str] = []
+        self._frustums = ""
+        self._images = Path()
         self.scene: Opened | None = None
+        self.cameras: list[gs_codec.Camera] = []
+        visualizer.set_on_close(self._closing)
 
     def open(self, path: str | Path) -> None:
-        """Show the centres of a scene, replacing the previous one."""
+        """Show a scene, replacing the previous one, from its overview."""
         scene = open_scene(path)
-        self._show(centres=centres(scene, "colour", [scene]))
+        points = centres(scene, "colour", [scene])
+        self._show(scene, {"centres": points}, splats=True)
         self.scene = scene
         views = choose_views(scene, count=1)
         pose = find_viewpoints(scene, views, views.ups[0])[0].pose
@@ -146,23 +182,51 @@ class Actions:
         pruned = read_pruned(folder, scene)
         left = pruned.labels == 0
         kept = Points(scene.positions[left], scene.colours[left])
-        self._show(centres=kept, pruned=pruned_centres(scene, pruned))
+        self._show(scene, {"kept": kept, "pruned": pruned_centres(scene, pruned)})
+        self._note(f"{scene.name}: pruned", pruned=pruned)
 
     def compare(self, path: str | Path) -> None:
-        """Show only another version, coloured by its error against the scene.
-
-        The window's title explains the colours.
-        """
+        """Show only another version, its centres coloured by their error against the scene."""
         scene, other = self._needed(), open_scene(path)
-        self._show(centres=centres(other, "error", [scene, other]))
+        points = centres(other, "error", [scene, other])
+        self._show(other, {f"error against {scene.name}": points})
+        legends = [points.legend] if points.legend is not None else []
+        self._note(f"{other.name} against {scene.name}", legends=legends)
+
+    def photographs(self, cameras: str | Path, images: str | Path) -> None:
+        """Show where the cameras of a file are; `nearest` shows their images in a folder."""
+        self._check()
+        found = gs_codec.read_cameras(cameras)
+        if not Path(images).is_dir():
+            raise gs_codec.GsCodecError(f"{images}: no such folder, expected images")
+        self._visualizer.remove_geometry(self._frustums)
+        self.cameras, self._images = found, Path(images)
+        self._frustums = f"{Path(cameras).name}: cameras"
+        from viewer.window.pane import camera_lines
+
+        self._visualizer.add_geometry(self._frustums, camera_lines(found), None, _GROUP)
+
+    def nearest(self) -> str:
+        """Look from the camera nearest to the view, show its photograph, and return its name."""
+        self._check()
+        if not self.cameras:
+            raise gs_codec.GsCodecError("no cameras are open")
+        model = self._visualizer.scene.camera.get_model_matrix()
+        camera = nearest_camera(self.cameras, model[:3, 3], -model[:3, 2])
+        pose, size = of_camera(camera), (camera.width, camera.height)
+        self._visualizer.setup_camera(pose.intrinsics(*size), pose.extrinsics, *size)
+        _, image = read_photograph(camera, find_image(self._images, camera.name))
+        self._note(f"photograph of {camera.name}", photograph=image)
+        return camera.name
 
     def detach(self) -> None:
         """Remove what was shown; the menu items stay, without effect, as they cannot be removed.
 
         After this, the other methods raise `gs_codec.GsCodecError`.
         """
-        self._show()
-        self.scene, self._attached = None, False
+        self._clear()
+        self._visualizer.remove_geometry(self._frustums)
+        self.scene, self.cameras, self._attached = None, [], False
 
     def ask_open(self) -> None:
         """Ask for a file and `open` it."""
@@ -176,44 +240,86 @@ class Actions:
         """Ask for a file and `compare` with it."""
         self._ask("Compare with", self.compare)
 
+    def ask_photographs(self) -> None:
+        """Ask for a file of cameras, then for the folder of their images: `photographs`."""
+        self._ask(
+            "Cameras",
+            lambda cameras: self._ask(
+                "Folder of photographs", lambda images: self.photographs(cameras, images), True
+            ),
+        )
+
+    def ask_nearest(self) -> None:
+        """Look from the nearest camera, as `nearest`; tell why if that is not possible."""
+        if self._attached:
+            self._try(self.nearest)
+
+    def _check(self) -> None:
+        if not self._attached:
+            raise gs_codec.GsCodecError("detached from the visualizer")
+
     def _needed(self) -> Opened:
+        self._check()
         if self.scene is None:
             raise gs_codec.GsCodecError("no scene is open")
         return self.scene
 
-    def _show(self, **points: Points) -> None:
-        """Show only these points, by name; the window's title gets their legend."""
-        from viewer.window.pane import point_geometry
+    def _show(self, scene: Opened, points: dict[str, Points], splats: bool = False) -> None:
+        """Show only these points of a scene, by layer; or its splats, and the points on demand."""
+        from viewer.window.pane import draws_splats, point_geometry, splat_cloud, splat_material
 
-        if not self._attached:
-            raise gs_codec.GsCodecError("detached from the visualizer")
-        for name in ("centres", "pruned"):
-            self._visualizer.remove_geometry(f"gs_codec {name}")
-        for name, each in points.items():
-            self._visualizer.add_geometry(f"gs_codec {name}", *point_geometry(each))
-        legends = [each.legend for each in points.values() if each.legend is not None]
-        said = [
-            f"{legend.title}: {legend.marks[0]} dark, {legend.marks[-1]} yellow"
-            for legend in legends
-        ]
-        self._visualizer.title = " - ".join([self._title, *said])
+        self._check()
+        self._clear()
+        splats = splats and scene.count > 0 and draws_splats(find_device())
+        for layer, each in points.items():
+            self._add(f"{scene.name}: {layer}", *point_geometry(each), not splats)
+        if splats:
+            self._add(
+                f"{scene.name}: splats",
+                splat_cloud(scene, Look()),
+                splat_material(scene, Appearance()),
+            )
 
-    def _ask(self, title: str, then: Any) -> None:
+    def _add(self, name: str, geometry: Any, material: Any, visible: bool = True) -> None:
+        self._visualizer.add_geometry(name, geometry, material, _GROUP, 0.0, visible)
+        self._shown.append(name)
+
+    def _clear(self) -> None:
+        """Remove geometries of scenes, and notes."""
+        for name in self._shown:
+            self._visualizer.remove_geometry(name)
+        self._shown.clear()
+        self._notes.close()
+
+    def _note(self, caption: str, **notes: Any) -> None:
+        frame = self._visualizer.os_frame
+        self._notes.show(draw_notes(caption, **notes, most=frame.height // 3), frame)
+
+    def _closing(self) -> bool:
+        self._notes.close()
+        return True
+
+    def _ask(self, title: str, then: Callable[[str], object], folder: bool = False) -> None:
         from open3d.visualization import gui
 
         if not self._attached:
             return
         # A file dialog needs a theme, and O3DVisualizer does not give access to its own.
         window = gui.Application.instance.create_window(title, 720, 480)
-        dialog = gui.FileDialog(gui.FileDialog.OPEN, title, window.theme)
+        purpose = gui.FileDialog.OPEN_DIR if folder else gui.FileDialog.OPEN
+        dialog = gui.FileDialog(purpose, title, window.theme)
         dialog.set_on_cancel(window.close)
 
         def done(path: str) -> None:
             window.close()
-            try:
-                then(path)
-            except (gs_codec.GsCodecError, OSError) as error:
-                self._visualizer.show_message_box("Not possible", str(error))
+            self._try(lambda: then(path))
 
         dialog.set_on_done(done)
         window.show_dialog(dialog)
+
+    def _try(self, action: Callable[[], object]) -> None:
+        """Do something, or tell why it is not possible."""
+        try:
+            action()
+        except (gs_codec.GsCodecError, OSError) as error:
+            self._visualizer.show_message_box("Not possible", str(error))

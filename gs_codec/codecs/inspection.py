@@ -18,7 +18,7 @@ from gs_codec.codecs.adaptive.step_sizes import SHAPE_RULES
 from gs_codec.codecs.entropygs.section import RANS_STREAMS, Channel, channels_of
 from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skipped_by_passes
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
-from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file
+from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file, section_label
 from gs_codec.egs.index import Box, bounds_of
 from gs_codec.egs.sections import read_line
 from gs_codec.scene import SH_COEFFICIENTS
@@ -201,9 +201,9 @@ def describe(file: EgsFile) -> Info:
 
 
 def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:
-    sizes, known = {"header": file.header_size}, set(SectionId)
+    sizes = {"header": file.header_size}
     for (section_id, _), size in sorted(file.sizes.items()):
-        label = SectionId(section_id).label if section_id in known else f"section {section_id}"
+        label = section_label(section_id)
         sizes[label] = sizes.get(label, 0) + size
     count = max(file.header.count, 1)
     tables: dict[str, set[int]] = {}

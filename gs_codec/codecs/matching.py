@@ -194,12 +194,12 @@ def put_side_by_side(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
 
 def _side_by_side_unmarked(first: Scene, second: Scene) -> tuple[Scene, Scene, str]:
     """As `put_side_by_side`; by index, unless only Morton order brings centres together."""
-    if first.count == second.count and not _are_together(first, second):
+    if first.count == second.count and not are_together(first, second):
         ordered = _in_morton_order(first)
-        if _are_together(ordered, second):
+        if are_together(ordered, second):
             return ordered, second, "Morton order"
         ordered = _in_morton_order(second)
-        if _are_together(first, ordered):
+        if are_together(first, ordered):
             return first, ordered, "Morton order"
     return first, second, "index"
 
@@ -209,7 +209,7 @@ def _in_morton_order(scene: Scene) -> Scene:
     return scene.take(spatial_order(turn_axes(scene, CONVENTION).positions))
 
 
-def _are_together(first: Scene, second: Scene) -> bool:
+def are_together(first: Scene, second: Scene) -> bool:
     """Whether most centres of the same index are nearer than the Gaussian is long."""
     some = slice(None, None, max(1, first.count // _SAMPLE))
     with np.errstate(over="ignore"):

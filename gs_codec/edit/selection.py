@@ -16,13 +16,7 @@ from gs_codec.edit.clouds import finite, on_clouds
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.packed_values import sigmoid, spans
 from gs_codec.runtime.arrays import empty
-from gs_codec.scene import (
-    GROUPS,
-    SH_C0,
-    SH_COEFFICIENTS,
-    Scene,
-    property_names,
-)
+from gs_codec.scene import GROUPS, SH_C0, SH_COEFFICIENTS, Scene, property_names
 
 
 @on_clouds
@@ -51,6 +45,11 @@ def crop_box(scene: Scene, low: Sequence[float], high: Sequence[float]) -> Scene
     >>> cloud = gs_codec.read("scene.ply")
     >>> half = gs_codec.edit.crop_box(cloud, (-100, -100, 0), (100, 100, 100))
     """
+    return _keep(scene, in_box(scene, low, high))
+
+
+def in_box(scene: Scene, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:
+    """Which Gaussians ``(N,)`` `crop_box` keeps."""
     lowest, highest = finite("low", low, 3), finite("high", high, 3)
     if (lowest > highest).any():
         raise InvalidInput("high: below low on an axis, expected the lowest corner first")
@@ -59,7 +58,7 @@ def crop_box(scene: Scene, low: Sequence[float], high: Sequence[float]) -> Scene
         centres = some.positions.T
         return ((centres >= lowest) & (centres <= highest)).all(axis=1)
 
-    return _keep(scene, inside)
+    return _mask(scene, inside)
 
 
 @on_clouds
@@ -97,7 +96,7 @@ def crop_sphere(scene: Scene, centre: Sequence[float], radius: float) -> Scene:
     def inside(some: Scene) -> NDArray[np.bool_]:
         return np.linalg.norm(some.positions.T - middle, axis=1) <= limit
 
-    return _keep(scene, inside)
+    return _keep(scene, _mask(scene, inside))
 
 
 @on_clouds
@@ -146,7 +145,7 @@ def select_where(scene: Scene, name: str, compared: str, number: float) -> Scene
         values = attribute_values(some, name)
         return COMPARED[compared](values, number) & ~np.isnan(values)
 
-    return _keep(scene, holds)
+    return _keep(scene, _mask(scene, holds))
 
 
 @on_clouds
@@ -172,7 +171,7 @@ def remove_nonfinite(scene: Scene) -> Scene:
     --------
     >>> cloud = gs_codec.edit.remove_nonfinite(gs_codec.read("scene.ply"))
     """
-    return _keep(scene, finite_gaussians)
+    return _keep(scene, _mask(scene, finite_gaussians))
 
 
 @on_clouds
@@ -283,9 +282,14 @@ _DERIVED: Mapping[str, Callable[[Scene], NDArray]] = {
 }
 
 
-def _keep(scene: Scene, chosen: Callable[[Scene], NDArray[np.bool_]]) -> Scene:
-    """The Gaussians that are chosen, in their order; the scene itself if these are all."""
+def _mask(scene: Scene, chosen: Callable[[Scene], NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    """Which Gaussians ``(N,)`` are chosen, found part by part."""
     mask = np.empty(scene.count, bool)
     for some in spans(scene.count):
         mask[some] = chosen(scene.between(some.start, some.stop))
+    return mask
+
+
+def _keep(scene: Scene, mask: NDArray[np.bool_]) -> Scene:
+    """The Gaussians of a mask, in their order; the scene itself if these are all."""
     return scene if mask.all() else without_order(scene.take(mask))

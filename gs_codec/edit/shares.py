@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,36 +67,43 @@ def shares_of(scene: Scene) -> tuple[Share, ...]:
         the centres at either end of each axis. Of Gaussians with the same centre, or with the same
         values of all attributes, all but the first count.
     """
-    rules = (_transparent, _needles, _huge, _repeated, _not_finite)
     with using_threads(None, scene.count):
-        found = [share for shares in run_all(lambda rule: rule(scene), rules) for share in shares]
+        found = run_all(lambda rule: rule(scene), dict.fromkeys(_RULES.values()))
+    counted = [
+        (name, rule, int(np.count_nonzero(mask))) for each in found for name, rule, mask in each
+    ]
     return tuple(
-        Share(name, rule, number, number / max(scene.count, 1)) for name, rule, number in found
+        Share(name, rule, number, number / max(scene.count, 1)) for name, rule, number in counted
     )
 
 
-_Found = list[tuple[str, str, int]]
+def members(scene: Scene, name: str) -> NDArray[np.bool_]:
+    """Which Gaussians ``(N,)`` a share counts, by its name in `SHARES`."""
+    return next(mask for found, _, mask in _RULES[name](scene) if found == name)
+
+
+_Found = list[tuple[str, str, NDArray[np.bool_]]]
 
 
 def _transparent(scene: Scene) -> _Found:
-    number = int(np.count_nonzero(sigmoid(scene.opacity[0].astype(np.float64)) < MIN_ALPHA))
-    return [("transparent", "opacity below 1/255, which is not drawn", number)]
+    mask = sigmoid(scene.opacity[0].astype(np.float64)) < MIN_ALPHA
+    return [("transparent", "opacity below 1/255, which is not drawn", mask)]
 
 
 def _needles(scene: Scene) -> _Found:
     _, middle, longest = np.sort(scene.log_scale, axis=0).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        number = int(np.count_nonzero(longest - middle > math.log(_NEEDLE)))
-    return [("needle-like", f"longest scale over {_NEEDLE} times the middle one", number)]
+        mask = longest - middle > math.log(_NEEDLE)
+    return [("needle-like", f"longest scale over {_NEEDLE} times the middle one", mask)]
 
 
 def _huge(scene: Scene) -> _Found:
     extent = max(_spread(row) for row in scene.positions)
     longest = scene.log_scale.astype(np.float64).max(axis=0)
     # Without extent, as of a single Gaussian, none is huge.
-    number = int(np.count_nonzero(longest > math.log(_HUGE * extent))) if extent else 0
+    mask = longest > (math.log(_HUGE * extent) if extent else math.inf)
     rule = f"longest scale over {_HUGE:.0%} of the scene's extent, {extent:.4g}"
-    return [("huge", rule.replace("%", " %"), number)]
+    return [("huge", rule.replace("%", " %"), mask)]
 
 
 def ends_of(number: int) -> tuple[int, int]:
@@ -115,11 +123,14 @@ def _spread(values: NDArray[np.float32]) -> float:
 
 def _repeated(scene: Scene) -> _Found:
     first, centres = _repetitions(_words(scene.positions))
-    few = scene.take(np.union1d(first, centres))
+    rows = np.union1d(first, centres)
+    few = scene.take(rows)
     planes = np.concatenate([_words(getattr(few, group)) for group in GROUPS])
+    same, all_same = np.zeros((2, scene.count), bool)
+    same[centres] = all_same[rows[_repetitions(planes)[1]]] = True
     return [
-        ("same centre", "centre of an earlier one", len(centres)),
-        ("duplicate", "all attributes of an earlier one", len(_repetitions(planes)[1])),
+        ("same centre", "centre of an earlier one", same),
+        ("duplicate", "all attributes of an earlier one", all_same),
     ]
 
 
@@ -135,7 +146,7 @@ def _repetitions(words: NDArray[np.uint32]) -> tuple[NDArray[np.intp], NDArray[n
     for row in words:
         mixed = (mixed ^ row) * _FACTOR
         mixed ^= mixed >> np.uint64(32)
-    order = np.argsort(mixed)
+    order = np.argsort(mixed, kind="stable")
     mixed = mixed[order]
     after = np.flatnonzero(mixed[1:] == mixed[:-1])
     first, second = order[after], order[after + 1]
@@ -146,5 +157,17 @@ def _repetitions(words: NDArray[np.uint32]) -> tuple[NDArray[np.intp], NDArray[n
 
 
 def _not_finite(scene: Scene) -> _Found:
-    number = int(np.count_nonzero(~finite_gaussians(scene)))
-    return [("not finite", "NaN or infinity in an attribute", number)]
+    return [("not finite", "NaN or infinity in an attribute", ~finite_gaussians(scene))]
+
+
+_RULES: Mapping[str, Callable[[Scene], _Found]] = {
+    "transparent": _transparent,
+    "needle-like": _needles,
+    "huge": _huge,
+    "same centre": _repeated,
+    "duplicate": _repeated,
+    "not finite": _not_finite,
+}
+
+#: Names of shares.
+SHARES = tuple(_RULES)

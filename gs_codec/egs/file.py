@@ -63,6 +63,12 @@ class SectionId(IntEnum):
         return cls[stream.upper().replace("-", "_")]
 
 
+def section_label(section_id: int) -> str:
+    """Name of a section in messages and reports, also of one that is not known."""
+    known = section_id in set(SectionId)
+    return SectionId(section_id).label if known else f"section {section_id}"
+
+
 #: Sections that say where blocks are and how they are coded, in the order of a file, which begins
 #: with them.
 DESCRIPTIONS = (

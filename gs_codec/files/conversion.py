@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
 from gs_codec.config import LOSSLESS, Config
 from gs_codec.edit.actions import Action, check_actions
@@ -15,7 +19,7 @@ from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
 from gs_codec.files.suffixes import IN_PARTS, UNBUNDLED
-from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of
+from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import ActionReport, Progress, StageTimes
 from gs_codec.runtime.arrays import bounded
@@ -77,6 +81,7 @@ def convert_file(
     config: Config | None = None,
     coordinates: str = CONVENTION,
     *,
+    chosen: NDArray[np.bool_] | None = None,
     actions: Sequence[Action] = (),
     plan: Plan | None = None,
     progress: Progress | None = None,
@@ -99,8 +104,10 @@ def convert_file(
         Coordinate system to convert to, or ``keep``; PLY and ``.splat`` files use ``RDF``, and
         formats that have a system of their own, as ``.spz`` has, are always in that.
         ``RUB:RDF`` converts from the first to the second, whatever the source states.
+    chosen : ndarray, shape (N,), bool, optional
+        Which Gaussians to keep, in the order of the source; only for a single one.
     actions : sequence of gs_codec.edit.Action
-        What to do with the scene, in this order. It is in ``RDF`` then.
+        What to do with the scene then, in this order. It is in ``RDF``.
     plan : Plan, optional
         Of it, cameras and views guide actions.
     progress, max_bytes
@@ -143,9 +150,11 @@ def convert_file(
         with times.stage("read"):
             scenes = [_read(each, config, stated, progress, max_bytes) for each in sources]
         with located(" + ".join(map(str, sources))):
-            with times.stage("edit"):
-                scene, done = edit_scenes(scenes, actions, plan, progress)
             before = system_of(scenes[0])
+            with times.stage("edit"):
+                if chosen is not None:
+                    scenes = [_choose(scenes, chosen)]
+                scene, done = edit_scenes(scenes, actions, plan, progress)
             del scenes
             if suffix != ".egs" or config.profile != LOSSLESS or config.nonfinite == "drop":
                 scene, dropped = drop_nonfinite(scene, config)
@@ -173,6 +182,16 @@ def convert_file(
         scene.float_bytes / size,
         times.seconds,
     )
+
+
+def _choose(scenes: Sequence[Scene], chosen: NDArray[np.bool_]) -> Scene:
+    """The Gaussians of the only scene that are chosen, in ``RDF``."""
+    expected = [(scene.count,) for scene in scenes]
+    if [chosen.shape] != expected or chosen.dtype != bool:
+        raise InvalidInput(f"chosen: {chosen.dtype} {chosen.shape}, expected bool {expected}")
+    if not chosen.any():
+        raise InvalidInput("chosen: no Gaussian")
+    return without_order(turn_axes(scenes[0])).take(chosen)
 
 
 def _read(

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs import decode_part, matching
-from gs_codec.codecs.costs import gaussian_bits
+from gs_codec.codecs.adaptive.costs import gaussian_classes
+from gs_codec.codecs.costs import CodedGaussian, describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra
-from gs_codec.egs.file import read_file
+from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
 from gs_codec.files.suffixes import PLAIN, UNBUNDLED, WRITTEN, config_for, suffix_of
 from gs_codec.formats.checkpoint import write_checkpoint
@@ -170,6 +171,18 @@ def gaussian_bits_of_file(path: str | Path) -> NDArray[np.float64]:
     """See `gaussian_bits`."""
     with opened(path) as data, located(path):
         return gaussian_bits(read_file(data))
+
+
+def gaussian_classes_of_file(path: str | Path) -> NDArray[np.uint8]:
+    """See `gaussian_classes`; of a file of profile `l`, `m` or `s`."""
+    with opened(path) as data, located(path):
+        return gaussian_classes(read_file(data))
+
+
+def describe_gaussian_of_file(path: str | Path, index: int) -> CodedGaussian:
+    """See `describe_gaussian`."""
+    with opened(path) as data, located(path):
+        return describe_gaussian(read_file(data, lambda s, _: s in DESCRIPTIONS), index)
 
 
 def compare_files(

@@ -113,13 +113,18 @@ def make_frame(scene: Scene, camera: Camera, antialiased: bool | None = None) ->
     return Frame(camera, splats, lists, columns, rows)
 
 
-def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
-    """Splats that the camera sees, nearest first; equal depths keep the scene's order."""
+def project_all(scene: Scene, camera: Camera, antialiased: bool) -> list[Splats]:
+    """Splats that the camera sees in parts, in the scene's order; the last part is empty."""
     parts = run_all(
         lambda start: project(scene, camera, antialiased, start, min(start + _CHUNK, scene.count)),
         range(0, scene.count, _CHUNK),
     )
-    parts.append(project(scene, camera, antialiased, 0, 0))
+    return [*parts, project(scene, camera, antialiased, 0, 0)]
+
+
+def _sorted_splats(scene: Scene, camera: Camera, antialiased: bool) -> Splats:
+    """Splats that the camera sees, nearest first; equal depths keep the scene's order."""
+    parts = project_all(scene, camera, antialiased)
     order = _nearest_first(np.concatenate([part.fields[:, DEPTH] for part in parts]))
     # Indices are in range, so nothing is clipped: it is faster than to check them.
     return Splats(

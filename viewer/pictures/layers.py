@@ -1,15 +1,11 @@
-"""Layers of a scene: centres and their colours, pruned Gaussians, boxes of blocks, errors."""
+"""What layers are made of: points, legends, colours of values and kinds, boxes, errors."""
 
 from __future__ import annotations
 
-import colorsys
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from viewer.scenes.opened import Opened, Pruned
 
 #: The colour map viridis at evenly spaced values.
 _VIRIDIS = np.array(
@@ -19,17 +15,25 @@ _VIRIDIS = np.array(
     ]
 ) / 255.0  # fmt: skip
 
-#: Colours of the reasons for pruning, in order.
-_REASONS = np.array([(0, 220, 255), (255, 160, 0), (255, 40, 80), (190, 90, 255)]) / 255.0
+#: Okabe and Ito's colours without black, which most colour-blind people tell apart.
+_KINDS = np.array(
+    [
+        (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178),
+        (213, 94, 0), (204, 121, 167),
+    ]
+) / 255.0  # fmt: skip
+
+#: Brightness of these colours in successive rounds through them.
+_ROUNDS = (1.0, 0.7, 0.45)
+
+#: Colour of what is not known.
+UNKNOWN = (0.45, 0.45, 0.45)
+
+#: Colour of what is selected: on no colour map, and seen on dark, light and grey by everybody.
+SELECTED = (1.0, 0.25, 0.95)
 
 #: Edges of a box.
 EDGES = 12
-
-#: Step of hue between the boxes of successive blocks, turns, so that neighbours look different.
-_HUE_STEP = 0.381966
-
-#: Quantiles of the sizes that get the first and the last colour.
-_SIZES = (0.01, 0.99)
 
 #: The scale of errors: from a quarter of a level of 255 to 64 levels, in eight doublings.
 _LEAST_ERROR, _DOUBLINGS = 0.25 / 255, 8
@@ -37,10 +41,34 @@ _LEAST_ERROR, _DOUBLINGS = 0.25 / 255, 8
 
 @dataclass(frozen=True)
 class Legend:
-    """Legend of a heat map: five evenly spaced values, from the first colour to the last."""
+    """What colours mean.
+
+    Attributes
+    ----------
+    title : str
+    marks : tuple of str
+        Of a heat map: five evenly spaced values, from the first colour to the last. Else one for
+        each of `kinds`.
+    kinds : tuple of RGB colours, 0-1
+        Empty for a heat map.
+    """
 
     title: str
     marks: tuple[str, ...]
+    kinds: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def places(self) -> NDArray[np.float64]:
+        """Where the marks are along the bar, 0-1."""
+        count = len(self.marks)
+        return (np.arange(count) + 0.5) / count if self.kinds else np.linspace(0, 1, count)
+
+    def bar(self, width: int, height: int) -> NDArray[np.float32]:
+        """The bar of colours, ``(height, width, 3)``, 0-1."""
+        if self.kinds:
+            kind = np.arange(width) * len(self.kinds) // width
+            return np.broadcast_to(np.array(self.kinds, np.float32)[kind], (height, width, 3))
+        return np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,82 +101,22 @@ def error_legend(title: str) -> Legend:
     return Legend(f"{title}, of 255", tuple(f"{mark:g}" for mark in marks))
 
 
-def heat_bar(width: int, height: int) -> NDArray[np.float32]:
-    """The colours of `heat` from its lowest value to its highest, ``(height, width, 3)``."""
-    return np.broadcast_to(heat(np.linspace(0, 1, width), 0, 1), (height, width, 3))
+def legend_of(title: str, values: NDArray) -> Legend:
+    """A legend of values with three digits, or all digits of larger ones."""
+    return Legend(title, tuple(f"{v:.3g}" if v < 1000 else f"{v:,.0f}" for v in values))
 
 
 def reason_colour(index: int) -> tuple[float, float, float]:
     """The colour of a reason for pruning, by its index."""
-    red, green, blue = _REASONS[index % len(_REASONS)].tolist()
+    red, green, blue = _KINDS[index % len(_KINDS)].tolist()
     return red, green, blue
 
 
-def thinned(count: int, most: int) -> slice:
-    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
-    return slice(None, None, max(1, -(-count // max(most, 1))))
-
-
 def block_colour(index: int) -> tuple[float, float, float]:
-    """The colour of a block, by its index."""
-    return colorsys.hsv_to_rgb(index * _HUE_STEP % 1, 0.65, 0.95)
-
-
-def centres(
-    scene: Opened, colouring: str, scenes: Sequence[Opened], most: int | None = None
-) -> Points:
-    """Centres of a scene, at most `most`, and their colours.
-
-    Parameters
-    ----------
-    scene : Opened
-    colouring : {"colour", "opacity", "scale", "error"}
-        SH-DC; opacity; the longest axis; the distance in colour from the nearest centre of the
-        other scene.
-    scenes : sequence of Opened
-        All scenes shown; the first sets the range of sizes. If there is only one, ``error`` is not
-        known, and its own colours are shown.
-    most : int, optional
-    """
-    some = thinned(scene.count, most or scene.count)
-    positions = scene.positions[some]
-    others = [other for other in scenes if other is not scene]
-    if colouring == "opacity":
-        legend = Legend("opacity", ("0", "0.25", "0.5", "0.75", "1"))
-        return Points(positions, heat(scene.opacities[some], 0, 1), legend)
-    if colouring == "scale":
-        sizes = scenes[0].sizes
-        low, high = (float(np.quantile(sizes, q)) if sizes.size else 0.0 for q in _SIZES)
-        marks = tuple(f"{10**size:.2g}" for size in np.linspace(low, high, 5))
-        legend = Legend("longest axis, scene units", marks)
-        return Points(positions, heat(scene.sizes[some], low, high), legend)
-    if colouring == "error" and others:
-        errors = colour_errors(scene, others[0], some)
-        return Points(positions, error_heat(errors), error_legend("colour error"))
-    return Points(positions, scene.colours[some])
-
-
-def colour_errors(scene: Opened, reference: Opened, some: slice) -> NDArray[np.float32]:
-    """Root-mean-square difference over RGB from the SH-DC colour of the nearest centre."""
-    from scipy.spatial import cKDTree
-
-    colours = scene.colours[some]
-    if not reference.count:
-        return np.zeros(len(colours), np.float32)
-    finite = np.isfinite(reference.positions).all(axis=1)
-    tree = cKDTree(reference.positions[finite])
-    positions = np.nan_to_num(scene.positions[some])
-    nearest = tree.query(positions, workers=-1)[1]
-    known = reference.colours[finite][nearest]
-    return np.sqrt(np.mean((colours - known) ** 2, axis=1))
-
-
-def pruned_centres(scene: Opened, pruned: Pruned, most: int | None = None) -> Points:
-    """Pruned Gaussians, at most `most`, in the colours of the reasons."""
-    gone = np.flatnonzero(pruned.labels)
-    gone = gone[thinned(len(gone), most or len(gone))]
-    palette = np.array([reason_colour(k) for k in range(max(len(pruned.reasons), 1))], np.float32)
-    return Points(scene.positions[gone], palette[pruned.labels[gone] - 1])
+    """The colour of a block, by its index; the first 21 differ."""
+    brightness = _ROUNDS[index // len(_KINDS) % len(_ROUNDS)]
+    red, green, blue = (brightness * _KINDS[index % len(_KINDS)]).tolist()
+    return red, green, blue
 
 
 def box_lines(boxes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from gs_codec.coding.cube import Cube
 from gs_codec.coding.morton import decode_morton
 from viewer.pictures.cubes import Cubes
-from viewer.pictures.layers import Legend, Points, heat, thinned
+from viewer.pictures.layers import UNKNOWN, Legend, Points, heat, legend_of
 from viewer.scenes.choice import DEPTHS, OctreeChoice
-from viewer.scenes.opened import Opened
+from viewer.scenes.opened import Opened, thinned
 
 #: Most cells that are drawn as cubes; more are drawn as points in their middles.
 MOST_CUBES = 100_000
@@ -25,9 +25,6 @@ _LEAST, _MOST = 0.3, 0.94
 
 #: Quantiles of the Gaussians' bits that get the first and the last colour.
 _BITS = (0.02, 0.98)
-
-#: Colour of cells whose bits are not known.
-_UNKNOWN = (0.45, 0.45, 0.45)
 
 _DEEPEST = DEPTHS[-1]
 
@@ -112,19 +109,19 @@ class Octree:
         most = self._fullest(depth)
         title = f"Gaussians in a cell {self._side(depth):.2g} wide"
         counts = self._sorted[scene].counts(first)
-        return heat(np.log(counts), 0, np.log(most)), _legend(title, np.geomspace(1, most, 5))
+        return heat(np.log(counts), 0, np.log(most)), legend_of(title, np.geomspace(1, most, 5))
 
     def _by_bits(
         self, scene: Opened, first: NDArray[np.int64], depth: int
     ) -> tuple[NDArray[np.float32], Legend | None]:
         """As `_by_occupancy`; grey where bits are unknown."""
         if scene.bits is None:
-            return np.full((len(first), 3), _UNKNOWN, np.float32), None
+            return np.full((len(first), 3), UNKNOWN, np.float32), None
         low, high = self._bits
         cells = self._sorted[scene]
         sums = np.add.reduceat(scene.bits[cells.order], first)
         title = f"bits / Gaussian, cells {self._side(depth):.2g} wide"
-        return heat(sums / cells.counts(first), low, high), _legend(
+        return heat(sums / cells.counts(first), low, high), legend_of(
             title, np.linspace(low, high, 5)
         )
 
@@ -134,8 +131,3 @@ class Octree:
         known = [scene.bits for scene in self._sorted if scene.bits is not None]
         low, high = np.quantile(np.concatenate(known), _BITS).tolist()
         return low, high
-
-
-def _legend(title: str, values: NDArray[np.float64]) -> Legend:
-    """A legend of values with three digits, or all digits of larger ones."""
-    return Legend(title, tuple(f"{v:.3g}" if v < 1000 else f"{v:,.0f}" for v in values))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-import gs_codec
+from viewer.pictures.centres import centres, pruned_centres, why_unknown
 from viewer.pictures.cubes import Cubes, draw_cubes
 from viewer.pictures.layers import (
     EDGES,
@@ -20,39 +20,32 @@ from viewer.pictures.layers import (
     Points,
     block_colour,
     box_lines,
-    centres,
     error_image,
-    heat_bar,
-    pruned_centres,
     reason_colour,
 )
+from viewer.pictures.marker import draw_marker, marker
 from viewer.pictures.octree import Octree
-from viewer.scenes.choice import OctreeChoice
-from viewer.scenes.numbers import quality_text
+from viewer.pictures.splats import Drawer, drawer_of
+from viewer.scenes.appearance import Look
+from viewer.scenes.choice import Appearance, OctreeChoice
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
 
 #: Side of a centre, pixels.
 POINT_SIZE = 2
-PRUNED_SIZE = CELL_SIZE = 3
+PRUNED_SIZE = CELL_SIZE = SELECTED_SIZE = 3
 
 #: Nothing nearer to the camera than this is drawn, scene units.
 _NEAR = 1e-3
-
-#: Pictures kept per scene: one of a pane, one of the frame.
-_KEPT = 2
-
-#: SSIM needs pictures of at least this size, pixels.
-_LEAST_SIDE = 11
 
 #: Width of the line of a wipe, pixels; RGB of this line and of the outlines of frames.
 WIPE_LINE = 8
 LINE_COLOUR = (0.85, 0.85, 0.85)
 
-#: RGB of the background.
+#: RGB behind charts.
 BACKGROUND = (0.07, 0.07, 0.08)
 #: Height of text and length of the bar of a legend, pixels.
-_TEXT, _BAR = 13, 200
+TEXT, _BAR = 13, 200
 
 
 @dataclass(frozen=True)
@@ -70,6 +63,14 @@ class Shown:
     pruned : Pruned or None
         Gaussians that were removed from the first.
     octree : OctreeChoice
+    appearance : Appearance
+    drawn : mapping of Opened to ndarray, shape (N,), bool
+        Which Gaussians are drawn; a scene that is not in it has none hidden. Drawings are kept as
+        long as the arrays are the same ones.
+    scale : str or None
+        One of `SCALES`, for the colours of centres; None is that of the quantity.
+    marked : tuple of Opened and int, or None
+        A Gaussian that is marked in all pictures: its scene, and its number in it.
     """
 
     layers: Collection[str]
@@ -77,6 +78,14 @@ class Shown:
     scenes: tuple[Opened, ...] = ()
     pruned: Pruned | None = None
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    appearance: Appearance = field(default_factory=Appearance)
+    drawn: Mapping[Opened, NDArray[np.bool_]] = field(default_factory=dict)
+    scale: str | None = None
+    marked: tuple[Opened, int] | None = None
+
+    def look(self, scene: Opened) -> Look:
+        """How a scene is drawn."""
+        return Look(self.appearance, self.drawn.get(scene))
 
     @cached_property
     def cells(self) -> Octree:
@@ -99,11 +108,14 @@ class Shown:
         remark = ", error against A" if self.shows_error(scene) else ""
         if "octree" in self.layers and self.octree.colouring == "bits" and scene.bits_unknown:
             remark += f", bits unknown: {scene.bits_unknown}"
+        if "centres" in self.layers:
+            reason = why_unknown(scene, self.colouring, self.scenes)
+            remark += f", {self.colouring} unknown: {reason}" if reason else ""
         return remark
 
 
 def draw_scene(
-    scene: Opened, pose: Pose, width: int, height: int, shown: Shown, views: dict[Opened, Any]
+    scene: Opened, pose: Pose, width: int, height: int, shown: Shown, views: dict[Opened, Drawer]
 ) -> tuple[NDArray[np.float32], list[Legend]]:
     """The picture ``(H, W, 3)``, 0-1, of one scene, and its legends.
 
@@ -113,13 +125,13 @@ def draw_scene(
     """
     legends = []
     image = np.empty((height, width, 3), np.float32)
-    image[:] = BACKGROUND
+    image[:] = shown.appearance.background
     if {"splats", "error"} & set(shown.layers):
         image = picture(views, scene, pose, width, height, shown)
     if shown.shows_error(scene):
         legends.append(PIXEL_LEGEND)
     if "centres" in shown.layers:
-        points = centres(scene, shown.colouring, shown.scenes)
+        points = centres(scene, shown.colouring, shown.scenes, None, shown.scale, shown.look(scene))
         draw_points(image, points, pose, POINT_SIZE)
         if points.legend is not None:
             legends.append(points.legend)
@@ -137,75 +149,45 @@ def draw_scene(
             draw_points(image, cells, pose, CELL_SIZE)
         if cells.legend is not None:
             legends.append(cells.legend)
+    if shown.marked is not None:
+        canvas = to_pillow(image)
+        draw_marker(canvas, marker(*shown.marked, pose, width, height))
+        image = from_pillow(canvas)
     return image, legends
 
 
 def picture(
-    views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int, shown: Shown
-) -> NDArray[np.float32]:
-    """A scene's splats ``(H, W, 3)``, 0-1, or the heat map of their errors if that is chosen."""
-    if shown.shows_error(scene):
-        return error_image(*(splats(views, each, pose, width, height) for each in shown.scenes))
-    return np.clip(splats(views, scene, pose, width, height), 0, 1)
-
-
-def splats(
-    views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
-) -> NDArray[np.float32]:
-    """A scene drawn by the rasteriser; `views` caches its renderer and last pictures."""
-    renderer, pictures = _renderer(views, scene, pose, width, height)
-    key = pose, width, height
-    if key not in pictures:
-        pictures[key] = renderer.draw(pose.camera(width, height)).colour
-        for old in list(pictures)[:-_KEPT]:
-            del pictures[old]
-    return pictures[key]
-
-
-def _renderer(
-    views: dict[Opened, Any], scene: Opened, pose: Pose, width: int, height: int
-) -> tuple[Any, dict]:
-    """The renderer of a scene, made once, and its last pictures."""
-    if scene not in views:
-        views[scene] = gs_codec.render(scene.cloud, [pose.camera(width, height)]), {}
-    return views[scene]
-
-
-def depth_at(
-    views: dict[Opened, Any],
+    views: dict[Opened, Drawer],
     scene: Opened,
     pose: Pose,
-    at: tuple[float, float],
-    size: tuple[int, int],
-) -> float:
-    """The depth of what is seen at a pixel of a picture of this size; 0 where nothing is."""
-    _, _, cx, cy = pose.lens(*size)
-    camera = pose.camera(*size) | {
-        "width": 1,
-        "height": 1,
-        "cx": cx - at[0] + 0.5,
-        "cy": cy - at[1] + 0.5,
-    }
-    seen = _renderer(views, scene, pose, *size)[0].draw(camera)
-    return float(seen.depth[0, 0])
+    width: int,
+    height: int,
+    shown: Shown,
+    draft: int = 0,
+) -> NDArray[np.float32]:
+    """A scene's splats ``(H, W, 3)``, 0-1, or the heat map of their errors if that is chosen.
 
+    Parameters
+    ----------
+    views : dict
+        What draws each scene.
+    scene : Opened
+    pose : Pose
+    width, height : int
+    shown : Shown
+    draft : int
+        From 1 on, splats are drawn as drafts, of one Gaussian in so many.
+    """
 
-def quality(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> Any:
-    """`gs_codec.compare_images` of two scenes in the camera's frame; None if it is too small."""
-    width, height = pose.measured
-    if min(width, height) < _LEAST_SIDE:
-        return None
-    images = [splats(views, scene, pose, width, height) for scene in scenes]
-    return gs_codec.compare_images(*images)
+    def draw(each: Opened) -> NDArray[np.float32]:
+        drawer, look = drawer_of(views, each), shown.look(each)
+        if draft:
+            return drawer.draft(pose, width, height, look, draft)
+        return drawer.exact(pose, width, height, look)
 
-
-def measure(views: dict[Opened, Any], scenes: Sequence[Opened], pose: Pose) -> str:
-    """`quality` as text."""
-    found = quality(views, scenes, pose)
-    if found is None:
-        width, height = pose.measured
-        return f"frame of {width}x{height}: too small"
-    return quality_text(found)
+    if shown.shows_error(scene):
+        return error_image(*map(draw, shown.scenes))
+    return np.clip(draw(scene), 0, 1)
 
 
 def draw_points(image: NDArray, points: Points, pose: Pose, size: int) -> None:
@@ -293,15 +275,14 @@ def labelled(
     """The image with captions at its top, each with its column, and legends at its bottom."""
     canvas = to_pillow(image)
     pen = ImageDraw.Draw(canvas)
-    font = ImageFont.load_default(_TEXT)
+    font = ImageFont.load_default(TEXT)
     for left, caption in captions:
         _write(pen, (left + 8, 6), caption, font)
-    bar = to_pillow(heat_bar(_BAR, 10))
     for row, legend in enumerate(reversed(legends)):
         top = canvas.height - 52 * (row + 1)
         _write(pen, (20, top), legend.title, font)
-        canvas.paste(bar, (20, top + 20))
-        columns = np.linspace(20, 20 + _BAR, len(legend.marks))
+        canvas.paste(to_pillow(legend.bar(_BAR, 10)), (20, top + 20))
+        columns = 20 + _BAR * legend.places
         for column, mark in zip(columns, legend.marks, strict=True):
             _write(pen, (round(column), top + 32), mark, font, "ma")
     return canvas
@@ -315,7 +296,7 @@ def reasons_text(pruned: Pruned) -> list[tuple[str, tuple[float, float, float]]]
 
 def write_reasons(canvas: Image.Image, pruned: Pruned) -> None:
     """Write the reasons for pruning, with counts, into the upper left corner below the caption."""
-    pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(_TEXT)
+    pen, font = ImageDraw.Draw(canvas), ImageFont.load_default(TEXT)
     for row, (text, colour) in enumerate(reasons_text(pruned)):
         top = 26 + 18 * row
         pen.rectangle((8, top + 3, 18, top + 13), fill=_bytes(colour))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,13 @@ from PIL import Image
 import gs_codec
 from gs_codec.rendering.images import find_image
 from gs_codec.rendering.photographs import read_photograph
+from gs_codec.runtime.atomic import atomic_writer, check_writable
 from viewer.pictures.layers import Legend
 from viewer.pictures.picture import (
     Shown,
     draw_scene,
     from_pillow,
     labelled,
-    measure,
     outlined,
     side_by_side,
     to_pillow,
@@ -27,6 +27,7 @@ from viewer.pictures.picture import (
     wiped,
     write_reasons,
 )
+from viewer.pictures.splats import measure
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.scenes.request import Request, find_pruned, find_views, first_view
@@ -40,6 +41,10 @@ def write_screenshot(request: Request, path: Path) -> str:
     ------
     gs_codec.GsCodecError
     """
+    request.check_picture("screenshot")
+    if path.suffix.lower() != ".png":
+        raise gs_codec.GsCodecError(f"{path}: expected .png")
+    check_writable(path)
     picture, missing = draw_request(request)
     save_picture(picture, path)
     return missing
@@ -47,26 +52,25 @@ def write_screenshot(request: Request, path: Path) -> str:
 
 def save_picture(picture: Image.Image, path: Path) -> None:
     """Write a picture as a PNG, complete or not at all."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        picture.save(partial, "PNG")
-        os.replace(partial, path)
-    except OSError as error:
-        raise gs_codec.GsCodecError(f"{path}: {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    with atomic_writer(path) as file:
+        picture.save(file, "PNG")
+
+
+def shown_of(request: Request, scenes: Sequence[Opened]) -> Shown:
+    """What a request shows of its scenes, which are open."""
+    pruned, scale = find_pruned(request, scenes[0]), request.scale
+    return Shown(
+        request.layers, request.colouring, tuple(scenes), pruned, request.octree, scale=scale
+    )
 
 
 def draw_request(request: Request) -> tuple[Image.Image, str]:
     """The requested picture, and a message if a photograph is missing, or ""."""
     scenes = request.scenes()
-    if not scenes:
-        raise gs_codec.GsCodecError("screenshot: no scene to draw")
     views = find_views(request, scenes[0])
     viewpoints = find_viewpoints(scenes[0], views, request.up or views.ups[0])
     viewpoint = viewpoints[first_view(request, views)]
-    pruned = find_pruned(request, scenes[0])
-    shown = Shown(request.layers, request.colouring, tuple(scenes), pruned, request.octree)
+    shown = shown_of(request, scenes)
     photograph, missing = None, ""
     if request.images is not None:
         try:
@@ -86,6 +90,7 @@ def compose(
     size: tuple[int, int],
     photograph: NDArray[np.float32] | None = None,
     front: int = 1,
+    views: dict[Opened, Any] | None = None,
 ) -> Image.Image:
     """One or two scenes, labelled, with the photograph beside them.
 
@@ -101,13 +106,15 @@ def compose(
     photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
     front : {0, 1}
         Which of two scenes ``flip`` shows.
+    views : dict, optional
+        Renderers of the scenes, kept from picture to picture.
     """
     width, height = size
     scenes = shown.scenes
     panes = 1 if mode != "side" else len(scenes)
     panes += photograph is not None
     width = (width - 2 * (panes - 1)) // panes
-    views: dict[Opened, Any] = {}
+    views = {} if views is None else views
     drawn = [draw_scene(scene, pose, width, height, shown, views) for scene in scenes]
     labels = shown.captions
     if len(scenes) > 1:
@@ -117,7 +124,7 @@ def compose(
     parts = _arrange(drawn, labels, mode, wipe, front)
     has_first = mode != "flip" or len(scenes) < 2 or front == 0
     if shown.pruned is not None and "pruned" in shown.layers and has_first:
-        write_reasons(parts[0], shown.pruned)
+        write_reasons(parts[0], shown.pruned.of(shown.scenes[0]))
     if photograph is not None:
         parts.append(labelled(_fitted(photograph, width, height), [(0, "photograph")], []))
     return to_pillow(side_by_side([from_pillow(part) for part in parts]))
@@ -134,7 +141,8 @@ def _arrange(
     if len(drawn) > 1 and mode == "wipe":
         image = wiped(drawn[0][0], drawn[1][0], wipe)
         _, right = wipe_line(wipe, image.shape[1])
-        return [labelled(image, [(0, labels[0]), (right, labels[1])], drawn[1][1])]
+        legends = list(dict.fromkeys([*drawn[0][1], *drawn[1][1]]))
+        return [labelled(image, [(0, labels[0]), (right, labels[1])], legends)]
     if len(drawn) > 1 and mode == "flip":
         drawn, labels = [drawn[front]], [labels[front]]
     return [

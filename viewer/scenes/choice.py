@@ -8,7 +8,11 @@ from dataclasses import dataclass, field
 LAYERS = ("splats", "centres", "pruned", "boxes", "error", "octree")
 
 #: Quantities that centres can be coloured by.
-COLOURINGS = ("colour", "opacity", "scale", "error")
+COLOURINGS = ("colour", "opacity", "scale", "error", "bits", "sh", "class", "block")
+
+#: Scales of the colours of magnitudes; those that have them, and which they have by default.
+SCALES = ("linear", "log")
+SCALED = {"opacity": "linear", "scale": "log", "error": "log", "bits": "linear", "sh": "log"}
 
 #: How two scenes are shown.
 MODES = ("side", "wipe", "flip")
@@ -53,6 +57,28 @@ class OctreeChoice:
     colouring: str = "occupancy"
 
 
+@dataclass(frozen=True)
+class Appearance:
+    """How splats are drawn in panes and saved pictures; what is measured does not depend on it.
+
+    Attributes
+    ----------
+    sh_degree : int, 0-3
+        Highest SH degree of their colours.
+    scale : float, 0.05-2
+        Factor on their axes.
+    least_opacity : float, 0-1
+        Gaussians of lower opacity are not drawn, neither as splats nor as centres.
+    background : tuple of three float, 0-1
+        RGB behind everything.
+    """
+
+    sh_degree: int = 3
+    scale: float = 1.0
+    least_opacity: float = 0.0
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 @dataclass
 class Choice:
     """What is shown of the scenes, and how.
@@ -63,6 +89,8 @@ class Choice:
         Names in `LAYERS`.
     colouring : str
         One of `COLOURINGS`.
+    scales : dict of str
+        The scale of each of `SCALED`.
     mode : str
         One of `MODES`.
     front : {0, 1}
@@ -76,6 +104,7 @@ class Choice:
         Whether a drag looks around instead of turning about the point ahead.
     dock : str
         What is shown below the panes, of `DOCKS`.
+    appearance : Appearance
     """
 
     layers: set[str]
@@ -87,3 +116,10 @@ class Choice:
     octree: OctreeChoice = field(default_factory=OctreeChoice)
     flying: bool = False
     dock: str = "nothing"
+    appearance: Appearance = field(default_factory=Appearance)
+    scales: dict[str, str] = field(default_factory=SCALED.copy)
+
+    @property
+    def scale(self) -> str | None:
+        """The scale of the colouring, if it has one."""
+        return self.scales.get(self.colouring)

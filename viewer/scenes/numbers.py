@@ -20,12 +20,18 @@ def size_text(size: float) -> str:
 
 def facts(scene: Opened) -> list[tuple[str, str]]:
     """Rows for a scene: Gaussians, SH degree, size, and bits of each attribute."""
-    rows = [("Gaussians", f"{scene.count:,}"), ("SH degree", str(scene.sh_degree))]
+    rows = [("Gaussians", f"{scene.count:,}")]
+    if scene.whole is not None:
+        rows.append(("  of the file", f"{scene.file_count:,}"))
+    rows.append(("SH degree", str(scene.sh_degree)))
     if scene.file_bytes is not None:
-        bits = 8 * scene.file_bytes / max(scene.count, 1)
+        bits, raw = (
+            8 * scene.file_bytes / max(scene.file_count, 1),
+            (scene.whole or scene).raw_bytes,
+        )
         rows += [
             ("file", size_text(scene.file_bytes)),
-            ("raw / file", f"{scene.raw_bytes / scene.file_bytes:.1f}"),
+            ("raw / file", f"{raw / scene.file_bytes:.1f}"),
             ("bits / Gaussian", f"{bits:.1f}"),
         ]
     if scene.info is not None:
@@ -35,9 +41,9 @@ def facts(scene: Opened) -> list[tuple[str, str]]:
 
 
 def between(first: Opened, second: Opened) -> list[tuple[str, str]]:
-    """Rows that compare the sizes of two scenes."""
-    rows = []
-    if first.file_bytes and second.file_bytes:
+    """Rows that compare the sizes of two scenes; files only if they are of what is shown."""
+    rows, edited = [], first.whole or second.whole
+    if first.file_bytes and second.file_bytes and not edited:
         rows.append(("B is", f"{first.file_bytes / second.file_bytes:.1f}x smaller than A"))
     if first.count != second.count:
         share = second.count / max(first.count, 1)

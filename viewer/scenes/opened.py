@@ -15,10 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from gs_codec.files.scenes import gaussian_bits_of_file, read_scene, turn_scene
-from gs_codec.formats.cloud import to_cloud, turn_cloud
+from gs_codec.codecs.matching import without_order
+from gs_codec.config import ADAPTIVE_PROFILES
+from gs_codec.errors import one_line
+from gs_codec.files.scenes import (
+    gaussian_bits_of_file,
+    gaussian_classes_of_file,
+    read_scene,
+    turn_scene,
+)
+from gs_codec.formats.cloud import from_cloud, to_cloud, turn_cloud
 from gs_codec.formats.coordinates import CONVENTION, system_of
-from gs_codec.scene import SH_C0, SH_COEFFICIENTS, float_bytes
+from gs_codec.scene import SH_C0, SH_COEFFICIENTS, Scene, float_bytes
 
 if TYPE_CHECKING:
     from open3d.t.geometry import PointCloud
@@ -56,6 +64,16 @@ class Opened:
         The coordinate system of the file.
     path : Path
         Of the file; a cloud has none.
+    comments : tuple of str
+        Of the file; with an order that it states only if the scene was not turned.
+    modified : int or None
+        When the file was written last, nanoseconds.
+    system_given : bool
+        Whether `system` is what `turned` made it, and not what the file states.
+    whole : Opened or None
+        Of an edited scene, the M Gaussians before edits, as in the file; None if all are left.
+    left : ndarray, shape (M,), bool, or None
+        Which of them are left.
     """
 
     name: str
@@ -64,21 +82,42 @@ class Opened:
     info: Any = None
     system: str = CONVENTION
     path: Path = Path()
+    comments: tuple[str, ...] = ()
+    modified: int | None = None
+    system_given: bool = False
+    whole: Opened | None = None
+    left: NDArray[np.bool_] | None = None
 
     @property
     def title(self) -> str:
-        """The name, and the coordinate system that the scene was converted from, if any."""
-        return self.name if self.system == CONVENTION else f"{self.name}, turned from {self.system}"
+        """The name, whether it is edited, and the system that it was converted from, if any."""
+        name = self.name if self.whole is None else f"{self.name}, edited"
+        return name if self.system == CONVENTION else f"{name}, turned from {self.system}"
 
     @property
     def is_stored(self) -> bool:
-        """Whether its file holds this very scene."""
-        return self.path != Path()
+        """Whether its file holds this very scene: it was neither edited nor turned."""
+        return self.path != Path() and self.whole is None and not self.system_given
 
     @property
     def count(self) -> int:
         """Number of Gaussians."""
         return len(self.positions)
+
+    @property
+    def file_count(self) -> int:
+        """Number of Gaussians of the file, before edits."""
+        return self.count if self.whole is None else self.whole.count
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """Rows of the file ``(N,)`` that its Gaussians are."""
+        return np.arange(self.count) if self.left is None else np.flatnonzero(self.left)
+
+    @cached_property
+    def gaussians(self) -> Scene:
+        """Its Gaussians as gs_codec takes them, with the file's comments; shares memory."""
+        return replace(from_cloud(self.cloud, "drop"), comments=self.comments)
 
     @cached_property
     def positions(self) -> NDArray[np.float32]:
@@ -96,9 +135,16 @@ class Opened:
         return np.float32(1) / (1 + np.exp(-self._array("opacity")[:, 0]))
 
     @cached_property
-    def sizes(self) -> NDArray[np.float32]:
-        """Log10 of the longest axis ``(N,)``, scene units."""
-        return self._array("log_scale").max(axis=1) / np.float32(np.log(10))
+    def lengths(self) -> NDArray[np.float64]:
+        """Longest axis ``(N,)``, scene units."""
+        with np.errstate(over="ignore"):
+            return np.exp(self._array("log_scale").max(axis=1).astype(np.float64))
+
+    @cached_property
+    def sh_energy(self) -> NDArray[np.float32]:
+        """Sum of the squares of the SH-AC of each Gaussian ``(N,)``."""
+        f_rest = self._array("f_rest")
+        return np.einsum("nkc,nkc->n", f_rest, f_rest)
 
     @property
     def sh_degree(self) -> int:
@@ -118,10 +164,12 @@ class Opened:
         Empty if the file is not ``.egs``, has one block, or restores the original order.
         """
         info = self.info
-        if info is None or info.keeps_order or self.count <= info.block_size:
+        if info is None or info.keeps_order or self.file_count <= info.block_size:
             return np.zeros((0, 2, 3), np.float32)
-        starts = range(0, self.count, info.block_size)
-        blocks = [self.positions[start : start + info.block_size] for start in starts]
+        starts = np.searchsorted(self.rows, range(0, self.file_count, info.block_size))
+        blocks = [block for block in np.split(self.positions, starts[1:]) if len(block)]
+        if not blocks:
+            return np.zeros((0, 2, 3), np.float32)
         return np.stack([np.quantile(block, _BOX, axis=0) for block in blocks]).astype(np.float32)
 
     @cached_property
@@ -135,20 +183,60 @@ class Opened:
         """
         if self.bits_unknown:
             return None
+        if self.whole is not None:
+            bits = self.whole.bits
+            return None if bits is None else bits[self.rows]
         bits = gaussian_bits_of_file(self.path)
         if len(bits) != self.count:
             raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
         return bits
 
+    @cached_property
+    def classes(self) -> NDArray[np.uint8] | None:
+        """Classes of shape and of colour ``(2, N)``; None if `unknown` says why.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+            If the file is no longer what was opened.
+        """
+        if self.unknown("class"):
+            return None
+        if self.whole is not None:
+            classes = self.whole.classes
+            return None if classes is None else classes[:, self.rows]
+        classes = gaussian_classes_of_file(self.path)
+        if classes.shape[1] != self.count:
+            raise gs_codec.GsCodecError(f"{self.path}: changed after it was opened")
+        return classes
+
+    @property
+    def block_numbers(self) -> NDArray[np.int64] | None:
+        """Number of the block of each Gaussian ``(N,)``; None if `unknown` says why."""
+        return None if self.unknown("block") else self.rows // self.info.block_size
+
+    def unknown(self, colouring: str) -> str:
+        """Why a quantity of `COLOURINGS` is not known of this scene alone; empty if it is."""
+        if colouring in ("bits", "block", "class") and self.bits_unknown:
+            return self.bits_unknown
+        if colouring == "class" and self.info.profile not in ADAPTIVE_PROFILES:
+            return f"of profile {self.info.profile}"
+        return "of SH degree 0" if colouring == "sh" and not self.sh_degree else ""
+
     @property
     def bits_unknown(self) -> str:
         """Why the bits of single Gaussians are not known; empty if they are."""
         if self.info is None or not self.count:
-            return "not an .egs file" if self.count else "no Gaussians"
+            return "not an .egs file" if self.count else "without Gaussians"
         return "stored in the original order" if self.info.keeps_order else ""
 
     def _array(self, name: str) -> NDArray[np.float32]:
         return np.ascontiguousarray(self.cloud.point[name].numpy())
+
+
+def thinned(count: int, most: int) -> slice:
+    """A slice that takes at most `most` of `count` items, evenly spaced in stored order."""
+    return slice(None, None, max(1, -(-count // max(most, 1))))
 
 
 def open_scene(
@@ -165,14 +253,34 @@ def open_scene(
     """
     if not isinstance(source, str | Path):
         return Opened(name or "cloud", source)
+    written = modified(source)
     scene = read_scene(source, "drop", progress, None, max_bytes)
-    cloud = to_cloud(turn_scene(scene, CONVENTION))
+    shown = turn_scene(scene, CONVENTION)
+    cloud = to_cloud(shown)
     try:
         info = gs_codec.inspect(source)
     except gs_codec.GsCodecError:  # not an .egs file
         info = None
     path, system = Path(source), system_of(scene)
-    return Opened(path.name, cloud, os.path.getsize(path), info, system, path)
+    size = os.path.getsize(path)
+    return Opened(path.name, cloud, size, info, system, path, shown.comments, written)
+
+
+def modified(path: Path | str) -> int | None:
+    """When a file was written last, nanoseconds; None if it cannot be told."""
+    try:
+        return os.stat(path).st_mtime_ns
+    except OSError:
+        return None
+
+
+def keep(scene: Opened, left: NDArray[np.bool_]) -> Opened:
+    """The Gaussians of a whole scene that are left ``(M,)``; the scene itself if these are all."""
+    if left.all():
+        return scene
+    cloud = to_cloud(from_cloud(scene.cloud, "keep").take(left))
+    comments = without_order(scene.gaussians).comments
+    return replace(scene, cloud=cloud, comments=comments, whole=scene, left=left)
 
 
 def turned(scene: Opened) -> Opened:
@@ -182,7 +290,11 @@ def turned(scene: Opened) -> Opened:
     """
     was = scene.system == _OTHER
     return replace(
-        scene, cloud=turn_cloud(scene.cloud, _OTHER), system=CONVENTION if was else _OTHER
+        scene,
+        cloud=turn_cloud(scene.cloud, _OTHER),
+        system=CONVENTION if was else _OTHER,
+        comments=without_order(scene.gaussians).comments,
+        system_given=not scene.system_given,
     )
 
 
@@ -206,6 +318,10 @@ class Pruned:
         counts = np.bincount(self.labels, minlength=len(self.reasons) + 1)[1:]
         return dict(zip(self.reasons, counts.tolist(), strict=True))
 
+    def of(self, scene: Opened) -> Pruned:
+        """The same of the Gaussians that are left in an edited scene."""
+        return self if scene.whole is None else replace(self, labels=self.labels[scene.rows])
+
 
 def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
     """Read the report that ``gs-codec prepare --report`` wrote for a scene.
@@ -220,11 +336,11 @@ def read_pruned(folder: Path | str, scene: Opened) -> Pruned:
         reasons = tuple(dict(json.loads((folder / "report.json").read_text())["removed"]))
         labels = np.load(folder / "labels.npy", allow_pickle=False)
     except _DAMAGE as error:
-        reason = str(error).splitlines()[:1] or [type(error).__name__]
-        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason[0]})") from error
-    if labels.dtype != np.uint8 or labels.shape != (scene.count,):
+        reason = one_line(error) or type(error).__name__
+        raise gs_codec.GsCodecError(f"{folder}: no report of prepare ({reason})") from error
+    if labels.dtype != np.uint8 or labels.shape != (scene.file_count,):
         raise gs_codec.GsCodecError(
-            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.count:,}"
+            f"{folder}: labels of {labels.size:,} Gaussians, {scene.name} has {scene.file_count:,}"
         )
     if labels.max(initial=0) > len(reasons):
         raise gs_codec.GsCodecError(f"{folder}: label {labels.max()}, expected 0 to {len(reasons)}")

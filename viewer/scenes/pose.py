@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.rendering.camera import facing
+from viewer.scenes.opened import thinned
 
 #: Default camera: focal length in heights of the frame (60 degrees vertically); frame in pixels.
 _FOCAL, _FRAME = 0.866, (600, 400)
@@ -19,6 +20,9 @@ _MEASURED_WIDTH = 1600
 
 #: Least mean square of right axes along a direction that is not level.
 _LOOSE = 1e-3
+
+#: Half width, relative to depth, of the region straight ahead; most centres to look at for it.
+_AHEAD, _SAMPLES = 0.25, 20_000
 
 #: Unit vectors of up axes, by name. The first, -y, is the default, as in trainers.
 UPS = {
@@ -102,8 +106,8 @@ class Pose:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixels ``(n, 2)`` and depths ``(n,)`` of points ``(n, 3)``."""
         fx, fy, cx, cy = self.lens(width, height)
-        x, y, depth = self.rotation @ (np.asarray(points, np.float64) - self.position).T
         with np.errstate(divide="ignore", invalid="ignore"):
+            x, y, depth = self.rotation @ (np.asarray(points, np.float64) - self.position).T
             u = fx * x / depth + cx
             v = fy * y / depth + cy
         return np.stack([u, v], axis=1), depth
@@ -141,6 +145,19 @@ def look_at(position: NDArray, target: NDArray, up: NDArray = UPS["-y"]) -> Pose
 def upright(pose: Pose, up: NDArray) -> Pose:
     """The same pose, rolled so that `up` points up in the picture."""
     return replace(pose, rotation=facing(pose.rotation[2], up))
+
+
+def distance_ahead(pose: Pose, positions: NDArray) -> float:
+    """Median depth of the centres straight ahead; if there are none, distance to the median."""
+    some = positions[thinned(len(positions), _SAMPLES)].astype(np.float64)
+    some = some[np.isfinite(some).all(axis=1)]
+    x, y, depth = pose.rotation @ (some - pose.position).T
+    seen = np.hypot(x, y) < _AHEAD * depth
+    if seen.any():
+        return float(np.median(depth[seen]))
+    if not len(some):
+        return 1.0
+    return float(np.linalg.norm(np.median(some, axis=0) - pose.position)) or 1.0
 
 
 def up_of(rotations: Sequence[NDArray]) -> NDArray[np.float64]:

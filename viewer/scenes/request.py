@@ -8,7 +8,17 @@ from typing import Any
 
 import gs_codec
 from gs_codec.rendering.auto_cameras import COUNT
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES, OctreeChoice
+from gs_codec.rendering.cameras import find_cameras
+from viewer.scenes.choice import (
+    CELL_COLOURINGS,
+    COLOURINGS,
+    DEPTHS,
+    LAYERS,
+    MODES,
+    SCALED,
+    SCALES,
+    OctreeChoice,
+)
 from viewer.scenes.opened import Opened, Progress, Pruned, open_scene, read_pruned
 from viewer.scenes.pose import UPS
 from viewer.scenes.viewpoints import Views, choose_views, given_views
@@ -40,6 +50,8 @@ class Request:
     up : str or None
         Which axis of the scene is up, of `UPS`.
     octree : OctreeChoice
+    scale : str or None
+        One of `SCALES`, for the colours of centres; None is that of the quantity.
     """
 
     a: Any = None
@@ -55,6 +67,7 @@ class Request:
     max_bytes: int | None = None
     up: str | None = None
     octree: OctreeChoice = field(default_factory=OctreeChoice)
+    scale: str | None = None
 
     def check(self) -> None:
         """Check everything that does not need opening a file.
@@ -65,6 +78,12 @@ class Request:
         """
         _check_among("layers", self.layers, LAYERS)
         _check_among("colour", [self.colouring], COLOURINGS)
+        _check_among("colour-scale", [self.scale or SCALES[0]], SCALES)
+        if self.scale is not None and self.colouring not in SCALED:
+            known = ", ".join(SCALED)
+            raise gs_codec.GsCodecError(f"colour-scale: expected colour {known}")
+        if self.colouring == "error" and self.a is not None and self.b is None:
+            raise gs_codec.GsCodecError("colour error: expected two scenes")
         _check_among("mode", [self.mode], MODES)
         _check_among("up", [self.up or "-y"], tuple(UPS))
         _check_among("octree-colour", [self.octree.colouring], CELL_COLOURINGS)
@@ -84,6 +103,33 @@ class Request:
             raise gs_codec.GsCodecError(f"{self.images}: no such folder, expected images")
         if self.a is None and (self.pruned is not None or self.cameras is not None):
             raise gs_codec.GsCodecError("no scene to show")
+
+    def check_picture(self, name: str) -> None:
+        """Check also what has no effect in a picture, where no scene can be opened later.
+
+        `name` is that of the picture.
+
+        Raises
+        ------
+        gs_codec.GsCodecError
+        """
+        self.check()
+        if self.a is None:
+            raise gs_codec.GsCodecError(f"{name}: no scene to draw")
+        if self.b is None:
+            errors = [
+                f"{option} {value}"
+                for option, value, known in (
+                    ("mode", self.mode, MODES[1:]),
+                    ("colour", self.colouring, ("error",)),
+                    *(("layers", layer, ("error",)) for layer in self.layers),
+                )
+                if value in known
+            ]
+            if errors:
+                raise gs_codec.GsCodecError(f"{errors[0]}: needs two scenes")
+        if "pruned" in self.layers and self.pruned is None:
+            raise gs_codec.GsCodecError("layers pruned: needs a report")
 
     @property
     def chosen(self) -> bool:
@@ -105,9 +151,12 @@ class Request:
             open_scene(source, progress=part(k), max_bytes=self.max_bytes)
             for k, source in enumerate(sources)
         ]
-        if self.octree.colouring == "bits" and scenes and all(x.bits_unknown for x in scenes):
-            scene = scenes[-1]
-            raise gs_codec.GsCodecError(f"octree-colour bits: {scene.name} is {scene.bits_unknown}")
+        wanted = {"octree-colour": self.octree.colouring, "colour": self.colouring}
+        for option, colouring in wanted.items():
+            reasons = [scene.unknown(colouring) for scene in scenes]
+            if reasons and all(reasons):
+                told = f"{option} {colouring}: {scenes[-1].name} is {reasons[-1]}"
+                raise gs_codec.GsCodecError(told)
         return scenes
 
 
@@ -124,8 +173,8 @@ def _check_among(name: str, wanted: Any, known: tuple[str, ...]) -> None:
             raise gs_codec.GsCodecError(f"{name} '{each}': expected {', '.join(known)}")
 
 
-def find_views(request: Request, scene: Opened) -> Views:
-    """The cameras to look from; of those chosen from the scene the overview, or all for `view`.
+def find_views(request: Request, scene: Opened, count: int = 1) -> Views:
+    """The cameras to look from; of those chosen from the scene `count`, or all for `view`.
 
     Raises
     ------
@@ -133,9 +182,9 @@ def find_views(request: Request, scene: Opened) -> Views:
         If they cannot be read, or the requested view does not exist.
     """
     if request.chosen:
-        views = choose_views(scene, request.up, 1 if request.view is None else COUNT)
+        views = choose_views(scene, request.up, count if request.view is None else COUNT)
     else:
-        views = given_views(gs_codec.render(scene.cloud, request.cameras).cameras)
+        views = given_views(find_cameras(request.cameras, scene.gaussians))
     number = len(views.cameras)
     if request.view is not None and not 0 <= request.view < number:
         raise gs_codec.GsCodecError(f"view {request.view}: expected 0 to {number - 1}")

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gs_codec
-from gs_codec.api.viewing import scene_of
 from gs_codec.rendering.auto_cameras import COUNT, estimate_views
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import UPS, Pose, of_camera, overview, up_of, upright
@@ -86,9 +85,8 @@ def choose_views(scene: Opened, up: str | None = None, count: int = COUNT) -> Vi
         Which axis is up, of `UPS`; by default what the scene tells.
     count : int
     """
-    whole, axis = scene_of(scene.cloud), None if up is None else UPS[up]
     try:
-        found = estimate_views(whole, count, axis)
+        found = estimate_views(scene.gaussians, count, None if up is None else UPS[up])
     except gs_codec.InvalidInput:
         return Views()
     return Views(found.cameras, found.up, chosen=True)
@@ -114,3 +112,18 @@ def find_viewpoints(scene: Opened, views: Views, up: str) -> list[Viewpoint]:
         Viewpoint(name, upright(of_camera(view), axis), view)
         for name, view in zip(names, views.cameras, strict=True)
     ]
+
+
+def nearest_camera(cameras: Sequence[Any], position: NDArray, forward: NDArray) -> Any:
+    """The camera that sees most nearly what is seen from a position in a direction.
+
+    Parameters
+    ----------
+    cameras : sequence of gs_codec's Camera
+        At least one.
+    position, forward : ndarray, shape (3,)
+        `forward` is a unit vector.
+    """
+    away = np.linalg.norm([camera.position - position for camera in cameras], axis=1)
+    turned = [1 - camera.rotation[2] @ forward for camera in cameras]
+    return cameras[int(np.argmin(away / (np.median(away) or 1.0) + turned))]

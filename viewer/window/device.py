@@ -34,7 +34,9 @@ def find_device() -> Literal["gpu", "cpu"]:
     if not _display_opens():
         shown = os.environ.get("DISPLAY")
         raise NoDisplay(
-            f"display {shown}: cannot be opened" if shown else "no display: DISPLAY is not set"
+            f"display {shown}: cannot be opened"
+            if shown
+            else "no display: DISPLAY is not set; pictures and films need none"
         )
     types = _vulkan_devices()
     if not types:

@@ -21,7 +21,7 @@ _SCENES = " ".join(SUFFIXES)
 
 
 class Modal:
-    """The dialog of a window; while one is open, only it gets keys.
+    """The dialog of a window, and Esc: while a dialog is open, only it gets keys.
 
     Open3D asks to close the window whenever Esc goes down, repeats or goes up, before it reports
     the key.
@@ -29,6 +29,8 @@ class Modal:
     Attributes
     ----------
     dialog : gui.Dialog or None
+    cancels : list of callable
+        What Esc may end before it closes the window; each tells whether it ended anything.
     theme : gui.Theme
     """
 
@@ -37,7 +39,8 @@ class Modal:
         self.dialog: gui.Dialog | None = None
         self._enter: Callable[[], None] | None = None
         self._escape: Callable[[], None] = self.close_dialog
-        self._escaping = False
+        self._escaping = self._asked = self._closing = False
+        self.cancels: list[Callable[[], bool]] = []
         self.theme = window.theme
 
     def show_dialog(
@@ -60,6 +63,8 @@ class Modal:
         down = event.type == gui.KeyEvent.Type.DOWN
         if event.key == gui.KeyName.ESCAPE:
             self._escaping = down
+            if down and self._asked:
+                self._asked = not any(cancel() for cancel in self.cancels)
         if self.dialog is None:
             return False
         # While a text is edited, Open3D reports only that a key goes up.
@@ -76,7 +81,16 @@ class Modal:
         if self._escaping:
             self._escaping = False
             return False
-        return True
+        # Whether it was Esc, which may end something else, is reported next.
+        self._asked = not self._closing
+        return self._closing
+
+    def settle(self) -> None:
+        """Close the window if it was asked to, and Esc ended nothing instead."""
+        if self._asked:
+            self._asked, self._closing = False, True
+            # Not at once: Open3D is going through its windows.
+            gui.Application.instance.post_to_main_thread(self._window, self._window.close)
 
 
 def show_message(window: Modal, title: str, text: str, closed: Callable[[], None]) -> None:
@@ -150,10 +164,14 @@ def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
     ask_file(window, title, (_SCENES, "3DGS scenes"), then)
 
 
-def ask_save(window: Modal, then: Callable[[str], None]) -> None:
-    """Ask where to write a picture."""
-    kind = (".png", "PNG images (.png)")
-    _ask(window, gui.FileDialog.SAVE, "Save a picture", kind, then, ".png")
+def ask_save(window: Modal, title: str, kind: tuple[str, str], then: Callable[[str], None]) -> None:
+    """Ask where to write a file; a name without suffix gets the first of `kind`."""
+
+    def done(path: str) -> None:
+        named = Path(path)
+        then(path if named.suffix else str(named.with_suffix(kind[0].split()[0])))
+
+    _ask(window, gui.FileDialog.SAVE, title, kind, done)
 
 
 def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
@@ -195,21 +213,22 @@ def _ask(
         dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
 
-    def done(path: str) -> None:
+    def done(name: str) -> None:
         window.close_dialog()
-        then(path)
+        path = Path(name)
+        then(str(path if path.suffix else path.with_suffix(suffix)))
 
     dialog.set_on_done(done)
 
     def enter() -> None:
         path = _typed(dialog)
         if path is not None:
-            done(str(path if path.suffix else path.with_suffix(suffix)))
+            done(path)
 
     window.show_dialog(dialog, enter)
 
 
-def _typed(dialog: gui.FileDialog) -> Path | None:
+def _typed(dialog: gui.FileDialog) -> str | None:
     """The path of the name that was typed; None if there is none, as when opening files."""
     widgets = list(inside(dialog))
     names = [w.text_value for w in widgets if isinstance(w, gui.TextEdit)]
@@ -217,7 +236,7 @@ def _typed(dialog: gui.FileDialog) -> Path | None:
         return None
     folders = next(w for w in widgets if isinstance(w, gui.Combobox))
     parts = [folders.get_item(k) for k in range(folders.selected_index + 1)]
-    return Path(*parts, names[0])
+    return str(Path(*parts, names[0]))
 
 
 def inside(widget: gui.Widget) -> Iterator[gui.Widget]:

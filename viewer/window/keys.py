@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from open3d.visualization import gui
 
 from viewer.scenes.choice import LAYERS
+from viewer.scenes.edits import Edits
 
 #: Distance by which a key moves the wipe, relative to the width.
 _WIPE = 0.02
@@ -45,6 +46,20 @@ def _wipe(way: int) -> Callable[[Any], object]:
     return lambda viewer: viewer.set_wipe(viewer.choice.wipe + way * _WIPE)
 
 
+def _edit(letter: str, what: str, step: Callable[[Edits], None]) -> Key:
+    """A key that, with ctrl, does a step with the scene that is edited."""
+    code = ord(letter.lower())
+    return Key(f"ctrl + {letter}", what, code, lambda viewer: viewer.editor.do(step), control=True)
+
+
+def _undo(viewer: Any) -> None:
+    viewer.editor.do(Edits.redo if viewer.keys.shifted else Edits.undo)
+
+
+def _save(viewer: Any) -> None:
+    (viewer.editor.ask_save if viewer.keys.shifted else viewer.ask_save)()
+
+
 KEYS = (
     Key("drag", "turn; while flying, look around"),
     Key("ctrl + drag, right drag", "shift"),
@@ -58,6 +73,7 @@ KEYS = (
     Key("Home", "overview", int(gui.KeyName.HOME), lambda v: v.visits.overview()),
     Key("G", "go back until all is seen", ord("g"), lambda v: v.frame_all()),
     Key("U", "next up axis", ord("u"), lambda v: v.visits.next_up()),
+    Key("B", "keep this pose, for a path from pose to pose", ord("b"), lambda v: v.saved.keep()),
     Key("T", "convert B: reverse its y and z axes", ord("t"), lambda v: v.loading.turn()),
     Key("M", "side by side, wipe, flip", ord("m"), lambda v: v.next_mode()),
     Key("F", "one view: switch between A and B", ord("f"), lambda v: v.flip()),
@@ -69,11 +85,21 @@ KEYS = (
     ),
     Key("C", "colour centres by the next quantity", ord("c"), lambda v: v.next_colouring()),
     Key("K", "show the next chart below", ord("k"), lambda v: v.next_dock()),
+    Key("B", "draw boxes that select; again: turn", ord("b"), lambda v: v.editor.set_tool("box")),
+    Key("L", "draw lassos; again: turn", ord("l"), lambda v: v.editor.set_tool("lasso")),
+    Key("shift, ctrl + drag with these", "add to the selection, remove from it"),
+    _edit("A", "select all", Edits.select_all),
+    _edit("D", "select nothing", Edits.select_none),
+    _edit("I", "select what is not selected", Edits.invert),
+    _edit("H", "hide what is selected", Edits.hide),
+    Key("Delete", "delete it", int(gui.KeyName.DELETE), lambda v: v.editor.do(Edits.delete)),
+    Key("ctrl + Z", "undo; with shift, redo", ord("z"), _undo, control=True),
+    _edit("Y", "redo", Edits.redo),
     Key("O", "open a scene", ord("o"), lambda v: v.loading.ask_open()),
-    Key("ctrl + S", "save a picture", ord("s"), lambda v: v.ask_save(), control=True),
+    Key("ctrl + S", "save a picture; with shift, the scene", ord("s"), _save, control=True),
     Key("Backspace", "stop loading", int(gui.KeyName.BACKSPACE), lambda v: v.loading.stop()),
     Key("H", "this help", ord("h"), lambda v: v.help()),
-    Key("Esc", "quit; in a dialog, close it; Enter is OK"),
+    Key("Esc", "in a dialog, close it (Enter is OK); else pick nothing; else quit"),
     Key("ctrl + Q", "quit", ord("q"), lambda v: v.window.close(), control=True),
 )
 
@@ -114,6 +140,11 @@ class Keys:
         return action is not None or key in _THRUSTS
 
     @property
+    def shifted(self) -> bool:
+        """Whether shift is held."""
+        return bool(self._held.intersection(_SHIFT))
+
+    @property
     def thrust(self) -> NDArray[np.float64] | None:
         """Where the keys that are held fly to, along the camera's axes; None if they do not."""
         if self._held.intersection(_CONTROL):
@@ -121,6 +152,6 @@ class Keys:
         thrust = np.zeros(3)
         for key in self._held.intersection(_THRUSTS):
             thrust += _THRUSTS[key]
-        if self._held.intersection(_SHIFT):
+        if self.shifted:
             thrust *= _FASTER
         return thrust if thrust.any() else None

@@ -33,6 +33,7 @@ class Loading:
 
         def read(stale: Stale) -> Any:
             scenes = request.scenes(viewer.worker.progress(stale, viewer.panel.show_progress))
+            self._preview(stale, scenes)
             return scenes, self._first_views(stale, scenes), find_pruned(request, scenes[0])
 
         def done(found: tuple[list[Opened], Views, Pruned | None]) -> None:
@@ -41,7 +42,22 @@ class Loading:
             self.show(*found)
 
         viewer.panel.say("loading ...", progress=0)
-        viewer.worker.submit("load", read, done, viewer.fail)
+        viewer.worker.submit("load", read, done, self._failed)
+
+    def _preview(self, stale: Stale, scenes: list[Opened]) -> None:
+        """Show centres from above, until it is known where to look from; part of a job."""
+        viewer = self._viewer
+
+        def show(_: float) -> None:
+            viewer.stage.put(scenes, None)
+            viewer.visits.put(Views(), 0)
+            viewer.stage.painter.until = stale
+
+        viewer.worker.progress(stale, show)("preview", 1, 1)
+
+    def _failed(self, error: Exception) -> None:
+        self._viewer.stage.painter.until = None
+        self._viewer.fail(error)
 
     def _first_views(self, stale: Stale, scenes: list[Opened]) -> Views:
         """The cameras to begin with; part of the job that loads scenes."""
@@ -63,24 +79,32 @@ class Loading:
             dialogs.ask_pane(viewer.modal, Path(path).name, names, partial(self.open, path))
             return
         pane = len(before) if pane is None else min(pane, len(before))
+        if viewer.editor.ask_unsaved([pane], partial(self.open, path, pane)):
+            return
         views, chosen = viewer.visits.views, viewer.request.chosen
 
-        def read(stale: Stale) -> tuple[list[Opened], Views]:
+        def read(stale: Stale) -> tuple[Opened, Views]:
             progress = viewer.worker.progress(stale, viewer.panel.show_progress)
             opened = open_scene(Path(path), progress=progress)
-            scenes = [*before[:pane], opened, *before[pane + 1 :]]
-            return scenes, self._first_views(stale, scenes) if chosen and not pane else views
+            if not before:
+                self._preview(stale, [opened])
+            return opened, self._first_views(stale, [opened]) if chosen and not pane else views
 
-        def done(found: tuple[list[Opened], Views]) -> None:
-            _remember(found[0][pane])
-            self.show(*found, viewer.stage.pruned if pane else None)
+        def done(found: tuple[Opened, Views]) -> None:
+            if viewer.editor.ask_unsaved([pane], partial(done, found)):  # edited meanwhile
+                return
+            opened, seen = found
+            _remember(opened)
+            scenes = [*viewer.stage.scenes[:pane], opened, *viewer.stage.scenes[pane + 1 :]]
+            self.show(scenes, seen, viewer.stage.pruned if pane else None)
 
         viewer.panel.say(f"loading {Path(path).name} ...", progress=0)
-        viewer.worker.submit("load", read, done, viewer.fail)
+        viewer.worker.submit("load", read, done, self._failed)
 
     def stop(self) -> None:
-        """Stop loading; the scenes shown stay."""
+        """Stop loading or selecting; the scenes shown stay."""
         self._viewer.worker.cancel("load")
+        self._viewer.editor.stop()
         self._viewer.panel.say("")
 
     def show(
@@ -88,9 +112,14 @@ class Loading:
     ) -> None:
         """Show opened scenes instead of the present ones; from the same pose to `stay`."""
         viewer = self._viewer
-        same = stay or viewer.stage.scenes[:1] == scenes[:1]
-        viewer.stage.put(scenes, pruned)
-        viewer.panel.stay()
+        stage, previewed = viewer.stage, viewer.stage.painter.waits
+        stage.painter.until = None
+        same = (stay or stage.scenes[:1] == scenes[:1]) and not previewed
+        if previewed and stage.scenes == scenes:
+            stage.put_pruned(pruned)
+        else:
+            stage.put(scenes, pruned)
+        viewer.editor.put(scenes)
         viewer.panel.say("")
         if not same:  # else keep the present pose
             viewer.visits.put(views, first_view(viewer.request, views))
@@ -101,12 +130,15 @@ class Loading:
         viewer = self._viewer
         if len(viewer.stage.scenes) < 2:
             return
-        first, second = viewer.stage.scenes
+        edits = viewer.editor.all[1]
+        whole = edits.whole
 
         def done(scene: Opened) -> None:
-            self.show([first, scene], viewer.visits.views, viewer.stage.pruned)
+            edits.turn(scene)
+            scenes = [viewer.stage.scenes[0], edits.scene]
+            self.show(scenes, viewer.visits.views, viewer.stage.pruned)
 
-        viewer.worker.submit("load", lambda stale: turned(second), done, viewer.fail)
+        viewer.worker.submit("load", lambda stale: turned(whole), done, viewer.fail)
 
     def open_cameras(self, path: str) -> None:
         """Look from the cameras of a file; photographs of others are no longer shown."""
@@ -134,16 +166,14 @@ class Loading:
     def open_report(self, path: str) -> None:
         """Show what a report says was pruned from the first scene; its file or folder."""
         viewer = self._viewer
-        scenes = list(viewer.stage.scenes)
+        scene = viewer.stage.scenes[0]
         folder = Path(path) if Path(path).is_dir() else Path(path).parent
 
         def done(pruned: Pruned) -> None:
             viewer.choice.layers.add("pruned")
-            self.show(scenes, viewer.visits.views, pruned)
+            self.show(list(viewer.stage.scenes), viewer.visits.views, pruned)
 
-        viewer.worker.submit(
-            "load", lambda stale: read_pruned(folder, scenes[0]), done, viewer.fail
-        )
+        viewer.worker.submit("load", lambda stale: read_pruned(folder, scene), done, viewer.fail)
 
     def ask_open(self, pane: int | None = None) -> None:
         """Ask for a scene's file, and open it as by `open`."""

@@ -104,6 +104,7 @@ class Mouse:
 
     def _release(self, pane: Pane, event: Any) -> None:
         self._stage.navigator.release()
+        self._stage.painter.rest()
         if self.tool is not None and self._drawing:
             self.tool.end()
         if self._pressed is None or self._drawing:

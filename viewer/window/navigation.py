@@ -9,7 +9,6 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from viewer.pictures.layers import thinned
 from viewer.scenes.pose import Pose
 
 #: Angle of a drag as long as the picture is high, radians.
@@ -26,9 +25,6 @@ _NEARER = 0.9
 
 #: Least distance, relative to the first; at it, the wheel also moves the point ahead.
 _LEAST = 0.02
-
-#: Half width, relative to depth, of the region straight ahead; most centres to look at for it.
-_AHEAD, _SAMPLES = 0.25, 20_000
 
 #: Least opacity of centres that a frame has to show; quantiles of their coordinates that it shows.
 _SEEN, _MOST_OF = 0.1, (0.02, 0.98)
@@ -169,19 +165,6 @@ def with_field_of_view(pose: Pose, degrees: float) -> Pose:
     """The pose with another `field_of_view`."""
     factor = 0.5 / np.tan(np.radians(degrees) / 2) / pose.focal[1]
     return replace(pose, focal=(pose.focal[0] * factor, pose.focal[1] * factor))
-
-
-def distance_ahead(pose: Pose, positions: NDArray) -> float:
-    """Median depth of the centres straight ahead; if there are none, distance to the median."""
-    some = positions[thinned(len(positions), _SAMPLES)].astype(np.float64)
-    some = some[np.isfinite(some).all(axis=1)]
-    x, y, depth = pose.rotation @ (some - pose.position).T
-    seen = np.hypot(x, y) < _AHEAD * depth
-    if seen.any():
-        return float(np.median(depth[seen]))
-    if not len(some):
-        return 1.0
-    return float(np.linalg.norm(np.median(some, axis=0) - pose.position)) or 1.0
 
 
 def _about(axis: NDArray, angle: float) -> NDArray[np.float64]:

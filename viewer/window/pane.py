@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,20 @@ from open3d.visualization import gui, rendering
 
 from viewer.pictures.cubes import Cubes
 from viewer.pictures.layers import EDGES, Points, block_colour, box_lines
-from viewer.pictures.picture import BACKGROUND, CELL_SIZE, LINE_COLOUR, POINT_SIZE, PRUNED_SIZE
+from viewer.pictures.marker import LINES
+from viewer.pictures.picture import (
+    CELL_SIZE,
+    LINE_COLOUR,
+    POINT_SIZE,
+    PRUNED_SIZE,
+    SELECTED_SIZE,
+)
+from viewer.scenes.appearance import Look, which_drawn
+from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened
-from viewer.scenes.pose import Pose
-
-_BACKGROUND = (*BACKGROUND, 1.0)
+from viewer.scenes.pose import Pose, of_camera
+from viewer.scenes.region import Pixel
+from viewer.window.strokes import STROKES, stroke_mesh
 
 #: Near and far plane, relative to the farthest depth of the scene.
 _NEAR, _BEYOND = 1e-4, 1.1
@@ -28,8 +38,17 @@ HIDDEN = 1, 1
 #: Depth of the frame's outline, relative to the near plane; its width, pixels.
 _BEFORE, _OUTLINE = 1.5, 1.5
 
+#: Geometries of a marker, and their depths, relative to the near plane.
+_MARKS, _MARKED = ("mark's edge", "mark"), (1.4, 1.3)
+
 #: Sizes of points by their name; of others `POINT_SIZE`.
-_SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE}
+_SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
+
+#: Frames until the pane changes its size for an instant, after splats were removed from it: without
+#: this, Open3D would go on showing them instead of anything else.
+_STUCK = 4
+#: Size of cameras, relative to the median distance from their middle; their RGB.
+_FRUSTUM, _FRUSTUM_COLOUR = 0.05, (1.0, 0.6, 0.0)
 
 #: Open3D's splat shader does not support SH degree 3.
 _MAX_DEGREE = 2
@@ -50,16 +69,26 @@ class Pane:
     """
 
     def __init__(self, window: gui.Window, scene: Opened) -> None:
-        self.scene = scene
-        self.points: dict[str, Points] = {}
         self.widget = gui.SceneWidget()
         self.widget.scene = rendering.Open3DScene(window.renderer)
-        self.widget.scene.set_background(_BACKGROUND)
         self.widget.scene.show_skybox(False)
         view = self.widget.scene.view
         # Off: colours stay unchanged, and frames take half the time.
         view.set_post_processing(False)
         view.set_antialiasing(False)
+        self._picture: NDArray[np.float32] | None = None
+        self._background = Appearance().background
+        self._splats: Look | None = None
+        self._stuck = 0
+        self._show_background()
+        self.put(scene)
+
+    def put(self, scene: Opened) -> None:
+        """Show another scene, of which nothing is shown yet."""
+        self.show_splats(None)
+        self.widget.scene.clear_geometry()
+        self.scene = scene
+        self.points: dict[str, Points] = {}
         self._outlined: list | None = None
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
@@ -85,24 +114,70 @@ class Pane:
         corners = [
             ((x - cx) / fx, (y - cy) / fy, 1.0)
             for inset in (0, _OUTLINE)
-            for x in (left + inset, right - inset)
-            for y in (top + inset, bottom - inset)
+            for x, y in (
+                (left + inset, top + inset),
+                (right - inset, top + inset),
+                (right - inset, bottom - inset),
+                (left + inset, bottom - inset),
+            )
         ]
         if self._outlined != corners:
             self._outlined = corners
-            self._replace("outline", *_ring(corners))
+            self._replace("outline", *_rings([corners], LINE_COLOUR))
+        self._bring_near("outline", pose, _BEFORE)
+
+    def mark(self, lines: list[NDArray], pose: Pose, width: int, height: int) -> None:
+        """Draw closed lines ``(n, 2)``, pixels of a picture, in front of everything, or none."""
+        fx, fy, cx, cy = pose.lens(width, height)
+        for name, depth, (thickness, colour) in zip(_MARKS, _MARKED, LINES, strict=True):
+            self._replace(name, None, None)
+            if lines:
+                edges = [_thick(line, thickness) for line in lines]
+                rays = [[((x - cx) / fx, (y - cy) / fy, 1.0) for x, y in edge] for edge in edges]
+                self._replace(name, *_rings(rays, colour))
+                self._bring_near(name, pose, depth)
+
+    def _bring_near(self, name: str, pose: Pose, depth: float) -> None:
+        """Put a geometry of the camera's axes at a depth, relative to the near plane."""
         near = self.widget.scene.camera.get_near()
-        nearby = np.diag([_BEFORE * near] * 3 + [1.0])
+        nearby = np.diag([depth * near] * 3 + [1.0])
         transform = np.linalg.inv(pose.extrinsics) @ nearby
-        self.widget.scene.set_geometry_transform("outline", transform)
+        self.widget.scene.set_geometry_transform(name, transform)
+
+    def set_background(self, colour: tuple[float, float, float]) -> None:
+        """Set the colour behind everything, RGB 0-1."""
+        if colour != self._background:
+            self._background = colour
+            self._show_background()
+
+    def show_stroke(self, corners: Sequence[Pixel], pose: Pose, width: int, height: int) -> None:
+        """Draw a closed line in front of everything; with fewer than two corners, remove it.
+
+        Corners are pixels of the picture, whose size is as for `look`.
+        """
+        lens = pose.lens(width, height)
+        for name, (wide, grey, depth) in STROKES.items():
+            if len(corners) < 2:
+                self._replace(name, None, None)
+                continue
+            self._replace(name, stroke_mesh(corners, wide, lens), _solid((grey, grey, grey)))
+            self._bring_near(name, pose, depth)
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""
-        self._replace("draft", None, None)
+        if self.widget.scene.has_geometry("draft"):
+            self._replace("draft", None, None)
+        if picture is None and self._picture is None:
+            return
+        self._picture = picture
+        self._show_background()
+
+    def _show_background(self) -> None:
+        picture = self._picture
         if picture is None:
-            self.widget.scene.set_background(_BACKGROUND)
-        else:
-            self.widget.scene.set_background(_BACKGROUND, picture_of(picture))
+            # Open3D takes a colour as sRGB, but shows pictures as they are.
+            picture = np.full((1, 1, 3), self._background, np.float32)
+        self.widget.scene.set_background((0.0, 0.0, 0.0, 1.0), picture_of(picture))
         self.widget.force_redraw()
 
     def show_points(self, name: str, points: Points | None) -> None:
@@ -137,12 +212,30 @@ class Pane:
         material.line_width = 1.5
         self._replace("boxes", lines, material)
 
-    def show_splats(self, wanted: bool) -> None:
+    def show_splats(self, look: Look | None) -> None:
         """Draw the splats with Open3D's own shader, or stop doing so."""
-        if not wanted:
+        known, self._splats = self._splats, look
+        drawn = self.widget.scene.has_geometry("splats")
+        if look is None:
             self._replace("splats", None, None)
-        elif not self.widget.scene.has_geometry("splats"):
-            self._replace("splats", splat_cloud(self.scene), splat_material(self.scene))
+        elif known is None or not known.is_same(look):
+            cloud = splat_cloud(self.scene, look)
+            material = splat_material(self.scene, look.appearance)
+            self._replace("splats", cloud if len(cloud.point.positions) else None, material)
+        if drawn and not self.widget.scene.has_geometry("splats"):
+            self._stuck = _STUCK
+
+    def tick(self) -> bool:
+        """Get rid of splats that were removed; tell whether the window is to be drawn."""
+        if not self._stuck:
+            return False
+        self._stuck -= 1
+        if not self._stuck:
+            frame = self.widget.frame
+            self.widget.frame = gui.Rect(frame.x, frame.y, frame.width, frame.height + 1)
+            self.widget.frame = frame
+        self.widget.force_redraw()
+        return True
 
     def _replace(self, name: str, geometry: Any, material: Any) -> None:
         scene = self.widget.scene
@@ -185,40 +278,86 @@ def cube_geometry(
     return mesh, material
 
 
-def _ring(corners: list) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
-    """The ring between four outer and four inner corners, visible from both sides, of one colour.
+def _thick(line: NDArray, thickness: float) -> NDArray[np.float64]:
+    """Outer and then inner corners ``(2 n, 2)`` of a closed line ``(n, 2)`` that is convex."""
+    along = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
+    across = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    across *= 0.5 * thickness / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    return np.concatenate([line + across, line - across])
+
+
+def _rings(
+    rings: list, colour: tuple[float, float, float]
+) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
+    """Rings, each between n outer and n inner corners, visible from both sides, of one colour.
 
     Lines are not used, because Open3D does not draw horizontal ones. The shader has no texture,
     because Mesa's software driver would take seconds or minutes for such thin triangles.
     """
-    around = [0, 2, 3, 1]
-    sides = [(around[k], around[(k + 1) % 4]) for k in range(4)]
-    triangles = [t for a, b in sides for t in ((a, b, a + 4), (b, b + 4, a + 4))]
+    triangles, first = [], 0
+    for ring in rings:
+        count = len(ring) // 2
+        for k in range(count):
+            a, b = first + k, first + (k + 1) % count
+            triangles += [(a, b, a + count), (b, b + count, a + count)]
+        first += len(ring)
     mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(np.array(corners)),
+        o3d.utility.Vector3dVector(np.concatenate(rings)),
         o3d.utility.Vector3iVector(np.array(triangles + [t[::-1] for t in triangles], np.int32)),
     )
+    return mesh, _solid(colour)
+
+
+def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:
+    """A material of one colour, RGB as it is to be seen."""
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
     # Open3D takes this colour as sRGB, but output without post-processing stays linear.
-    material.base_color = (*np.power(LINE_COLOUR, 1 / 2.2), 1.0)
-    return mesh, material
+    material.base_color = (*np.power(colour, 1 / 2.2), 1.0)
+    return material
 
 
-def splat_cloud(scene: Opened) -> o3d.t.geometry.PointCloud:
-    """The cloud for Open3D's splat shader, which needs unit quaternions."""
-    cloud = scene.cloud.clone()
+def camera_lines(cameras: Sequence[Any]) -> o3d.geometry.LineSet:
+    """The frames of gs_codec's cameras, each with lines from where it is."""
+    places = np.array([camera.position for camera in cameras])
+    reach = float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
+    lines = o3d.geometry.LineSet()
+    for camera in cameras:
+        pose, size = of_camera(camera), (camera.width, camera.height)
+        lens = pose.intrinsics(*size)
+        lines += o3d.geometry.LineSet.create_camera_visualization(
+            *size, lens, pose.extrinsics, _FRUSTUM * (reach or 1.0)
+        )
+    lines.paint_uniform_color(_FRUSTUM_COLOUR)
+    return lines
+
+
+def draws_splats(device: str) -> bool:
+    """Whether Open3D draws splats on a device: its shader is new, and slow without a GPU."""
+    return device == "gpu" and hasattr(rendering.MaterialRecord, "gaussian_splat_sh_degree")
+
+
+def splat_cloud(scene: Opened, look: Look) -> o3d.t.geometry.PointCloud:
+    """The cloud of the Gaussians drawn for Open3D's splat shader, which needs unit quaternions."""
+    mask = which_drawn(scene, look)
+    if mask is None:
+        cloud = scene.cloud.clone()
+    else:
+        cloud = scene.cloud.select_by_mask(o3d.core.Tensor.from_numpy(mask))
     rot = cloud.point["rot"].numpy()
     length = np.linalg.norm(rot, axis=1, keepdims=True)
     cloud.point["rot"] = _tensor(rot / np.where(length > 0, length, 1))
+    if look.appearance.scale != 1:
+        cloud.point["scale"] = cloud.point["scale"] * look.appearance.scale
     return cloud
 
 
-def splat_material(scene: Opened) -> rendering.MaterialRecord:
+def splat_material(scene: Opened, appearance: Appearance) -> rendering.MaterialRecord:
     """The material of Open3D's splat shader."""
     material = rendering.MaterialRecord()
     material.shader = "gaussianSplat"
-    material.gaussian_splat_sh_degree = min(scene.sh_degree, _MAX_DEGREE)
+    degree = min(scene.sh_degree, appearance.sh_degree, _MAX_DEGREE)
+    material.gaussian_splat_sh_degree = degree
     return material
 
 

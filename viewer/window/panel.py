@@ -8,9 +8,12 @@ from typing import Any, Protocol
 import numpy as np
 from open3d.visualization import gui
 
-from viewer.pictures.layers import Legend, heat_bar
+from viewer.pictures.centres import KINDS
+from viewer.pictures.layers import Legend
 from viewer.window.dialogs import folded
+from viewer.window.edit_tab import EditTab
 from viewer.window.pane import picture_of
+from viewer.window.pick_tab import PickTab
 from viewer.window.rate_tab import RateTab
 from viewer.window.scene_tab import SceneTab
 from viewer.window.view_tab import ViewTab
@@ -18,6 +21,10 @@ from viewer.window.widgets import Widgets
 
 #: Width of the panel, and of its text, in font sizes and characters.
 EMS, _COLUMNS = 21, 38
+
+
+#: Values of a legend.
+_VALUES = 5
 
 
 class Tab(Protocol):
@@ -34,7 +41,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view, rate : SceneTab, ViewTab, RateTab
+    scene, view, pick, edit, rate : SceneTab, ViewTab, PickTab, EditTab, RateTab
     """
 
     def __init__(self, viewer: Any, font: int) -> None:
@@ -53,8 +60,15 @@ class Panel:
         self._loading.visible = False
         self._head.add_child(self._loading)
         self.scene, self.view = SceneTab(viewer, widgets, font), ViewTab(viewer, widgets)
+        self.pick, self.edit = PickTab(viewer, widgets, font), EditTab(viewer, widgets)
         self.rate = RateTab(viewer, widgets, font)
-        self._named: dict[str, Tab] = {"Scene": self.scene, "View": self.view, "Rate": self.rate}
+        self._named: dict[str, Tab] = {
+            "Scene": self.scene,
+            "View": self.view,
+            "Pick": self.pick,
+            "Edit": self.edit,
+            "Rate": self.rate,
+        }
         self.tabs = gui.TabControl()
         for name, tab in self._named.items():
             self.tabs.add_tab(name, tab.widget)
@@ -72,15 +86,14 @@ class Panel:
             part.frame = gui.Rect(rect.x, top, rect.width, high)
             bottom = top if at_bottom else bottom
         top = self._head.frame.get_bottom()
-        self.tabs.frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
+        frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
+        if _corners(frame) != _corners(self.tabs.frame):
+            # Open3D would go to the first tab.
+            self.tabs.frame, self.tabs.selected_tab_index = frame, self.tabs.selected_tab_index
 
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
         self.tabs.selected_tab_index = list(self._named).index(name)
-
-    def stay(self) -> None:
-        """Keep the tab in front: Open3D goes to the first when panes are added to the window."""
-        self.tabs.selected_tab_index = self.tabs.selected_tab_index
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""
@@ -102,13 +115,17 @@ class Panel:
         self._viewer.window.set_needs_layout()
 
 
+def _corners(rect: gui.Rect) -> tuple[int, int, int, int]:
+    return rect.x, rect.y, rect.width, rect.height
+
+
 class _Legends:
     """The colour bar, and below it a row for each legend."""
 
     def __init__(self, em: float, margins: gui.Margins) -> None:
         self.widget = gui.Vert(0.25 * em, margins)
         bar = np.full((int(0.7 * em), 256, 4), 255, np.uint8)
-        bar[..., :3] = np.rint(255 * heat_bar(bar.shape[1], bar.shape[0]))
+        bar[..., :3] = np.rint(255 * Legend("", ()).bar(bar.shape[1], bar.shape[0]))
         # Hidden instead of removed: see HIDDEN in pane.py.
         self._bars = [picture_of(bar * np.uint8(seen)) for seen in (False, True)]
         self._bar = gui.ImageWidget(self._bars[False])
@@ -120,24 +137,20 @@ class _Legends:
 
     def show(self, legends: list[Legend]) -> None:
         """Show these legends."""
-        self._bar.update_image(self._bars[bool(legends)])
+        self._bar.update_image(self._bars[any(not legend.kinds for legend in legends)])
         for row, legend in zip_longest(self._rows, legends):
             row.show(legend)
 
 
 class _LegendRow:
-    """A legend below the colour bar: its values and title."""
+    """A legend: values below the colour bar, or kinds in their colours; and its title."""
 
     def __init__(self, em: float) -> None:
         self.widget = gui.Vert(0.1 * em)
         self._title = gui.Label("")
-        self._marks = [gui.Label("") for _ in range(5)]
-        row = gui.Horiz()
-        for k, mark in enumerate(self._marks):
-            if k:
-                row.add_stretch()
-            row.add_child(mark)
-        self.widget.add_child(row)
+        self._values, self._kinds = _Marks(_VALUES), _Marks(KINDS)
+        for marks in (self._values, self._kinds):
+            self.widget.add_child(marks.widget)
         self.widget.add_child(self._title)
 
     def show(self, legend: Legend | None) -> None:
@@ -145,5 +158,28 @@ class _LegendRow:
         self.widget.visible = legend is not None
         if legend is not None:
             self._title.text = legend.title
-            for label, mark in zip(self._marks, legend.marks, strict=True):
-                label.text = mark
+            shown, other = self._values, self._kinds
+            if legend.kinds:
+                shown, other = other, shown
+            shown.show(legend)
+            other.widget.visible = False
+
+
+class _Marks:
+    """The marks of a legend, at most so many, from left to right."""
+
+    def __init__(self, most: int) -> None:
+        self.widget = gui.Horiz()
+        self._labels = [gui.Label("") for _ in range(most)]
+        for k, label in enumerate(self._labels):
+            if k:
+                self.widget.add_stretch()
+            self.widget.add_child(label)
+
+    def show(self, legend: Legend) -> None:
+        """Show the marks of a legend."""
+        self.widget.visible = True
+        for k, label in enumerate(self._labels):
+            label.text = legend.marks[k] if k < len(legend.marks) else ""
+        for label, kind in zip(self._labels, legend.kinds, strict=False):
+            label.text_color = gui.Color(*kind)

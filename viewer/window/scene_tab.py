@@ -8,7 +8,7 @@ from open3d.visualization import gui
 
 from gs_codec.formats.coordinates import CONVENTION
 from viewer.pictures.layers import reason_colour
-from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES
+from viewer.scenes.choice import CELL_COLOURINGS, COLOURINGS, DEPTHS, LAYERS, MODES, SCALED
 from viewer.scenes.numbers import between, facts
 from viewer.window.widgets import Widgets
 
@@ -26,6 +26,8 @@ class SceneTab:
     boxes : dict of str to gui.Checkbox
         By layer.
     colouring, cells, mode : gui.Combobox
+    logarithmic : gui.Checkbox
+        Whether the scale of the colours is.
     depth : gui.Slider
     """
 
@@ -40,8 +42,14 @@ class SceneTab:
         rows = list(self.boxes.values())
         for k in range(0, len(rows), 3):
             widgets.row(self.widget, *rows[k : k + 3])
+        self.logarithmic = widgets.checkbox("log", viewer.set_logarithmic)
+        self.logarithmic.tooltip = "Colours on a logarithmic scale."
         self.colouring = widgets.choice(
-            self.widget, "centres by", COLOURINGS, lambda k: viewer.set_colouring(COLOURINGS[k])
+            self.widget,
+            "centres by",
+            COLOURINGS,
+            lambda k: viewer.set_colouring(COLOURINGS[k]),
+            self.logarithmic,
         )
         self._add_octree(widgets)
         self.mode = widgets.choice(
@@ -55,9 +63,9 @@ class SceneTab:
         for index, label in enumerate(self._reasons):
             label.text_color = gui.Color(*reason_colour(index))
             self.widget.add_child(label)
-        self._numbers = gui.Label("")
-        self._numbers.font_id = font
-        self.widget.add_child(self._numbers)
+        self.numbers = gui.Label("")
+        self.numbers.font_id = font
+        self.widget.add_child(self.numbers)
 
     def _add_files(self, widgets: Widgets) -> None:
         """Buttons that open and save files."""
@@ -114,17 +122,20 @@ class SceneTab:
         self.boxes["pruned"].enabled = stage.pruned is not None
         self.boxes["error"].enabled = self.mode.enabled = two
         self.colouring.selected_index = COLOURINGS.index(choice.colouring)
+        self.logarithmic.enabled = choice.colouring in SCALED
+        self.logarithmic.checked = choice.scale == "log"
         self._octree.visible = "octree" in choice.layers
         self.cells.selected_index = CELL_COLOURINGS.index(choice.octree.colouring)
         self.depth.int_value = choice.octree.depth
         self.mode.selected_index = MODES.index(choice.mode)
         self.turned.visible = two
         self.turned.checked = two and stage.scenes[1].system != CONVENTION
-        counts = list(stage.pruned.counts.items()) if stage.pruned is not None else []
+        pruned = None if stage.pruned is None else stage.pruned.of(stage.scenes[0])
+        counts = [] if pruned is None else list(pruned.counts.items())
         for label, (reason, n) in zip(self._reasons, counts + [("", 0)] * 4, strict=False):
             label.visible = bool(n)
             label.text = f"{n:,} pruned by {reason}"
-        self._numbers.text = self._all_numbers()
+        self.numbers.text = self._all_numbers()
 
     def _all_numbers(self) -> str:
         stage = self._viewer.stage

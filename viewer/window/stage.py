@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from open3d.visualization import gui
 
-from viewer.pictures.layers import PIXEL_LEGEND, Legend, centres, pruned_centres
+from viewer.pictures.centres import centres, pruned_centres, selected_centres
+from viewer.pictures.layers import PIXEL_LEGEND, Legend, Points
+from viewer.pictures.marker import marker
 from viewer.pictures.octree import MOST_CUBES
-from viewer.pictures.picture import Shown, depth_at, measure, picture, wipe_line
+from viewer.pictures.picture import Shown, wipe_line
+from viewer.pictures.splats import Drawer, depth_at
 from viewer.scenes.choice import Choice
 from viewer.scenes.opened import Opened, Pruned
-from viewer.scenes.pose import Pose
+from viewer.scenes.pose import Pose, distance_ahead
 from viewer.window.divider import make_divider
 from viewer.window.mouse import Mouse, Place
-from viewer.window.navigation import Navigator, distance_ahead, focused
+from viewer.window.navigation import Navigator, focused
 from viewer.window.octree_layer import OctreeLayer
+from viewer.window.painter import Columns, Painter
 from viewer.window.pane import HIDDEN, Pane
 from viewer.window.worker import Stale, Worker
 
@@ -29,9 +32,8 @@ _MOST = {"gpu": 5_000_000, "cpu": 250_000}
 #: Most cells of the octree that it shows as cubes: each is twelve triangles.
 _CUBES = {"gpu": MOST_CUBES, "cpu": 12_000}
 
-#: Seconds without a move until pictures are drawn in full; reduction of size before that.
-_REST, _COARSE = 0.25, 4
-
+#: Most centres that are shown until there is a picture.
+_DRAFT = 100_000
 
 #: Least height of the captions above the panes, pixels: Open3D draws label backgrounds this high.
 _CAPTION = 32
@@ -60,7 +62,13 @@ class Stage:
     views : dict
         What draws each scene, and its last pictures.
     pruned : Pruned or None
+    drawn : dict of Opened to ndarray, shape (N,), bool
+        Which Gaussians are drawn, of scenes that have hidden ones.
     pose : Pose or None
+        Where one looks from.
+    seen : Pose or None
+        Where the panes look from: while splats are drawn by hand, they follow the pictures.
+    painter : Painter
     navigator : Navigator
     captions : list of gui.Label
         The captions above the panes.
@@ -84,8 +92,11 @@ class Stage:
         self._changed, self._failed = changed, failed
         self.scenes: list[Opened] = []
         self.panes: list[Pane] = []
+        self._made: list[Pane] = []
         self.pruned: Pruned | None = None
+        self.drawn: dict[Opened, NDArray[np.bool_]] = {}
         self.pose: Pose | None = None
+        self.seen: Pose | None = None
         self.navigator = Navigator()
         self.captions = [gui.Label("") for _ in range(2)]
         for label in self.captions:
@@ -93,58 +104,99 @@ class Stage:
         self.divider = make_divider(window, self._slide)
         self.mouse = Mouse(self, clicked, focused)
         self.size, self._left = (1, 1), 0
-        self._measured: tuple[Pose | None, str] = (None, "")
-        self.views: dict[Opened, Any] = {}
-        self._coloured: Any = None
+        self.views: dict[Opened, Drawer] = {}
+        self.painter = Painter(self, changed, failed)
+        self._coloured: Shown | None = None
+        self._marked: tuple[Opened, int] | None = None
         self._octree = OctreeLayer(worker, changed, failed)
-        self._moved_at = 0.0
         self._laid_out = False
-        self._drawn: Literal["coarse", "full"] | None = None
-        self._coming: Literal["coarse", "full"] | None = None
 
     def put(self, scenes: list[Opened], pruned: Pruned | None) -> None:
         """Show other scenes."""
-        self.worker.cancel("picture")
-        self.worker.cancel("centres")
-        self.worker.cancel("measure")
-        self.worker.cancel("focus")
-        for pane in self.panes:
-            pane.widget.visible = False
-            pane.widget.scene.clear_geometry()
-        self.scenes, self.pruned = scenes, pruned
-        self.views.clear()
-        self._coloured = self._coming = None
-        self._measured = (None, "")
-        self.panes = [Pane(self.window, scene) for scene in scenes]
-        self._octree.put(self.panes, _CUBES[self.device], self._most)
-        if pruned is not None:
-            self.panes[0].points["pruned"] = pruned_centres(scenes[0], pruned, self._most)
-        for pane in self.panes:
+        before = self._keep(scenes)
+        # Open3D cannot remove panes, and they take memory: those that there are serve again.
+        for number, scene in enumerate(scenes[: len(self._made)]):
+            if before[number : number + 1] != [scene]:
+                self._made[number].put(scene)
+                self._made[number].show_picture(None)
+        for scene in scenes[len(self._made) :]:
+            pane = Pane(self.window, scene)
+            self._made.append(pane)
             self.window.add_child(pane.widget)
             self.mouse.attach(pane)
-            if self.by_hand:
-                # A draft until the first picture is drawn.
-                pane.show_points("draft", centres(pane.scene, "colour", scenes, self._most))
+        self.panes = self._made[: len(scenes)]
+        for pane in self._made:
+            pane.widget.visible = pane in self.panes
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.put_pruned(pruned)
+        if self.by_hand:  # until the first pictures are drawn
+            for pane in self.panes:
+                look = self.shown.look(pane.scene)
+                points = centres(pane.scene, "colour", scenes, _DRAFT, look=look)
+                pane.show_points("draft", points)
+
+    def replace(self, number: int, scene: Opened) -> None:
+        """Show a scene after an edit of it, from the same pose."""
+        self._keep([*self.scenes[:number], scene, *self.scenes[number + 1 :]])
+        self.panes[number].put(scene)
+        self._octree.put(self.panes, _CUBES[self.device], self._most)
+        self.put_pruned(self.pruned)
+        self.refresh()
+
+    def _keep(self, scenes: list[Opened]) -> list[Opened]:
+        """Stop what draws other scenes than these, and forget them; return those before."""
+        self.worker.cancel("centres")
+        self.worker.cancel("focus")
+        before, self.scenes = self.scenes, list(scenes)
+        # Not changed in place, because a job may still add to them.
+        self.drawn = {each: self.drawn[each] for each in scenes if each in self.drawn}
+        self.views = {each: self.views[each] for each in scenes if each in self.views}
+        self._coloured = self._marked = None
+        self.painter.put(scenes)
+        self._octree.show(None)
+        return before
+
+    def put_pruned(self, pruned: Pruned | None) -> None:
+        """Show what a report says was pruned from the first scene."""
+        self.pruned = pruned
+        if pruned is not None:
+            self.panes[0].points["pruned"] = pruned_centres(self.scenes[0], pruned, self._most)
+
+    def show_selected(self, number: int, selected: NDArray[np.bool_]) -> None:
+        """Show which Gaussians ``(N,)`` of a scene are selected."""
+        pane = self.panes[number]
+        pane.show_points("selected", selected_centres(pane.scene, selected, self._most))
 
     @property
     def shown(self) -> Shown:
         """What to draw."""
         choice = self.choice
-        scenes = tuple(self.scenes)
-        return Shown(tuple(choice.layers), choice.colouring, scenes, self.pruned, choice.octree)
+        return Shown(
+            tuple(choice.layers),
+            choice.colouring,
+            tuple(self.scenes),
+            self.pruned,
+            choice.octree,
+            choice.appearance,
+            dict(self.drawn),
+            choice.scale,
+            self._marked,
+        )
 
     @property
     def quality(self) -> str:
         """PSNR and SSIM of B against A in the frame of the present view; empty until measured."""
-        pose, text = self._measured
-        return text if pose is self.pose else ""
+        return self.painter.quality
 
     @property
     def legends(self) -> list[Legend]:
         """The legends of the layers shown."""
-        layers, known = self.choice.layers, []
-        if "centres" in layers and self._coloured == self.choice.colouring:
-            known = [p.points["centres"].legend for p in self.panes[:1]]
+        layers, coloured = self.choice.layers, self._coloured
+        known: list[Legend | None] = []
+        if "centres" in layers and coloured and _same_colours(coloured, self.shown):
+            # They are the same wherever the quantity is known.
+            legends = [pane.points["centres"].legend for pane in self.panes]
+            known += [legend for legend in legends if legend is not None][:1]
         if "error" in layers and len(self.scenes) > 1:
             known.append(PIXEL_LEGEND)
         known.append(self._octree.legend)
@@ -157,8 +209,8 @@ class Stage:
 
     @property
     def resting(self) -> bool:
-        """Whether the full pictures of this pose have been started."""
-        return self.pose is None or self._drawn == "full"
+        """Whether the full pictures of this pose are shown."""
+        return self.pose is None or self.painter.resting
 
     @property
     def visible(self) -> list[Pane]:
@@ -177,14 +229,29 @@ class Stage:
         """Update the panes to the choice."""
         layers = self.choice.layers
         for pane in self.panes:
-            pane.show_splats(self.device == "gpu" and "splats" in layers)
             pane.show_boxes(pane.scene.blocks if "boxes" in layers else None)
             for name in ("pruned", "centres"):
                 pane.show_points(name, pane.points.get(name) if name in layers else None)
-        if "centres" in layers:
-            self._colour_centres()
+        self._dress()
         self.show_octree()
         self.arrange()
+
+    def restyle(self) -> None:
+        """Update the panes to the appearance, and to which Gaussians are drawn; more may follow."""
+        self._dress()
+        self.painter.move()
+        self.window.post_redraw()
+
+    def _dress(self) -> None:
+        """Update what depends on the appearance, but for the pictures."""
+        shown, layers = self.shown, self.choice.layers
+        for pane in self.panes:
+            by_shader = self.device == "gpu" and "splats" in layers
+            by_shader = by_shader and not shown.shows_error(pane.scene)
+            pane.show_splats(shown.look(pane.scene) if by_shader else None)
+            pane.set_background(shown.appearance.background)
+        if "centres" in layers:
+            self._colour_centres()
 
     def show_octree(self) -> None:
         """Update the octree alone to the choice."""
@@ -194,14 +261,18 @@ class Stage:
     def _colour_centres(self) -> None:
         """Start colouring centres, unless they have the chosen colours."""
         shown, panes, most = self.shown, list(self.panes), self._most
-        if self._coloured == shown.colouring:
+        if self._coloured is not None and _same_centres(self._coloured, shown):
             return
 
-        def colour(stale: Stale) -> Any:
-            return [centres(p.scene, shown.colouring, shown.scenes, most) for p in panes]
+        def colour(stale: Stale) -> list[Points]:
+            chosen, scenes = shown.colouring, shown.scenes
+            return [
+                centres(p.scene, chosen, scenes, most, shown.scale, shown.look(p.scene))
+                for p in panes
+            ]
 
-        def done(points: Any) -> None:
-            self._coloured = shown.colouring
+        def done(points: list[Points]) -> None:
+            self._coloured = shown
             for pane, each in zip(panes, points, strict=True):
                 pane.points["centres"] = each
                 pane.show_points("centres", each if "centres" in self.choice.layers else None)
@@ -221,6 +292,7 @@ class Stage:
     def focus(self, pane: Pane, at: Place) -> None:
         """Bring what is at a pixel of a pane's picture to the middle."""
         views, scene, pose, size = self.views, pane.scene, self.pose, self.picture_size
+        look = self.shown.look(scene)
         if pose is None:
             return
 
@@ -229,21 +301,25 @@ class Stage:
                 self.look_from(focused(pose, at, depth, size), depth)
 
         def find(stale: Stale) -> float:
-            return depth_at(views, scene, pose, at, size)
+            return depth_at(views, scene, pose, at, size, look)
 
         self.worker.submit("focus", find, done, self._failed)
 
     def arrange(self) -> None:
         """Lay out the panes and redraw their pictures."""
-        self._moved_at, self._drawn, self._coming = time.monotonic(), None, None
+        if not self.painter.leads:
+            self.seen = self.pose
+        self.painter.move()
+        self.painter.rest()
         self.window.set_needs_layout()
         self.window.post_redraw()
 
     def lay_out(self, left: int, top: int, width: int, height: int) -> None:
         """Put the panes into a part of the window, each below its caption."""
-        visible, columns = self.visible, self._columns(width)
         line = self.caption_height
         below, high = top + line, max(height - line, 1)
+        self.size, self._left = (width, high), left
+        visible, columns = self.visible, self.columns
         for pane in self.panes:
             if pane not in visible:
                 pane.widget.frame = gui.Rect(left + width - 1, top, *HIDDEN)
@@ -262,7 +338,6 @@ class Stage:
         if len(visible) == 2 and self.choice.mode == "wipe":
             gap = gui.Rect(left + columns[0][1], below, columns[1][0] - columns[0][1], high)
         self.divider.move_to(gap)
-        self.size, self._left = (width, high), left
         self._look()
         self._laid_out = True
 
@@ -280,9 +355,10 @@ class Stage:
         self.choice.wipe = min(max(wipe, 0.0), 1.0)
         self.arrange()
 
-    def _columns(self, width: int) -> list[tuple[int, int, int, int]]:
-        """For each visible pane: start and stop column, picture width, and first picture column."""
-        count = len(self.visible)
+    @property
+    def columns(self) -> list[Columns]:
+        """Of each visible pane."""
+        count, width = len(self.visible), self.size[0]
         if count == 2 and self.choice.mode == "wipe":
             stop, start = wipe_line(self.choice.wipe, width)
             return [(0, stop, width, 0), (start, width, width, start)]
@@ -290,32 +366,49 @@ class Stage:
         return [(k * each, (k + 1) * each - (k < count - 1), each, 0) for k in range(count)]
 
     def _look(self) -> None:
-        if self.pose is None:
+        if self.seen is None:
             return
-        width, height = self.size
-        for pane, (_, _, wide, left) in zip(self.visible, self._columns(width), strict=True):
-            pane.look(self.pose, wide, height, left)
+        height = self.size[1]
+        for pane, (_, _, wide, left) in zip(self.visible, self.columns, strict=True):
+            pane.look(self.seen, wide, height, left)
             if len(self.scenes) > 1:
-                pane.outline(self.pose, wide, height)
+                pane.outline(self.seen, wide, height)
+            lines = marker(*self._marked, self.seen, wide, height) if self._marked else []
+            pane.mark(lines, self.seen, wide, height)
+
+    def see(self, pose: Pose) -> None:
+        """Let the panes look from a pose."""
+        if self.seen is not pose:
+            self.seen = pose
+            self._look()
+
+    def mark(self, marked: tuple[Opened, int] | None) -> None:
+        """Mark a Gaussian of a scene in all panes, or none."""
+        self._marked = marked
+        self._look()
+        self.window.post_redraw()
 
     def steer(self, pose: Pose) -> None:
         """Look from a pose that moves on."""
         self.pose = pose
-        self._moved_at, self._drawn = time.monotonic(), None
-        self._look()
+        self.painter.move()
+        if not self.painter.leads:
+            self.see(pose)
 
     @property
     def picture_size(self) -> tuple[int, int]:
         """Width and height of the picture of each pane, of which a wipe shows parts, pixels."""
-        return self._columns(self.size[0])[0][2], self.size[1]
+        return self.columns[0][2], self.size[1]
 
     def place(self, pane: Pane, x: int, y: int) -> Place:
         """The pixel of a pane's picture at a pixel of the window."""
-        left = self._columns(self.size[0])[self.visible.index(pane)][3]
+        columns = dict(zip(self.visible, self.columns, strict=True))
+        # A pane may have been hidden while the mouse was dragged in it.
+        left = columns[pane][3] if pane in columns else 0
         return x - pane.widget.frame.x + left + 0.5, y - pane.widget.frame.y + 0.5
 
     def tick(self) -> bool:
-        """Draw pictures, coarse ones while the camera moves."""
+        """Draw what has changed; tell whether the window is to be drawn."""
         if self.pose is None:
             return False
         looked = self._laid_out
@@ -323,71 +416,19 @@ class Stage:
             # Open3D sets its own near and far planes when the size of a pane changes.
             self._laid_out = False
             self._look()
-        rested = time.monotonic() - self._moved_at > _REST
-        wanted: Literal["coarse", "full"] = "full" if rested else "coarse"
-        # Let a coarse picture finish; otherwise none would appear during continuous moves.
-        if self._drawn in ("full", wanted) or wanted == self._coming == "coarse":
-            return looked
-        self._drawn = wanted
-        self._draw(1 if rested else _COARSE)
-        return True
-
-    # Pictures
-
-    def _draw(self, coarse: int) -> None:
-        """Start drawing the pictures of all visible panes; after full ones, measure B."""
-        visible, shown, by_hand = list(self.visible), self.shown, self.by_hand
-        views, pose, (width, height) = self.views, self.pose, self.size
-        columns = self._columns(width)
-        assert pose is not None
-        wanted = [by_hand or shown.shows_error(pane.scene) for pane in visible]
-
-        def draw(stale: Stale) -> Any:
-            wide, high = max(columns[0][2] // coarse, 1), max(height // coarse, 1)
-            pictures: list[NDArray | None] = []
-            for pane, cut, want in zip(visible, columns, wanted, strict=True):
-                if stale():
-                    return None
-                image = picture(views, pane.scene, pose, wide, high, shown) if want else None
-                pictures.append(None if image is None else _cut(image, cut, coarse))
-            return pictures
-
-        def done(pictures: Any) -> None:
-            self._coming = None
-            if pictures is None:
-                return
-            for pane, image in zip(visible, pictures, strict=True):
-                pane.show_picture(image)
-            self._changed()
-            self.window.post_redraw()
-
-        def failed(error: Exception) -> None:
-            self._coming = None
-            self._failed(error)
-
-        self._coming = self._drawn
-        self.worker.submit("picture", draw, done, failed)
-        if coarse == 1:
-            self._measure()
-
-    def _measure(self) -> None:
-        """Start measuring B in the frame of the present view, unless that is done."""
-        views, scenes, pose = self.views, list(self.scenes), self.pose
-        if len(scenes) < 2 or pose is None or self._measured[0] is pose:
-            return
-
-        def done(text: str) -> None:
-            self._measured = pose, text
-            self._changed()
-
-        def work(stale: Stale) -> str:
-            return measure(views, scenes, pose)
-
-        self.worker.submit("measure", work, done, self._failed)
+        stuck = [pane.tick() for pane in self.panes]
+        return self.painter.tick() or looked or any(stuck)
 
 
-def _cut(image: NDArray, cut: tuple[int, int, int, int], coarse: int) -> NDArray[np.float32]:
-    """The part of a picture that a pane shows."""
-    start, stop, _, left = cut
-    first = min(left // coarse, image.shape[1] - 1)
-    return image[:, first : first + max((stop - start) // coarse, 1)]
+def _same_colours(before: Shown, after: Shown) -> bool:
+    """Whether centres are coloured by the same quantity and scale."""
+    return (before.colouring, before.scale) == (after.colouring, after.scale)
+
+
+def _same_centres(before: Shown, after: Shown) -> bool:
+    """Whether the same centres are shown, in the same colours."""
+    return (
+        _same_colours(before, after)
+        and before.appearance.least_opacity == after.appearance.least_opacity
+        and all(before.drawn.get(each) is after.drawn.get(each) for each in after.scenes)
+    )

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from viewer.pictures.picture import quality, splats
+from viewer.pictures.splats import quality, splats
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose
 from viewer.window.worker import Stale

@@ -28,6 +28,8 @@ class ViewTab:
     up, order, dock : gui.Combobox
     angle : gui.Slider
     list : gui.ListView
+    path : list of gui.Button
+        What is done with the poses that are kept.
     """
 
     def __init__(self, viewer: Any, widgets: Widgets) -> None:
@@ -52,6 +54,7 @@ class ViewTab:
         self.angle = widgets.slider(
             self.widget, "field of view, degrees", _ANGLES, viewer.set_field_of_view
         )
+        self._add_path(widgets)
         self.dock = widgets.choice(self.widget, "below", DOCKS, lambda k: viewer.set_dock(DOCKS[k]))
         self.order = widgets.choice(self.widget, "views by", _ORDERS, lambda _: self.refresh())
         self.list = gui.ListView()
@@ -61,6 +64,20 @@ class ViewTab:
         self._listed: list[str] = []
         self.places: list[int] = []
 
+    def _add_path(self, widgets: Widgets) -> None:
+        """The poses that are kept."""
+        saved = self._viewer.saved
+        self._kept = gui.Label("")
+        self.widget.add_child(self._kept)
+        self.path = [
+            widgets.button("Keep", saved.keep, "Keep this pose (B)."),
+            widgets.button("Drop", saved.drop, "Drop the pose kept last."),
+            widgets.button("Fly", saved.fly, "Fly from each pose to the next, or stop."),
+            widgets.button("Save", saved.ask_write, "Save the poses as cameras, for --flythrough."),
+            widgets.button("Open", saved.ask_open, "Open poses, or cameras, instead of these."),
+        ]
+        widgets.row(self.widget, *self.path)
+
     def refresh(self) -> None:
         """Update controls and the list."""
         viewer, visits = self._viewer, self._viewer.visits
@@ -69,6 +86,9 @@ class ViewTab:
         choose(self.up, visits.views.ups, visits.views.ups.index(viewer.choice.up))
         if viewer.stage.pose is not None:
             self.angle.double_value = field_of_view(viewer.stage.pose)
+        self._kept.text = viewer.saved.text
+        for button, least in zip(self.path, (0, 1, 2, 1, 0), strict=True):
+            button.enabled = len(viewer.saved.poses) >= least and bool(visits.viewpoints)
         self.dock.selected_index = DOCKS.index(viewer.choice.dock)
         self._list()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,10 +12,11 @@ from open3d.visualization import gui
 
 import gs_codec
 from viewer.pictures.screenshot import compose, save_picture
-from viewer.scenes.choice import COLOURINGS, MODES, Choice
+from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Choice
 from viewer.scenes.request import Request
 from viewer.window import dialogs
 from viewer.window.dock import Dock
+from viewer.window.editor import Editor
 from viewer.window.encoding import Encoding
 from viewer.window.keys import Keys, help_text
 from viewer.window.loading import Loading
@@ -22,6 +24,8 @@ from viewer.window.mouse import Place
 from viewer.window.navigation import field_of_view, framing, with_field_of_view
 from viewer.window.pane import Pane
 from viewer.window.panel import EMS, Panel
+from viewer.window.picking import Picking
+from viewer.window.saved import Saved
 from viewer.window.stage import Stage
 from viewer.window.visits import Visits
 from viewer.window.widgets import monospace
@@ -30,6 +34,9 @@ from viewer.window.worker import Stale, Worker
 #: Longest step of a flight, seconds, after frames that took long.
 _STEP = 0.2
 
+
+#: The kind of file that pictures are written to.
+_PICTURES = ".png", "PNG images (.png)"
 
 #: Fields of view that differ by less are the same, degrees.
 _SAME_ANGLE = 0.01
@@ -50,9 +57,12 @@ class Viewer:
     stage : Stage
     visits : Visits
     loading : Loading
+    saved : Saved
+    picking : Picking
     encoding : Encoding
     panel : Panel
     dock : Dock
+    editor : Editor
     keys : Keys
     modal : Modal
         The dialog that is open, if one is.
@@ -65,13 +75,13 @@ class Viewer:
         self.choice = Choice(
             set(request.layers), request.colouring, request.mode, octree=request.octree
         )
+        if request.scale is not None:
+            self.choice.scales[request.colouring] = request.scale
         self.message: tuple[str, str] | None = None
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
         self.modal = dialogs.Modal(self.window)
-        self.worker = Worker(
-            lambda call: gui.Application.instance.post_to_main_thread(self.window, call)
-        )
+        self.worker = Worker(self.post)
         self.stage = Stage(
             self.window,
             self.worker,
@@ -82,8 +92,10 @@ class Viewer:
             self._clicked,
             self._focused,
         )
-        self.visits, self.loading, self.encoding = Visits(self), Loading(self), Encoding(self)
-        self.dock = Dock(self, self._select_range)
+        self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
+        self.picking, self.editor = Picking(self), Editor(self)
+        self.encoding = Encoding(self)
+        self.dock = Dock(self, self.editor.select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
         self.window.set_on_layout(self._lay_out)
@@ -93,6 +105,10 @@ class Viewer:
         self.panel.refresh()
         if request.a is not None:
             self.loading.begin()
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Make the window's thread call a function."""
+        gui.Application.instance.post_to_main_thread(self.window, call)
 
     def _pictured(self) -> None:
         self.panel.refresh()
@@ -143,10 +159,23 @@ class Viewer:
         index = (COLOURINGS.index(self.choice.colouring) + 1) % len(COLOURINGS)
         self.set_colouring(COLOURINGS[index])
 
+    def set_logarithmic(self, logarithmic: bool) -> None:
+        """Set whether the scale of the present colours of centres is logarithmic."""
+        self.choice.scales[self.choice.colouring] = SCALES[logarithmic]
+        self.refresh()
+
     def set_octree(self, **changes: Any) -> None:
         """Change the depth or the colouring of the octree's cells."""
         self.choice.octree = replace(self.choice.octree, **changes)
         self.stage.show_octree()
+
+    def set_appearance(self, **changes: Any) -> None:
+        """Change how splats are drawn: fields of `Appearance`."""
+        appearance = replace(self.choice.appearance, **changes)
+        # A slider also reports what it is set to.
+        if appearance != self.choice.appearance:
+            self.choice.appearance = appearance
+            self.stage.restyle()
 
     def set_mode(self, mode: str) -> None:
         """Set how two scenes are shown."""
@@ -199,13 +228,10 @@ class Viewer:
             self.stage.look_from(*framing(self.stage.pose, scene.positions, scene.opacities))
 
     def _clicked(self, pane: Pane, at: Place) -> None:
-        pass
+        self.picking.click(pane, at)
 
     def _focused(self, pane: Pane, at: Place) -> None:
         self.stage.focus(pane, at)
-
-    def _select_range(self, quantity: str, low: float, high: float) -> None:
-        pass
 
     def _tick(self) -> bool:
         now = time.monotonic()
@@ -213,14 +239,17 @@ class Viewer:
         thrust, pose = self.keys.thrust, self.stage.pose
         if thrust is not None and pose is not None:
             self.stage.steer(self.stage.navigator.flown(pose, thrust, seconds))
+        flown = self.saved.tick()
+        self.modal.settle()
         drawn = self.stage.tick()
         self.visits.tick()
-        return drawn or thrust is not None
+        return drawn or flown or (thrust is not None and not self.stage.painter.leads)
 
     @property
     def busy(self) -> bool:
         """Whether the window is still loading or drawing."""
-        return self.worker.busy or not self.stage.resting
+        working = self.worker.busy or self.editor.worker.busy
+        return working or self.saved.flying or not self.stage.resting
 
     def _lay_out(self, context: Any) -> None:
         rect = self.window.content_rect
@@ -243,7 +272,7 @@ class Viewer:
 
     def ask_save(self) -> None:
         """Ask where to write a picture, and write it."""
-        dialogs.ask_save(self.modal, self.save)
+        dialogs.ask_save(self.modal, "Save a picture", _PICTURES, self.save)
 
     def save(self, path: str) -> None:
         """Write a picture of what is shown, drawn in software."""
@@ -262,9 +291,10 @@ class Viewer:
         self.worker.submit("save", draw, done, self.fail)
 
     def _close(self) -> bool:
-        if not self.modal.close():
+        if not self.modal.close() or self.editor.ask_unsaved((0, 1), self.window.close):
             return False
         self.worker.end()
+        self.editor.worker.end()
         self.encoding.close()
         return True
 

@@ -47,14 +47,19 @@ class Widgets:
         return box
 
     def choice(
-        self, parent: gui.Widget, text: str, names: Sequence[str], chosen: Callable[[int], None]
+        self,
+        parent: gui.Widget,
+        text: str,
+        names: Sequence[str],
+        chosen: Callable[[int], None],
+        *beside: gui.Widget,
     ) -> gui.Combobox:
-        """A labelled choice, added to a parent; `chosen` is told the index."""
+        """A labelled choice, and others beside it, in a parent; `chosen` is told the index."""
         box = gui.Combobox()
         for name in names:
             box.add_item(name)
         box.set_on_selection_changed(lambda _, index: chosen(int(index)))
-        self.row(parent, self._lowered(text), box)
+        self.row(parent, self._lowered(text), box, *beside)
         return box
 
     def _lowered(self, text: str) -> gui.Widget:

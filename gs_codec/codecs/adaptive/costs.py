@@ -1,59 +1,103 @@
-"""What each Gaussian of profiles ``l``, ``m`` and ``s`` takes: the information of its symbols."""
+"""What each Gaussian of profiles ``l``, ``m`` and ``s`` takes, and how finely it is rounded."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.colour import code_colours
 from gs_codec.codecs.adaptive.decode import Blocks, DecodedBlock
+from gs_codec.codecs.adaptive.lattice import cell_sides, to_float
 from gs_codec.codecs.adaptive.rotation import TURNS
 from gs_codec.codecs.adaptive.sh_ac import code_bands, two_nearest
 from gs_codec.codecs.adaptive.shape import shape_pass, walk_shape
 from gs_codec.codecs.adaptive.tokens import RAW_WIDTHS, token_of
 from gs_codec.coding.context_rans import PRECISION, SPAN_BITS
+from gs_codec.config import SH_STREAMS
 from gs_codec.egs.file import EgsFile
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 
+_LOW_BITS = "low-bits"
+
+
+@dataclass(frozen=True)
+class BlockCosts:
+    """A block's Gaussians: what they take, and their step sizes.
+
+    Attributes
+    ----------
+    bits : dict of str to ndarray, shape (n,), float64
+        The information of a Gaussian's own symbols, by stream. Positions have it in ``low-bits``
+        alone: what is in ``geometry`` places several Gaussians together.
+    steps : dict of str to ndarray, shape (k, n), float64
+        Step sizes by stream, in the attribute's own domain: sides of a cell along x, y and z
+        (``geometry``), logit, log-scale (the longest, and the differences of the next two), sine
+        of half an angle (roll and two tilts), SH (Y, Co and Cg alike).
+    """
+
+    bits: dict[str, NDArray[np.float64]]
+    steps: dict[str, NDArray[np.float64]]
+
 
 @kernel
-def _add(spans, rows, values, contexts, counts, costs):
-    """Add the bits of values, ``counts[i]`` for each: of tokens by the tables, and raw ones."""
-    symbol = 0
-    for i in range(len(costs)):
-        for _ in range(counts[i]):
-            token = token_of(np.int64(values[symbol]))
-            frequency = (
-                np.int64(spans[(np.int64(rows[contexts[symbol]]) << SPAN_BITS) + token]) & 0xFFFF
-            )
-            costs[i] += PRECISION - np.log2(frequency) + RAW_WIDTHS[token]
-            symbol += 1
+def _add(spans, rows, values, contexts, owners, cycle, costs):
+    """Add the bits of values to ``costs (streams, n)``: of tokens by the tables, and raw ones."""
+    for symbol in range(len(values)):
+        token = token_of(np.int64(values[symbol]))
+        row = np.int64(rows[contexts[symbol]])
+        frequency = np.int64(spans[(row << SPAN_BITS) + token]) & 0xFFFF
+        stream = cycle[symbol % len(cycle)]
+        costs[stream, owners[symbol]] += PRECISION - np.log2(frequency) + RAW_WIDTHS[token]
 
 
-def symbol_bits(file: EgsFile) -> NDArray[np.float64]:
-    """Bits of the symbols of each Gaussian ``(N,)``, without those of positions.
+def block_costs(blocks: Blocks, number: int) -> BlockCosts:
+    """Decode a block, and tell what its Gaussians take.
 
     Raises
     ------
     CorruptStream, TruncatedStream
     """
-    blocks, costs = Blocks(file, file.header.sh_degree), np.zeros(file.header.count)
+    found = blocks.read(number)
+    coded, shifts = _coded_again(blocks, found)
+    bits = {_LOW_BITS: found.low_bits.astype(np.float64)}
+    for item, rows, symbols in zip(blocks.passes, blocks.rows, coded, strict=True):
+        values, contexts, owners = symbols
+        costs = np.zeros((len(item.streams), len(found.shifts)))
+        _add(blocks.tables.spans, rows, values.ravel(), contexts.ravel(), owners, item.cycle, costs)
+        bits |= zip(item.streams, costs, strict=True)
+    return BlockCosts(bits, _steps(blocks, found, shifts))
+
+
+def gaussian_classes(file: EgsFile) -> NDArray[np.uint8]:
+    """Classes of shape and of colour of each Gaussian ``(2, N)``, in stream order.
+
+    They count octaves of step size from the finest.
+
+    Raises
+    ------
+    CorruptStream, TruncatedStream
+    """
+    blocks, classes = Blocks(file, 0), np.zeros((2, file.header.count), np.uint8)
 
     def work(number: int) -> None:
-        own = costs[slice(*file.header.block_range(number))]
-        coded = _coded_again(blocks, blocks.read(number))
-        for rows, (values, contexts, counts) in zip(blocks.rows, coded, strict=True):
-            _add(blocks.tables.spans, rows, values.ravel(), contexts.ravel(), counts, own)
+        classes[:, slice(*file.header.block_range(number))] = blocks.read(number).classes
 
     run_all(work, range(file.header.block_count))
-    return costs
+    return classes
+
+
+#: Integers of a pass, their contexts, and their owners, each ``(symbols,)``.
+_Symbols = tuple[NDArray[Any], NDArray[np.uint16], NDArray[np.integer]]
 
 
 def _coded_again(
     blocks: Blocks, found: DecodedBlock
-) -> list[tuple[NDArray[np.integer], NDArray[np.uint16], NDArray[np.uint8]]]:
-    """Integers, contexts and symbols of each Gaussian, of each pass of a decoded block."""
+) -> tuple[list[_Symbols], dict[str, NDArray[np.int64]]]:
+    """The symbols of each pass of a decoded block, and the shifts of its shapes."""
     lattice, shape = blocks.lattice, found.shape
     levels: dict[str, NDArray[np.int64]] = {}
     by_name: dict[str, NDArray[np.int64]] = {}
@@ -70,9 +114,27 @@ def _coded_again(
         return levels[name]
 
     walk_shape(lattice, found.classes[0], known)
-    shapes = shape_pass(found.classes, levels, by_name, lattice.units)
-    unit = lattice.units["sh-dc"]
-    dc = code_colours(found.nearest, found.colours, unit, found.shifts)[:2]
-    ac = code_bands(found.levels, two_nearest(found.nearest), found.shifts)
-    every = np.ones(len(found.shifts), np.uint8)
-    return [(*shapes, 9 * every), (*dc, 3 * every), *ac]
+    values, contexts = shape_pass(found.classes, levels, by_name, lattice.units)
+    unit, every = lattice.units["sh-dc"], np.arange(len(found.shifts))
+    levels_dc, contexts_dc, _ = code_colours(found.nearest, found.colours, unit, found.shifts)
+    ac = code_bands(found.levels, two_nearest(found.nearest), found.shifts, owned=True)
+    shapes: _Symbols = values.ravel(), contexts.ravel(), every.repeat(9)
+    return [shapes, (levels_dc.ravel(), contexts_dc.ravel(), every.repeat(3)), *ac], by_name
+
+
+def _steps(
+    blocks: Blocks, found: DecodedBlock, shifts: dict[str, NDArray[np.int64]]
+) -> dict[str, NDArray[np.float64]]:
+    """See `BlockCosts`."""
+    units = blocks.lattice.units
+    groups = {
+        "opacity": ("opacity",),
+        "scaling": ("scale_0", "scale_1", "scale_2"),
+        "rotation": TURNS,
+    }
+    steps = {"geometry": cell_sides(found.dropped, blocks.lattice.grid)}
+    for stream, names in groups.items():
+        steps[stream] = to_float(units[stream] << np.stack([shifts[name] for name in names]))
+    for stream in ("sh-dc", *SH_STREAMS[: len(blocks.bands)]):
+        steps[stream] = to_float(units[stream] << found.shifts)[None]
+    return steps

@@ -59,13 +59,16 @@ class DecodedBlock:
     """A block in integers.
 
     ``classes (2, n)`` are of shape and colour, ``grid_positions (3, n)`` half steps of the grid,
-    ``shifts (n,)`` of the colours' step sizes, ``colours (3, n)`` SH-DC as fixed-point Y, Co, Cg,
-    ``levels (3, K, n)`` of SH-AC.
+    ``dropped (n,)`` the low bits of their Morton codes that are not coded, ``low_bits (n,)`` how
+    many are, ``shifts (n,)`` of the colours' step sizes, ``colours (3, n)`` SH-DC as fixed-point
+    Y, Co, Cg, ``levels (3, K, n)`` of SH-AC.
     """
 
     classes: NDArray[np.int64]
     shape: Shape
     grid_positions: NDArray[np.int64]
+    dropped: NDArray[np.int64]
+    low_bits: NDArray[np.int64]
     nearest: Nearest
     shifts: NDArray[np.int64]
     colours: NDArray[np.int64]
@@ -104,9 +107,10 @@ class Blocks:
         classes, shape = read_shapes(reader, streams[0], self.rows[0], lattice, stop - start)
         known = (shape.opacity, shape.scales)
         dropped = np.minimum(lattice.rules["position"].shifts(classes[0], 3, *known), lefts)
-        low_bits = BitReader(section(SectionId.LOW_BITS), f"low bits of {where}")
-        codes |= low_bits.fields(lefts - dropped) << dropped
-        low_bits.close()
+        low_bits = lefts - dropped
+        bit_reader = BitReader(section(SectionId.LOW_BITS), f"low bits of {where}")
+        codes |= bit_reader.fields(low_bits) << dropped
+        bit_reader.close()
         grid_positions = centres(codes, dropped, lattice.grid)
         nearest = find_all_nearest(grid_positions)
         shifts = lattice.rules["colour"].shifts(classes[1], 1, *known)
@@ -118,7 +122,9 @@ class Blocks:
         read_bands(reader, ac, self.rows[2:], levels, two_nearest(nearest), shifts)
         if len(streams) == len(self.passes):
             reader.finish()
-        return DecodedBlock(classes, shape, grid_positions, nearest, shifts, colours, levels)
+        return DecodedBlock(
+            classes, shape, grid_positions, dropped, low_bits, nearest, shifts, colours, levels
+        )
 
     def fill(self, block: int, groups: dict[str, NDArray[np.float32]], span: slice) -> None:
         """Decode a block into a range of groups."""

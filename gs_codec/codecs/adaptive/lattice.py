@@ -164,6 +164,20 @@ def grid_codes(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np
     return encode_morton(cells, grid.bits)
 
 
+def _widths(grid: PositionGrid) -> NDArray[np.int64]:
+    """Bits of the number of a cell on each axis ``(3, bits + 1)`` of so many low Morton bits."""
+    widths = np.zeros((3, grid.total_bits + 1), np.int64)
+    for bit, axis in enumerate(bit_layout(grid.bits)[::-1]):
+        widths[:, bit + 1] = widths[:, bit]
+        widths[axis, bit + 1] += 1
+    return widths
+
+
+def cell_sides(dropped: NDArray[np.int64], grid: PositionGrid) -> NDArray[np.float64]:
+    """Sides ``(3, n)`` of the cells of codes without ``dropped (n,)`` low bits, scene units."""
+    return np.ldexp(grid.step, _widths(grid)[:, dropped])
+
+
 def centres(
     codes: NDArray[np.int64], dropped: NDArray[np.int64], grid: PositionGrid
 ) -> NDArray[np.int64]:
@@ -171,13 +185,9 @@ def centres(
 
     The ``dropped (n,)`` low bits of ``codes (n,)`` are 0.
     """
-    widths = np.zeros((3, grid.total_bits + 1), np.int64)
-    for bit, axis in enumerate(bit_layout(grid.bits)[::-1]):
-        widths[:, bit + 1] = widths[:, bit]
-        widths[axis, bit + 1] += 1
     cells = 2 * decode_morton(codes, grid.bits).astype(np.int64)
-    # Not widths[:, dropped]: its rows, and those of what follows, would not be contiguous.
-    cells += np.int64(1) << np.take(widths, dropped, axis=1)
+    # Not [:, dropped]: its rows, and those of what follows, would not be contiguous.
+    cells += np.int64(1) << np.take(_widths(grid), dropped, axis=1)
     return cells
 
 

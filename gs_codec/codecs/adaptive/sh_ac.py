@@ -52,26 +52,27 @@ def _context(left, sign):
 
 
 @kernel
-def _code(levels, near, shifts, first, last, left, shares, values, contexts, counts):
-    """Fill values, contexts and the symbols of each Gaussian; returns the number of symbols."""
+def _code(levels, near, shifts, first, last, left, shares, values, contexts, owners):
+    """Fill values, contexts and, unless it is None, owners; returns the number of symbols."""
     count, members = len(left), levels.shape[1]
     symbol, offset = 0, 0
-    counts[:] = 0
     if first:
         before = previous = np.int64(0)
         for i in range(count):
             context = SUMS * min(shifts[i], COLOUR_SHIFTS - 1) + sum_bucket(previous + before)
             values[symbol], contexts[symbol] = left[i], context
+            if owners is not None:
+                owners[symbol] = i
             symbol += 1
-            counts[i] += 1
             before, previous = previous, left[i]
         offset = _OF_SUM
     if not last:
         for i in range(count):
             if left[i] > 0:
                 values[symbol], contexts[symbol] = shares[i], offset + sum_bucket(left[i])
+                if owners is not None:
+                    owners[symbol] = i
                 symbol += 1
-                counts[i] += 1
             left[i] -= shares[i]
         offset += _OF_SHARE
     signs = np.empty(count, np.int8)
@@ -90,8 +91,9 @@ def _code(levels, near, shifts, first, last, left, shares, values, contexts, cou
                 level = _sign(level)
             values[symbol] = flipped(level, sign >> 63)
             contexts[symbol] = offset + _OF_COLOUR * colour + _context(rest, sign) + place
+            if owners is not None:
+                owners[symbol] = i
             symbol += 1
-            counts[i] += 1
     return symbol
 
 
@@ -202,9 +204,12 @@ def _read(
 
 
 def code_bands(
-    levels: NDArray[np.int32], near: NDArray[np.uint8], shifts: NDArray[np.int64]
-) -> list[tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint8]]]:
-    """Integers to code and their contexts, ``(symbols,)``, of each band; symbols of each Gaussian.
+    levels: NDArray[np.int32],
+    near: NDArray[np.uint8],
+    shifts: NDArray[np.int64],
+    owned: bool = False,
+) -> list[tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.int64]]]:
+    """Integers to code, their contexts, and their owners, each ``(symbols,)``, of each band.
 
     Parameters
     ----------
@@ -213,6 +218,8 @@ def code_bands(
         As `two_nearest` gives them.
     shifts : ndarray, shape (n,)
         Of the colours' step sizes.
+    owned : bool
+        Whether to tell which Gaussian each symbol is of; else there are no owners.
     """
     bands = [levels[:, band.start : band.stop] for band in sh_bands(levels.shape[1])]
     shares = [np.abs(band).sum(axis=(0, 1), dtype=np.int64) for band in bands]
@@ -221,10 +228,12 @@ def code_bands(
     for number, (band, share) in enumerate(zip(bands, shares, strict=True), 1):
         most = len(left) * (2 + band.shape[0] * band.shape[1])
         values, contexts = np.empty(most, np.int64), np.empty(most, np.uint16)
-        counts = np.empty(len(left), np.uint8)
+        owners = np.empty(most if owned else 0, np.int64)
         ends = number == 1, number == len(bands)
-        found = _code(band, near, shifts, *ends, left, share, values, contexts, counts)
-        coded.append((values[:found], contexts[:found], counts))
+        # None is known when the kernel is compiled: encoders do without a branch for each symbol.
+        told = owners if owned else None
+        found = _code(band, near, shifts, *ends, left, share, values, contexts, told)
+        coded.append((values[:found], contexts[:found], owners[:found]))
     return coded
 
 

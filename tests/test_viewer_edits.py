@@ -1,0 +1,413 @@
+"""Scenes selected and edited in the viewer, without a window."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import assert_same_floats, random_scene
+
+import gs_codec
+from gs_codec.edit import Action
+from gs_codec.files.conversion import convert_file
+from gs_codec.formats.cloud import from_cloud, to_cloud
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.ply import read_ply, write_ply
+from viewer.scenes import edits as editing
+from viewer.scenes.edits import HOW, Edits
+from viewer.scenes.opened import Opened, Pruned, open_scene, turned
+from viewer.scenes.pose import look_at
+from viewer.scenes.region import REGIONS, Region, in_polygon, in_region
+from viewer.scenes.saving import save_scene
+from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory) -> Path:
+    """A scene with what the viewer leaves out: comments and a further property."""
+    path = tmp_path_factory.mktemp("edits") / "scene.ply"
+    extra = {"label": np.arange(700, dtype="<i4") % 7}
+    scene = random_scene(700, 2, seed=41)
+    scene.positions[:, 300:330] += 40  # a cluster apart
+    write_ply(path, replace(scene, extra=extra, comments=("trained",)))
+    return path
+
+
+@pytest.fixture
+def scene(file) -> Opened:
+    return open_scene(file)
+
+
+# What is selected
+
+
+def crossings(x: float, y: float, corners: list) -> int:
+    """How often the ray to the right of a point crosses a polygon."""
+    found = 0
+    for k, (x0, y0) in enumerate(corners):
+        x1, y1 = corners[(k + 1) % len(corners)]
+        if (y0 > y) != (y1 > y):
+            found += x < x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+    return found
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 40])
+def test_a_polygon_holds_what_it_surrounds_once(number):
+    rng = np.random.default_rng(number)
+    corners = [tuple(corner) for corner in rng.integers(0, 20, (number, 2)).tolist()]
+    points = np.concatenate([rng.uniform(-2, 22, (500, 2)), rng.integers(0, 20, (200, 2))])
+    expected = [crossings(x, y, corners) % 2 == 1 for x, y in points.tolist()]
+    assert any(expected) == (number > 2)
+    np.testing.assert_array_equal(in_polygon(points, corners), expected)
+
+
+def test_a_region_selects_drawn_centres_before_the_camera(scene):
+    size, focal = (640, 400), 0.866 * 400
+    middle = np.median(scene.positions, axis=0)
+    pose = look_at(scene.positions[0].astype(float) + 0.01, middle.astype(float))
+    box = Region("box", (500, 320))
+    box.extend((9, 400))
+    box.extend((120, 60))
+    expected, behind = [], 0
+    for point in scene.positions.tolist():
+        x, y, depth = pose.rotation @ (np.array(point) - pose.position)
+        u, v = focal * x / depth + 320, focal * y / depth + 200
+        inside = 120 <= u < 500 and 60 <= v < 320
+        behind += inside and depth <= 0.2
+        expected.append(inside and depth > 0.2)
+    assert behind
+    assert 20 < sum(expected) < 680
+    np.testing.assert_array_equal(in_region(scene, pose, size, box.corners), expected)
+    drawn = np.arange(700) % 2 == 0
+    found = in_region(scene, pose, size, box.corners, drawn)
+    np.testing.assert_array_equal(found, expected & drawn)
+
+
+def test_what_is_no_place_is_in_no_region():
+    gaussians = random_scene(4, 0)
+    gaussians.positions[:] = [[0, np.nan, np.inf, 0], [0, 0, 0, -np.inf], [1, 1, 1, 1]]
+    pose, box = look_at(np.zeros(3), np.array([0.0, 0.0, 1.0])), [(0, 0), (9, 0), (9, 9), (0, 9)]
+    assert in_region(Opened("", to_cloud(gaussians)), pose, (9, 9), box).tolist() == [1, 0, 0, 0]
+    assert not in_region(Opened("", to_cloud(random_scene(0, 0))), pose, (9, 9), box).size
+
+
+def test_a_lasso_follows_the_mouse_and_a_click_draws_nothing():
+    lasso = Region("lasso", (0, 0))
+    for place in ((1, 1), (10, 0), (11, 1), (10, 10)):
+        lasso.extend(place)
+    assert lasso.corners == [(0, 0), (10, 0), (10, 10)]
+    for kind in REGIONS:
+        assert Region(kind, (5, 5)).corners == [(5, 5)]
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "value"),
+    [
+        ("opacity", 0.3, 0.999, lambda g: 1 / (1 + np.exp(-g.opacity[0].astype(float)))),
+        ("longest scale", 0.01, 0.05, lambda g: np.exp(g.log_scale.max(axis=0).astype(float))),
+        ("z", -0.5, 1.0, lambda g: g.positions[2]),
+        ("SH energy", 0.1, 0.2, lambda g: (g.f_rest.astype(float) ** 2).sum(axis=0)),
+    ],
+)
+def test_a_range_of_a_quantity(scene, file, name, low, high, value):
+    values = value(read_ply(file, "drop"))
+    chosen = in_range(scene, name, low, high)
+    assert 5 < chosen.sum() < 690
+    np.testing.assert_array_equal(chosen, (values >= low) & (values <= high))
+
+
+def test_a_range_has_its_ends_and_no_nan():
+    gaussians = random_scene(4, 0)
+    gaussians.positions[0] = [1, 2, np.nan, 2.0000002]
+    assert in_range(Opened("", to_cloud(gaussians)), "x", 1, 2).tolist() == [1, 1, 0, 0]
+
+
+def test_unknown_quantities_are_refused(scene):
+    with pytest.raises(gs_codec.GsCodecError, match=r"quantity 'size': scene\.ply has none"):
+        in_range(scene, "size", 0, 1)
+
+
+def test_rules_choose_what_statistics_count(file):
+    """Of a scene in which every share has some."""
+    some = read_ply(file, "drop")
+    for k, (group, value) in enumerate(
+        {"log_scale": 3.0, "f_dc": np.nan, "opacity": -9.0}.items(), 10
+    ):
+        getattr(some, group)[0, k] = value
+    cloud = to_cloud(some.take(np.array([*range(700), 5, 6])))
+    cloud.point.f_dc.numpy()[700] += 1
+    shares = gs_codec.edit.statistics(cloud).shares
+    names = rules(Pruned(("geometry",), np.zeros(702, np.uint8)))
+    assert names[: len(shares)] == [share.name for share in shares]
+    assert names[len(shares) :] == ["floaters", "outside the largest cluster", "pruned by geometry"]
+    scene = Opened("", cloud)
+    for share in shares:
+        assert by_rule(scene, share.name).sum() == share.count > 0
+    assert np.flatnonzero(by_rule(scene, "same centre")).tolist() == [700, 701]
+    assert np.flatnonzero(by_rule(scene, "duplicate")).tolist() == [701]
+
+
+# Steps, and the way back
+
+
+def test_any_steps_are_those_of_plain_sets_and_are_undone(scene):
+    """Random steps, undone and done again, against sets of the rows of the file."""
+    rng = np.random.default_rng(42)
+    edits, everything = Edits(scene), frozenset(range(scene.count))
+    states = [(frozenset(), frozenset(), everything)]
+    now = 0
+    for _ in range(300):
+        selected, hidden, left = states[now]
+        rows = np.array(sorted(left))
+        what = rng.choice([*HOW, "all", "invert", "hide", "show", "delete", "undo", "redo"])
+        chosen = rng.random(len(rows)) < 0.1
+        picked = frozenset(rows[chosen].tolist()) - hidden
+        after = {
+            "replace": (picked, hidden, left),
+            "add": (selected | picked, hidden, left),
+            "remove": (selected - picked, hidden, left),
+            "all": (left - hidden, hidden, left),
+            "invert": (left - hidden - selected, hidden, left),
+            "hide": (frozenset(), hidden | selected, left),
+            "show": (selected, frozenset(), left),
+            "delete": (frozenset(), hidden, left - selected),
+        }.get(what)
+        if what == "delete" and len(selected) > 0.2 * len(left):
+            continue  # so that there is something left to the end
+        if what in HOW:
+            edits.select(chosen, what)
+        else:
+            steps = {"all": edits.select_all, "show": edits.show_all}
+            (steps.get(what) or getattr(edits, what))()
+        if after is None:
+            now = max(now - 1, 0) if what == "undo" else min(now + 1, len(states) - 1)
+        elif after != states[now]:
+            now += 1
+            states[now:] = [after]
+        assert state(edits) == states[now]
+        assert edits.count == len(states[now][0])
+        assert bool(edits.undone_next) == (now > 0)
+        assert bool(edits.redone_next) == (now < len(states) - 1)
+        assert edits.unsaved == (states[now][2] != everything)
+    assert len(states[now][2]) < scene.count
+    assert len(states) > 30
+
+
+def state(edits: Edits) -> tuple[frozenset, frozenset, frozenset]:
+    """The rows of the file that are selected, hidden, and left."""
+    rows = edits.scene.rows
+    hidden = frozenset() if edits.drawn is None else frozenset(rows[~edits.drawn].tolist())
+    return frozenset(rows[edits.selected].tolist()), hidden, frozenset(rows.tolist())
+
+
+def test_undoing_brings_the_old_objects_back(scene):
+    edits = Edits(scene)
+    edits.select(np.arange(scene.count) < 100)
+    edits.delete()
+    first = edits.scene
+    assert first is not scene
+    edits.undo()
+    assert edits.scene is scene
+    assert edits.selected.sum() == 100
+    edits.redo()
+    assert edits.scene is first
+
+
+def test_what_is_left_refers_to_the_rows_of_the_file(tmp_path):
+    path = tmp_path / "a.egs"
+    gs_codec.write(path, to_cloud(random_scene(3000, 1, 43)), gs_codec.Config(block_size=1024))
+    whole, edits = open_scene(path), Edits(open_scene(path))
+    left = np.arange(3000) % 3 != 1
+    size = whole.info.block_size
+    left[size : 2 * size] = False
+    edits.keep(left, "test")
+    scene = edits.scene
+    np.testing.assert_array_equal(scene.rows, np.flatnonzero(left))
+    assert_same_floats(from_cloud(scene.cloud), from_cloud(whole.cloud).take(left))
+    np.testing.assert_array_equal(scene.bits, whole.bits[left])
+    assert len(whole.blocks) == 3
+    assert len(scene.blocks) == 2
+    block = whole.positions[2 * size :][left[2 * size :]]
+    np.testing.assert_allclose(scene.blocks[1], np.quantile(block, (0.02, 0.98), axis=0), rtol=1e-6)
+    labels = (np.arange(3000) % 4).astype(np.uint8)
+    pruned = Pruned(("geometry", "importance", "error"), labels)
+    np.testing.assert_array_equal(by_rule(scene, "pruned by importance", pruned), labels[left] == 2)
+
+
+def test_an_edited_scene_is_edited_on(scene):
+    before, kept = Edits(scene), np.arange(scene.count) % 3 > 0
+    before.keep(kept, "crop")
+    edits = Edits(before.scene)
+    assert edits.scene is before.scene
+    assert edits.unsaved
+    edits.keep(np.arange(edits.scene.count) % 2 > 0, "crop")
+    edits.select_all()
+    rows = np.flatnonzero(kept)[1::2]
+    np.testing.assert_array_equal(edits.scene.rows, rows)
+    assert edits.count == edits.scene.count == len(rows)
+    edits.undo()
+    edits.undo()
+    edits.undo()
+    assert edits.scene is before.scene
+
+
+def test_what_is_drawn_is_the_same_array_until_it_changes(scene):
+    edits = Edits(scene)
+    edits.select(np.arange(scene.count) < 100)
+    edits.hide()
+    drawn = edits.drawn
+    assert np.flatnonzero(~drawn).tolist() == list(range(100))
+    edits.select(np.arange(scene.count) < 200)
+    assert edits.drawn is drawn
+    edits.delete()
+    assert (len(edits.drawn), (~edits.drawn).sum()) == (600, 100)
+
+
+def test_nothing_but_a_number_of_steps_is_kept(scene, monkeypatch):
+    monkeypatch.setattr(editing, "_STEPS", 3)
+    edits = Edits(scene)
+    for k in range(5):
+        edits.select(np.arange(scene.count) == k)
+    for _ in range(5):
+        edits.undo()
+    assert edits.undone_next == ""
+    assert np.flatnonzero(edits.selected).tolist() == [1]
+
+
+def test_steps_that_change_nothing_are_none(scene):
+    edits = Edits(scene)
+    edits.select_none()
+    edits.show_all()
+    edits.delete()
+    assert (edits.undone_next, edits.scene) == ("", scene)
+
+
+def test_a_scene_is_never_deleted_whole(scene):
+    edits = Edits(scene)
+    edits.select_all()
+    with pytest.raises(gs_codec.GsCodecError, match="delete: no Gaussian would be left"):
+        edits.delete()
+    assert edits.scene is scene
+
+
+# What is saved
+
+
+def saved_edits(scene: Opened, kept: np.ndarray, target: Path) -> bytes:
+    """What is written of a scene after all but some Gaussians are deleted, by two steps."""
+    edits = Edits(scene)
+    edits.select(~kept & (np.arange(scene.count) % 2 == 0))
+    edits.delete()
+    edits.select(~kept[edits.scene.rows])
+    edits.delete()
+    save_scene(edits.scene, target)
+    return target.read_bytes()
+
+
+def kept_by(action: Action, scene: Opened) -> np.ndarray:
+    """The Gaussians that an action keeps, as the window finds them."""
+    if action.name == "crop-box":
+        return inside_box(scene, action.arguments[:3], action.arguments[3:])
+    if action.name == "remove-floaters":
+        return ~by_rule(scene, "floaters")
+    if action.name == "keep-largest-cluster":
+        return ~by_rule(scene, "outside the largest cluster")
+    name, _, number = action.arguments
+    return in_range(scene, name, number, np.inf)
+
+
+ACTIONS = (
+    Action("crop-box", "-0.5,-1,-1,1,1.5,0.8"),
+    Action("filter", "opacity>=0.05"),
+    Action("remove-floaters"),
+    Action("keep-largest-cluster"),
+)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".egs", ".spz", ".csv"])
+@pytest.mark.parametrize("action", ACTIONS, ids=str)
+def test_what_is_saved_is_what_convert_writes(file, scene, action, suffix, tmp_path):
+    done = convert_file(file, tmp_path / f"b{suffix}", actions=[action])
+    assert 0 < done.count < scene.count
+    data = saved_edits(scene, kept_by(action, scene), tmp_path / f"a{suffix}")
+    assert data == (tmp_path / f"b{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize("source", ["said.ply", "fixed.spz", "coded.egs"])
+def test_scenes_of_other_systems_are_saved_as_convert_does(file, source, tmp_path):
+    source = tmp_path / source
+    if source.name == "said.ply":
+        write_ply(source, turn_axes(read_ply(file, "keep"), "RUB"))
+    else:
+        convert_file(file, source)
+    action = ACTIONS[0]
+    convert_file(source, tmp_path / "b.ply", actions=[action])
+    scene = open_scene(source)
+    data = saved_edits(scene, kept_by(action, scene), tmp_path / "a.ply")
+    assert data == (tmp_path / "b.ply").read_bytes()
+
+
+def test_a_scene_that_was_turned_is_saved_turned(file, tmp_path):
+    convert_file(file, tmp_path / "b.ply", coordinates="RUB:RDF", actions=ACTIONS[:1])
+    scene = turned(open_scene(file))
+    data = saved_edits(scene, kept_by(ACTIONS[0], scene), tmp_path / "a.ply")
+    assert data == (tmp_path / "b.ply").read_bytes()
+    again = turned(scene)
+    convert_file(file, tmp_path / "d.ply", actions=ACTIONS[:1])
+    data = saved_edits(again, kept_by(ACTIONS[0], again), tmp_path / "c.ply")
+    assert data == (tmp_path / "d.ply").read_bytes()
+
+
+def test_edits_stay_when_a_scene_is_turned(scene):
+    edits = Edits(scene)
+    edits.select(np.arange(scene.count) < 100)
+    edits.delete()
+    edits.select(np.arange(edits.scene.count) < 7)
+    expected = turned(scene)
+    edits.turn(expected)
+    np.testing.assert_array_equal(edits.scene.positions, expected.positions[100:])
+    assert edits.scene.title == "scene.ply, edited, turned from RUB"
+    assert edits.count == 7
+    edits.undo()
+    edits.undo()
+    np.testing.assert_array_equal(edits.scene.positions, expected.positions)
+
+
+def test_a_cloud_is_saved_too(file, tmp_path):
+    cloud = gs_codec.read(file, "keep")
+    kept = np.arange(700) % 5 != 0
+    saved_edits(Opened("cloud", cloud), kept, tmp_path / "a.ply")
+    assert_same_floats(read_ply(tmp_path / "a.ply", "drop"), from_cloud(cloud, "drop").take(kept))
+
+
+def test_saving_tells_what_is_written_and_lost(scene, tmp_path):
+    edits = Edits(scene)
+    edits.keep(np.arange(scene.count) < 50, "test")
+    assert edits.unsaved
+    said = save_scene(edits.scene, tmp_path / "a.splat")
+    assert said[0] == "a.splat is written: 50 Gaussians, 1.60 kB"
+    assert said[1] == "opacity, colour and rotation rounded to 8 bits"
+    edits.mark_saved(edits.scene)
+    assert not edits.unsaved
+    edits.undo()
+    assert edits.unsaved
+
+
+def test_a_file_that_has_changed_is_not_saved(file, tmp_path):
+    path = tmp_path / "a.ply"
+    path.write_bytes(file.read_bytes())
+    scene = open_scene(path)
+    os.utime(path, ns=(0, 0))
+    with pytest.raises(gs_codec.GsCodecError, match=r"a\.ply: changed after it was opened"):
+        save_scene(scene, tmp_path / "b.ply")
+    assert not (tmp_path / "b.ply").exists()
+
+
+def test_what_cannot_be_written_is_told(scene, file, tmp_path):
+    with pytest.raises(gs_codec.GsCodecError, match="the source itself"):
+        save_scene(scene, file)
+    with pytest.raises(gs_codec.GsCodecError, match=r"suffix '\.xyz', expected"):
+        save_scene(scene, tmp_path / "a.xyz")

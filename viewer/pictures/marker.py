@@ -1,0 +1,61 @@
+"""The outline of a picked Gaussian."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from gs_codec.rendering.inria import as_camera
+from gs_codec.rendering.pixel import splat_outline
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import Pose
+
+#: An outline is nowhere nearer to its centre than this, pixels; the radius of the centre's own.
+_LEAST, _CENTRE = 7.0, 3.0
+
+#: Widths of the dark line and of the light one on it, pixels, and their RGB, 0-1.
+LINES = ((5.0, (0.0, 0.0, 0.0)), (2.0, (1.0, 1.0, 1.0)))
+
+#: Nothing nearer to the camera than this is marked, scene units.
+_NEAR = 1e-3
+
+_ANGLES = 2 * np.pi * np.arange(24) / 24
+_CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+
+
+def marker(
+    scene: Opened, row: int, pose: Pose, width: int, height: int
+) -> list[NDArray[np.float64]]:
+    """Closed lines ``(n, 2)`` that mark a Gaussian in a picture of this size, pixels.
+
+    The outline of its splat, at three standard deviations, and a ring in its centre; nothing if it
+    is behind the camera.
+    """
+    places, depth = pose.project(scene.positions[row][None], width, height)
+    if not depth[0] > _NEAR or not np.isfinite(places).all():
+        return []
+    centre = places[0]
+    outline = splat_outline(scene.gaussians, as_camera(pose.camera(width, height)), row)
+    around = _LEAST * _CIRCLE if outline is None else _widened(outline - centre)
+    return [centre + around, centre + _CENTRE * _CIRCLE]
+
+
+def _widened(around: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An ellipse about 0 ``(n, 2)``, moved outwards until it is nowhere too near to its centre."""
+    margin = max(_LEAST - float(np.linalg.norm(around, axis=1).min()), 0.0)
+    along = np.roll(around, -1, axis=0) - np.roll(around, 1, axis=0)
+    across = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    length = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    outwards = np.sign(np.sum(across * around, axis=1, keepdims=True))
+    return around + margin * outwards * across / length
+
+
+def draw_marker(canvas: Image.Image, lines: list[NDArray[np.float64]]) -> None:
+    """Draw closed lines, light on dark, so that they are seen on any background."""
+    pen = ImageDraw.Draw(canvas)
+    for thickness, colour in LINES:
+        fill = tuple(round(255 * c) for c in colour)
+        for line in lines:
+            closed = np.clip(np.concatenate([line, line[:2]]), -1e5, 1e5)
+            pen.line([tuple(p) for p in closed.tolist()], fill, round(thickness), "curve")

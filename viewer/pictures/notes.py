@@ -1,0 +1,63 @@
+"""A picture of notes on what is shown: what it is, its legend, a photograph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageFont
+
+from viewer.pictures.layers import Legend
+from viewer.pictures.picture import (
+    BACKGROUND,
+    TEXT,
+    labelled,
+    reasons_text,
+    to_pillow,
+    write_reasons,
+)
+from viewer.scenes.opened import Pruned
+
+#: Least width, pixels; heights of the caption, of a reason, and of a legend.
+_WIDTH, _CAPTION, _REASON, _LEGEND = 400, 30, 18, 56
+
+
+def draw_notes(
+    caption: str,
+    legends: Sequence[Legend] = (),
+    pruned: Pruned | None = None,
+    photograph: NDArray[np.float32] | None = None,
+    most: int = 300,
+) -> Image.Image:
+    """Notes as wide as their caption needs.
+
+    Parameters
+    ----------
+    caption : str
+        A line.
+    legends : sequence of Legend
+    pruned : Pruned, optional
+        Its reasons are listed.
+    photograph : ndarray, shape (H, W, 3), float32, 0-1, optional
+    most : int
+        Largest height that it is shown with, pixels.
+    """
+    reasons = len(reasons_text(pruned)) if pruned is not None else 0
+    high = _CAPTION + _REASON * reasons + _LEGEND * len(legends)
+    wide = max(_WIDTH, 16 + round(ImageFont.load_default(TEXT).getlength(caption)))
+    canvas = np.empty((high, wide, 3), np.float32)
+    canvas[:] = BACKGROUND
+    notes = labelled(canvas, [(0, caption)], legends)
+    if pruned is not None:
+        write_reasons(notes, pruned)
+    if photograph is None:
+        return notes
+    shape = photograph.shape
+    scale = min(wide / shape[1], most / shape[0])
+    size = max(1, round(scale * shape[1])), max(1, round(scale * shape[0]))
+    whole = Image.new("RGB", (wide, high + size[1]))
+    whole.paste(notes, (0, 0))
+    shown = to_pillow(photograph).resize(size, Image.Resampling.LANCZOS)
+    whole.paste(shown, ((wide - size[0]) // 2, high))
+    return whole

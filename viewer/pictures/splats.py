@@ -1,0 +1,156 @@
+"""Splats drawn by gs_codec's rasterisers: exact ones, of which numbers are taken, and drafts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gs_codec
+from gs_codec.rendering.frame import make_frame
+from gs_codec.rendering.inria import as_camera
+from gs_codec.rendering.renderer import Rendering, render
+from gs_codec.scene import Scene
+from viewer.scenes.appearance import Look, gaussians_drawn
+from viewer.scenes.numbers import quality_text
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import Pose
+
+#: The scene as it is.
+_PLAIN = Look()
+
+#: Pictures kept per scene: of a pane while a wipe moves over it, and of the frame.
+_KEPT = 4
+
+#: SSIM needs pictures of at least this size, pixels.
+_LEAST_SIDE = 11
+
+
+class Drawer:
+    """Draws one scene; keeps what pictures are made of, and the last of them.
+
+    Parameters
+    ----------
+    scene : Opened
+    """
+
+    def __init__(self, scene: Opened) -> None:
+        self._scene = scene
+        self._pictures: list[tuple[tuple, Look, NDArray[np.float32]]] = []
+        self._all = _PLAIN, scene.gaussians
+        self._some = _PLAIN, 1, scene.gaussians
+
+    def exact(
+        self, pose: Pose, width: int, height: int, look: Look = _PLAIN
+    ) -> NDArray[np.float32]:
+        """The picture ``(H, W, 3)`` by the renderer that `gs_codec.compare` measures with."""
+
+        def draw() -> NDArray[np.float32]:
+            return self.render(pose.camera(width, height), look).colour
+
+        return self._known((pose, width, height, 0), look, draw)
+
+    def draft(
+        self, pose: Pose, width: int, height: int, look: Look = _PLAIN, every: int = 1
+    ) -> NDArray[np.float32]:
+        """The picture ``(H, W, 3)`` by the faster rasteriser that refinement uses, in float32.
+
+        It is of one Gaussian in `every`, the larger for it.
+        """
+
+        def draw() -> NDArray[np.float32]:
+            camera = as_camera(pose.camera(width, height))
+            frame = make_frame(self._drawn(look, every), camera)
+            return frame.draw_rows(look.appearance.background)[0]
+
+        return self._known((pose, width, height, every), look, draw)
+
+    def render(self, camera: dict[str, Any], look: Look = _PLAIN) -> Rendering:
+        """What the exact renderer gives for an entry of ``cameras.json``; nothing of it is kept."""
+        # What is measured and what is shown may take turns.
+        scene = self._scene.gaussians if look.is_same(_PLAIN) else self._drawn(look)
+        return render(scene, as_camera(camera), look.appearance.background)
+
+    def _drawn(self, look: Look, every: int = 1) -> Scene:
+        """The Gaussians that a look draws, or one in `every`."""
+        known, scene = self._all
+        if not known.is_same(look):
+            scene = gaussians_drawn(self._scene, look)
+            self._all = look, scene
+        if every == 1:
+            return scene
+        known, number, some = self._some
+        if number != every or not known.is_same(look):
+            some = scene.take(np.arange(0, scene.count, every))
+            # Each covers the area of all that it stands for.
+            larger = some.log_scale + np.float32(math.log(every) / 2)
+            some = replace(some, log_scale=larger)
+            self._some = look, every, some
+        return some
+
+    def _known(
+        self, key: tuple, look: Look, draw: Callable[[], NDArray[np.float32]]
+    ) -> NDArray[np.float32]:
+        """A picture, drawn unless it is one of the last."""
+        for known, of, picture in list(self._pictures):
+            if known == key and of.drawn is look.drawn and of.appearance == look.appearance:
+                return picture
+        picture = draw()
+        self._pictures = [*self._pictures[1 - _KEPT :], (key, look, picture)]
+        return picture
+
+
+def drawer_of(views: dict[Opened, Drawer], scene: Opened) -> Drawer:
+    """What draws a scene, made once."""
+    if scene not in views:
+        views[scene] = Drawer(scene)
+    return views[scene]
+
+
+def splats(
+    views: dict[Opened, Drawer], scene: Opened, pose: Pose, width: int, height: int
+) -> NDArray[np.float32]:
+    """A scene as it is ``(H, W, 3)``, whatever appearance is chosen: what is measured."""
+    return drawer_of(views, scene).exact(pose, width, height)
+
+
+def depth_at(
+    views: dict[Opened, Drawer],
+    scene: Opened,
+    pose: Pose,
+    at: tuple[float, float],
+    size: tuple[int, int],
+    look: Look,
+) -> float:
+    """The depth of what is seen at a pixel of a picture of this size; 0 where nothing is."""
+    _, _, cx, cy = pose.lens(*size)
+    camera = pose.camera(*size) | {
+        "width": 1,
+        "height": 1,
+        "cx": cx - at[0] + 0.5,
+        "cy": cy - at[1] + 0.5,
+    }
+    seen = drawer_of(views, scene).render(camera, look)
+    return float(seen.depth[0, 0])
+
+
+def quality(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> Any:
+    """`gs_codec.compare_images` of two scenes in the camera's frame; None if it is too small."""
+    width, height = pose.measured
+    if min(width, height) < _LEAST_SIDE:
+        return None
+    images = [splats(views, scene, pose, width, height) for scene in scenes]
+    return gs_codec.compare_images(*images)
+
+
+def measure(views: dict[Opened, Drawer], scenes: Sequence[Opened], pose: Pose) -> str:
+    """`quality` as text."""
+    found = quality(views, scenes, pose)
+    if found is None:
+        width, height = pose.measured
+        return f"frame of {width}x{height}: too small"
+    return quality_text(found)

@@ -1,0 +1,85 @@
+"""A camera path from pose to pose, and the poses in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gs_codec
+from gs_codec.rendering.inria import as_camera
+from viewer.scenes.pose import Pose, of_camera
+
+
+def write_poses(path: Path, poses: Sequence[Pose]) -> None:
+    """Write poses as a ``cameras.json``, in order; whole or not at all.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If there are none, or they cannot be written.
+    """
+    named = enumerate(poses, 1)
+    gs_codec.write_cameras(
+        path,
+        [as_camera(pose.camera(*pose.frame) | {"img_name": f"pose {k:03d}"}) for k, pose in named],
+    )
+
+
+def read_poses(path: Path) -> list[Pose]:
+    """Read the poses of all cameras of a file, in its order.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        As `gs_codec.read_cameras`.
+    """
+    return [of_camera(camera) for camera in gs_codec.read_cameras(path)]
+
+
+def flythrough(poses: Sequence[Pose], count: int) -> list[Pose]:
+    """Poses on a smooth path from the first to the last, through all others.
+
+    Positions follow a cubic curve, rotations a cubic spline, lenses go in proportion. Time goes by
+    how far the camera moves and turns, so that its speed is even. The frame is that of the first.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        At least two.
+    count : int
+        At least 2.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
+
+    positions = np.array([pose.position for pose in poses])
+    rotations = Rotation.from_matrix(np.array([pose.rotation for pose in poses]))
+    knots = _times(positions, (rotations[1:] * rotations[:-1].inv()).magnitude())
+    times = np.linspace(0, knots[-1], count)
+    places = CubicHermiteSpline(knots, positions, _slopes(knots, positions))(times)
+    turns = RotationSpline(knots, rotations)(times).as_matrix()
+    lenses = np.array([(*pose.focal, *pose.shift) for pose in poses])
+    lens = np.stack([np.interp(times, knots, column) for column in lenses.T], axis=1)
+    return [
+        Pose(turn, place, (fx, fy), poses[0].frame, (x, y))
+        for turn, place, (fx, fy, x, y) in zip(turns, places, lens.tolist(), strict=True)
+    ]
+
+
+def _times(positions: NDArray, turns: NDArray) -> NDArray[np.float64]:
+    """When a path is at each of its positions; a pose that is repeated takes a little time."""
+    moves = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    steps = moves / (moves.mean() or 1.0) + turns / (turns.mean() or 1.0)
+    least = 0.1 * float(steps.mean()) or 1.0
+    return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
+
+
+def _slopes(knots: NDArray, positions: NDArray) -> NDArray[np.float64]:
+    """Velocities at the positions: of the parabola through each and its neighbours."""
+    steps = np.diff(knots)[:, None]
+    speeds = np.diff(positions, axis=0) / steps
+    inner = (speeds[:-1] * steps[1:] + speeds[1:] * steps[:-1]) / (steps[:-1] + steps[1:])
+    return np.concatenate([speeds[:1], inner, speeds[-1:]])

@@ -1,0 +1,147 @@
+"""Which Gaussians of two versions of a scene belong together, and how far they are apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gs_codec
+from gs_codec.codecs.matching import GridOrder, are_together, order_of, put_side_by_side
+from gs_codec.coding.axes import nearest_quaternions, sort_axes
+from gs_codec.coding.clean import identity_for_zero
+from gs_codec.metrics.attributes import compare_scenes
+from gs_codec.scene import SH_C0, Scene
+from viewer.scenes.opened import Opened
+
+#: How Gaussians are matched that nothing else tells.
+NEAREST = "nearest centre"
+
+#: Name of the property that keeps rows while scenes are put side by side.
+_ROW = "row"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far a Gaussian is from the one that belongs to it.
+
+    Attributes
+    ----------
+    row : int
+        Of the other Gaussian in its scene.
+    matched_by : str
+        ``stored order``, ``index`` or ``Morton order``, as in `Comparison`; or `NEAREST`.
+    position : float
+        Distance of the centres, scene units.
+    scales : tuple of three float
+        Ratio of the axes, this over the other, less 1; from the longest unless they are matched by
+        index.
+    rotation : float
+        Angle, degrees.
+    opacity : float
+        Difference, 0-1.
+    colour : float
+        Root mean square over R, G and B of SH-DC, of 255.
+    sh : float or None
+        Root mean square over the SH-AC; None if neither has any.
+    """
+
+    row: int
+    matched_by: str
+    position: float
+    scales: tuple[float, float, float]
+    rotation: float
+    opacity: float
+    colour: float
+    sh: float | None
+
+
+class Match:
+    """Which Gaussians of two scenes belong together.
+
+    Gaussians are matched as `gs_codec.compare` matches them; where it cannot, as after pruning, by
+    the nearest centre.
+
+    Parameters
+    ----------
+    first, second : Opened
+    """
+
+    def __init__(self, first: Opened, second: Opened) -> None:
+        self._scenes = first.gaussians, second.gaussians
+        self._sorts = any(isinstance(order_of(each), GridOrder) for each in self._scenes)
+        self.matched_by = NEAREST
+        self._rows: tuple[NDArray, NDArray] | None = None
+        if first.count != second.count:
+            return
+        numbered = (_numbered(each) for each in self._scenes)
+        try:
+            *sorted_scenes, matched_by = put_side_by_side(*numbered)
+        except gs_codec.GsCodecError:  # both were reordered, differently
+            return
+        a, b = sorted_scenes
+        if matched_by != "index" or are_together(a, b):
+            self.matched_by = matched_by
+            self._rows = a.extra[_ROW], b.extra[_ROW]
+
+    def difference(self, which: int, row: int) -> Difference | None:
+        """How far a Gaussian of the first scene (0) or the second (1) is from the other's.
+
+        None if the other scene has none.
+        """
+        own, other = self._scenes[which], self._scenes[1 - which]
+        if self._rows is None:
+            found = _nearest(own.positions[:, row], other.positions)
+        else:
+            place = np.flatnonzero(self._rows[which] == row)[0]
+            found = int(self._rows[1 - which][place])
+        if found is None:
+            return None
+        pair = own.take(np.array([row])), other.take(np.array([found]))
+        if self._sorts or self._rows is None:
+            pair = _with_axes_alike(*pair)
+        return _difference(*pair, found, self.matched_by)
+
+
+def _numbered(scene: Scene) -> Scene:
+    return replace(scene, extra={_ROW: np.arange(scene.count, dtype=np.int32)})
+
+
+def _nearest(position: NDArray, positions: NDArray) -> int | None:
+    """The nearest of finite positions ``(3, N)``; None if there is none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart = np.sum((positions - position[:, None]) ** 2, axis=0)
+    return int(np.nanargmin(apart)) if np.isfinite(apart).any() else None
+
+
+def _with_axes_alike(first: Scene, second: Scene) -> tuple[Scene, Scene]:
+    """Both with their axes from the longest, written so that their quaternions are near."""
+    pair = []
+    rot = np.array([[1], [0], [0], [0]], np.float32)
+    for scene in (second, first):
+        scene, _ = identity_for_zero(scene)
+        _, scales, vectors = sort_axes(scene.log_scale, scene.rot)
+        rot = nearest_quaternions(vectors, rot)
+        pair.append(replace(scene, log_scale=scales.astype(np.float32), rot=rot))
+    return pair[1], pair[0]
+
+
+def _difference(first: Scene, second: Scene, row: int, matched_by: str) -> Difference:
+    compared = compare_scenes(first, second)
+    errors = {(group.name, group.unit): group for group in compared.groups}
+    rest = errors.get(("f_rest", "SH"))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scales = np.expm1(first.log_scale[:, 0].astype(np.float64) - second.log_scale[:, 0])
+        logits = np.array([first.opacity[0, 0], second.opacity[0, 0]], np.float64)
+        opacities = 1 / (1 + np.exp(-logits))
+    return Difference(
+        row,
+        matched_by,
+        float(np.linalg.norm(first.positions.astype(np.float64) - second.positions)),
+        tuple(scales.tolist()),
+        errors["rotation", "degrees"].max,
+        float(opacities[0] - opacities[1]),
+        255 * SH_C0 * errors["f_dc", "SH"].rms,
+        None if rest is None else rest.rms,
+    )

@@ -1,0 +1,129 @@
+"""The tab of edits: selecting, hiding, deleting, saving."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from open3d.visualization import gui
+
+from viewer.pictures.layers import SELECTED
+from viewer.scenes.edits import Edits
+from viewer.window.editor import TOOLS
+from viewer.window.widgets import Widgets, choose
+
+
+class EditTab:
+    """Tools and steps with the scene that is edited.
+
+    Attributes
+    ----------
+    widget : gui.Widget
+    buttons : dict of str to gui.Button
+        By their text, and those of tools by the tool.
+    scene, rule : gui.Combobox
+    low, high : gui.VectorEdit
+        Corners of the box to crop to.
+    """
+
+    def __init__(self, viewer: Any, widgets: Widgets) -> None:
+        self._viewer, self._widgets = viewer, widgets
+        self._editor = viewer.editor
+        self.buttons: dict[str, gui.Button] = {}
+        self.widget = widgets.column()
+        self.scene = widgets.choice(self.widget, "scene", (), self._editor.set_number)
+        self._add_tools()
+        self._add_steps()
+        self._add_box()
+        tip = "Save the scene in any format that is written (ctrl + shift + S)."
+        self._row(("Save as ...", self._editor.ask_save, tip))
+        self._unsaved = gui.Label("")
+        self.widget.add_child(self._unsaved)
+
+    def _add_tools(self) -> None:
+        """What drags in panes do."""
+        tips = ("Drags move the camera.", "Drags draw boxes (B).", "Drags draw lassos (L).")
+        actions = [partial(self._editor.set_tool, tool) for tool in TOOLS]
+        self._row(*zip(TOOLS, actions, tips, strict=True))
+        for tool in TOOLS:
+            self.buttons[tool].toggleable = True
+        self.widget.add_child(gui.Label("shift adds, ctrl removes"))
+
+    def _add_steps(self) -> None:
+        """Steps with the selection."""
+
+        def does(step: Any) -> Any:
+            return lambda: self._editor.do(step)
+
+        self.count = gui.Label("")
+        self.count.text_color = gui.Color(*SELECTED)
+        self.widget.add_child(self.count)
+        self._row(
+            ("All", does(Edits.select_all), "ctrl + A"),
+            ("None", does(Edits.select_none), "ctrl + D"),
+            ("Invert", does(Edits.invert), "ctrl + I"),
+        )
+        self.rule = gui.Combobox()
+        button = self._widgets.button("Select", self._select_by, "Select these.")
+        self.buttons["Select"] = button
+        self._widgets.row(self.widget, self.rule, button)
+        self._row(
+            ("Delete", does(Edits.delete), "Delete what is selected (Delete)."),
+            ("Hide", does(Edits.hide), "Hide what is selected (ctrl + H)."),
+            ("Show all", does(Edits.show_all), "Show what is hidden."),
+        )
+        self._row(("Undo", does(Edits.undo), "ctrl + Z"), ("Redo", does(Edits.redo), "ctrl + Y"))
+        self._steps = gui.Label("")
+        self.widget.add_child(self._steps)
+
+    def _add_box(self) -> None:
+        """The box to crop to."""
+        self.low, self.high = gui.VectorEdit(), gui.VectorEdit()
+        self.widget.add_child(gui.Label("box: lowest and highest x, y, z"))
+        self.widget.add_child(self.low)
+        self.widget.add_child(self.high)
+        self._row(
+            ("Of selection", self._take_box, "The box around what is selected."),
+            ("Crop", self._crop, "Delete what is outside the box."),
+        )
+
+    def _row(self, *made: tuple[str, Any, str]) -> None:
+        """A row of buttons: text, action, tip."""
+        for text, action, tip in made:
+            self.buttons[text] = self._widgets.button(text, action, tip)
+        self._widgets.row(self.widget, *(self.buttons[text] for text, _, _ in made))
+
+    def _select_by(self) -> None:
+        self._editor.select_by(self.rule.selected_text)
+
+    def _take_box(self) -> None:
+        box = self._editor.box
+        if box is not None:
+            self.low.vector_value, self.high.vector_value = box
+
+    def _crop(self) -> None:
+        self._editor.crop(self.low.vector_value, self.high.vector_value)
+
+    def refresh(self) -> None:
+        """Update controls and numbers."""
+        editor, edits = self._editor, self._editor.edits
+        scenes = self._viewer.stage.scenes
+        names = [f"{letter}: {scene.name}" for letter, scene in zip("AB", scenes, strict=False)]
+        choose(self.scene, names, editor.number)
+        for tool in TOOLS:
+            self.buttons[tool].is_on = editor.tool == tool
+        choose(self.rule, editor.rules, max(self.rule.selected_index, 0))
+        for text, button in self.buttons.items():
+            button.enabled = text in TOOLS or edits is not None
+        if edits is None:
+            return
+        hidden = f", {edits.hidden_count:,} hidden" if edits.hidden_count else ""
+        self.count.text = f"{edits.count:,} of {edits.scene.count:,} selected{hidden}"
+        for text in ("Delete", "Hide", "Of selection"):
+            self.buttons[text].enabled = bool(edits.count)
+        self.buttons["Show all"].enabled = bool(edits.hidden_count)
+        self.buttons["Undo"].enabled = bool(edits.undone_next)
+        self.buttons["Redo"].enabled = bool(edits.redone_next)
+        steps = (("undo", edits.undone_next), ("redo", edits.redone_next))
+        self._steps.text = ", ".join(f"{name} {step}" for name, step in steps if step)
+        self._unsaved.text = "edits are not saved" if edits.unsaved else ""

@@ -1,0 +1,259 @@
+"""Selecting and editing the scenes of a window: tools, steps, saving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from open3d.visualization import gui
+
+import gs_codec
+from viewer.scenes.appearance import which_drawn
+from viewer.scenes.edits import Edits
+from viewer.scenes.opened import Opened
+from viewer.scenes.region import REGIONS, Region, in_region
+from viewer.scenes.saving import save_scene
+from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
+from viewer.window import dialogs
+from viewer.window.mouse import Place
+from viewer.window.pane import Pane
+from viewer.window.worker import Stale, Worker
+
+#: What a drag in a pane does: the first moves the camera, the others draw a region.
+TOOLS = ("navigate", *REGIONS)
+
+
+class Editor:
+    """The edits of the scenes of a window, and the tool that draws regions.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+
+    Attributes
+    ----------
+    tool : str
+        One of `TOOLS`.
+    all : list of Edits
+        Of the scenes that are shown.
+    number : int
+        Which scene is edited: 0 or 1.
+    worker : Worker
+        What selects and saves; pictures are drawn meanwhile.
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self.tool = "navigate"
+        self.number = 0
+        self.all: list[Edits] = []
+        self._pane: Pane | None = None
+        self._region: Region | None = None
+        self._how = "replace"
+        self.worker = Worker(viewer.post)
+
+    def put(self, scenes: Sequence[Opened]) -> None:
+        """Take on the scenes that are shown; those that were there keep their edits."""
+        self._pane = self._region = None
+        known = {edits.scene: edits for edits in self.all}
+        self.all = [known.get(scene) or Edits(scene) for scene in scenes]
+        self.number = min(self.number, max(len(scenes) - 1, 0))
+        self._mark()
+
+    @property
+    def edits(self) -> Edits | None:
+        """The edits of the scene that is edited; None without one."""
+        return self.all[self.number] if self.all else None
+
+    @property
+    def unsaved(self) -> list[int]:
+        """Which scenes have edits that are not saved."""
+        return [k for k, edits in enumerate(self.all) if edits.unsaved]
+
+    @property
+    def rules(self) -> list[str]:
+        """The rules by which Gaussians of the scene can be selected."""
+        return rules(self._viewer.stage.pruned if self.number == 0 else None)
+
+    def set_number(self, number: int) -> None:
+        """Edit another scene."""
+        self.number = number
+        self._viewer.panel.refresh()
+
+    # The tool
+
+    def set_tool(self, tool: str) -> None:
+        """Choose a tool of `TOOLS`; a second time, go back to the first."""
+        self._drop()
+        self.tool = TOOLS[0] if tool == self.tool else tool
+        self._viewer.stage.mouse.tool = None if self.tool == TOOLS[0] else self
+        self._viewer.panel.refresh()
+
+    def begin(self, pane: Pane, at: Place, event: Any) -> None:
+        """Begin to draw a region in a pane; see `Tool`."""
+        self._drop()
+        added = event.is_modifier_down(gui.KeyModifier.SHIFT)
+        removed = event.is_modifier_down(gui.KeyModifier.CTRL)
+        self._how = "add" if added else "remove" if removed else "replace"
+        self._pane, self._region = pane, Region(self.tool, at)
+
+    def move(self, at: Place) -> None:
+        """Draw on, as far as the pane goes."""
+        stage, pane, region = self._viewer.stage, self._pane, self._region
+        if pane is None or region is None:
+            return
+        frame = pane.widget.frame
+        left, top = stage.place(pane, frame.x, frame.y)
+        ends = (left, top), (left + frame.width - 1, top + frame.height - 1)
+        x, y = np.clip(at, *ends).tolist()
+        region.extend((x, y))
+        pane.show_stroke(region.corners, stage.pose, *stage.picture_size)
+
+    def end(self) -> None:
+        """Select what is in the region; a click alone selects nothing."""
+        stage, pane, region = self._viewer.stage, self._pane, self._region
+        self._drop()
+        if pane is None or region is None or pane not in stage.visible:
+            return
+        self.number = stage.panes.index(pane)
+        edits = self.all[self.number]
+        drawn = which_drawn(edits.scene, stage.shown.look(edits.scene))
+        chosen = in_region(edits.scene, stage.pose, stage.picture_size, region.corners, drawn)
+        self.do(lambda edits: edits.select(chosen, self._how))
+
+    def _drop(self) -> None:
+        """Drop the region that is being drawn, if any."""
+        if self._pane is not None:
+            self._pane.show_stroke([], self._viewer.stage.pose, *self._viewer.stage.picture_size)
+        self._pane = self._region = None
+
+    # Steps
+
+    def do(self, step: Callable[[Edits], None]) -> None:
+        """Do a step with the scene that is edited, and show what came of it."""
+        edits = self.edits
+        if edits is None:
+            return
+        try:
+            step(edits)
+        except gs_codec.GsCodecError as error:
+            self._viewer.fail(error)
+            return
+        self.show()
+
+    def show(self) -> None:
+        """Show the edits in the panes and in the panel."""
+        stage = self._viewer.stage
+        for number, edits in enumerate(self.all):
+            if stage.scenes[number] is not edits.scene:
+                stage.replace(number, edits.scene)
+        stage.drawn = {e.scene: e.drawn for e in self.all if e.drawn is not None}
+        stage.restyle()
+        self._mark()
+        self._viewer.refresh_panel()
+
+    def _mark(self) -> None:
+        for number, edits in enumerate(self.all):
+            self._viewer.stage.show_selected(number, edits.selected)
+
+    def select_range(self, name: str, low: float, high: float) -> None:
+        """Select by a range of a quantity, both ends included; see `in_range`."""
+        self.do(lambda edits: edits.select(in_range(edits.scene, name, low, high)))
+
+    def crop(self, low: Sequence[float], high: Sequence[float]) -> None:
+        """Delete what is outside a box."""
+        self.do(lambda edits: edits.keep(inside_box(edits.scene, low, high), "crop"))
+
+    @property
+    def box(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+        """Lowest and highest coordinates ``(3,)`` of what is selected; None if nothing is."""
+        edits = self.edits
+        if edits is None:
+            return None
+        centres = edits.scene.positions[edits.selected]
+        centres = centres[np.isfinite(centres).all(axis=1)]
+        return (centres.min(axis=0), centres.max(axis=0)) if len(centres) else None
+
+    def select_by(self, rule: str) -> None:
+        """Select by a rule of `rules`, in the background."""
+        edits, viewer = self.edits, self._viewer
+        if edits is None:
+            return
+        scene, views = edits.scene, viewer.visits.views
+        pruned = viewer.stage.pruned if self.number == 0 else None
+        cameras = None if views.chosen else views.cameras or None
+
+        def choose(stale: Stale) -> NDArray[np.bool_]:
+            progress = self.worker.progress(stale, viewer.panel.show_progress)
+            return by_rule(scene, rule, pruned, cameras, progress)
+
+        def done(chosen: NDArray[np.bool_]) -> None:
+            viewer.panel.say("")
+            if self.edits is edits and edits.scene is scene:
+                self.do(lambda edits: edits.select(chosen))
+
+        viewer.panel.say(f"looking for {rule} ...", progress=0)
+        self.worker.submit("select", choose, done, viewer.fail)
+
+    def stop(self) -> None:
+        """Stop selecting by a rule."""
+        self.worker.cancel("select")
+
+    # Saving
+
+    def ask_save(self, then: Callable[[], None] = lambda: None) -> None:
+        """Ask where to save the scene that is edited, and save it; then do something."""
+        if self.edits is not None:
+            dialogs.ask_save_scene(self._viewer.modal, lambda path: self.save(path, then))
+
+    def save(self, path: str, then: Callable[[], None] = lambda: None) -> None:
+        """Save the scene that is edited, in the background; the suffix selects the format."""
+        edits, viewer, target = self.edits, self._viewer, Path(path)
+        if edits is None:
+            return
+        scene = edits.scene
+
+        def write(stale: Stale) -> list[str]:
+            return save_scene(scene, target)
+
+        def done(said: list[str]) -> None:
+            edits.mark_saved(scene)
+            viewer.panel.say("\n".join(said))
+            viewer.panel.refresh()
+            then()
+
+        viewer.panel.say(f"saving {target.name} ...")
+        self.worker.submit("save scene", write, done, viewer.fail)
+
+    def ask_unsaved(self, numbers: Sequence[int], then: Callable[[], None]) -> bool:
+        """Ask what to do with unsaved edits of these scenes, if there are any, before `then`.
+
+        Returns
+        -------
+        bool
+            Whether it asks; if not, `then` is not called.
+        """
+        asked = [k for k in numbers if k in self.unsaved]
+        if not asked:
+            return False
+        self.number = asked[0]
+        edits = self.all[asked[0]]
+
+        def go_on() -> None:
+            if not self.ask_unsaved(numbers, then):
+                then()
+
+        def discard() -> None:
+            edits.mark_saved(edits.scene)
+            go_on()
+
+        def save() -> None:
+            self.ask_save(go_on)
+
+        text = f"{edits.scene.name} was edited and is not saved."
+        choices = [("Save as ...", save), ("Discard the edits", discard)]
+        dialogs.ask_among(self._viewer.modal, "Unsaved edits", text, choices)
+        return True

@@ -1,0 +1,173 @@
+"""Pictures of the panes, drawn in the background, and the quality measured after them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewer.pictures.picture import Shown, picture
+from viewer.pictures.splats import measure
+from viewer.scenes.opened import Opened
+from viewer.scenes.pose import Pose
+from viewer.window.pace import Pace, Step
+from viewer.window.worker import Stale, Worker
+
+#: Columns of a pane: start and stop in the window, picture width, and first picture column.
+Columns = tuple[int, int, int, int]
+
+
+class Painter:
+    """Draws the pictures of a stage's panes: drafts while something moves, in full at rest.
+
+    Pictures have a thread of their own, so that they need not wait for what takes long. What is
+    measured is drawn in the window's thread for that, always by the exact renderer.
+
+    Parameters
+    ----------
+    stage : viewer.window.stage.Stage
+    changed : callable
+        Called when a picture or measurement is ready.
+    failed : callable
+        Called with the exception of a failed job.
+
+    Attributes
+    ----------
+    until : callable or None
+        Nothing is drawn until it returns True.
+    """
+
+    def __init__(
+        self, stage: Any, changed: Callable[[], None], failed: Callable[[Exception], None]
+    ) -> None:
+        self._stage, self._changed, self._failed = stage, changed, failed
+        self._worker: Worker = stage.worker.another()
+        self._pace = Pace()
+        self._measured: tuple[Pose | None, str] = (None, "")
+        self._painted = False
+        self.until: Callable[[], bool] | None = None
+
+    def put(self, scenes: list[Opened]) -> None:
+        """Draw other scenes; no picture is on the panes."""
+        self._worker.cancel("picture")
+        self._stage.worker.cancel("measure")
+        self._pace.put(sum(scene.count for scene in scenes))
+        self._measured, self._painted = (None, ""), False
+
+    def move(self) -> None:
+        """Draw anew; more moves may follow."""
+        self._pace.move(time.monotonic())
+
+    def rest(self) -> None:
+        """Nothing moves any more: draw in full."""
+        self._pace.rest()
+
+    @property
+    def waits(self) -> bool:
+        """Whether nothing is to be drawn yet."""
+        return self.until is not None and not self.until()
+
+    @property
+    def resting(self) -> bool:
+        """Whether the full pictures are on the panes."""
+        return self._pace.resting and not self.waits
+
+    @property
+    def leads(self) -> bool:
+        """Whether the panes look from where their pictures do, and so follow these."""
+        return self._painted and self._stage.by_hand
+
+    @property
+    def quality(self) -> str:
+        """PSNR and SSIM of B against A in the frame of the present view; empty until measured."""
+        pose, text = self._measured
+        return text if pose is self._stage.pose else ""
+
+    def tick(self) -> bool:
+        """Begin the next picture, if it is time; tell whether one was begun."""
+        step = None if self.waits else self._pace.next(time.monotonic())
+        if step is None:
+            return False
+        stage, shown = self._stage, self._stage.shown
+        wanted = [stage.by_hand or shown.shows_error(pane.scene) for pane in stage.visible]
+        if any(wanted):
+            self._draw(step, shown, wanted)
+        else:
+            self._pace.drop()
+            self._show(stage.pose, stage.visible, [None] * len(wanted))
+            if step.full:
+                self._changed()
+        if step.full:
+            self._measure()
+        return True
+
+    def _draw(self, step: Step, shown: Shown, wanted: list[bool]) -> None:
+        """Draw the pictures of the visible panes, of those that want one."""
+        stage, views = self._stage, self._stage.views
+        visible, pose, columns, (_, height) = (
+            list(stage.visible), stage.pose, stage.columns, stage.size,
+        )  # fmt: skip
+        width, high = max(columns[0][2] // step.shrink, 1), max(height // step.shrink, 1)
+
+        def draw(stale: Stale) -> tuple[list[NDArray | None], float] | None:
+            begun, pictures = time.monotonic(), []
+            for pane, cut, want in zip(visible, columns, wanted, strict=True):
+                if stale():
+                    return None
+                # Errors have a scale: those that stay are of exact pictures.
+                exact = step.full and shown.shows_error(pane.scene)
+                every = 0 if exact else step.every
+                image = None
+                if want:
+                    image = picture(views, pane.scene, pose, width, high, shown, every)
+                    image = _cut(image, cut, step.shrink)
+                pictures.append(image)
+            return pictures, time.monotonic() - begun
+
+        def done(found: tuple[list[NDArray | None], float] | None) -> None:
+            if found is None:
+                self._pace.drop()
+                return
+            self._pace.done(step, found[1])
+            self._show(pose, visible, found[0])
+            self._changed()
+
+        def failed(error: Exception) -> None:
+            self._pace.drop()
+            self._failed(error)
+
+        self._worker.submit("picture", draw, done, failed)
+
+    def _show(self, pose: Pose, panes: list, pictures: list[NDArray | None]) -> None:
+        """Put pictures on panes, which look from where they were drawn."""
+        self._painted = any(image is not None for image in pictures)
+        self._stage.see(pose)
+        for pane, image in zip(panes, pictures, strict=True):
+            pane.show_picture(image)
+        self._stage.window.post_redraw()
+
+    def _measure(self) -> None:
+        """Start measuring B in the frame of the present view, unless that is done."""
+        stage, views = self._stage, self._stage.views
+        scenes, pose = list(stage.scenes), stage.pose
+        if len(scenes) < 2 or self._measured[0] is pose:
+            return
+
+        def done(text: str) -> None:
+            self._measured = pose, text
+            self._changed()
+
+        def work(stale: Stale) -> str:
+            return measure(views, scenes, pose)
+
+        stage.worker.submit("measure", work, done, self._failed)
+
+
+def _cut(image: NDArray, cut: Columns, shrink: int) -> NDArray[np.float32]:
+    """The part of a picture that a pane shows."""
+    start, stop, _, left = cut
+    first = min(left // shrink, image.shape[1] - 1)
+    return image[:, first : first + max((stop - start) // shrink, 1)]

@@ -1,0 +1,56 @@
+"""The tab on the Gaussian that is picked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from open3d.visualization import gui
+
+from viewer.scenes.picked_text import picked_sections
+from viewer.window.widgets import Widgets
+
+#: Width of a row, characters.
+_COLUMNS = 41
+
+_NOTHING = "Click into a picture to pick the\nGaussian that adds most to a pixel."
+
+
+class PickTab:
+    """All that is known of the Gaussian that is picked.
+
+    Attributes
+    ----------
+    widget : gui.Widget
+    text : gui.Label
+    """
+
+    def __init__(self, viewer: Any, widgets: Widgets, font: int) -> None:
+        self._viewer = viewer
+        self.widget = widgets.column()
+        self._clear = widgets.button("Clear", viewer.picking.clear, "pick nothing (Esc)")
+        widgets.row(self.widget, self._clear)
+        self.text = gui.Label(_NOTHING)
+        self.text.font_id = font
+        self.widget.add_child(self.text)
+
+    def refresh(self) -> None:
+        """Update the text."""
+        picking = self._viewer.picking
+        picking.follow()
+        self._clear.enabled = picking.hit is not None
+        if picking.hit is None:
+            self.text.text = _NOTHING
+        elif picking.picked is None:
+            self.text.text = "..."
+        else:
+            lines = []
+            for title, rows in picked_sections(picking.picked):
+                lines += ["", title, *(line for row in rows for line in _row(*row))]
+            self.text.text = "\n".join(lines[1:])
+
+
+def _row(name: str, value: str) -> list[str]:
+    """A name to the left and a value to the right, below it if there is no room beside."""
+    if len(name) + len(value) < _COLUMNS:
+        return [name + value.rjust(_COLUMNS - len(name))]
+    return [name, value.rjust(_COLUMNS)]

@@ -1,0 +1,126 @@
+"""Poses that the user keeps: a path to fly along, which a film can follow."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from viewer.scenes.flight import flythrough, read_poses, write_poses
+from viewer.scenes.pose import Pose
+from viewer.window import dialogs
+from viewer.window.worker import Stale
+
+#: The kind of file that paths are written to.
+_KIND = ".json", "Cameras (.json)"
+
+#: Seconds of a flight from one pose to the next, and its poses in a second.
+_LEG, _RATE = 2.0, 30
+
+
+class Saved:
+    """The poses kept, in order.
+
+    Parameters
+    ----------
+    viewer : viewer.window.viewer.Viewer
+
+    Attributes
+    ----------
+    poses : list of Pose
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self.poses: list[Pose] = []
+        self._flight: list[Pose] = []
+        self._begun = 0.0
+        self._last: Pose | None = None
+
+    def keep(self) -> None:
+        """Keep the present pose, after the others."""
+        pose = self._viewer.stage.pose
+        if pose is not None:
+            self.poses.append(pose)
+            self._viewer.panel.refresh()
+
+    def drop(self) -> None:
+        """Drop the pose kept last."""
+        del self.poses[-1:]
+        self._viewer.panel.refresh()
+
+    @property
+    def text(self) -> str:
+        """How many poses are kept."""
+        count = len(self.poses)
+        return f"path: {count} pose{'s' * (count != 1)}" if count else "path: no poses kept"
+
+    # The flight
+
+    @property
+    def flying(self) -> bool:
+        """Whether the window shows a flight along the poses."""
+        return bool(self._flight)
+
+    def fly(self) -> None:
+        """Fly along the poses; if that is going on, stop."""
+        if self.flying or len(self.poses) < 2:
+            self._flight = []
+            return
+        poses, count = list(self.poses), int(_LEG * _RATE * (len(self.poses) - 1))
+
+        def done(flight: list[Pose]) -> None:
+            self._flight, self._begun, self._last = flight, time.monotonic(), None
+
+        viewer = self._viewer
+        viewer.worker.submit("fly", lambda stale: flythrough(poses, count), done, viewer.fail)
+
+    def tick(self) -> bool:
+        """Go on with the flight, until its end or until the camera is moved otherwise."""
+        if not self.flying:
+            return False
+        stage = self._viewer.stage
+        place = int((time.monotonic() - self._begun) * _RATE)
+        if self._last not in (None, stage.pose):
+            self._flight = []
+            return False
+        self._last = self._flight[min(place, len(self._flight) - 1)]
+        if place < len(self._flight):
+            stage.steer(self._last)
+        else:
+            self._flight = []
+            stage.look_from(self._last)
+        return True
+
+    # Files
+
+    def write(self, path: str) -> None:
+        """Write the poses to a file of cameras."""
+        viewer = self._viewer
+        try:
+            write_poses(Path(path), self.poses)
+        except Exception as error:
+            viewer.fail(error)
+        else:
+            viewer.panel.say(f"{Path(path).name} is written")
+
+    def open(self, path: str) -> None:
+        """Keep the poses of a file of cameras instead of the present ones."""
+        viewer = self._viewer
+
+        def read(stale: Stale) -> list[Pose]:
+            return read_poses(Path(path))
+
+        def done(poses: list[Pose]) -> None:
+            self.poses = poses
+            viewer.panel.refresh()
+
+        viewer.worker.submit("poses", read, done, viewer.fail)
+
+    def ask_write(self) -> None:
+        """Ask where to write the poses, and write them."""
+        dialogs.ask_save(self._viewer.modal, "Save the path", _KIND, self.write)
+
+    def ask_open(self) -> None:
+        """Ask for a file of cameras, and keep its poses."""
+        dialogs.ask_file(self._viewer.modal, "Open a path", _KIND, self.open)

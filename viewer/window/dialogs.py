@@ -165,27 +165,26 @@ def ask_open(window: Modal, title: str, then: Callable[[str], None]) -> None:
 
 
 def ask_save(window: Modal, title: str, kind: tuple[str, str], then: Callable[[str], None]) -> None:
-    """Ask where to write a file; a name without suffix gets the first of `kind`."""
+    """Ask where to write a file, and whether to replace one that exists.
 
-    def done(path: str) -> None:
-        named = Path(path)
-        then(path if named.suffix else str(named.with_suffix(kind[0].split()[0])))
+    A name without suffix gets the first of `kind`.
+    """
 
-    _ask(window, gui.FileDialog.SAVE, title, kind, done)
+    def chosen(name: str) -> None:
+        path = Path(name)
+        path = path if path.suffix else path.with_suffix(kind[0].split()[0])
+        if path.exists():
+            choices = [("Replace it", partial(then, str(path)))]
+            ask_among(window, title, f"{path.name} exists.", choices)
+        else:
+            then(str(path))
+
+    _ask(window, gui.FileDialog.SAVE, title, kind, chosen)
 
 
 def ask_save_scene(window: Modal, then: Callable[[str], None]) -> None:
-    """Ask where to write a scene, and whether to replace a file that exists."""
-
-    def chosen(path: str) -> None:
-        if Path(path).exists():
-            choices = [("Replace it", partial(then, path))]
-            ask_among(window, "Save the scene", f"{Path(path).name} exists.", choices)
-        else:
-            then(path)
-
-    kind = (" ".join(WRITTEN), "3DGS scenes")
-    _ask(window, gui.FileDialog.SAVE, "Save the scene", kind, chosen, ".egs")
+    """Ask where to write a scene, as by `ask_save`."""
+    ask_save(window, "Save the scene", (" ".join(WRITTEN), "3DGS scenes"), then)
 
 
 def ask_file(
@@ -202,21 +201,16 @@ def _ask(
     title: str,
     kind: tuple[str, str] | None,
     then: Callable[[str], None],
-    suffix: str = "",
 ) -> None:
-    """Ask for a file; `kind` has its suffixes and their description.
-
-    A name that is typed without a suffix gets `suffix`.
-    """
+    """Ask for a file; `kind` has its suffixes and their description."""
     dialog = gui.FileDialog(purpose, title, window.theme)
     if kind is not None:
         dialog.add_filter(*kind)
     dialog.set_on_cancel(window.close_dialog)
 
-    def done(name: str) -> None:
+    def done(path: str) -> None:
         window.close_dialog()
-        path = Path(name)
-        then(str(path if path.suffix else path.with_suffix(suffix)))
+        then(path)
 
     dialog.set_on_done(done)
 

@@ -20,7 +20,7 @@ from viewer.scenes.selecting import by_rule, in_range, inside_box, rules
 from viewer.window import dialogs
 from viewer.window.mouse import Place
 from viewer.window.pane import Pane
-from viewer.window.worker import Stale, Worker
+from viewer.window.worker import Stale
 
 #: What a drag in a pane does: the first moves the camera, the others draw a region.
 TOOLS = ("navigate", *REGIONS)
@@ -53,7 +53,7 @@ class Editor:
         self._pane: Pane | None = None
         self._region: Region | None = None
         self._how = "replace"
-        self.worker = Worker(viewer.post)
+        self.worker = viewer.worker.another()
 
     def put(self, scenes: Sequence[Opened]) -> None:
         """Take on the scenes that are shown; those that were there keep their edits."""

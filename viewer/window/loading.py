@@ -114,7 +114,7 @@ class Loading:
         viewer = self._viewer
         stage, previewed = viewer.stage, viewer.stage.painter.waits
         stage.painter.until = None
-        same = (stay or stage.scenes[:1] == scenes[:1]) and not previewed
+        same = stay or (stage.scenes[:1] == scenes[:1] and not previewed)
         if previewed and stage.scenes == scenes:
             stage.put_pruned(pruned)
         else:

@@ -41,7 +41,7 @@ class Panel:
 
     Attributes
     ----------
-    scene, view, pick, edit, rate : SceneTab, ViewTab, PickTab, EditTab, RateTab
+    scene, view, rate, pick, edit : SceneTab, ViewTab, RateTab, PickTab, EditTab
     """
 
     def __init__(self, viewer: Any, font: int) -> None:
@@ -65,9 +65,9 @@ class Panel:
         self._named: dict[str, Tab] = {
             "Scene": self.scene,
             "View": self.view,
+            "Rate": self.rate,
             "Pick": self.pick,
             "Edit": self.edit,
-            "Rate": self.rate,
         }
         self.tabs = gui.TabControl()
         for name, tab in self._named.items():

@@ -145,7 +145,10 @@ class RateTab:
 
     def _ask_save(self) -> None:
         encoding, number = self._viewer.encoding, self._chosen
-        dialogs.ask_save_scene(self._viewer.modal, lambda path: encoding.save(number, path))
+        kind = ".egs", "gs_codec files (.egs)"
+        dialogs.ask_save(
+            self._viewer.modal, "Save the try", kind, lambda path: encoding.save(number, path)
+        )
 
     def _select(self, _: str, twice: bool) -> None:
         """Choose what the list has selected; at a double click, show it as B."""

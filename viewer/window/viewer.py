@@ -93,8 +93,7 @@ class Viewer:
             self._focused,
         )
         self.visits, self.loading, self.saved = Visits(self), Loading(self), Saved(self)
-        self.picking, self.editor = Picking(self), Editor(self)
-        self.encoding = Encoding(self)
+        self.picking, self.editor, self.encoding = Picking(self), Editor(self), Encoding(self)
         self.dock = Dock(self, self.editor.select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
@@ -294,7 +293,6 @@ class Viewer:
         if not self.modal.close() or self.editor.ask_unsaved((0, 1), self.window.close):
             return False
         self.worker.end()
-        self.editor.worker.end()
         self.encoding.close()
         return True
 

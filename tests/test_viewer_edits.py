@@ -237,6 +237,23 @@ def test_what_is_left_refers_to_the_rows_of_the_file(tmp_path):
     np.testing.assert_array_equal(by_rule(scene, "pruned by importance", pruned), labels[left] == 2)
 
 
+def test_an_edited_scene_is_edited_on(scene):
+    before, kept = Edits(scene), np.arange(scene.count) % 3 > 0
+    before.keep(kept, "crop")
+    edits = Edits(before.scene)
+    assert edits.scene is before.scene
+    assert edits.unsaved
+    edits.keep(np.arange(edits.scene.count) % 2 > 0, "crop")
+    edits.select_all()
+    rows = np.flatnonzero(kept)[1::2]
+    np.testing.assert_array_equal(edits.scene.rows, rows)
+    assert edits.count == edits.scene.count == len(rows)
+    edits.undo()
+    edits.undo()
+    edits.undo()
+    assert edits.scene is before.scene
+
+
 def test_what_is_drawn_is_the_same_array_until_it_changes(scene):
     edits = Edits(scene)
     edits.select(np.arange(scene.count) < 100)

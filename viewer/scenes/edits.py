@@ -42,8 +42,8 @@ class Edits:
 
     Parameters
     ----------
-    whole : Opened
-        The scene as it was opened.
+    scene : Opened
+        The scene as it was opened or, without steps to undo, as other edits left it.
 
     Attributes
     ----------
@@ -54,15 +54,16 @@ class Edits:
         Which Gaussians are drawn; None if none is hidden. The same array as long as that is so.
     """
 
-    def __init__(self, whole: Opened) -> None:
-        self.whole = self.scene = whole
-        nothing = np.packbits(np.zeros(whole.count, bool))
-        self._state = _State("", nothing, nothing, nothing)
+    def __init__(self, scene: Opened) -> None:
+        self.whole, self.scene = scene.whole or scene, scene
+        nothing = np.packbits(np.zeros(self.whole.count, bool))
+        deleted = nothing if scene.left is None else np.packbits(~scene.left)
+        self._state = _State("", nothing, nothing, deleted)
         self.drawn: NDArray[np.bool_] | None = None
         self._saved = nothing
         self._before: deque[_State] = deque(maxlen=_STEPS)
         self._after: list[_State] = []
-        self._known: deque[tuple[_Bits, Opened]] = deque(maxlen=_KEPT)
+        self._known: deque[tuple[_Bits, Opened]] = deque([(deleted, scene)], maxlen=_KEPT)
 
     @property
     def selected(self) -> NDArray[np.bool_]:

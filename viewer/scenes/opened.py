@@ -96,8 +96,8 @@ class Opened:
 
     @property
     def is_stored(self) -> bool:
-        """Whether its file holds this very scene."""
-        return self.path != Path()
+        """Whether its file holds this very scene: it was neither edited nor turned."""
+        return self.path != Path() and self.whole is None and not self.system_given
 
     @property
     def count(self) -> int:

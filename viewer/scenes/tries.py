@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import gs_codec
-from gs_codec.api.viewing import scene_of
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.files.coding import encode_file
 from gs_codec.files.scenes import write_parts
@@ -21,7 +20,7 @@ from gs_codec.metrics.views import compare_views
 from gs_codec.rendering.cameras import find_cameras
 from gs_codec.report import EncodeReport
 from gs_codec.runtime.atomic import atomic_writer
-from viewer.scenes.opened import Opened, Progress, open_scene
+from viewer.scenes.opened import Opened, Progress, modified, open_scene
 
 #: What profiles `l`, `m` and `s` can be asked for: step sizes as multiples of the profile's, bytes,
 #: bits per Gaussian, or the loss of views in dB.
@@ -181,8 +180,6 @@ class Tries:
         path = self.folder / f"{self._begun}.egs"
         try:
             report = self._write(path, asked, progress)
-            if report.count + report.dropped != self.source.count:
-                raise gs_codec.GsCodecError(f"{self.source.path}: changed after it was opened")
             done = Try(len(self.all) + 1, asked, path, report)
             return done, done.open(progress, self.max_bytes)
         except BaseException:
@@ -194,11 +191,13 @@ class Tries:
         """Encode the file of the scene or, if it is not what is shown, what is."""
         config, plan, rate = asked.config, asked.plan(self.cameras), asked.rate
         if self.source.is_stored:
+            if modified(self.source.path) != self.source.modified:
+                raise gs_codec.GsCodecError(f"{self.source.path}: changed after it was opened")
             return encode_file(
                 self.source.path, path, config, plan, rate, progress=progress,
                 max_bytes=self.max_bytes,
             )  # fmt: skip
-        scene = scene_of(self.source.cloud)
+        scene = self.source.gaussians
         data, report = encode_by_plan(scene, scene.float_bytes, config, plan, rate, progress)
         write_parts(path, [data])
         return replace(report, ratio=scene.float_bytes / report.file_bytes)
@@ -215,12 +214,12 @@ class Tries:
         ------
         gs_codec.GsCodecError
         """
-        first, cameras = scene_of(self.source.cloud), self.cameras
+        first, cameras = self.source.gaussians, self.cameras
         if self._held_out[0] is not cameras:
             asked = list(cameras) or "auto"
             self._held_out = cameras, find_cameras(asked, first, "held-out", progress=progress)
         opened = opened or tried.open(progress, self.max_bytes)
-        return compare_views(first, scene_of(opened.cloud), self._held_out[1], progress=progress)
+        return compare_views(first, opened.gaussians, self._held_out[1], progress=progress)
 
     def add(self, tried: Try) -> None:
         """Keep a try, or the same try with its quality."""

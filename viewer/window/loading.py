@@ -120,7 +120,6 @@ class Loading:
         else:
             stage.put(scenes, pruned)
         viewer.editor.put(scenes)
-        viewer.panel.stay()
         viewer.panel.say("")
         if not same:  # else keep the present pose
             viewer.visits.put(views, first_view(viewer.request, views))

@@ -95,10 +95,6 @@ class Panel:
         """Bring a tab to the front, by its name."""
         self.tabs.selected_tab_index = list(self._named).index(name)
 
-    def stay(self) -> None:
-        """Keep the tab in front: Open3D goes to the first when panes are added to the window."""
-        self.tabs.selected_tab_index = self.tabs.selected_tab_index
-
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""
         self.status.text = "\n".join(folded(text, _COLUMNS))

@@ -291,6 +291,7 @@ def test_edits_are_seen_undone_and_done_again(edited):
     assert edited["captions"] == [" A: a.ply, edited", " B: b.egs"]
     assert f"Gaussians               {left:,}\n  of the file           3,000\n" in edited["numbers"]
     assert edited["hidden"] == [len(edited["removed"]), 0]
+    assert edited["hidden changed"] > 1000
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def angles(driver: Driver) -> list[float]:
     driver.key("r")
     driver.rest()
     before = field_of_view(viewer.stage.pose)
-    frame = viewer.panel.view.angle.frame
+    frame = viewer.panel.view.look.angle.frame
     driver.move(frame.x + frame.width * 0.6, frame.y + frame.height // 2)
     driver.xdotool("mousedown", 1)
     driver.move(frame.x + frame.width * 0.65, frame.y + frame.height // 2)

@@ -97,7 +97,7 @@ class Opened:
     @property
     def is_stored(self) -> bool:
         """Whether its file holds this very scene."""
-        return self.path != Path()
+        return self.path != Path() and self.whole is None and not self.system_given
 
     @property
     def count(self) -> int:

@@ -185,6 +185,11 @@ def unsaved(driver: Driver, found: dict) -> None:
         shown.append((viewer.stage.scenes[0].name, edits.unsaved))
     found["opened"] = shown
     viewer.editor.do(lambda edits: edits.keep(np.arange(edits.scene.count) > 0, "test"))
+    first, second = viewer.stage.scenes
+    whole = viewer.editor.edits.whole
+    viewer.loading.show([whole, second], viewer.visits.views, None)  # as other parts do
+    answer(driver, "Cancel")
+    found["kept"] = viewer.stage.scenes[0] is first is not whole
     viewer.window.close()
     driver.tick(5)
     found["asks"] = viewer.modal.dialog is not None

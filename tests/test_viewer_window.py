@@ -316,6 +316,7 @@ def test_saving_tells_and_asks(edited):
 
 def test_edits_that_are_not_saved_are_asked_about(edited):
     assert edited["opened"] == [["a.ply", True], ["b.egs", False]]
+    assert edited["kept"]
     assert edited["asks"]
     assert edited["closes"]
 

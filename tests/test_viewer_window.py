@@ -291,6 +291,7 @@ def test_edits_are_seen_undone_and_done_again(edited):
     assert edited["captions"] == [" A: a.ply, edited", " B: b.egs"]
     assert f"Gaussians               {left:,}\n  of the file           3,000\n" in edited["numbers"]
     assert edited["hidden"] == [len(edited["removed"]), 0]
+    assert edited["hidden changed"] > 1000
 
 
 @pytest.mark.parametrize(
@@ -315,6 +316,7 @@ def test_saving_tells_and_asks(edited):
 
 def test_edits_that_are_not_saved_are_asked_about(edited):
     assert edited["opened"] == [["a.ply", True], ["b.egs", False]]
+    assert edited["kept"]
     assert edited["asks"]
     assert edited["closes"]
 

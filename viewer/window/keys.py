@@ -89,7 +89,7 @@ KEYS = (
     ),
     Key("C", "colour centres by the next quantity", ord("c"), lambda v: v.next_colouring()),
     Key("K", "show the next chart below", ord("k"), lambda v: v.next_dock()),
-    Key("B", "draw boxes that select; again: turn", ord("b"), lambda v: v.editor.set_tool("box")),
+    Key("X", "draw boxes that select; again: turn", ord("x"), lambda v: v.editor.set_tool("box")),
     Key("L", "draw lassos; again: turn", ord("l"), lambda v: v.editor.set_tool("lasso")),
     Key("shift, ctrl + drag with these", "add to the selection, remove from it"),
     _edit("A", "select all", Edits.select_all),

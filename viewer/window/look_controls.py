@@ -13,14 +13,6 @@ from viewer.window.widgets import Widgets
 #: Vertical field of view, degrees; factor on the axes of splats.
 _ANGLES, _SCALES = (10, 120), (0.05, 2.0)
 
-#: Backgrounds, by their names.
-_BACKGROUNDS = {
-    "black": (0.0, 0.0, 0.0),
-    "grey": (0.5, 0.5, 0.5),
-    "white": (1.0, 1.0, 1.0),
-    "green": (0.0, 0.7, 0.2),
-}
-
 
 class LookControls:
     """Field of view, SH degree, scale and least opacity of splats, and background.
@@ -28,7 +20,7 @@ class LookControls:
     Attributes
     ----------
     angle, degree, scale, opacity : gui.Slider
-    background : gui.Combobox
+    background : gui.ColorEdit
     """
 
     def __init__(self, viewer: Any, widgets: Widgets, parent: gui.Widget) -> None:
@@ -42,17 +34,15 @@ class LookControls:
         self.opacity = widgets.slider(
             grid, "least opacity", (0.0, 1.0), lambda x: look(least_opacity=x)
         )
-        row = gui.Horiz(widgets.em)
-        self.background = widgets.choice(
-            row,
-            "background",
-            tuple(_BACKGROUNDS),
-            lambda k: look(background=list(_BACKGROUNDS.values())[k]),
+        self.background = gui.ColorEdit()
+        self.background.set_on_value_changed(
+            lambda colour: look(background=(colour.red, colour.green, colour.blue))
         )
+        grid.add_child(gui.Label("background"))
+        grid.add_child(self.background)
         tip = "All degrees, scale 1, on black: what is measured."
         self.plain = widgets.button("As it is", lambda: look(**vars(Appearance())), tip)
-        row.add_child(self.plain)
-        parent.add_child(row)
+        widgets.row(parent, self.plain)
 
     def refresh(self) -> None:
         """Set them to what the viewer shows."""
@@ -62,6 +52,5 @@ class LookControls:
         self.degree.int_value = appearance.sh_degree
         self.scale.double_value = appearance.scale
         self.opacity.double_value = appearance.least_opacity
-        known = list(_BACKGROUNDS.values())
-        self.background.selected_index = known.index(appearance.background)
+        self.background.color_value = gui.Color(*appearance.background)
         self.plain.enabled = appearance != Appearance()

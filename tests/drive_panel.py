@@ -199,6 +199,7 @@ def opens(driver: Driver) -> dict:
     buttons = [w for w in inside(viewer.modal.dialog) if isinstance(w, gui.Button)]
     found["recent"] = [Path(button.text).name for button in buttons]
     before = viewer.modal.dialog
+    driver.wait(lambda: buttons[0].frame.width > 0)
     driver.click(buttons[0])
     driver.wait(lambda: viewer.modal.dialog is not before)
     labels = [w.text for w in inside(viewer.modal.dialog) if isinstance(w, gui.Label)]

@@ -8,7 +8,6 @@ in the folder.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -132,9 +131,21 @@ def run(folder: Path, seconds: float, seed: int) -> dict:
     driver.rest()
     for edits in driver.viewer.editor.all:
         edits.mark_saved(edits.scene)  # else closing would ask
-    subprocess.run(["xdotool", "key", "Escape"], check=True)
-    closes = any(not driver.app.run_one_tick() for _ in range(100))
-    return {"memory": memory, "done": monkey.done, "closes": closes}
+    return {"memory": memory, "done": monkey.done, "closes": closes(driver)}
+
+
+def closes(driver: Driver) -> bool:
+    """Whether the window closes when it is asked to, edits that are not saved being dropped."""
+    driver.viewer.window.close()
+    for _ in range(100):
+        dialog = driver.viewer.modal.dialog
+        if not driver.app.run_one_tick():
+            return True
+        buttons = [w for w in inside(dialog) if isinstance(w, gui.Button)] if dialog else []
+        for button in buttons:
+            if button.text.startswith("Discard"):
+                driver.click(button)
+    return False
 
 
 if __name__ == "__main__":

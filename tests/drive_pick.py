@@ -83,7 +83,7 @@ def run(folder: Path) -> dict:
     found["first"] = click(driver, viewer.stage.panes[1], 12, 7)
     found["text"] = viewer.panel.pick.text.text
     found["marked"] = marked(driver)
-    found["tab"] = viewer.panel.tabs.selected_tab_index
+    found["tab"] = list(viewer.panel._named)[viewer.panel.tabs.selected_tab_index]
     found["cleared"] = viewer.panel.pick.text.text
     found["again"] = click(driver, viewer.stage.panes[0], -20, 10)
     seen = viewer.picking.picked.contribution.weight

@@ -419,7 +419,7 @@ def test_a_click_picks_the_gaussian_that_the_pixel_shows(picked, click):
 
 
 def test_what_is_picked_is_told_and_marked_in_both_panes_until_escape(picked):
-    assert picked["tab"] == 2
+    assert picked["tab"] == "Pick"
     assert picked["text"].startswith("Gaussian of B\nrow, from 0")
     for heading in ("In this view, 200x150", "Error against A's", "Bits: ", "Step sizes (block "):
         assert heading in picked["text"]

@@ -19,7 +19,7 @@ from gs_codec.formats.ply import write_ply
 from gs_codec.rendering.cameras import find_cameras, read_cameras
 from samples.generate import generate
 from viewer.scenes import tries as module
-from viewer.scenes.opened import Opened, open_scene
+from viewer.scenes.opened import Opened, keep, open_scene, turned
 from viewer.scenes.pose import look_at
 from viewer.scenes.tries import Asked, Tries, Try
 
@@ -124,6 +124,13 @@ def test_a_cloud_is_encoded_as_its_file_is(tries, folder, tmp_path):
         tried, opened = of_cloud.encode(asked)
         assert tried.path.read_bytes() == tries.encode(asked)[0].path.read_bytes()
         assert tried.report.ratio == opened.raw_bytes / opened.file_bytes
+
+
+@pytest.mark.parametrize("change", [lambda x: keep(x, np.arange(x.count) % 2 > 0), turned])
+def test_an_edited_or_turned_scene_is_encoded_as_it_is_shown(folder, tmp_path, change):
+    shown = change(open_scene(folder / "a.ply"))
+    _, opened = Tries(shown, tmp_path).encode(Asked("lossless"))
+    np.testing.assert_array_equal(*(np.sort(x.positions, axis=0) for x in (opened, shown)))
 
 
 def test_they_are_kept_in_order_and_opened_again(tries):

@@ -108,7 +108,7 @@ $(VENV)/installed: pyproject.toml .ci/system-packages
 
 # For tests, modules are compiled when they are imported: all of them would take half of the time to install.
 $(VENV)/installed-test: pyproject.toml .ci/system-packages
-	@echo "Installing gs-codec and what tests and lint run on into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, pdoc, ruff, mypy"
+	@echo "Installing gs-codec and what tests and lint run on into $(VENV): pytest, pytest-xdist, hypothesis, matplotlib, imageio-ffmpeg, pdoc, ruff, mypy"
 	.ci/system-packages
 	$(NEW_VENV)
 	$(PIP) install --no-compile -e '.[test]'

@@ -87,7 +87,7 @@ def regions(driver: Driver, found: dict) -> None:
     pose, size = viewer.stage.pose, viewer.stage.picture_size
     found["pose"] = [pose.rotation.tolist(), pose.position.tolist(), pose.lens(*size)]
     before = driver.scenes(driver.rest())
-    driver.key("b")
+    driver.key("x")
     drawn = driver.scenes(draw(driver, first, [(60, 40), (100, 60), (150, 160)]))
     side = drawn[50:150, 58:63].max(axis=2)
     found["stroke"] = [int(side.max(axis=1).min()), int(side.min(axis=1).max())]
@@ -125,9 +125,13 @@ def steps(driver: Driver, found: dict) -> None:
     found["numbers"] = viewer.panel.scene.numbers.text
     driver.key("ctrl+z")
     found["back"] = stage.scenes[0] is original
-    driver.key("ctrl+h")
     edits = viewer.editor.all[0]
+    before = driver.scenes(driver.rest())
+    driver.key("ctrl+h")
+    driver.wait(lambda: edits.hidden_count > 0)
     found["hidden"] = [edits.hidden_count, edits.count]
+    hidden = driver.scenes(driver.rest())
+    found["hidden changed"] = int((np.abs(hidden - before).max(axis=2) > 12).sum())
     driver.click(viewer.panel.edit.buttons["Show all"])
     driver.wait(lambda: not edits.hidden_count)
 
@@ -181,6 +185,11 @@ def unsaved(driver: Driver, found: dict) -> None:
         shown.append((viewer.stage.scenes[0].name, edits.unsaved))
     found["opened"] = shown
     viewer.editor.do(lambda edits: edits.keep(np.arange(edits.scene.count) > 0, "test"))
+    first, second = viewer.stage.scenes
+    whole = viewer.editor.edits.whole
+    viewer.loading.show([whole, second], viewer.visits.views, None)  # as other parts do
+    answer(driver, "Cancel")
+    found["kept"] = viewer.stage.scenes[0] is first is not whole
     viewer.window.close()
     driver.tick(5)
     found["asks"] = viewer.modal.dialog is not None

@@ -55,7 +55,7 @@ def path(driver: Driver) -> dict:
     tab = viewer.panel.view
     driver.rest()
     enabled = [[button.enabled for button in tab.path]]
-    driver.key("b")
+    driver.key("i")
     driver.wait(lambda: len(saved.poses) == 1)
     driver.key("n")
     driver.rest()

@@ -102,7 +102,7 @@ def angles(driver: Driver) -> list[float]:
     driver.key("r")
     driver.rest()
     before = field_of_view(viewer.stage.pose)
-    frame = viewer.panel.view.angle.frame
+    frame = viewer.panel.view.look.angle.frame
     driver.move(frame.x + frame.width * 0.6, frame.y + frame.height // 2)
     driver.xdotool("mousedown", 1)
     driver.move(frame.x + frame.width * 0.65, frame.y + frame.height // 2)
@@ -199,6 +199,7 @@ def opens(driver: Driver) -> dict:
     buttons = [w for w in inside(viewer.modal.dialog) if isinstance(w, gui.Button)]
     found["recent"] = [Path(button.text).name for button in buttons]
     before = viewer.modal.dialog
+    driver.wait(lambda: buttons[0].frame.width > 0)
     driver.click(buttons[0])
     driver.wait(lambda: viewer.modal.dialog is not before)
     labels = [w.text for w in inside(viewer.modal.dialog) if isinstance(w, gui.Label)]

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from drive_viewer import grab, tell
+from drive_viewer import give_up, grab, tell
 from open3d.visualization import O3DVisualizer, gui
 
 import gs_codec
@@ -53,7 +53,7 @@ def run(folder: Path) -> dict:
                 pictures.append(now)
                 return
             before = now
-        raise SystemExit("the window shows nothing new, or never rests")
+        give_up("the window shows nothing new, or never rests")
 
     show()
     refused = {"compare": told(lambda: actions.compare(folder / "b.egs"))}

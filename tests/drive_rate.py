@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from drive_viewer import Driver, tell
+from drive_viewer import Driver, give_up, tell
 from open3d.visualization import gui
 
 from viewer.scenes.opened import Progress
@@ -37,7 +37,7 @@ class Rates:
         end = time.monotonic() + _PATIENCE
         while not done():
             if time.monotonic() > end:
-                raise SystemExit(f"never done: {self.encoding.doing}, {self.driver.viewer.message}")
+                give_up(f"never done: {self.encoding.doing}, {self.driver.viewer.message}")
             self.driver.tick(2)
 
     def encode(self) -> None:

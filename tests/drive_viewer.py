@@ -15,7 +15,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from open3d.visualization import gui
@@ -39,6 +39,15 @@ def tell(found: dict) -> NoReturn:
     """Print what came of it and end, as Open3D has no orderly end outside Application.run."""
     print("RESULT " + json.dumps(found), flush=True)
     os._exit(0)
+
+
+def die(*error: Any) -> NoReturn:
+    """End after an exception; see `tell`."""
+    traceback.print_exception(*error)
+    os._exit(1)
+
+
+sys.excepthook = die
 
 
 def give_up(reason: str) -> NoReturn:

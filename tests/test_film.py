@@ -490,6 +490,14 @@ def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, here, monke
     assert not os.listdir(tmp_path)
 
 
+def test_a_file_in_the_place_of_a_folder_stays(files, tmp_path, here):
+    (tmp_path / "out").write_text("mine")
+    status, _, err = here(files / "a.ply", "--turntable", tmp_path / "out", "--overwrite")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "out: exists, expected .mp4 or a folder" in err
+    assert (tmp_path / "out").read_text() == "mine"
+
+
 def test_a_film_needs_a_scene_and_a_flight_two_cameras(files, tmp_path, here):
     status, _, err = here("--turntable", tmp_path / "out")
     assert (status, err) == (2, "gs-viewer: error: turntable: no scene to draw\n")

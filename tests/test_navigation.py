@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from viewer.scenes.pose import Pose, distance_ahead, look_at, up_of
+from viewer.window.keys import KEYS
 from viewer.window.navigation import (
     Navigator,
     field_of_view,
@@ -225,3 +226,8 @@ def test_the_field_of_view_is_set_and_read():
     wide = with_field_of_view(replace(POSE, focal=(1.0, 1.5)), 90)
     assert field_of_view(wide) == pytest.approx(90)
     assert wide.focal == pytest.approx((1 / 3, 0.5))
+
+
+def test_no_key_does_two_things():
+    codes = [(key.code, key.control) for key in KEYS if key.action is not None]
+    assert len(set(codes)) == len(codes)

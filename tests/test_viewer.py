@@ -642,6 +642,11 @@ def test_photographs_that_are_programs_are_not_run(files, tmp_path, monkeypatch,
         (["viewer/error.png", "--screenshot", "x.png"], "error.png: begins with"),
         (["a.ply", "--colour", "red"], "colour 'red': expected colour"),
         (["a.ply", "--unknown"], "No such option"),
+        (["a.ply", "--screenshot", "x.jpg"], "x.jpg: expected .png"),
+        (["a.ply", "--screenshot", "none/x.png"], "none/x.png: no directory 'none'"),
+        (["a.ply", "--screenshot", "x.png", "--mode", "flip"], "mode flip: expected two scenes"),
+        (["a.ply", "--turntable", "x", "--layers", "error"], "layers error: expected two scenes"),
+        (["a.ply", "--screenshot", "x.png", "--layers", "pruned"], "layers pruned: needs a report"),
         (["a.ply", "--octree-depth", "13"], "octree-depth 13: expected 1 to 12"),
     ],
 )
@@ -672,15 +677,20 @@ def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
     }.items():
         shutil.copy(files / name, files / copy)
     poses = [STRAIGHT.camera(40, 30) | {"img_name": f"view{k}"} for k in range(4)]
-    (files / "cameras.json").write_text(json.dumps(poses))
+    for name in ("cameras.json", "path.json"):
+        (files / name).write_text(json.dumps(poses))
     root = Path(__file__).parent.parent
     text = (root / "README.md").read_text() + (root / "viewer" / "README.md").read_text()
     lines = re.findall(r"^    gs-viewer (scene[^#\n]*)", text, re.MULTILINE)
-    assert len(lines) >= 5
+    assert len(lines) >= 7
     for k, line in enumerate(lines):
         wanted = [*shlex.split(line), "--width", "120", "--height", "80"]
-        out = tmp_path / f"{k}.png"
-        result = CliRunner().invoke(app, [*wanted, "--screenshot", str(out)])
+        film = {"--turntable", "--flythrough"}.intersection(wanted)
+        out = tmp_path / (f"frames{k}" if film else f"{k}.png")
+        for option in film:
+            wanted[wanted.index(option) + 1] = str(out)
+        wanted += ["--frames", "2"] if film else ["--screenshot", str(out)]
+        result = CliRunner().invoke(app, wanted)
         assert result.exit_code == 0, (line, result.output, result.exception)
         assert out.exists()
 

@@ -18,7 +18,9 @@ from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import open_scene as open_file
 from gs_codec.scene import ANTIALIASED
 from viewer.pictures.marker import draw_marker, marker
-from viewer.pictures.picture import Shown, draw_scene, splats
+from viewer.pictures.picture import Shown, draw_scene
+from viewer.pictures.splats import splats
+from viewer.scenes.appearance import Look
 from viewer.scenes.matched import NEAREST, Match
 from viewer.scenes.opened import Opened, Pruned, open_scene, turned
 from viewer.scenes.picked import Hit, Picker
@@ -77,7 +79,7 @@ def test_no_other_gaussian_has_a_larger_weight(a):
     from gs_codec.rendering.inria import as_camera
     from gs_codec.rendering.pixel import pixel_weights
 
-    rows, weights = pixel_weights(a.scene, as_camera(POSE.camera(*SIZE)), 24, 16)
+    rows, weights = pixel_weights(a.gaussians, as_camera(POSE.camera(*SIZE)), 24, 16)
     assert len(rows) > 5
     hit = Picker([a]).pick(0, POSE, SIZE, (24.5, 16.5))
     assert hit == Hit(0, int(rows[np.argmax(weights)]), float(weights.max()))
@@ -110,6 +112,15 @@ def test_points_on_top_are_picked_where_they_are_drawn(a):
         assert picker.pick(0, POSE, SIZE, at, ("centres", over)).weight is not None
     kept = int(np.flatnonzero(labels == 0)[0])
     assert picker.describe(Hit(0, kept), POSE).pruned_by == ""
+
+
+@pytest.mark.parametrize("layers", [("splats",), ("centres",)])
+def test_what_is_hidden_is_not_picked(a, layers):
+    picker, at = Picker([a]), (24.5, 16.5)
+    row = picker.pick(0, POSE, SIZE, at, layers).row
+    others = picker.pick(0, POSE, SIZE, at, layers, Look(drawn=np.arange(COUNT) != row))
+    assert others.row != row
+    assert picker.pick(0, POSE, SIZE, at, layers, Look(drawn=np.zeros(COUNT, bool))) is None
 
 
 # What is known
@@ -210,7 +221,7 @@ def test_gaussians_are_matched_as_compare_matches_them(a, files, name):
 
 
 def test_the_error_is_that_of_its_attributes(a):
-    scene = a.scene
+    scene = a.gaussians
     other = replace(
         scene,
         positions=scene.positions + np.float32([[0.03], [0.0], [0.04]]),
@@ -303,7 +314,7 @@ def test_a_mark_goes_around_its_gaussian_and_is_seen_on_any_background(a):
 
 
 def test_what_is_not_drawn_is_marked_by_a_circle(a):
-    faint = a.scene
+    faint = a.gaussians
     faint = replace(faint, opacity=np.full_like(faint.opacity, -20))
     scene = Opened("faint", to_cloud(faint))
     outline, _ = marker(scene, 5, POSE, *SIZE)

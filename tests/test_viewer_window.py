@@ -291,6 +291,7 @@ def test_edits_are_seen_undone_and_done_again(edited):
     assert edited["captions"] == [" A: a.ply, edited", " B: b.egs"]
     assert f"Gaussians               {left:,}\n  of the file           3,000\n" in edited["numbers"]
     assert edited["hidden"] == [len(edited["removed"]), 0]
+    assert edited["hidden changed"] > 1000
 
 
 @pytest.mark.parametrize(
@@ -315,6 +316,7 @@ def test_saving_tells_and_asks(edited):
 
 def test_edits_that_are_not_saved_are_asked_about(edited):
     assert edited["opened"] == [["a.ply", True], ["b.egs", False]]
+    assert edited["kept"]
     assert edited["asks"]
     assert edited["closes"]
 
@@ -402,6 +404,45 @@ def test_names_are_typed_and_enter_saves(keyed, folder):
 
 def test_without_a_dialog_escape_closes(keyed):
     assert keyed["closes"]
+
+
+@pytest.fixture(scope="module")
+def picked(display, folder) -> dict:
+    return drive("drive_pick.py", display, folder)
+
+
+@pytest.mark.parametrize("click", ["first", "again", "wiped"])
+def test_a_click_picks_the_gaussian_that_the_pixel_shows(picked, click):
+    found, expected = picked[click]
+    assert found == expected
+    assert found["weight"] > 0.01
+
+
+def test_what_is_picked_is_told_and_marked_in_both_panes_until_escape(picked):
+    assert picked["tab"] == 2
+    assert picked["text"].startswith("Gaussian of B\nrow, from 0")
+    for heading in ("In this view, 200x150", "Error against A's", "Bits: ", "Step sizes (block "):
+        assert heading in picked["text"]
+    for states in ("marked", "moved"):
+        first, second, elsewhere = picked[states]
+        assert min(first, second) > 40
+        assert elsewhere < 10
+    assert picked["cleared"].startswith("Click into a picture")
+    assert picked["closes"]
+
+
+def test_centres_are_coloured_by_bits_on_the_scale_that_is_chosen(picked):
+    found = picked["colours"]
+    for colouring in ("bits", "block"):
+        unknown, known = found[colouring]
+        assert unknown.startswith(f" A: a.ply, {colouring} unknown: not an")  # as there is room for
+        assert known == " B: b.egs"
+    assert found["scales"] == [[True, "linear"], [False, None]]
+    linear, blocks, log = found["legends"]
+    assert blocks == ["0", "1", "2"]
+    assert linear[::4] == log[::4]
+    assert linear[1:4] != log[1:4]
+    assert found["changed"] > 1000
 
 
 @pytest.fixture(scope="module")

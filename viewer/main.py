@@ -265,7 +265,6 @@ def _film(
 def _write_film(request: Request, film: Film) -> None:
     from viewer.pictures.film import write_film
 
-    film.check(request)
     with progress_bar() as progress:
         told = write_film(request, film, progress)
     print_text(f"{film.path}: {film.frames} frames, {told}")

@@ -77,6 +77,7 @@ def write_film(request: Request, film: Film, progress: Progress | None = None) -
     ------
     gs_codec.GsCodecError
     """
+    film.check(request)
     scenes = request.scenes()
     poses, told = _find_path(request, film, scenes[0])
     shown = shown_of(request, scenes)

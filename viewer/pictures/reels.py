@@ -56,6 +56,8 @@ def check_reel(path: Path, size: tuple[int, int], overwrite: bool) -> None:
     if is_folder(path):
         check_folder(path, overwrite)
         there = path.is_dir()
+        if os.path.lexists(path) and not there:
+            raise gs_codec.InvalidInput(f"{path}: exists, expected .mp4 or a folder")
         others = [name for name in os.listdir(path) if not _FRAME.fullmatch(name)] if there else []
         if others:
             raise gs_codec.InvalidInput(f"{path}: has '{min(others)}', expected frames alone")

@@ -15,7 +15,7 @@ from gs_codec.files.scenes import describe_gaussian_of_file
 from gs_codec.rendering.inria import as_camera
 from gs_codec.rendering.pixel import gaussian_weight, pixel_weights
 from gs_codec.scene import sh_bands
-from viewer.scenes.appearance import Look, gaussians_drawn
+from viewer.scenes.appearance import Look, gaussians_drawn, which_drawn
 from viewer.scenes.matched import Difference, Match
 from viewer.scenes.opened import Opened, Pruned
 from viewer.scenes.pose import Pose
@@ -191,8 +191,10 @@ class Picker:
             if found is not None:
                 return Hit(which, int(gone[found]))
         if "centres" in layers and not {"splats", "error"} & set(layers):
-            found = _point_at(scene.positions, pose, size, pixel)
-            return None if found is None else Hit(which, found)
+            mask = which_drawn(scene, look)
+            shown = np.arange(scene.count) if mask is None else np.flatnonzero(mask)
+            found = _point_at(scene.positions[shown], pose, size, pixel)
+            return None if found is None else Hit(which, int(shown[found]))
         column, row = (min(max(int(at), 0), most - 1) for at, most in zip(pixel, size, strict=True))
         drawn = gaussians_drawn(scene, look)
         rows, weights = pixel_weights(drawn, as_camera(pose.camera(*size)), column, row)

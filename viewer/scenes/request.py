@@ -117,17 +117,10 @@ class Request:
         if self.a is None:
             raise gs_codec.GsCodecError(f"{name}: no scene to draw")
         if self.b is None:
-            errors = [
-                f"{option} {value}"
-                for option, value, known in (
-                    ("mode", self.mode, MODES[1:]),
-                    ("colour", self.colouring, ("error",)),
-                    *(("layers", layer, ("error",)) for layer in self.layers),
-                )
-                if value in known
-            ]
-            if errors:
-                raise gs_codec.GsCodecError(f"{errors[0]}: needs two scenes")
+            if self.mode != MODES[0]:
+                raise gs_codec.GsCodecError(f"mode {self.mode}: expected two scenes")
+            if "error" in self.layers:
+                raise gs_codec.GsCodecError("layers error: expected two scenes")
         if "pruned" in self.layers and self.pruned is None:
             raise gs_codec.GsCodecError("layers pruned: needs a report")
 

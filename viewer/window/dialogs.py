@@ -52,6 +52,7 @@ class Modal:
         """Show a dialog with actions for Enter and Esc; without `escape`, Esc closes it."""
         self.dialog, self._enter, self._escape = dialog, enter, escape or self.close_dialog
         self._window.show_dialog(dialog)
+        self._window.post_redraw()
 
     def close_dialog(self) -> None:
         """Close the dialog."""
@@ -105,8 +106,8 @@ def _box(window: Modal, title: str, text: str) -> tuple[gui.Dialog, gui.Vert]:
     em = window.theme.font_size
     dialog = gui.Dialog(title)
     box = gui.Vert(0.5 * em, gui.Margins(em, em, em, em))
-    for line in [title, *folded(text, _WIDTH)]:
-        box.add_child(gui.Label(line))
+    for part in (title, "\n".join(folded(text, _WIDTH))):
+        box.add_child(gui.Label(part))
     dialog.add_child(box)
     return dialog, box
 

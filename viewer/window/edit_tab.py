@@ -42,7 +42,7 @@ class EditTab:
 
     def _add_tools(self) -> None:
         """What drags in panes do."""
-        tips = ("Drags move the camera.", "Drags draw boxes (B).", "Drags draw lassos (L).")
+        tips = ("Drags move the camera.", "Drags draw boxes (X).", "Drags draw lassos (L).")
         actions = [partial(self._editor.set_tool, tool) for tool in TOOLS]
         self._row(*zip(TOOLS, actions, tips, strict=True))
         for tool in TOOLS:

@@ -32,7 +32,10 @@ _CONTROL = int(gui.KeyName.LEFT_CONTROL), int(gui.KeyName.RIGHT_CONTROL)
 
 
 class Key(NamedTuple):
-    """A key, as help calls it, and what it does in a viewer; without code, what the mouse does."""
+    """A key, and what it does in a viewer; without code, what the mouse or several keys do.
+
+    Help lists those that have a name.
+    """
 
     name: str
     what: str
@@ -67,25 +70,26 @@ KEYS = (
     Key("click, double click", "pick a Gaussian, bring it to the middle"),
     Key("W A S D, Q E", "fly ahead, left, back, right, down, up; faster with shift"),
     Key("V", "drags turn, or look around", ord("v"), lambda v: v.set_flying(not v.choice.flying)),
-    Key("N", "next view", ord("n"), lambda v: v.visits.go(1)),
-    Key("P", "previous view", ord("p"), lambda v: v.visits.go(-1)),
+    Key("N, P", "next, previous view", ord("n"), lambda v: v.visits.go(1)),
+    Key("", "", ord("p"), lambda v: v.visits.go(-1)),
     Key("R", "back to the view after moving away", ord("r"), lambda v: v.visits.reset()),
     Key("Home", "overview", int(gui.KeyName.HOME), lambda v: v.visits.overview()),
     Key("G", "go back until all is seen", ord("g"), lambda v: v.frame_all()),
     Key("U", "next up axis", ord("u"), lambda v: v.visits.next_up()),
-    Key("B", "keep this pose, for a path from pose to pose", ord("b"), lambda v: v.saved.keep()),
+    Key("I", "keep this pose, for a path from pose to pose", ord("i"), lambda v: v.saved.keep()),
     Key("T", "convert B: reverse its y and z axes", ord("t"), lambda v: v.loading.turn()),
     Key("M", "side by side, wipe, flip", ord("m"), lambda v: v.next_mode()),
     Key("F", "one view: switch between A and B", ord("f"), lambda v: v.flip()),
-    Key("left", "move the wipe; its line can be dragged", int(gui.KeyName.LEFT), _wipe(-1)),
-    Key("right", "move the wipe", int(gui.KeyName.RIGHT), _wipe(1)),
+    Key("left, right", "move the wipe; its line can be dragged", int(gui.KeyName.LEFT), _wipe(-1)),
+    Key("", "", int(gui.KeyName.RIGHT), _wipe(1)),
+    Key(f"1 ... {len(LAYERS)}", ", ".join(LAYERS)),
     *(
-        Key(str(number), f"layer: {layer}", ord(str(number)), methodcaller("toggle", layer))
+        Key("", "", ord(str(number)), methodcaller("toggle", layer))
         for number, layer in enumerate(LAYERS, 1)
     ),
     Key("C", "colour centres by the next quantity", ord("c"), lambda v: v.next_colouring()),
     Key("K", "show the next chart below", ord("k"), lambda v: v.next_dock()),
-    Key("B", "draw boxes that select; again: turn", ord("b"), lambda v: v.editor.set_tool("box")),
+    Key("X", "draw boxes that select; again: turn", ord("x"), lambda v: v.editor.set_tool("box")),
     Key("L", "draw lassos; again: turn", ord("l"), lambda v: v.editor.set_tool("lasso")),
     Key("shift, ctrl + drag with these", "add to the selection, remove from it"),
     _edit("A", "select all", Edits.select_all),
@@ -108,7 +112,7 @@ _ACTIONS = {(key.code, key.control): key.action for key in KEYS if key.action is
 
 def help_text() -> str:
     """What keys and mouse do, a line for each."""
-    return "\n".join(f"{key.name}: {key.what}" for key in KEYS)
+    return "\n".join(f"{key.name}: {key.what}" for key in KEYS if key.name)
 
 
 class Keys:

@@ -91,8 +91,6 @@ class Loading:
             return opened, self._first_views(stale, [opened]) if chosen and not pane else views
 
         def done(found: tuple[Opened, Views]) -> None:
-            if viewer.editor.ask_unsaved([pane], partial(done, found)):  # edited meanwhile
-                return
             opened, seen = found
             _remember(opened)
             scenes = [*viewer.stage.scenes[:pane], opened, *viewer.stage.scenes[pane + 1 :]]
@@ -110,8 +108,15 @@ class Loading:
     def show(
         self, scenes: list[Opened], views: Views, pruned: Pruned | None, stay: bool = False
     ) -> None:
-        """Show opened scenes instead of the present ones; from the same pose to `stay`."""
+        """Show opened scenes instead of the present ones; from the same pose to `stay`.
+
+        Asks first if that drops edits that are not saved.
+        """
         viewer = self._viewer
+        viewer.panel.say("")
+        dropped = [k for k, edits in enumerate(viewer.editor.all) if edits.scene not in scenes]
+        if viewer.editor.ask_unsaved(dropped, partial(self.show, scenes, views, pruned, stay)):
+            return
         stage, previewed = viewer.stage, viewer.stage.painter.waits
         stage.painter.until = None
         same = stay or (stage.scenes[:1] == scenes[:1] and not previewed)
@@ -120,7 +125,6 @@ class Loading:
         else:
             stage.put(scenes, pruned)
         viewer.editor.put(scenes)
-        viewer.panel.say("")
         if not same:  # else keep the present pose
             viewer.visits.put(views, first_view(viewer.request, views))
         viewer.refresh()

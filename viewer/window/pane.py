@@ -60,15 +60,16 @@ class Pane:
     Parameters
     ----------
     window : gui.Window
-    scene : Opened
 
     Attributes
     ----------
+    scene : Opened
+        What it shows, once there is something.
     points : dict
         Points that may be shown, by name.
     """
 
-    def __init__(self, window: gui.Window, scene: Opened) -> None:
+    def __init__(self, window: gui.Window) -> None:
         self.widget = gui.SceneWidget()
         self.widget.scene = rendering.Open3DScene(window.renderer)
         self.widget.scene.show_skybox(False)
@@ -81,7 +82,6 @@ class Pane:
         self._splats: Look | None = None
         self._stuck = 0
         self._show_background()
-        self.put(scene)
 
     def put(self, scene: Opened) -> None:
         """Show another scene, of which nothing is shown yet."""

@@ -87,9 +87,8 @@ class Panel:
             bottom = top if at_bottom else bottom
         top = self._head.frame.get_bottom()
         frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
-        if _corners(frame) != _corners(self.tabs.frame):
-            # Open3D would go to the first tab.
-            self.tabs.frame, self.tabs.selected_tab_index = frame, self.tabs.selected_tab_index
+        # Open3D may go to the first tab after a layout.
+        self.tabs.frame, self.tabs.selected_tab_index = frame, self.tabs.selected_tab_index
 
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
@@ -113,10 +112,6 @@ class Panel:
             tab.refresh()
         self._legend.show(self._viewer.stage.legends)
         self._viewer.window.set_needs_layout()
-
-
-def _corners(rect: gui.Rect) -> tuple[int, int, int, int]:
-    return rect.x, rect.y, rect.width, rect.height
 
 
 class _Legends:

@@ -92,7 +92,6 @@ class Stage:
         self._changed, self._failed = changed, failed
         self.scenes: list[Opened] = []
         self.panes: list[Pane] = []
-        self._made: list[Pane] = []
         self.pruned: Pruned | None = None
         self.drawn: dict[Opened, NDArray[np.bool_]] = {}
         self.pose: Pose | None = None
@@ -103,6 +102,12 @@ class Stage:
             window.add_child(label)
         self.divider = make_divider(window, self._slide)
         self.mouse = Mouse(self, clicked, focused)
+        # Both at once: Open3D cannot remove them, and goes to the first tab when it gets one.
+        self._both = [Pane(window) for _ in range(2)]
+        for pane in self._both:
+            pane.widget.visible = False
+            window.add_child(pane.widget)
+            self.mouse.attach(pane)
         self.size, self._left = (1, 1), 0
         self.views: dict[Opened, Drawer] = {}
         self.painter = Painter(self, changed, failed)
@@ -114,18 +119,12 @@ class Stage:
     def put(self, scenes: list[Opened], pruned: Pruned | None) -> None:
         """Show other scenes."""
         before = self._keep(scenes)
-        # Open3D cannot remove panes, and they take memory: those that there are serve again.
-        for number, scene in enumerate(scenes[: len(self._made)]):
+        self.panes = self._both[: len(scenes)]
+        for number, scene in enumerate(scenes):
             if before[number : number + 1] != [scene]:
-                self._made[number].put(scene)
-                self._made[number].show_picture(None)
-        for scene in scenes[len(self._made) :]:
-            pane = Pane(self.window, scene)
-            self._made.append(pane)
-            self.window.add_child(pane.widget)
-            self.mouse.attach(pane)
-        self.panes = self._made[: len(scenes)]
-        for pane in self._made:
+                self.panes[number].put(scene)
+                self.panes[number].show_picture(None)
+        for pane in self._both:
             pane.widget.visible = pane in self.panes
         self._octree.put(self.panes, _CUBES[self.device], self._most)
         self.put_pruned(pruned)

@@ -9,11 +9,8 @@ from open3d.visualization import gui
 from viewer.pictures.charts import decibels
 from viewer.scenes.choice import DOCKS
 from viewer.window.dialogs import folded, shortened
-from viewer.window.navigation import field_of_view
+from viewer.window.look_controls import LookControls
 from viewer.window.widgets import Widgets, choose
-
-#: Vertical field of view, degrees.
-_ANGLES = (10, 120)
 
 #: Orders of the list of cameras.
 _ORDERS = ("number", "name", "PSNR")
@@ -26,7 +23,7 @@ class ViewTab:
     ----------
     widget : gui.Widget
     up, order, dock : gui.Combobox
-    angle : gui.Slider
+    look : LookControls
     list : gui.ListView
     path : list of gui.Button
         What is done with the poses that are kept.
@@ -51,14 +48,12 @@ class ViewTab:
         self.up = widgets.choice(
             self.widget, "up axis", (), lambda k: visits.set_up(visits.views.ups[k])
         )
-        self.angle = widgets.slider(
-            self.widget, "field of view, degrees", _ANGLES, viewer.set_field_of_view
-        )
+        self.look = LookControls(viewer, widgets, self.widget)
         self._add_path(widgets)
         self.dock = widgets.choice(self.widget, "below", DOCKS, lambda k: viewer.set_dock(DOCKS[k]))
         self.order = widgets.choice(self.widget, "views by", _ORDERS, lambda _: self.refresh())
         self.list = gui.ListView()
-        self.list.set_max_visible_items(20)
+        self.list.set_max_visible_items(12)
         self.list.set_on_selection_changed(self._chosen)
         self.widget.add_child(self.list)
         self._listed: list[str] = []
@@ -70,7 +65,7 @@ class ViewTab:
         self._kept = gui.Label("")
         self.widget.add_child(self._kept)
         self.path = [
-            widgets.button("Keep", saved.keep, "Keep this pose (B)."),
+            widgets.button("Keep", saved.keep, "Keep this pose (I)."),
             widgets.button("Drop", saved.drop, "Drop the pose kept last."),
             widgets.button("Fly", saved.fly, "Fly from each pose to the next, or stop."),
             widgets.button("Save", saved.ask_write, "Save the poses as cameras, for --flythrough."),
@@ -84,8 +79,7 @@ class ViewTab:
         self._where.text = "\n".join(folded(visits.where, 38)) if visits.viewpoints else ""
         self.flying.checked = viewer.choice.flying
         choose(self.up, visits.views.ups, visits.views.ups.index(viewer.choice.up))
-        if viewer.stage.pose is not None:
-            self.angle.double_value = field_of_view(viewer.stage.pose)
+        self.look.refresh()
         self._kept.text = viewer.saved.text
         for button, least in zip(self.path, (0, 1, 2, 1, 0), strict=True):
             button.enabled = len(viewer.saved.poses) >= least and bool(visits.viewpoints)

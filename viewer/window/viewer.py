@@ -175,6 +175,7 @@ class Viewer:
         if appearance != self.choice.appearance:
             self.choice.appearance = appearance
             self.stage.restyle()
+            self.panel.refresh()
 
     def set_mode(self, mode: str) -> None:
         """Set how two scenes are shown."""

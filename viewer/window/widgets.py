@@ -84,6 +84,12 @@ class Widgets:
         parent.add_child(slider)
         return slider
 
+    def grid(self, parent: gui.Widget) -> gui.VGrid:
+        """Rows of two, such as labels and sliders, added to a parent."""
+        grid = gui.VGrid(2, 0.3 * self.em)
+        parent.add_child(grid)
+        return grid
+
 
 def choose(box: gui.Combobox, names: Sequence[str], index: int) -> None:
     """Set the names of a choice, if they are others, and which is chosen."""

@@ -1,0 +1,56 @@
+"""Controls of how splats are drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from open3d.visualization import gui
+
+from viewer.scenes.choice import Appearance
+from viewer.window.navigation import field_of_view
+from viewer.window.widgets import Widgets
+
+#: Vertical field of view, degrees; factor on the axes of splats.
+_ANGLES, _SCALES = (10, 120), (0.05, 2.0)
+
+
+class LookControls:
+    """Field of view, SH degree, scale and least opacity of splats, and background.
+
+    Attributes
+    ----------
+    angle, degree, scale, opacity : gui.Slider
+    background : gui.ColorEdit
+    """
+
+    def __init__(self, viewer: Any, widgets: Widgets, parent: gui.Widget) -> None:
+        self._viewer = viewer
+        look, grid = viewer.set_appearance, widgets.grid(parent)
+        self.angle = widgets.slider(grid, "field of view", _ANGLES, viewer.set_field_of_view)
+        self.degree = widgets.slider(
+            grid, "SH degree", (0, 3), lambda degree: look(sh_degree=int(degree)), whole=True
+        )
+        self.scale = widgets.slider(grid, "splats' scale", _SCALES, lambda x: look(scale=x))
+        self.opacity = widgets.slider(
+            grid, "least opacity", (0.0, 1.0), lambda x: look(least_opacity=x)
+        )
+        self.background = gui.ColorEdit()
+        self.background.set_on_value_changed(
+            lambda colour: look(background=(colour.red, colour.green, colour.blue))
+        )
+        grid.add_child(gui.Label("background"))
+        grid.add_child(self.background)
+        tip = "All degrees, scale 1, on black: what is measured."
+        self.plain = widgets.button("As it is", lambda: look(**vars(Appearance())), tip)
+        widgets.row(parent, self.plain)
+
+    def refresh(self) -> None:
+        """Set them to what the viewer shows."""
+        stage, appearance = self._viewer.stage, self._viewer.choice.appearance
+        if stage.pose is not None:
+            self.angle.double_value = field_of_view(stage.pose)
+        self.degree.int_value = appearance.sh_degree
+        self.scale.double_value = appearance.scale
+        self.opacity.double_value = appearance.least_opacity
+        self.background.color_value = gui.Color(*appearance.background)
+        self.plain.enabled = appearance != Appearance()

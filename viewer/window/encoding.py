@@ -180,10 +180,6 @@ class Encoding:
     def _put(self, scenes: list[Opened]) -> None:
         """Show scenes from the present pose, and what was pruned if A is the source."""
         viewer = self._viewer
-        pairs = zip(scenes, viewer.stage.scenes, strict=False)
-        gone = [k for k, (scene, before) in enumerate(pairs) if scene is not before]
-        if viewer.editor.ask_unsaved(gone, partial(self._put, scenes)):
-            return
         is_source = self.tries is not None and scenes[0] is self.tries.source
         pruned = self._pruned if is_source else None
         viewer.loading.show(scenes, viewer.visits.views, pruned, stay=True)

@@ -32,6 +32,14 @@ class Rates:
     def __init__(self, driver: Driver) -> None:
         self.driver, self.encoding = driver, driver.viewer.encoding
         self.tab = driver.viewer.panel.rate
+        self.begun: list[Asked] = []
+        encode = self.encoding.encode
+
+        def begin(asked: Asked) -> None:
+            self.begun.append(asked)
+            encode(asked)
+
+        self.encoding.encode = begin
 
     def wait(self, done: Callable[[], bool]) -> None:
         end = time.monotonic() + _PATIENCE
@@ -42,8 +50,9 @@ class Rates:
 
     def encode(self) -> None:
         """Click on Encode."""
+        before = len(self.begun)
         self.driver.click(self.tab.start)
-        self.wait(lambda: self.encoding.encodes)
+        self.wait(lambda: len(self.begun) > before)
 
     def finish(self) -> None:
         """Wait until all is encoded and measured."""
@@ -127,7 +136,7 @@ def stop(rates: Rates) -> dict:
     Tries.encode = held  # type: ignore[method-assign, assignment]
     rates.choose("l", 0)
     rates.encode()
-    rates.wait(lambda: started.is_set() and ":" in rates.encoding.doing[0])
+    rates.wait(lambda: started.is_set() and ":" in (rates.encoding.doing or "?")[0])
     found: dict = {"doing": rates.encoding.doing[0]}
     driver.key("n")
     driver.rest()

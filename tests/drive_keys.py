@@ -115,7 +115,7 @@ def state(driver: Driver) -> list:
 
 if __name__ == "__main__":
     os.chdir(sys.argv[1])  # where pictures are saved
-    driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images")
+    driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images", size=(760, 680))
     driver.rest()
     found = {"pressed": many(driver)}
     driver.rest()

@@ -70,6 +70,7 @@ class Panel:
             "Edit": self.edit,
         }
         self.tabs = gui.TabControl()
+        self._coming: int | None = None
         for name, tab in self._named.items():
             self.tabs.add_tab(name, tab.widget)
         self._legend = _Legends(em, margins)
@@ -87,12 +88,17 @@ class Panel:
             bottom = top if at_bottom else bottom
         top = self._head.frame.get_bottom()
         frame = gui.Rect(rect.x, top, rect.width, max(bottom - top, 1))
-        # Open3D may go to the first tab after a layout.
-        self.tabs.frame, self.tabs.selected_tab_index = frame, self.tabs.selected_tab_index
+        # Open3D may go to the first tab after a layout, and goes to another in the next frame only.
+        front = self.tabs.selected_tab_index
+        if front == self._coming:
+            self._coming = None
+        self.tabs.frame = frame
+        self.tabs.selected_tab_index = front if self._coming is None else self._coming
 
     def show(self, name: str) -> None:
         """Bring a tab to the front, by its name."""
-        self.tabs.selected_tab_index = list(self._named).index(name)
+        self._coming = list(self._named).index(name)
+        self.tabs.selected_tab_index = self._coming
 
     def say(self, text: str, progress: float | None = None) -> None:
         """Show a status line; with `progress` (0-1), also a progress bar and a Stop button."""

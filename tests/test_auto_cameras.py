@@ -159,7 +159,9 @@ def test_the_overview_of_many_gaussians_is_that_of_the_best_judged_in_full(still
     monkeypatch.setattr(module, "_ROUGH", 1000)
     judged, rate = [], module._rate_overviews
     monkeypatch.setattr(
-        module, "_rate_overviews", lambda seen, views: judged.append(views) or rate(seen, views)
+        module,
+        "_rate_overviews",
+        lambda seen, views, progress: judged.append(views) or rate(seen, views, progress),
     )
     quick = auto_cameras(still_life, 2)
     assert len(judged[1]) == module._FINALISTS < len(judged[0])

@@ -77,7 +77,7 @@ def colours(driver: Driver) -> dict:
 
 
 def run(folder: Path) -> dict:
-    driver = Driver(folder, size=(900, 560))
+    driver = Driver(folder, size=(900, 420))
     viewer, found = driver.viewer, {}
     driver.rest()
     found["first"] = click(driver, viewer.stage.panes[1], 12, 7)

@@ -265,7 +265,7 @@ def test_a_usdz_that_refers_to_other_files_is_refused(other, tmp_path):
         archive.writestr("b.usda", HEAD + SPLATS)
         if other != "c.usda":
             archive.writestr(other, HEAD + SPLATS)
-    with pytest.raises(InvalidInput, match=r"refers to '.*', expected all of it in this file"):
+    with pytest.raises(InvalidInput, match=r"refers to '.*, expected all of it in this file"):
         read_scene(tmp_path / "a.usdz")
 
 

@@ -1,8 +1,7 @@
 """Uses a window at random for some seconds: keys, mouse, sliders, loads, stops; prints memory.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own; by hand for longer:
-``python tests/drive_random.py FOLDER [SECONDS [SEED]]`` with a.ply, b.egs, cameras.json and report
-in the folder.
+By hand, on a display of its own: ``python tests/drive_random.py FOLDER [SECONDS [SEED]]`` with a.ply,
+b.egs, cameras.json and report in the folder.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Uses a window at random for some seconds: keys, mouse, sliders, loads, stops; prints memory.
 
-By hand, on a display of its own: ``python tests/drive_random.py FOLDER [SECONDS [SEED]]`` with a.ply,
-b.egs, cameras.json and report in the folder.
+By hand, on a display of its own: ``python tests/drive_random.py FOLDER [SECONDS [SEED]]``, with
+a.ply, b.egs, cameras.json and report in the folder.
 """
 
 from __future__ import annotations

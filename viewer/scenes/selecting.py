@@ -12,7 +12,6 @@ from gs_codec.edit.clusters import largest_cluster
 from gs_codec.edit.floaters import find_floaters
 from gs_codec.edit.selection import attribute_names, attribute_values, in_box
 from gs_codec.edit.shares import SHARES, members
-from gs_codec.formats.cloud import from_cloud
 from gs_codec.rendering.camera import Camera
 from gs_codec.scene import Scene
 from viewer.scenes.opened import Opened, Progress, Pruned
@@ -33,7 +32,7 @@ def quantity(scene: Opened, name: str) -> NDArray:
     gs_codec.GsCodecError
         If the scene has none of this name.
     """
-    gaussians, name = gaussians_of(scene), name.replace(" ", "_")
+    gaussians, name = scene.gaussians, name.replace(" ", "_")
     if name in _DERIVED:
         return _DERIVED[name](gaussians)
     if name not in attribute_names(gaussians):
@@ -81,7 +80,7 @@ def by_rule(
     if rule.startswith(_PRUNED) and pruned is not None:
         reason = 1 + pruned.reasons.index(rule.removeprefix(_PRUNED))
         return pruned.of(scene).labels == reason
-    gaussians = gaussians_of(scene)
+    gaussians = scene.gaussians
     if rule == _FLOATERS:
         return find_floaters(gaussians, cameras, progress) > 0
     return ~largest_cluster(gaussians) if rule == _APART else members(gaussians, rule)
@@ -89,9 +88,4 @@ def by_rule(
 
 def inside_box(scene: Opened, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:
     """Which Gaussians ``(N,)`` `gs_codec.edit.crop_box` keeps; raises as it does."""
-    return in_box(gaussians_of(scene), low, high)
-
-
-def gaussians_of(scene: Opened) -> Scene:
-    """The Gaussians as gs_codec's functions take them; they share memory."""
-    return from_cloud(scene.cloud, "drop")
+    return in_box(scene.gaussians, low, high)

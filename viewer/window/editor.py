@@ -150,8 +150,7 @@ class Editor:
         for number, edits in enumerate(self.all):
             if stage.scenes[number] is not edits.scene:
                 stage.replace(number, edits.scene)
-        stage.drawn = {e.scene: e.drawn for e in self.all if e.drawn is not None}
-        stage.restyle()
+        stage.draw_only({e.scene: e.drawn for e in self.all if e.drawn is not None})
         self._mark()
         self._viewer.refresh_panel()
 

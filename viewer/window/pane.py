@@ -47,6 +47,7 @@ _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
 #: Frames until the pane changes its size for an instant, after splats were removed from it: without
 #: this, Open3D would go on showing them instead of anything else.
 _STUCK = 4
+
 #: Size of cameras, relative to the median distance from their middle; their RGB.
 _FRUSTUM, _FRUSTUM_COLOUR = 0.05, (1.0, 0.6, 0.0)
 

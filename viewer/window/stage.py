@@ -235,6 +235,12 @@ class Stage:
         self.show_octree()
         self.arrange()
 
+    def draw_only(self, drawn: dict[Opened, NDArray[np.bool_]]) -> None:
+        """Draw only the Gaussians of these masks; scenes without one are drawn whole."""
+        before, self.drawn = self.drawn, drawn
+        if any(before.get(each) is not drawn.get(each) for each in self.scenes):
+            self.restyle()
+
     def restyle(self) -> None:
         """Update the panes to the appearance, and to which Gaussians are drawn; more may follow."""
         self._dress()

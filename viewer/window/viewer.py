@@ -34,7 +34,6 @@ from viewer.window.worker import Stale, Worker
 #: Longest step of a flight, seconds, after frames that took long.
 _STEP = 0.2
 
-
 #: The kind of file that pictures are written to.
 _PICTURES = ".png", "PNG images (.png)"
 

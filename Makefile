@@ -25,7 +25,7 @@ demo: $(VENV)/installed
 	@echo; echo "5. What is seen of it; at 48 dB the mean error is one level of 255"
 	$(BIN)/gs-codec compare demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --images demo/views --overwrite
 	$(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json --view 2 --layers error \
-	    --width 1000 --height 400 --screenshot demo/picture.png
+	    --width 1000 --height 400 --screenshot demo/picture.png --overwrite
 	@echo; echo "Done. demo/picture.png: the scene, and the error of each pixel; demo/views: every view before and after,"
 	@echo "and the difference ten times as strong; demo/decoded.ply: the decoded scene. In a window, side by side:"
 	@echo "    $(BIN)/gs-viewer demo/still_life.ply demo/still_life.egs --cameras demo/cameras.json"

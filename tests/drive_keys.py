@@ -29,6 +29,20 @@ def many(driver: Driver) -> int:
     return pressed
 
 
+def resize(driver: Driver) -> int:
+    """How many sizes the window gets while its parts are laid out again and again."""
+    window, rng = driver.viewer.window, np.random.default_rng(1)
+    before, sizes = window.size, rng.integers((400, 300), (1200, 780), (60, 2))
+    for width, height in sizes.tolist():
+        window.size = gui.Size(width, height)
+        for _ in range(3):
+            driver.tick(int(rng.integers(1, 4)), pause=0.002)
+            driver.viewer.stage.arrange()
+    window.size = before
+    driver.rest()
+    return len(sizes)
+
+
 def dialogs(driver: Driver) -> dict:
     """What keys do while a dialog is open, and after it."""
     found: dict = {}
@@ -117,7 +131,7 @@ if __name__ == "__main__":
     os.chdir(sys.argv[1])  # where pictures are saved
     driver = Driver(Path(sys.argv[1]), images=Path(sys.argv[1]) / "images", size=(760, 680))
     driver.rest()
-    found = {"pressed": many(driver)}
+    found: dict = {"resized": resize(driver), "pressed": many(driver)}
     driver.rest()
     found["path"] = path(driver)
     driver.rest()

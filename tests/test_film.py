@@ -476,7 +476,7 @@ def test_ctrl_c_leaves_nothing(files, tmp_path, name, request):
         (["--turntable", "out", "--cameras", "c", "--gt-images", "."], "gt-images: has no effect"),
         (["--frames", "5"], "frames: needs --turntable or --flythrough"),
         (["--fps", "5", "--screenshot", "x.png"], "fps: needs --turntable or --flythrough"),
-        (["--overwrite"], "overwrite: needs --turntable or --flythrough"),
+        (["--overwrite"], "overwrite: needs --screenshot, --turntable or --flythrough"),
     ],
 )
 def test_wrong_wishes_are_one_line(arguments, said, files, tmp_path, here, monkeypatch):

@@ -603,7 +603,10 @@ def test_a_missing_photograph_is_said_and_the_rest_is_drawn(files, tmp_path, her
     assert err.startswith("gs-viewer: without a photograph: ")
     assert "no image 'view0'" in err
     assert len(err.splitlines()) == 1
-    assert here(*asked, "--view", "1", "--screenshot", tmp_path / "1.png") == (0, "", "")
+    second = [*asked, "--view", "1", "--screenshot", tmp_path / "1.png"]
+    assert here(*second) == (0, "", "")
+    assert here(*second)[0] == 2  # it exists
+    assert here(*second, "--overwrite") == (0, "", "")
     reds = [
         np.sum(np.asarray(Image.open(tmp_path / f"{k}.png"))[..., 0].astype(int) > 190)
         for k in range(2)

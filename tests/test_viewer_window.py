@@ -366,8 +366,8 @@ def keyed(display, folder) -> dict:
     return drive("drive_keys.py", display, folder)
 
 
-def test_the_window_lives_through_many_keys(keyed):
-    assert keyed["pressed"] == 136
+def test_the_window_lives_through_many_sizes_and_keys(keyed):
+    assert (keyed["resized"], keyed["pressed"]) == (60, 136)
 
 
 def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):

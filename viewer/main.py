@@ -182,7 +182,9 @@ def command(
     ] = None,
     overwrite: Annotated[
         bool,
-        typer.Option("--overwrite", help="Replace an existing film.", rich_help_panel=_OUTPUT),
+        typer.Option(
+            "--overwrite", help="Replace an existing picture or film.", rich_help_panel=_OUTPUT
+        ),
     ] = False,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
@@ -216,7 +218,7 @@ def command(
     if screenshot is not None:
         from viewer.pictures.screenshot import write_screenshot
 
-        missing = write_screenshot(request, screenshot)
+        missing = write_screenshot(request, screenshot, overwrite)
         if missing:
             print_status(f"gs-viewer: without a photograph: {missing}")
         return
@@ -250,9 +252,11 @@ def _film(
     asked = [name for name, path in outputs.items() if path is not None]
     if len(asked) > 1:
         raise gs_codec.GsCodecError(f"{asked[0]} and {asked[1]}: expected one of them")
+    if overwrite and not asked:
+        raise gs_codec.GsCodecError("overwrite: needs --screenshot, --turntable or --flythrough")
     path = turntable or flythrough
     if path is None:
-        for name, value in (("frames", frames), ("fps", fps), ("overwrite", overwrite or None)):
+        for name, value in (("frames", frames), ("fps", fps)):
             if value is not None:
                 raise gs_codec.GsCodecError(f"{name}: needs --turntable or --flythrough")
         return None

@@ -34,8 +34,15 @@ from viewer.scenes.request import Request, find_pruned, find_views, first_view
 from viewer.scenes.viewpoints import find_viewpoints
 
 
-def write_screenshot(request: Request, path: Path) -> str:
+def write_screenshot(request: Request, path: Path, overwrite: bool) -> str:
     """Draw a request and write the picture; return a message if a photograph is missing, or "".
+
+    Parameters
+    ----------
+    request : Request
+    path : Path
+    overwrite : bool
+        Whether an existing picture is replaced.
 
     Raises
     ------
@@ -44,7 +51,7 @@ def write_screenshot(request: Request, path: Path) -> str:
     request.check_picture("screenshot")
     if path.suffix.lower() != ".png":
         raise gs_codec.GsCodecError(f"{path}: expected .png")
-    check_writable(path)
+    check_writable(path, overwrite)
     picture, missing = draw_request(request)
     save_picture(picture, path)
     return missing

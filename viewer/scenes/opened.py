@@ -141,10 +141,10 @@ class Opened:
             return np.exp(self._array("log_scale").max(axis=1).astype(np.float64))
 
     @cached_property
-    def sh_energy(self) -> NDArray[np.float32]:
+    def sh_energy(self) -> NDArray[np.float64]:
         """Sum of the squares of the SH-AC of each Gaussian ``(N,)``."""
         f_rest = self._array("f_rest")
-        return np.einsum("nkc,nkc->n", f_rest, f_rest)
+        return np.einsum("nkc,nkc->n", f_rest, f_rest, dtype=np.float64)
 
     @property
     def sh_degree(self) -> int:

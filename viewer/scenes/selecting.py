@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from gs_codec.edit.floaters import find_floaters
 from gs_codec.edit.selection import attribute_names, attribute_values, in_box
 from gs_codec.edit.shares import SHARES, members
 from gs_codec.rendering.camera import Camera
-from gs_codec.scene import Scene
 from viewer.scenes.opened import Opened, Progress, Pruned
 
 #: Rules beside the shares of statistics.
@@ -33,16 +32,11 @@ def quantity(scene: Opened, name: str) -> NDArray:
         If the scene has none of this name.
     """
     gaussians, name = scene.gaussians, name.replace(" ", "_")
-    if name in _DERIVED:
-        return _DERIVED[name](gaussians)
+    if name == "SH_energy":
+        return scene.sh_energy
     if name not in attribute_names(gaussians):
         raise gs_codec.GsCodecError(f"quantity '{name}': {scene.name} has none of this name")
     return attribute_values(gaussians, name)
-
-
-_DERIVED: Mapping[str, Callable[[Scene], NDArray]] = {
-    "SH_energy": lambda scene: np.square(scene.f_rest, dtype=np.float64).sum(axis=0)
-}
 
 
 def in_range(scene: Opened, name: str, low: float, high: float) -> NDArray[np.bool_]:

@@ -46,20 +46,20 @@ class Canvas:
 
     def move_to(self, rect: gui.Rect) -> None:
         """Set its place in the window; to hide it, its size is `HIDDEN`."""
-        # If only the position changed, Open3D would draw the scene at the old position.
-        self.widget.frame = gui.Rect(rect.x, rect.y, rect.width, rect.height + 1)
+        before = self.widget.frame
+        if (before.x, before.y) != (rect.x, rect.y):
+            # If only the position changed, Open3D would draw the scene at the old position.
+            self.widget.frame = gui.Rect(rect.x, rect.y, rect.width, rect.height + 1)
         self.widget.frame = rect
         if self._size != (rect.width, rect.height):
             self._size = (rect.width, rect.height)
             self.redraw()
-        self.widget.force_redraw()
 
     def redraw(self) -> None:
         """Draw the picture anew."""
         if min(self._size) > 0:
             image = picture_of(self._draw(*self._size))
             self.widget.scene.set_background((*BACKGROUND, 1.0), image)
-            self.widget.force_redraw()
 
     def _mouse(self, event: Any) -> Any:
         self._report(event)

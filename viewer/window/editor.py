@@ -110,7 +110,8 @@ class Editor:
         ends = (left, top), (left + frame.width - 1, top + frame.height - 1)
         x, y = np.clip(at, *ends).tolist()
         region.extend((x, y))
-        pane.show_stroke(region.corners, stage.pose, *stage.picture_size)
+        line = np.asarray(region.corners)
+        pane.show_lines("region", [line], stage.pose, *stage.picture_size)
 
     def end(self) -> None:
         """Select what is in the region; a click alone selects nothing."""
@@ -127,7 +128,8 @@ class Editor:
     def _drop(self) -> None:
         """Drop the region that is being drawn, if any."""
         if self._pane is not None:
-            self._pane.show_stroke([], self._viewer.stage.pose, *self._viewer.stage.picture_size)
+            stage = self._viewer.stage
+            self._pane.show_lines("region", [], stage.pose, *stage.picture_size)
         self._pane = self._region = None
 
     # Steps

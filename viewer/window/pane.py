@@ -24,22 +24,20 @@ from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose, of_camera
-from viewer.scenes.region import Pixel
-from viewer.window.strokes import STROKES, stroke_mesh
+from viewer.window.lines import line_mesh
 
 #: Near and far plane, relative to the farthest depth of the scene.
 _NEAR, _BEYOND = 1e-4, 1.1
 
 #: Size of a hidden picture, pixels. Pictures are made this small instead of being removed, because
-#: Open3D would sometimes abort: after a skipped frame it keeps the draw call of a removed picture,
-#: and uses it again, without its texture, when another picture changes its size.
+#: Open3D would draw them all the same.
 HIDDEN = 1, 1
 
-#: Depth of the frame's outline, relative to the near plane; its width, pixels.
-_BEFORE, _OUTLINE = 1.5, 1.5
+#: Depths of the frame's outline, and of dark and light lines, relative to the near plane.
+_OUTLINED, _LINED = 1.5, (1.4, 1.3)
 
-#: Geometries of a marker, and their depths, relative to the near plane.
-_MARKS, _MARKED = ("mark's edge", "mark"), (1.4, 1.3)
+#: How far the middle of the outline is inside the frame: half of its width, pixels.
+_IN = 0.75
 
 #: Sizes of points by their name; of others `POINT_SIZE`.
 _SIZES = {"pruned": PRUNED_SIZE, "octree": CELL_SIZE, "selected": SELECTED_SIZE}
@@ -90,7 +88,7 @@ class Pane:
         self.widget.scene.clear_geometry()
         self.scene = scene
         self.points: dict[str, Points] = {}
-        self._outlined: list | None = None
+        self._outlined: tuple | None = None
         low, high = _box(scene.positions)
         self._box = o3d.geometry.AxisAlignedBoundingBox(low, high)
         self._corners = np.asarray(self._box.get_box_points())
@@ -106,37 +104,32 @@ class Pane:
         far = _BEYOND * max(float(depth.max(initial=0.0)), 1e-3)
         camera = self.widget.scene.camera
         camera.set_projection(intrinsics, _NEAR * far, far, frame.width, frame.height)
-        self.widget.force_redraw()
 
     def outline(self, pose: Pose, width: int, height: int) -> None:
         """Draw a line around the camera's frame, in front of everything; sizes as for `look`."""
-        fx, fy, cx, cy = pose.lens(width, height)
-        left, top, right, bottom = pose.framed(width, height)
-        corners = [
-            ((x - cx) / fx, (y - cy) / fy, 1.0)
-            for inset in (0, _OUTLINE)
-            for x, y in (
-                (left + inset, top + inset),
-                (right - inset, top + inset),
-                (right - inset, bottom - inset),
-                (left + inset, bottom - inset),
-            )
-        ]
-        if self._outlined != corners:
-            self._outlined = corners
-            self._replace("outline", *_rings([corners], LINE_COLOUR))
-        self._bring_near("outline", pose, _BEFORE)
+        framed, lens = pose.framed(width, height), pose.lens(width, height)
+        if self._outlined != (framed, lens):
+            self._outlined = framed, lens
+            left, top, right, bottom = framed
+            inside = (left, top), (right, top), (right, bottom), (left, bottom)
+            corners = np.add(inside, [(_IN, _IN), (-_IN, _IN), (-_IN, -_IN), (_IN, -_IN)])
+            self._replace("outline", line_mesh([corners], 2 * _IN, lens), _solid(LINE_COLOUR))
+        self._bring_near("outline", pose, _OUTLINED)
 
-    def mark(self, lines: list[NDArray], pose: Pose, width: int, height: int) -> None:
-        """Draw closed lines ``(n, 2)``, pixels of a picture, in front of everything, or none."""
-        fx, fy, cx, cy = pose.lens(width, height)
-        for name, depth, (thickness, colour) in zip(_MARKS, _MARKED, LINES, strict=True):
-            self._replace(name, None, None)
+    def show_lines(
+        self, name: str, lines: list[NDArray], pose: Pose, width: int, height: int
+    ) -> None:
+        """Draw closed lines ``(n, 2)``, light on dark, in front of everything, or none.
+
+        They are in pixels of a picture, whose size is as for `look`.
+        """
+        for depth, (thickness, colour) in zip(_LINED, LINES, strict=True):
+            each = f"{name} at {depth}"
+            self._replace(each, None, None)
             if lines:
-                edges = [_thick(line, thickness) for line in lines]
-                rays = [[((x - cx) / fx, (y - cy) / fy, 1.0) for x, y in edge] for edge in edges]
-                self._replace(name, *_rings(rays, colour))
-                self._bring_near(name, pose, depth)
+                mesh = line_mesh(lines, thickness, pose.lens(width, height))
+                self._replace(each, mesh, _solid(colour))
+                self._bring_near(each, pose, depth)
 
     def _bring_near(self, name: str, pose: Pose, depth: float) -> None:
         """Put a geometry of the camera's axes at a depth, relative to the near plane."""
@@ -150,19 +143,6 @@ class Pane:
         if colour != self._background:
             self._background = colour
             self._show_background()
-
-    def show_stroke(self, corners: Sequence[Pixel], pose: Pose, width: int, height: int) -> None:
-        """Draw a closed line in front of everything; with fewer than two corners, remove it.
-
-        Corners are pixels of the picture, whose size is as for `look`.
-        """
-        lens = pose.lens(width, height)
-        for name, (wide, grey, depth) in STROKES.items():
-            if len(corners) < 2:
-                self._replace(name, None, None)
-                continue
-            self._replace(name, stroke_mesh(corners, wide, lens), _solid((grey, grey, grey)))
-            self._bring_near(name, pose, depth)
 
     def show_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Show a picture of the pane's size behind everything, or remove it."""
@@ -179,7 +159,6 @@ class Pane:
             # Open3D takes a colour as sRGB, but shows pictures as they are.
             picture = np.full((1, 1, 3), self._background, np.float32)
         self.widget.scene.set_background((0.0, 0.0, 0.0, 1.0), picture_of(picture))
-        self.widget.force_redraw()
 
     def show_points(self, name: str, points: Points | None) -> None:
         """Show points under a name, replacing those with the same name."""
@@ -235,7 +214,6 @@ class Pane:
             frame = self.widget.frame
             self.widget.frame = gui.Rect(frame.x, frame.y, frame.width, frame.height + 1)
             self.widget.frame = frame
-        self.widget.force_redraw()
         return True
 
     def _replace(self, name: str, geometry: Any, material: Any) -> None:
@@ -244,7 +222,6 @@ class Pane:
             scene.remove_geometry(name)
         if geometry is not None:
             scene.add_geometry(name, geometry, material)
-        self.widget.force_redraw()
 
 
 def picture_of(image: NDArray) -> o3d.geometry.Image:
@@ -279,38 +256,11 @@ def cube_geometry(
     return mesh, material
 
 
-def _thick(line: NDArray, thickness: float) -> NDArray[np.float64]:
-    """Outer and then inner corners ``(2 n, 2)`` of a closed line ``(n, 2)`` that is convex."""
-    along = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
-    across = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    across *= 0.5 * thickness / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    return np.concatenate([line + across, line - across])
-
-
-def _rings(
-    rings: list, colour: tuple[float, float, float]
-) -> tuple[o3d.geometry.TriangleMesh, rendering.MaterialRecord]:
-    """Rings, each between n outer and n inner corners, visible from both sides, of one colour.
-
-    Lines are not used, because Open3D does not draw horizontal ones. The shader has no texture,
-    because Mesa's software driver would take seconds or minutes for such thin triangles.
-    """
-    triangles, first = [], 0
-    for ring in rings:
-        count = len(ring) // 2
-        for k in range(count):
-            a, b = first + k, first + (k + 1) % count
-            triangles += [(a, b, a + count), (b, b + count, a + count)]
-        first += len(ring)
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(np.concatenate(rings)),
-        o3d.utility.Vector3iVector(np.array(triangles + [t[::-1] for t in triangles], np.int32)),
-    )
-    return mesh, _solid(colour)
-
-
 def _solid(colour: tuple[float, float, float]) -> rendering.MaterialRecord:
-    """A material of one colour, RGB as it is to be seen."""
+    """A material of one colour, RGB as it is to be seen.
+
+    No texture: with one, Mesa's software driver takes seconds or minutes for thin triangles.
+    """
     material = rendering.MaterialRecord()
     material.shader = "unlitSolidColor"
     # Open3D takes this colour as sRGB, but output without post-processing stays linear.

@@ -379,7 +379,7 @@ class Stage:
             if len(self.scenes) > 1:
                 pane.outline(self.seen, wide, height)
             lines = marker(*self._marked, self.seen, wide, height) if self._marked else []
-            pane.mark(lines, self.seen, wide, height)
+            pane.show_lines("mark", lines, self.seen, wide, height)
 
     def see(self, pose: Pose) -> None:
         """Let the panes look from a pose."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from open3d.visualization import gui
+from open3d.visualization import gui, rendering
 
 import gs_codec
 from viewer.pictures.screenshot import compose, save_picture
@@ -96,6 +96,7 @@ class Viewer:
         self.dock = Dock(self, self.editor.select_range)
         self.panel, self.keys = Panel(self, font), Keys(self)
         self._ticked = time.monotonic()
+        self._unseen = rendering.Open3DScene(self.window.renderer)
         self.window.set_on_layout(self._lay_out)
         self.window.set_on_tick_event(self._tick)
         self.window.set_on_key(self.keys.event)
@@ -262,6 +263,10 @@ class Viewer:
         panes = 1 if self.choice.mode == "wipe" else max(len(self.stage.visible), 1)
         width = self.visits.lay_out(space, panes, self.stage.caption_height, hidden)
         self.stage.lay_out(space.x, space.y, width, space.height)
+        # Open3D waits for the device before it draws a picture that was asked for, and then does
+        # not skip the frame. After a skipped one the interface could still use the old pictures of
+        # widgets when these change their sizes again, and Open3D would abort.
+        self._unseen.scene.render_to_image(lambda _: None)
 
     # Files
 

@@ -16,6 +16,7 @@ from scenes import random_scene, shared_scene_path, with_threads
 from gs_codec.formats.ply import read_ply
 from gs_codec.rendering import renderer
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.project import _project
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 TOLERANCE = 1e-6
@@ -502,9 +503,11 @@ def test_planes_need_not_be_contiguous():
     strided = {group: np.repeat(getattr(scene, group), 2, axis=1)[:, ::2] for group in GROUPS}
     fortran = {group: np.asfortranarray(getattr(scene, group)) for group in GROUPS}
     expected = render(scene, camera, TEAL, accumulate=True)
+    compiled = len(_project.signatures)
     for planes in (strided, fortran):
         result = render(Scene(**planes), camera, TEAL, accumulate=True)
         assert_identical(result, expected)
+    assert len(_project.signatures) == compiled
 
 
 @pytest.mark.parametrize("seed", [30, 31])

@@ -16,7 +16,7 @@ from scenes import random_scene, shared_scene_path, with_threads
 from gs_codec.formats.ply import read_ply
 from gs_codec.rendering import renderer
 from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.project import _project
+from gs_codec.rendering.project import _project, project
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 TOLERANCE = 1e-6
@@ -507,6 +507,10 @@ def test_planes_need_not_be_contiguous():
     for planes in (strided, fortran):
         result = render(Scene(**planes), camera, TEAL, accumulate=True)
         assert_identical(result, expected)
+        for start, stop in ((0, 100), (40, 90)):
+            found = project(Scene(**planes), camera, True, start, stop)
+            for ours, same in zip(found, project(scene, camera, True, start, stop), strict=True):
+                np.testing.assert_array_equal(ours, same)
     assert len(_project.signatures) == compiled
 
 

@@ -254,7 +254,7 @@ def test_values_that_are_not_finite(group, value):
     broken = replace(scene, **{group: plane})
     sound = np.ones(scene.count, bool)
     sound[::7] = False
-    for cameras in (None, ring(4)):
+    for cameras in (None, ring(12)):
         labels = find_floaters(broken, cameras)
         assert not labels[~sound].any()
         np.testing.assert_array_equal(labels[sound], find_floaters(scene.take(sound), cameras))

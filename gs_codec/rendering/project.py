@@ -70,8 +70,10 @@ def project(scene: Scene, camera: Camera, antialiased: bool, start: int, stop: i
     gaussians = np.empty(count, np.int64)
     planes = [np.asarray(getattr(scene, group)) for group in GROUPS]
     first = 0
-    if not all(plane.flags.c_contiguous for plane in planes):
-        # One kernel for all layouts: it takes seconds to compile, these Gaussians none to copy.
+    rows = all(plane.flags.c_contiguous for plane in planes)
+    if not rows and any(plane.flags.forc for plane in planes):
+        # To compile a kernel takes seconds: there are one for rows and one for values that an
+        # optimiser holds Gaussian by Gaussian. Of other layouts, these Gaussians are copied.
         first, planes = start, [np.ascontiguousarray(plane[:, start:stop]) for plane in planes]
     seen = _project(
         *planes,

@@ -30,9 +30,17 @@ from samples.generate import generate
 
 @pytest.fixture(scope="module")
 def still_life():
-    return generate(20_000, 1, 3)
+    return generate(5000, 1, 3)
 
 
+@pytest.fixture
+def few_tried(monkeypatch):
+    """Fewer views are tried than find good ones, for what does not depend on how good they are."""
+    monkeypatch.setattr(module, "_OVERVIEWS", 8)
+    monkeypatch.setattr(module, "_LEAST_TRIED", 24)
+
+
+@pytest.mark.usefixtures("few_tried")
 def test_auto_cameras_are_the_same_every_time(still_life):
     first, second = auto_cameras(still_life, 6), auto_cameras(still_life, 6)
     assert [view.name for view in first] == [f"auto_{i:02d}" for i in range(6)]
@@ -81,18 +89,24 @@ def table():
     return table_upwards(1)
 
 
-def test_auto_cameras_are_where_gaussians_were_seen_from(table):
-    assert estimate_views(table, 1).telling
-    positions = np.array([view.position for view in auto_cameras(table, 24)])
+@pytest.fixture(scope="module")
+def around(table):
+    """Cameras for the table."""
+    return auto_cameras(table, 24)
+
+
+def test_auto_cameras_are_where_gaussians_were_seen_from(table, around):
+    assert gather_evidence(table).telling
+    positions = np.array([view.position for view in around])
     sides = positions / np.linalg.norm(positions, axis=1)[:, None]
     assert (sides[:, 1] > 0.3).mean() > 0.8
     assert (positions[:, 0] > 0).mean() > 0.8
 
 
-def test_auto_cameras_are_upright(table):
-    ups = np.array([-view.rotation[1] for view in auto_cameras(table, 24)])
+def test_auto_cameras_are_upright(around):
+    ups = np.array([-view.rotation[1] for view in around])
     assert np.median(ups[:, 0]) > 0.7
-    rights = np.array([view.rotation[0] for view in auto_cameras(table, 24)])
+    rights = np.array([view.rotation[0] for view in around])
     assert np.abs(rights[:, 0]).max() < 0.2
 
 
@@ -193,6 +207,7 @@ def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):
     assert inside.mean() > 0.9
 
 
+@pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize("degree", [0, 3])
 def test_noise_does_not_tell_where_cameras_were(degree, caplog):
     scene = random_scene(3000, degree, seed=9)
@@ -204,6 +219,7 @@ def test_noise_does_not_tell_where_cameras_were(degree, caplog):
     ]
 
 
+@pytest.mark.usefixtures("few_tried")
 def test_views_to_work_by_are_many_and_small(table):
     found = guiding_cameras(table, 5)
     assert [(view.width, view.height) for view in found.cameras] == [(WIDTH // 2, HEIGHT // 2)] * 20
@@ -221,6 +237,7 @@ def test_views_to_work_by_are_larger_where_gaussians_are_many():
     assert len(found.cameras) == int(np.ceil(12 * (WIDTH / 2 / size[0]) ** 2))
 
 
+@pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize(("width", "number"), [(60, 12), (WIDTH, 6), (900, 6)])
 def test_views_to_work_by_have_the_width_asked_for(still_life, width, number):
     found = guiding_cameras(still_life, 3, width)
@@ -241,6 +258,7 @@ def test_cameras_that_see_most_are_those_of_a_greedy_choice():
     assert sorted(module._see_most(weights, views, 99)) == sorted(views)
 
 
+@pytest.mark.usefixtures("few_tried")
 def test_evidence_of_cameras_is_gathered_once(table, monkeypatch):
     gathered = []
     monkeypatch.setattr(
@@ -286,6 +304,7 @@ def test_auto_cameras_fill_the_image_with_what_is_smaller_than_the_near_plane():
         assert (render(speck, view.resized(120, 80)).alpha > 0.5).mean() > 0.1
 
 
+@pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize("name", [name for name in edge_scenes() if name != "empty"])
 def test_auto_cameras_see_something_of_edge_scenes(name):
     scene = edge_scenes()[name]
@@ -299,6 +318,7 @@ def test_nothing_cannot_be_looked_at():
         auto_cameras(random_scene(0))
 
 
+@pytest.mark.usefixtures("few_tried")
 def test_auto_cameras_skip_what_is_not_finite(still_life):
     positions = still_life.positions.copy()
     positions[:, ::3] = np.nan

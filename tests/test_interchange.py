@@ -290,7 +290,7 @@ def test_wanted_steps_are_those_of_the_rules():
 def seen() -> tuple[Scene, Plan]:
     """A scene of surfaces, and a plan of cameras around it."""
     scene = generate(count=4000, sh_degree=2, seed=3)
-    return scene, Plan(Steps(), cameras(24))
+    return scene, Plan(Steps(), cameras(12))
 
 
 def loss(scene: Scene, coded: Scene, plan: Plan) -> float:

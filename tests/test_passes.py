@@ -275,7 +275,7 @@ def test_shapes_round_trip_seed15(count):
         arranged.classes, quantiser.levels, quantiser.shifts, lattice.units
     )
     rng = np.random.default_rng(15)
-    rows = rng.integers(0, 3, SHAPE_OFFSETS[-1])
+    rows = rng.integers(0, 3, SHAPE_OFFSETS[-1], np.uint16)
     data = PassData.of(coded, contexts)
     made = CodedPass(SHAPE_PASS.streams, SHAPE_PASS.cycle, rows, *vars(data).values())
     states, sections = encode_passes([made], ANY)
@@ -306,7 +306,7 @@ def test_sh_round_trip_seed16(coefficients, count):
         listed, code_bands(levels, near, shifts), strict=True
     ):
         assert not len(owners)
-        rows.append(rng.integers(0, 3, sum(item.contexts for item in one.lists)))
+        rows.append(rng.integers(0, 3, sum(item.contexts for item in one.lists), np.uint16))
         data = PassData.of(values, contexts)
         made.append(CodedPass(one.streams, one.cycle, rows[-1], *vars(data).values()))
     states, sections = encode_passes(made, ANY)
@@ -378,7 +378,7 @@ def test_colours_round_trip_seed11(count):
     levels, contexts, values = code_colours(find_all_nearest(places), colours, 300, shifts)
     assert np.all(2 * np.abs(values - colours) <= 300 << shifts)
     assert contexts.size == 0 or 0 <= contexts.min() <= contexts.max() < 288
-    rows = rng.integers(0, 3, 288)
+    rows = rng.integers(0, 3, 288, np.uint16)
     states, sections = encode_passes([made_pass(levels.ravel(), contexts.ravel(), rows)], ANY)
     reader = reader_of(states)
     data = [memoryview(sections["a"])]
@@ -394,7 +394,7 @@ def test_colours_out_of_range_are_refused(sign):
     nearest, shifts = find_all_nearest(np.ones((3, 100), np.int64)), np.full(100, 31)
     with pytest.raises(CorruptStream, match="a value out of range"):
         read_colours(
-            reader_of(states), [memoryview(sections["a"])], np.zeros(288, np.int64),
+            reader_of(states), [memoryview(sections["a"])], np.zeros(288, np.uint16),
             nearest, 1, shifts,
         )  # fmt: skip
 
@@ -407,7 +407,7 @@ def test_symbols_are_not_read_beyond_their_words(weights):
     nearest, none = find_all_nearest(np.ones((3, 700), np.int64)), np.zeros(700, np.int64)
     states = encode_passes([], tables)[0]
     levels = np.zeros((3, 3, 700), np.int32)
-    near, rows = two_nearest(nearest), np.zeros(2000, np.int64)
+    near, rows = two_nearest(nearest), np.zeros(2000, np.uint16)
     scene = random_scene(700, 0, seed=1)
     lattice = arrange_scene(scene, Config("m"), None).lattice
     empty = memoryview(bytes(4))

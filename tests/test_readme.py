@@ -35,9 +35,10 @@ def folder(tmp_path, monkeypatch):
     """A folder that holds a scene.ply, as the documents assume."""
     write_ply(tmp_path / "scene.ply", generate(1000, 1, 80))
     monkeypatch.chdir(tmp_path)
-    # Chosen views are smaller, which take the most of the time.
-    for name in ("WIDTH", "HEIGHT", "_FOCAL"):
+    # Chosen views are smaller, and of fewer, which take the most of the time.
+    for name in ("WIDTH", "HEIGHT", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):
         monkeypatch.setattr(auto_cameras, name, getattr(auto_cameras, name) // 6)
+    monkeypatch.setattr(auto_cameras, "_THUMB", (32, 21))
     # SOG takes minutes where its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")
     return tmp_path

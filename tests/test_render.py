@@ -16,6 +16,7 @@ from scenes import random_scene, shared_scene_path, with_threads
 from gs_codec.formats.ply import read_ply
 from gs_codec.rendering import renderer
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.project import _project, project
 from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene
 
 TOLERANCE = 1e-6
@@ -501,10 +502,18 @@ def test_planes_need_not_be_contiguous():
     scene = crowd(camera, 100, 2, seed=29)
     strided = {group: np.repeat(getattr(scene, group), 2, axis=1)[:, ::2] for group in GROUPS}
     fortran = {group: np.asfortranarray(getattr(scene, group)) for group in GROUPS}
+    sliced = {group: np.tile(getattr(scene, group), 2)[:, :100] for group in GROUPS}
     expected = render(scene, camera, TEAL, accumulate=True)
-    for planes in (strided, fortran):
+    compiled = set()
+    for planes in (strided, fortran, sliced):
         result = render(Scene(**planes), camera, TEAL, accumulate=True)
         assert_identical(result, expected)
+        for start, stop in ((0, 100), (40, 90)):
+            found = project(Scene(**planes), camera, True, start, stop)
+            for ours, same in zip(found, project(scene, camera, True, start, stop), strict=True):
+                np.testing.assert_array_equal(ours, same)
+        compiled.add(len(_project.signatures))
+    assert len(compiled) == 1  # none but for those that are strided
 
 
 @pytest.mark.parametrize("seed", [30, 31])

@@ -22,6 +22,7 @@ from gs_codec.formats.coordinates import OWN_SYSTEMS, turn_axes
 from gs_codec.formats.limits import check_count, most_bytes, refusing
 from gs_codec.formats.packed_values import check_finite, left_out, sigmoid, unit_quaternions
 from gs_codec.formats.similarity import move_scene
+from gs_codec.formats.usd_names import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.formats.zip_file import ZIP, write_zip
 from gs_codec.runtime.mapped import located
 from gs_codec.runtime.programs import Limits, run_on_files
@@ -29,12 +30,8 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene, join_scenes, stated_comments
 
 TEXT, CRATE = b"#usda", b"PXR-USDC"
 
-#: Suffixes of layers, and of zips of them.
-LAYERS = (".usd", ".usda", ".usdc")
+#: Suffixes of what may be read: layers, and zips of them.
 SUFFIXES = (*LAYERS, ".usdz")
-
-#: Why a usd-core before 26.3 does not do.
-WITHOUT_GAUSSIANS = "an OpenUSD without Gaussians: pip install 'gs-codec[usd]'"
 
 _SYSTEM, _SYSTEM_Z_UP = OWN_SYSTEMS[".usd"], "RFU"
 

@@ -19,7 +19,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from gs_codec.errors import GsCodecError, InvalidInput, one_line
 from gs_codec.formats.limits import FAILURES
-from gs_codec.formats.usd import LAYERS, WITHOUT_GAUSSIANS
+from gs_codec.formats.usd_names import LAYERS, WITHOUT_GAUSSIANS
 from gs_codec.scene import SH_COEFFICIENTS, float_bytes
 
 _QUOTES = "'\" "

@@ -68,17 +68,24 @@ def project(scene: Scene, camera: Camera, antialiased: bool, start: int, stop: i
     fields = np.empty((count, DEPTH + 1))
     tiles = np.empty((count, 4), np.int32)
     gaussians = np.empty(count, np.int64)
+    planes = [np.asarray(getattr(scene, group)) for group in GROUPS]
+    first = 0
+    rows = all(plane.flags.c_contiguous for plane in planes)
+    if not rows and any(plane.flags.forc for plane in planes):
+        # To compile a kernel takes seconds: there are one for rows and one for values that an
+        # optimiser holds Gaussian by Gaussian. Of other layouts, these Gaussians are copied.
+        first, planes = start, [np.ascontiguousarray(plane[:, start:stop]) for plane in planes]
     seen = _project(
-        *(np.asarray(getattr(scene, group)) for group in GROUPS),
+        *planes,
         *camera_arguments(camera),
         antialiased,
-        start,
-        stop,
+        start - first,
+        stop - first,
         fields,
         tiles,
         gaussians,
     )
-    return Splats(fields[:seen], tiles[:seen], gaussians[:seen])
+    return Splats(fields[:seen], tiles[:seen], gaussians[:seen] + first)
 
 
 @kernel

@@ -1,0 +1,271 @@
+"""The decoder in JavaScript gives the floats of that in Python; run by Node."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from damage import changed, sample, with_checksums, with_section
+from scenes import edge_scenes, encode_by, made_up_guide, random_scene, shared_scene_path
+from test_format import CASES, LATTICE_CASES, encoded, lattice_config
+
+from gs_codec.codecs import decode_scene, encode_scene
+from gs_codec.config import ADAPTIVE_PROFILES, Config
+from gs_codec.egs.file import SectionId
+from gs_codec.errors import GsCodecError
+from gs_codec.formats.ply import read_ply
+from gs_codec.scene import GROUPS, Scene, other_comments
+
+NODE = shutil.which("node")
+pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node")
+
+HERE = Path(__file__).parent
+GOLDEN = sorted((HERE / "golden").glob("*.egs"))
+
+#: Gaussians of a file of five blocks, and of each of them.
+COUNT, BLOCK = 4700, 940
+
+
+def run(*jobs: dict) -> list[dict]:
+    """What came of decoding files, one after another, in one process of Node."""
+    texts = [
+        {**job, "bytes": base64.b64encode(job["bytes"]).decode()} if "bytes" in job else job
+        for job in jobs
+    ]
+    result = subprocess.run(
+        [str(NODE), HERE / "web" / "decode.mjs"],
+        input=json.dumps(texts),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+    found = [json.loads(line) for line in result.stdout.splitlines()]
+    assert len(found) == len(jobs), result.stderr
+    return found
+
+
+def digest(scene: Scene) -> str:
+    """SHA-256 of the floats of a scene, group by group."""
+    planes = [np.ascontiguousarray(getattr(scene, group), "<f4") for group in GROUPS]
+    return hashlib.sha256(b"".join(plane.tobytes() for plane in planes)).hexdigest()
+
+
+def assert_same(found: dict, data: bytes) -> None:
+    """A job gave what the decoder in Python gives."""
+    scene = decode_scene(data)
+    assert "error" not in found, found
+    assert (found["count"], found["degree"]) == (scene.count, scene.sh_degree)
+    assert found["hash"] == found["properties"] == digest(scene)
+    assert found["coordinates"] == scene.coordinates
+    assert found["antialiased"] == scene.antialiased
+    assert found["comments"] == list(other_comments(scene.comments))
+
+
+def upto(scene: Scene, degree: int) -> Scene:
+    """A scene without what is above an SH degree."""
+    kept = (degree + 1) ** 2 - 1
+    planes = {group: getattr(scene, group) for group in GROUPS}
+    coefficients = len(scene.f_rest) // 3
+    rows = [c * coefficients + i for c in range(3) for i in range(kept)]
+    return Scene(**{**planes, "f_rest": scene.f_rest[rows]})
+
+
+@cache
+def blocks(profile: str = "m") -> bytes:
+    """A file of several blocks and classes."""
+    config = Config(profile, threads=1, block_size=1024)
+    guide = made_up_guide(seed=3) if profile in ADAPTIVE_PROFILES else None
+    return encode_by(random_scene(COUNT, 3, seed=3), config, guide)
+
+
+def test_golden_files():
+    for path, found in zip(GOLDEN, run(*({"path": str(path)} for path in GOLDEN)), strict=True):
+        if "lossless" in path.stem:
+            assert found["error"] == "UnsupportedError"
+            assert "pcodec" in found["message"]
+        else:
+            assert_same(found, path.read_bytes())
+
+
+def test_cases_of_the_paper_profiles():
+    files = [encoded(case)[0] for case in CASES]
+    for data, found in zip(files, run(*({"bytes": data} for data in files)), strict=True):
+        assert_same(found, data)
+
+
+def test_cases_of_lattices():
+    files = [
+        encode_by(make(*arguments), lattice_config(profile), guide)
+        for profile in ADAPTIVE_PROFILES
+        for make, arguments in LATTICE_CASES.values()
+        for guide in (None, made_up_guide(seed=arguments[0]))
+    ]
+    files += [encode_scene(scene, lattice_config())[0] for scene in edge_scenes().values()]
+    for data, found in zip(files, run(*({"bytes": data} for data in files)), strict=True):
+        assert_same(found, data)
+
+
+def test_real_scenes():
+    cases = [("tiny_sh3.ply", "l"), ("tiny_sh3.ply", "paper-m"), ("flowers_sh2.ply", "m")]
+    files = [
+        encode_scene(read_ply(shared_scene_path(name)), Config(profile))[0]
+        for name, profile in cases
+    ]
+    for data, found in zip(
+        files, run(*({"bytes": data, "workers": 2} for data in files)), strict=True
+    ):
+        assert_same(found, data)
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m"])
+def test_every_kind_of_source_gives_the_same(profile):
+    data = blocks(profile)
+    kinds = ["bytes", "buffer", "blob", "response", "url", "unranged"]
+    jobs = [{"bytes": data, "as": kind} for kind in kinds]
+    jobs += [{"bytes": data, "as": "stream", "chunk": size} for size in (7, 1000, len(data))]
+    jobs += [{"bytes": data, "workers": workers} for workers in (1, 3)]
+    for found in run(*jobs):
+        assert_same(found, data)
+        assert found["progress"][-1] == [len(data), len(data)]
+
+
+def test_the_example_of_the_readme(tmp_path):
+    folder = HERE.parent / "viewer" / "web"
+    lines = re.findall(r"^    (.*)", (folder / "README.md").read_text(), re.MULTILINE)
+    code = "\n".join(lines).replace("./src", (folder / "src").as_uri())
+    scene, script = tmp_path / "scene.egs", tmp_path / "example.mjs"
+    scene.write_bytes(blocks())
+    code = code.replace("'scene.egs'", f"fs.readFileSync('{scene}')")
+    first = "import * as fs from 'node:fs';\nlet shown = 0;\nconst show = () => shown++;\n"
+    script.write_text(f"{first}{code}\nconsole.log(shown, scene.count);\n")
+    result = subprocess.run([str(NODE), script], capture_output=True, text=True, check=True)
+    assert result.stdout.split() == ["20", str(COUNT)]
+
+
+def test_blocks_are_told_as_they_are_complete():
+    data = blocks()
+    (found,) = run({"bytes": data, "as": "stream", "chunk": 100})
+    expected = [[k, d, k * BLOCK, BLOCK] for k in range(5) for d in range(4)]
+    assert sorted(found["blocks"]) == expected
+    # The first block is complete but for its SH-AC long before the last.
+    assert [part[:2] for part in found["blocks"][:5]] == [[k, 0] for k in range(5)]
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m"])
+def test_a_lower_degree_is_that_of_the_scene_and_fetches_less(profile):
+    data = blocks(profile)
+    scene = decode_scene(data)
+    jobs = [{"bytes": data, "as": "stream", "chunk": 50, "shDegree": d} for d in range(4)]
+    ends = []
+    for degree, found in enumerate(run(*jobs)):
+        assert (found["degree"], found["hash"]) == (degree, digest(upto(scene, degree)))
+        ends.append(found["progress"][-1][0])
+    assert ends == sorted(set(ends))
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m"])
+def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
+    data = blocks(profile)
+    scene = decode_scene(data)
+    low, high = [-10.0, -10.0, -10.0], [10.0, 10.0, float(np.quantile(scene.positions[2], 0.02))]
+    firsts = range(0, COUNT, BLOCK)
+    met = [f for f in firsts if scene.positions[2, f : f + BLOCK].min() <= high[2]]
+    assert 0 < len(met) < len(firsts)
+    rows = np.concatenate([np.arange(f, f + BLOCK) for f in met])
+    jobs = [
+        {"bytes": data, "as": kind, "box": [low, high]} for kind in ("bytes", "url", "unranged")
+    ]
+    by_bytes, by_url, whole = run(*jobs)
+    for found in (by_bytes, by_url, whole):
+        assert found["hash"] == digest(scene.take(rows))
+    assert sum(end - begin for begin, end in by_url["asked"]) < len(data)
+    assert len(whole["asked"]) == 1
+    (none,) = run({"bytes": data, "box": [[50, 50, 50], [60, 60, 60]]})
+    assert none["count"] == 0
+
+
+def test_what_is_not_possible_is_told():
+    data = blocks()
+    future, features = bytearray(data), bytearray(data)
+    future[8], features[24] = 2, 4
+    paper = encode_scene(random_scene(40, 1), Config("paper-m"))[0]
+    jobs = [
+        ({"bytes": future}, "UnsupportedError", "header: version 2"),
+        ({"bytes": with_checksums(features)}, "UnsupportedError", "header: features 4"),
+        ({"bytes": b"ply\n" * 9}, "CorruptError", "not an .egs file"),
+        ({"bytes": b""}, "CorruptError", "cut off before byte 16"),
+        ({"bytes": data + b"\0\0\0\0"}, "CorruptError", "bytes after the last section"),
+        ({"bytes": data, "maxBytes": 1000}, "TooLargeError", "at most 1000"),
+        ({"bytes": data, "as": "missing"}, "SourceError", "404"),
+        ({"bytes": data, "as": "stream", "chunk": 99, "broken": 9000}, "SourceError", "reset"),
+        ({"bytes": data, "as": "aborted"}, "AbortError", "aborted"),
+        ({"bytes": data, "as": "number"}, "TypeError", "expected an ArrayBuffer"),
+        (
+            {"bytes": with_section(paper, SectionId.CODER, lambda _: b"x")},
+            "UnsupportedError",
+            "torchac",
+        ),
+    ]
+    for (_, error, text), found in zip(jobs, run(*(job for job, _, _ in jobs)), strict=True):
+        assert found.get("error") == error, found
+        assert text in found["message"]
+
+
+def test_errors_of_workers_are_as_here():
+    content = {}
+    for section in (SectionId.OPACITY, SectionId.LATTICE):
+        content[section] = with_section(
+            blocks(), section, lambda old: old[:-1] + bytes([old[-1] ^ 1])
+        )
+    jobs = [{"bytes": data, "workers": n} for data in content.values() for n in (0, 2)]
+    found = [(each["error"], each["message"]) for each in run(*jobs)]
+    assert found[0] == found[1]
+    assert found[2] == found[3]
+    assert {error for error, _ in found} == {"CorruptError"}
+
+
+@pytest.mark.parametrize("profile", ["m", "paper-m"])
+def test_every_truncation_is_refused(profile):
+    data = sample(profile)
+    jobs = [{"bytes": data[:size]} for size in range(len(data))]
+    for size, found in enumerate(run(*jobs)):
+        assert found.get("error") == "CorruptError", (size, found)
+
+
+def decoded(data: bytes) -> str | None:
+    """Digest of what Python decodes; None if it refuses the file."""
+    try:
+        return digest(decode_scene(data, 1, 1 << 20))
+    except GsCodecError:
+        return None
+
+
+@pytest.mark.parametrize("right", [False, True], ids=["wrong checksums", "right checksums"])
+@pytest.mark.parametrize("profile", ["m", "paper-m"])
+def test_damage_is_refused_or_gives_what_python_gives(profile, right):
+    """Of files without extra properties, which this decoder does not read."""
+    rng = np.random.default_rng(71)
+    data = encode_scene(random_scene(40, 2, seed=60), Config(profile, block_size=1024))[0]
+    files = [bytes(changed(data, rng)) for _ in range(300)]
+    files = [with_checksums(each) if right else each for each in files]
+    refused = 0
+    for each, found in zip(
+        files, run(*({"bytes": f, "maxBytes": 1 << 20} for f in files)), strict=True
+    ):
+        expected = decoded(each)
+        if expected is None:
+            refused += 1
+            kinds = ["CorruptError", "UnsupportedError", "TooLargeError"]
+            assert found.get("error") in kinds, found
+        else:
+            assert found.get("hash") == expected, found
+    assert refused > 200

@@ -1,0 +1,56 @@
+// Section "Binary coder" of FORMAT.md.
+import { check } from './errors.js';
+
+/** 131072 // (2 n + 3). */
+const RATES = Int32Array.from({ length: 256 }, (_, n) => Math.floor(131072 / (2 * n + 3)));
+
+/** Decodes decisions under adaptive contexts, all fresh at first. */
+export class BinaryCoder {
+  constructor(data, contexts, where) {
+    this.data = data;
+    this.where = where;
+    this.chances = new Uint16Array(contexts).fill(32768);
+    this.seen = new Uint8Array(contexts);
+    this.low = 0;
+    this.high = 0xffffffff;
+    this.code = 0;
+    this.shifted = 0;
+    for (let k = 0; k < 4; k++) this.code = this.code * 256 + (k < data.length ? data[k] : 0);
+  }
+
+  /** The next decision, 0 or 1. */
+  bit(context) {
+    const chance = this.chances[context];
+    const seen = this.seen[context];
+    const rate = RATES[seen];
+    const range = this.high - this.low;
+    const middle = this.low + Math.floor((range * chance) / 65536);
+    let decision = 0;
+    if (this.code <= middle) {
+      decision = 1;
+      this.high = middle;
+      this.chances[context] = chance + (Math.imul(65536 - chance, rate) >>> 16);
+    } else {
+      this.low = middle + 1;
+      this.chances[context] = chance - (Math.imul(chance, rate) >>> 16);
+    }
+    if (seen < 255) this.seen[context] = seen + 1;
+    while (((this.low ^ this.high) & 0xff000000) === 0) {
+      const byte = this.shifted + 4 < this.data.length ? this.data[this.shifted + 4] : 0;
+      this.low = (this.low << 8) >>> 0;
+      this.high = ((this.high << 8) | 255) >>> 0;
+      this.code = ((this.code << 8) | byte) >>> 0;
+      this.shifted += 1;
+    }
+    return decision;
+  }
+
+  /** Check that the data end where the decisions do. */
+  finish() {
+    let size = 0;
+    while (size < 4 && this.high - (this.high % 2 ** (32 - 8 * size)) < this.low) size++;
+    const expected = this.shifted + size;
+    const found = this.data.length;
+    check(found === expected, this.where, `${found} bytes of binary coder, expected ${expected}`);
+  }
+}

@@ -1,0 +1,256 @@
+// Sections "File", "Section table entry" and "Index" of FORMAT.md.
+import { Reader, crc32c } from './bytes.js';
+import { TooLargeError, UnsupportedError, check } from './errors.js';
+
+const MAGIC = [0x89, 0x45, 0x47, 0x53, 0x0d, 0x0a, 0x1a, 0x0a];
+const PROFILES = ['paper-l', 'paper-m', 'paper-s', 'l', 'm', 's', 'lossless'];
+const COEFFICIENTS = [0, 3, 8, 15];
+
+/** Names of sections by id. */
+const NAMES = (
+  ' channels geometry sh-dc states opacity scaling rotation sh1 sh2 sh3 comments extra lattice ' +
+  'classes low-bits index gpcc tool coder'
+).split(' ');
+
+const OF_SCENE = ['channels', 'comments', 'extra', 'lattice', 'index', 'tool', 'coder'];
+/** Sections that a file has first, in this order. */
+export const FIRST = ['index', 'channels', 'lattice', 'tool', 'coder'];
+
+/** Bytes that a reader needs to learn the size of the header. */
+export const PREFIX = 16;
+
+/** Size of the header, from the first `PREFIX` bytes of a file. */
+export function headerSize(prefix) {
+  const reader = new Reader(prefix, 'header');
+  const magic = reader.take(8);
+  check(
+    MAGIC.every((byte, k) => magic[k] === byte),
+    'header',
+    'not an .egs file',
+  );
+  const version = reader.u16();
+  if (version !== 1) throw new UnsupportedError(`version ${version} of the format`, 'header');
+  reader.u16();
+  return reader.u32();
+}
+
+/**
+ * The header of a file.
+ *
+ * Attributes beside those of the format: `profile` is a name, `coordinates` three letters or null,
+ * `coefficients` the number of SH-AC of a colour, `blocks` the number of blocks, `sections` a list
+ * of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file.
+ */
+export class Header {
+  constructor(data) {
+    const size = headerSize(data);
+    check(size >= 48 && data.length >= size, 'header', 'truncated');
+    const reader = new Reader(data.subarray(0, size), 'header');
+    reader.take(10);
+    this.minor = reader.u16();
+    reader.take(4);
+    this.count = reader.u64();
+    this.features = reader.u32();
+    const flags = reader.u16();
+    this.coordinates = coordinatesOf(reader.u8());
+    const profile = reader.u8();
+    this.degree = reader.u8();
+    const reserved = reader.take(3);
+    this.blockSize = reader.u32();
+    const sections = reader.u32();
+    check(size === 48 + 20 * sections, 'header', `${size} bytes for ${sections} sections`);
+    const table = new Reader(reader.take(20 * sections), 'section table');
+    const checksum = crc32c(data.subarray(0, reader.at));
+    check(reader.u32() === checksum, 'header', 'checksum');
+    if (this.features > 3) throw new UnsupportedError(`features ${this.features}`, 'header');
+    check(flags < 8, 'header', `flags ${flags}`);
+    this.antialiased = (flags & 4) !== 0;
+    check(profile < PROFILES.length, 'header', `profile ${profile}`);
+    this.profile = PROFILES[profile];
+    check(!(flags & 2) || this.profile === 'lossless', 'header', 'order of the input');
+    check(this.features === 0 || profile <= 2, 'header', `features with profile ${profile}`);
+    check(this.degree <= 3, 'header', `SH degree ${this.degree}`);
+    check(
+      reserved.every((byte) => byte === 0),
+      'header',
+      'reserved bytes are not 0',
+    );
+    const fits = this.blockSize >= 1 && this.blockSize <= 65536;
+    check(fits, 'header', `block size ${this.blockSize}`);
+    this.coefficients = COEFFICIENTS[this.degree];
+    this.blocks = Math.ceil(this.count / this.blockSize);
+    this.end = size;
+    this.sections = Array.from({ length: sections }, () => this.#entry(table));
+    this.#checkTable();
+  }
+
+  #entry(table) {
+    const id = table.u16();
+    const flags = table.u16();
+    const block = table.u32();
+    const size = table.u64();
+    const checksum = table.u32();
+    const name = NAMES[id] ?? '';
+    const where = `section ${name || id} of block ${block}`;
+    check(flags < 2, where, `flags ${flags}`);
+    if (!name && flags !== 1) throw new UnsupportedError('not known, and not optional', where);
+    const at = this.end;
+    this.end += paddedSize({ size });
+    check(Number.isSafeInteger(this.end), where, 'size');
+    const blocks = OF_SCENE.includes(name) ? 1 : this.blocks;
+    check(!name || block < blocks, where, 'there is no such block');
+    return { id, name, block, at, size, checksum };
+  }
+
+  #checkTable() {
+    const seen = new Set(this.sections.map(({ id, block }) => `${id} ${block}`));
+    check(seen.size === this.sections.length, 'section table', 'a section occurs twice');
+    const names = this.sections.map((entry) => entry.name);
+    const first = FIRST.filter((name) => names.includes(name));
+    check(
+      first.every((name, k) => names[k] === name),
+      'section table',
+      'out of order',
+    );
+  }
+
+  /** Number of Gaussians of a block. */
+  blockCount(block) {
+    return Math.min(this.blockSize, this.count - block * this.blockSize);
+  }
+
+  /**
+   * Refuse a file of another size, and a scene whose floats take more than `maxBytes`.
+   *
+   * @param {number | undefined} size of the file; undefined where it is not known
+   */
+  checkSize(size, maxBytes = Math.max(2 ** 30, 1000 * (size ?? 0))) {
+    if (size !== undefined) {
+      check(size >= this.end, 'file', `cut off before byte ${this.end}`);
+      check(size === this.end, 'file', 'bytes after the last section');
+    }
+    const floats = 4 * this.count * (14 + 3 * this.coefficients);
+    if (floats > maxBytes)
+      throw new TooLargeError(`${floats} bytes of floats, at most ${maxBytes}`);
+  }
+
+  /**
+   * Check that exactly these sections are there, beside comments and extra.
+   *
+   * @param {string[]} ofScene
+   * @param {string[]} ofBlocks
+   */
+  checkPresence(ofScene, ofBlocks) {
+    const scene = this.count > 0 ? [...ofScene, 'index'] : ofScene;
+    const free = ['', 'comments', 'extra'];
+    const counts = new Map();
+    for (const { name } of this.sections) {
+      if (!free.includes(name)) counts.set(name, (counts.get(name) ?? 0) + 1);
+    }
+    const expected = new Map(scene.map((name) => [name, 1]));
+    if (this.blocks > 0) for (const name of ofBlocks) expected.set(name, this.blocks);
+    for (const name of new Set([...counts.keys(), ...expected.keys()])) {
+      const [found, wanted] = [counts.get(name) ?? 0, expected.get(name) ?? 0];
+      check(found === wanted, `section ${name}`, `${found} of them, expected ${wanted}`);
+    }
+  }
+}
+
+function coordinatesOf(number) {
+  if (number === 0) return null;
+  const axes = [Math.floor((number - 1) / 36), Math.floor((number - 1) / 6) % 6, (number - 1) % 6];
+  const spans = new Set(axes.map((axis) => axis >> 1));
+  check(axes[0] < 2 && spans.size === 3, 'header', `coordinates ${number}`);
+  return axes.map((axis) => 'RLUDBF'[axis]).join('');
+}
+
+/** Bytes that a section takes, with its padding. */
+export const paddedSize = (entry) => 4 * Math.ceil(entry.size / 4);
+
+/** Bytes of a section, of which the padding follows, after checks. */
+export function checked(entry, bytes) {
+  const where = `section ${entry.name} of block ${entry.block}`;
+  const content = bytes.subarray(0, entry.size);
+  check(content.length === entry.size, where, 'truncated');
+  check(crc32c(content) === entry.checksum, where, 'checksum');
+  const padding = bytes.subarray(entry.size, paddedSize(entry));
+  check(
+    padding.every((byte) => byte === 0),
+    where,
+    'padding is not 0',
+  );
+  return content;
+}
+
+/**
+ * Boxes of the blocks.
+ *
+ * @returns {{centres: number[][], reach: number[][]}[]} lowest and highest x, y, z of each
+ */
+export function readIndex(content, blocks) {
+  check(content.length === 48 * blocks, 'index', `${content.length} bytes for ${blocks} blocks`);
+  const reader = new Reader(content, 'index');
+  const point = () => [reader.f32(), reader.f32(), reader.f32()];
+  return Array.from({ length: blocks }, (_, block) => {
+    const [low, high, lowest, highest] = [point(), point(), point(), point()];
+    const finite = [...low, ...high, ...lowest, ...highest].every(Number.isFinite);
+    const nested = low.every(
+      (_, k) => lowest[k] <= low[k] && low[k] <= high[k] && high[k] <= highest[k],
+    );
+    check(finite && nested, 'index', `boxes of block ${block}`);
+    return { centres: [low, high], reach: [lowest, highest] };
+  });
+}
+
+/** Check that the box of a block is that of its centres, planes x, y, z of `count` values. */
+export function checkBox([low, high], planes, count, block) {
+  for (let axis = 0; axis < 3; axis++) {
+    let [least, most] = [Infinity, -Infinity];
+    for (let k = axis * count; k < (axis + 1) * count; k++) {
+      if (planes[k] < least && planes[k] > -Infinity) least = planes[k];
+      if (planes[k] > most && planes[k] < Infinity) most = planes[k];
+    }
+    if (least > most) [least, most] = [0, 0];
+    // A zero is 0, not -0.
+    const same = Object.is(low[axis], least + 0) && Object.is(high[axis], most + 0);
+    check(same, 'index', `box of the centres of block ${block}`);
+  }
+}
+
+/** Lines of the section `comments`. */
+export function readComments(content) {
+  check(content.length <= 2 ** 20, 'comments', 'above 2^20 bytes');
+  const printable = content.every(
+    (byte) => (byte >= 32 && byte <= 126) || byte === 9 || byte === 10,
+  );
+  check(printable, 'comments', 'other than printable ASCII and tabs');
+  const lines = new TextDecoder().decode(content).split('\n');
+  for (const line of lines) check(!ofHeader(line), 'comments', `belongs into the header: ${line}`);
+  return lines;
+}
+
+/** Whether a line states the coordinate system or antialiasing. */
+function ofHeader(line) {
+  const text = line.replace(/^[ \t]+|[ \t]+$/g, '').toUpperCase();
+  const system = /^COORDINATESYSTEM:[ \t]*([RLUDBF]{3})$/.exec(text);
+  if (system) {
+    const axes = [...system[1]].map((letter) => 'RLUDBF'.indexOf(letter));
+    return axes[0] < 2 && new Set(axes.map((axis) => axis >> 1)).size === 3;
+  }
+  return /^(SPLATRENDERMODE:[ \t]*|ANTIALIASED[ \t]+)[A-Z0-9_]+$/.test(text);
+}
+
+/** Refuse what this decoder does not read. */
+export function checkSupport(header) {
+  if (header.profile === 'lossless') {
+    throw new UnsupportedError(
+      'profile lossless: this decoder has no pcodec; encode it with l, m or s',
+    );
+  }
+  const programs = ['', 'G-PCC', 'torchac', 'G-PCC and torchac'];
+  if (header.features > 0) {
+    throw new UnsupportedError(
+      `coded by ${programs[header.features]}, which this decoder does not read`,
+    );
+  }
+}

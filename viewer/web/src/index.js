@@ -1,0 +1,213 @@
+// Decoder of .egs files (gs_codec), written from FORMAT.md.
+import {
+  FIRST,
+  Header,
+  PREFIX,
+  checkBox,
+  checkSupport,
+  checked,
+  headerSize,
+  paddedSize,
+  readComments,
+  readIndex,
+} from './container.js';
+import { CorruptError, check } from './errors.js';
+import { Here, WorkerPool } from './pool.js';
+import { Scene } from './scene.js';
+import { openSource } from './source.js';
+
+export * from './errors.js';
+export { Scene };
+
+/** Sections of a block that its first part needs. */
+const BASE = 'geometry sh-dc states opacity scaling rotation classes low-bits'.split(' ');
+
+const BANDS = ['sh1', 'sh2', 'sh3'];
+
+/**
+ * Decode an .egs file.
+ *
+ * @param {ArrayBuffer | ArrayBufferView | Blob | Response | ReadableStream | string | URL} source
+ *   the file, or where it is
+ * @param {object} [options]
+ * @param {number} [options.shDegree] highest SH degree that is decoded, 0-3; what is above is not
+ *   even fetched, if the file has it last, as ours have
+ * @param {number[][]} [options.box] lowest and highest x, y, z: only blocks that have centres in
+ *   there are decoded, and fetched by ranges if the source is a URL
+ * @param {(scene: Scene, part: object) => void} [options.onBlock] called when `part.count`
+ *   Gaussians, from `part.first` on, of `part.block`, are there up to `part.degree`
+ * @param {(bytes: number, of: number) => void} [options.onProgress] called with bytes read
+ * @param {number} [options.workers] how many decode at once; 0 is this thread
+ * @param {() => Worker} [options.createWorker] a worker that runs `worker.js`, where it cannot be
+ *   found beside this module
+ * @param {number} [options.maxBytes] most bytes of a scene's floats; by default 1 GiB or, where its
+ *   size is known, 1000 times the file
+ * @param {AbortSignal} [options.signal]
+ * @returns {Promise<Scene>}
+ * @throws {CorruptError | UnsupportedError | TooLargeError | SourceError}
+ */
+export async function decode(source, options = {}) {
+  const input = await openSource(source, options.box !== undefined, options.signal);
+  try {
+    return await new Decoding(input, options).run();
+  } finally {
+    await input.close();
+  }
+}
+
+const defaultWorkers = () =>
+  typeof Worker === 'function' ? Math.min(globalThis.navigator?.hardwareConcurrency ?? 1, 4) : 0;
+
+const defaultWorker = () => new Worker(new URL('./worker.js', import.meta.url), { type: 'module' });
+
+/** Most bytes that are read at once, so that what has come is decoded meanwhile. */
+const AT_ONCE = 2 ** 20;
+
+class Decoding {
+  constructor(input, options) {
+    this.input = input;
+    this.options = options;
+    this.blocks = new Map(); // by number: where a block begins, and what of it waits
+    this.pending = [];
+    this.failure = null;
+  }
+
+  async run() {
+    const header = (this.header = await this.#readHeader());
+    const { input, options } = this;
+    checkSupport(header);
+    header.checkSize(input.size, options.maxBytes);
+    this.degree = Math.min(options.shDegree ?? 3, header.degree);
+    this.commonName = header.profile.startsWith('paper') ? 'channels' : 'lattice';
+    const { sections } = header;
+    const leading = sections.findIndex(({ name }) => !FIRST.includes(name));
+    const split = leading < 0 ? sections.length : leading;
+    let comments = [];
+    try {
+      await this.#read(sections.slice(0, split), (entry, content) => {
+        if (entry.name === 'index') this.boxes = readIndex(content, header.blocks);
+        if (entry.name === this.commonName) this.common = content;
+      });
+      this.#begin();
+      await this.#read(
+        sections.slice(split).filter((entry) => this.#wants(entry)),
+        (entry, content) => {
+          if (entry.name === 'comments') comments = readComments(content);
+          else this.#take(entry, content);
+        },
+      );
+      await Promise.all(this.pending);
+    } finally {
+      this.pool?.close();
+    }
+    const isWhole = !options.box && this.degree === header.degree;
+    if (isWhole && !(await input.endsAt(header.end))) {
+      throw new CorruptError('bytes after the last section', 'file');
+    }
+    this.scene.comments = comments;
+    return this.scene;
+  }
+
+  async #readHeader() {
+    const { input } = this;
+    const prefix = await input.read(0, PREFIX);
+    const rest = await input.read(PREFIX, headerSize(prefix));
+    const data = new Uint8Array(PREFIX + rest.length);
+    data.set(prefix);
+    data.set(rest, PREFIX);
+    return new Header(data);
+  }
+
+  /** Read sections, neighbours together, and hand them on. */
+  async #read(entries, take) {
+    const { input, options, header } = this;
+    for (let k = 0; k < entries.length;) {
+      const begin = entries[k].at;
+      let end = begin;
+      let next = k;
+      do end += paddedSize(entries[next++]);
+      while (entries[next]?.at === end && end - begin < AT_ONCE);
+      const data = await input.read(begin, end);
+      options.signal?.throwIfAborted();
+      if (this.failure) throw this.failure;
+      for (; k < next; k++) {
+        const entry = entries[k];
+        take(entry, checked(entry, data.subarray(entry.at - begin)));
+      }
+      options.onProgress?.(end, header.end);
+    }
+  }
+
+  /** Learn from the first sections which blocks there are and what they have. */
+  #begin() {
+    const { header, options, degree } = this;
+    const name = this.commonName;
+    const isPaper = name === 'channels';
+    const bands = BANDS.slice(0, header.degree);
+    check(this.common !== undefined, `section ${name}`, 'missing');
+    const setup = { content: this.common, degree: header.degree, wanted: degree, isPaper };
+    const here = new Here(setup);
+    const names = isPaper ? here.sections : [...BASE, ...bands];
+    header.checkPresence([name], names);
+    // What each part of a block needs.
+    const wanted = [names.filter((each) => !BANDS.includes(each))];
+    for (const band of bands.slice(0, degree)) wanted.push(names.filter((each) => each === band));
+    this.parts = wanted;
+    let first = 0;
+    for (let block = 0; block < header.blocks; block++) {
+      if (!meets(this.boxes[block].centres, options.box)) continue;
+      this.blocks.set(block, { first, sections: {}, next: 0 });
+      first += header.blockCount(block);
+    }
+    this.scene = new Scene(header, first, degree);
+    const workers = Math.min(options.workers ?? defaultWorkers(), this.blocks.size);
+    const create = options.createWorker ?? defaultWorker;
+    this.pool = workers > 0 ? new WorkerPool(setup, workers, create) : here;
+    // Values of blocks without sections are constant.
+    if (wanted[0].length === 0) for (const block of this.blocks.keys()) this.#advance(block);
+  }
+
+  #wants({ name, block }) {
+    const isPart = this.parts.some((names) => names.includes(name));
+    return name === 'comments' || (isPart && this.blocks.has(block));
+  }
+
+  /** Take a section of a block. */
+  #take({ name, block }, content) {
+    // A copy: the bytes that were read are of other sections too, and go to a worker.
+    this.blocks.get(block).sections[name] = content.slice();
+    this.#advance(block);
+  }
+
+  /** Decode what is complete of a block. */
+  #advance(block) {
+    const waiting = this.blocks.get(block);
+    const { sections } = waiting;
+    for (; waiting.next <= this.degree; waiting.next++) {
+      const names = this.parts[waiting.next];
+      if (!names.every((name) => sections[name])) return;
+      const given = Object.fromEntries(names.map((name) => [name, sections[name]]));
+      for (const name of names) delete sections[name];
+      const done = this.#decode(block, waiting.next, given);
+      done.catch((error) => (this.failure ??= error));
+      this.pending.push(done);
+    }
+  }
+
+  async #decode(block, part, sections) {
+    const { header, scene, options } = this;
+    const { first } = this.blocks.get(block);
+    const count = header.blockCount(block);
+    const planes = await this.pool.decode({ block, count, part, sections });
+    options.signal?.throwIfAborted();
+    if (part === 0) checkBox(this.boxes[block].centres, planes, count, block);
+    scene.put(part, planes, first, count);
+    options.onBlock?.(scene, { block, first, count, degree: part });
+  }
+}
+
+/** Whether two boxes have a point in common. */
+function meets([low, high], box) {
+  if (box === undefined) return true;
+  return low.every((value, axis) => value <= box[1][axis] && high[axis] >= box[0][axis]);
+}

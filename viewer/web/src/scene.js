@@ -1,0 +1,81 @@
+// A decoded scene.
+
+/** Planes of the arrays of a scene, in the order of a block's first part. */
+const ARRAYS = [
+  ['positions', 3],
+  ['fDc', 3],
+  ['opacity', 1],
+  ['logScale', 3],
+  ['rotation', 4],
+];
+
+/**
+ * Gaussians, as the INRIA trainer's PLY has them: planar, one value of each Gaussian after another.
+ *
+ * `positions`: x, y, z; `fDc`: R, G, B; `fRest`: all SH-AC of R, then of G, then of B; `opacity`:
+ * logits; `logScale`: natural logarithms; `rotation`: w, x, y, z, of length 1 (paper-*: any).
+ * `coordinates` says where x, y, z point (three letters of RLUDBF), or is null.
+ */
+export class Scene {
+  constructor(header, count, degree) {
+    this.count = count;
+    this.degree = degree;
+    this.coefficients = (degree + 1) ** 2 - 1;
+    for (const name of ['profile', 'coordinates', 'antialiased']) this[name] = header[name];
+    this.comments = [];
+    for (const [name, planes] of ARRAYS) this[name] = new Float32Array(planes * count);
+    this.fRest = new Float32Array(3 * this.coefficients * count);
+  }
+
+  /** Names of the properties, as in a PLY file. */
+  get properties() {
+    const numbered = (name, count) => Array.from({ length: count }, (_, k) => `${name}_${k}`);
+    return [
+      'x',
+      'y',
+      'z',
+      ...numbered('f_dc', 3),
+      ...numbered('f_rest', 3 * this.coefficients),
+      'opacity',
+      ...numbered('scale', 3),
+      ...numbered('rot', 4),
+    ];
+  }
+
+  /** The plane of a property, which shares memory with the scene. */
+  property(name) {
+    const [, kind, number] = /^(.*?)(?:_(\d+))?$/.exec(name);
+    const arrays = {
+      f_dc: this.fDc,
+      f_rest: this.fRest,
+      scale: this.logScale,
+      rot: this.rotation,
+      opacity: this.opacity,
+      x: this.positions,
+      y: this.positions,
+      z: this.positions,
+    };
+    if (!this.properties.includes(name)) throw new RangeError(`no property ${name}`);
+    const plane = 'xyz'.includes(kind) ? 'xyz'.indexOf(kind) : Number(number ?? 0);
+    return arrays[kind].subarray(plane * this.count, (plane + 1) * this.count);
+  }
+
+  /** Take a part of a block, whose first Gaussian is `first` of the scene. */
+  put(part, planes, first, count) {
+    const copy = (array, plane, from) => {
+      const values = planes.subarray(from * count, (from + 1) * count);
+      array.set(values, plane * this.count + first);
+    };
+    let from = 0;
+    if (part === 0) {
+      for (const [name, size] of ARRAYS) {
+        for (let plane = 0; plane < size; plane++) copy(this[name], plane, from++);
+      }
+      return;
+    }
+    const [begin, end] = [part ** 2 - 1, (part + 1) ** 2 - 1];
+    for (let colour = 0; colour < 3; colour++) {
+      for (let i = begin; i < end; i++) copy(this.fRest, colour * this.coefficients + i, from++);
+    }
+  }
+}

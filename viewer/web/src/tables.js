@@ -1,0 +1,102 @@
+// Sections "Frequency tables", "Sent tables" and "rANS" of FORMAT.md.
+import { BinaryCoder } from './binary.js';
+import { check } from './errors.js';
+
+export const LANES = 32;
+const LEAST_STATE = 65536;
+
+/** Frequencies of sum 2^precision of symbols of these weights. */
+export function frequencies(weights, precision, where) {
+  const size = 2 ** precision;
+  let total = 0;
+  let positive = 0;
+  for (const weight of weights) {
+    total += weight;
+    positive += weight > 0;
+  }
+  check(positive > 0 && positive <= size, where, 'a table without symbols, or of too many');
+  const result = new Uint32Array(weights.length);
+  const rests = [];
+  let difference = size;
+  for (let q = 0; q < weights.length; q++) {
+    const share = Math.floor((weights[q] * size) / total);
+    if (share > 0) rests.push({ q, rest: weights[q] * size - share * total });
+    result[q] = weights[q] > 0 ? Math.max(share, 1) : 0;
+    difference -= result[q];
+  }
+  rests.sort((a, b) => b.rest - a.rest || a.q - b.q);
+  for (let k = 0; k < difference; k++) result[rests[k].q] += 1;
+  for (; difference < 0; difference++) {
+    let largest = 0;
+    for (let q = 1; q < result.length; q++) if (result[q] > result[largest]) largest = q;
+    result[largest] -= 1;
+  }
+  return result;
+}
+
+/** Weights of tables of these `{size, mantissa}`. */
+export function sentTables(data, shapes) {
+  const where = 'sent tables';
+  if (shapes.length === 0) {
+    check(data.length === 0, where, 'bytes after the end');
+    return [];
+  }
+  const coder = new BinaryCoder(data, 94, where);
+  const tables = shapes.map((shape) => sentTable(coder, shape));
+  coder.finish();
+  return tables;
+}
+
+function sentTable(coder, { size, mantissa }) {
+  const large = size > 32 ? 1 : 0;
+  const weights = new Float64Array(size);
+  let length = 0;
+  let changed = 1;
+  for (let q = 0; q < size; q++) {
+    const kind = 3 * large + (length === 0 ? 2 : changed);
+    changed = 0;
+    if (!coder.bit(kind)) {
+      changed = 1;
+      const shorter = coder.bit(6 + kind);
+      let difference = 1;
+      while (difference < 33 && coder.bit(12 + 33 * large + difference - 1)) difference++;
+      length += shorter ? -difference : difference;
+      check(length >= 0 && length <= 32, coder.where, 'length of a weight outside 0-32');
+    }
+    if (length === 0) continue;
+    let weight = 1;
+    for (let j = 0; j < length - 1; j++) {
+      weight = 2 * weight + (j < mantissa ? coder.bit(78 + j) : 0);
+    }
+    weights[q] = weight;
+  }
+  return weights;
+}
+
+/** Initial states of `count` lanes. */
+export function firstStates(reader, count) {
+  const states = new Uint32Array(count);
+  for (let lane = 0; lane < count; lane++) {
+    states[lane] = reader.u32();
+    check(states[lane] >= LEAST_STATE, reader.where, 'a state below 2^16');
+  }
+  reader.finish();
+  return states;
+}
+
+export function checkLastStates(states) {
+  check(
+    states.every((state) => state === LEAST_STATE),
+    'states',
+    'wrong after the last symbol',
+  );
+}
+
+/** Words of a section as u16, wherever they begin. */
+export function wordsOf(bytes, where) {
+  check(bytes.length % 2 === 0, where, 'half a word');
+  if (bytes.byteOffset % 2 === 0) {
+    return new Uint16Array(bytes.buffer, bytes.byteOffset, bytes.length / 2);
+  }
+  return new Uint16Array(bytes.slice().buffer);
+}

@@ -117,7 +117,7 @@ $(VENV)/installed-test: pyproject.toml .ci/system-packages
 # torch 2.13.0 is pinned because other releases may bring gigabytes of CUDA.
 $(VENV)/installed-all: pyproject.toml .ci/system-packages
 	@echo "Installing gs-codec and all that tests need into $(VENV), two gigabytes: torch, torchac and g++ for the paper's"
-	@echo "coder; Dask and sshfs for clusters and places elsewhere; OpenCV for photographs; usd-core; openssh-server to put files on; Xvfb and xdotool for windows"
+	@echo "coder; Dask and sshfs for clusters and places elsewhere; OpenCV for photographs; usd-core; openssh-server to put files on; Xvfb and xdotool for windows; Node"
 	.ci/system-packages all
 	$(NEW_VENV)
 	$(PIP) install --no-compile torch==2.13.0 -e '.[cluster,paper,test,undistort,usd]'

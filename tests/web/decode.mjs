@@ -46,6 +46,7 @@ function streamed(data, { chunk, broken = Infinity, stalled = Infinity }, as = b
       if (at >= data.length) return controller.close();
       return controller.enqueue(as(data.subarray(at, (at += chunk))));
     },
+    cancel: () => (at >= stalled ? new Promise(() => {}) : undefined),
   });
 }
 

@@ -40,11 +40,11 @@ const BANDS = ['sh1', 'sh2', 'sh3'];
  * @param {number} [options.workers] how many decode at once; 0 is this thread
  * @param {() => Worker} [options.createWorker] a worker that runs `worker.js`, where it cannot be
  *   found beside this module
- * @param {number} [options.maxBytes] most bytes of a scene's floats; by default 1 GiB or, where its
+ * @param {number} [options.maxBytes] most bytes of the file's floats; by default 1 GiB or, where its
  *   size is known, 1000 times the file
  * @param {AbortSignal} [options.signal]
  * @returns {Promise<Scene>}
- * @throws {CorruptError | UnsupportedError | TooLargeError | SourceError}
+ * @throws {EgsError} one of its classes; the signal's reason; RangeError of options
  */
 export async function decode(source, options = {}) {
   checkOptions(options);
@@ -63,7 +63,7 @@ export async function decode(source, options = {}) {
   } finally {
     signal?.removeEventListener('abort', abort);
     decoding.close();
-    await input.close();
+    input.close();
   }
 }
 

@@ -88,7 +88,7 @@ class MemorySource {
     return this.data.length === end;
   }
 
-  async close() {}
+  close() {}
 }
 
 /** Reads forward only. */
@@ -137,8 +137,9 @@ class StreamSource {
     return false;
   }
 
-  async close() {
-    await this.reader.cancel().catch(() => {});
+  /** Not waited for: a stream that gives nothing more may not end at once either. */
+  close() {
+    this.reader.cancel().catch(() => {});
   }
 }
 
@@ -171,7 +172,7 @@ class RangeSource {
       const bytes = await part.read(begin, end);
       if (await part.endsAt(end)) return bytes;
     } finally {
-      await part.close();
+      part.close();
     }
     throw new SourceError(`${this.url}: more bytes than were asked for`);
   }
@@ -180,7 +181,7 @@ class RangeSource {
     return true; // It was not asked for more.
   }
 
-  async close() {
-    await this.whole?.close();
+  close() {
+    this.whole?.close();
   }
 }

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import reference_tools
 from damage import changed, sample, with_checksums, with_section
 from scenes import edge_scenes, encode_by, made_up_guide, random_scene, shared_scene_path
 from test_format import CASES, LATTICE_CASES, encoded, lattice_config
@@ -132,9 +133,12 @@ def test_every_kind_of_source_gives_the_same(profile):
     kinds = ["bytes", "buffer", "blob", "response", "url", "unranged"]
     jobs = [{"bytes": data, "as": kind} for kind in kinds]
     jobs += [{"bytes": data, "as": "stream", "chunk": size} for size in (7, 1000, len(data))]
+    jobs += [{"bytes": data, "as": "buffers", "chunk": size} for size in (999, len(data))]
     jobs += [{"bytes": data, "workers": workers} for workers in (1, 3)]
+    jobs += [{"bytes": data, "as": kind} for kind in ("moved", "crossing")]
     for found in run(*jobs):
         assert_same(found, data)
+        assert found["alive"] == 0
         assert found["progress"][-1] == [len(data), len(data)]
 
 
@@ -218,6 +222,110 @@ def test_what_is_not_possible_is_told():
     for (_, error, text), found in zip(jobs, run(*(job for job, _, _ in jobs)), strict=True):
         assert found.get("error") == error, found
         assert text in found["message"]
+
+
+WHOLE = [[-1e9] * 3, [1e9] * 3]
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "text"),
+    [
+        ("longer", "SourceError", "more bytes than were asked for"),
+        ("shorter", "CorruptError", "cut off before byte 16"),
+        ("others", "CorruptError", "not an .egs file"),
+        ("none", "CorruptError", "cut off before byte 16"),
+        ("failing", "SourceError", "503 Service Unavailable"),
+        ("cut", "SourceError", "connection lost"),
+    ],
+)
+def test_servers_that_answer_wrongly_to_ranges(answer, error, text):
+    (found,) = run({"bytes": blocks(), "as": "url", "answer": answer, "box": WHOLE})
+    assert found.get("error") == error, found
+    assert text in found["message"]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_signal_ends_what_waits(workers):
+    data = blocks()
+    stalled = {"chunk": 1000, "stalled": len(data) // 2}
+    cases = [{"abort": "before"}, {"abort": "progress"}, {"abort": "block"}]
+    cases += [{"abort": "stalled", **stalled}, {"abort": "stalled", **stalled, "reason": "mine"}]
+    jobs = [{"bytes": data, "as": "aborted", "workers": workers, **case} for case in cases]
+    for job, found in zip(jobs, run(*jobs), strict=True):
+        expected = "Error" if "reason" in job else "AbortError"
+        assert (found.get("error"), found["alive"]) == (expected, 0), (job, found)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_errors_end_what_waits(workers):
+    """Of a damaged block, while nothing more comes; of the caller's functions."""
+    damaged = with_section(blocks(), SectionId.OPACITY, lambda old: old[:-1])
+    jobs = [
+        {"bytes": damaged, "as": "stream", "chunk": 1000, "stalled": 4 * len(damaged) // 5},
+        {"bytes": blocks(), "as": "thrown"},
+        {"bytes": blocks(), "as": "text", "chunk": 1000},
+    ]
+    found = run(*({**job, "workers": workers} for job in jobs))
+    assert [each["error"] for each in found] == ["CorruptError", "Error", "TypeError"]
+    assert [each["alive"] for each in found] == [0, 0, 0]
+    assert found[0]["where"] == "opacity"
+
+
+@pytest.mark.parametrize("kind", ["missing", "refused"])
+@pytest.mark.parametrize("source", [{}, {"as": "stream", "chunk": 2000}])
+def test_workers_that_cannot_be_had(kind, source):
+    (found,) = run({"bytes": blocks(), "workers": 3, "createWorker": kind, **source})
+    assert (found.get("error"), found["alive"]) == ("WorkerError", 0), found
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"shDegree": -1},
+        {"shDegree": 1.5},
+        {"box": None},
+        {"box": [0, 0, 0, 1, 1, 1]},
+        {"box": [[0, 0, 0], [1, 1, "1"]]},
+        {"maxBytes": "much"},
+    ],
+    ids=str,
+)
+def test_options_that_mean_nothing_are_refused(options):
+    (found,) = run({"bytes": blocks(), **options})
+    assert found.get("error") == "RangeError", found
+
+
+def test_sizes_of_headers_that_are_not_possible():
+    data = bytearray(blocks())
+    for size in (0, 15, 47, 49):
+        data[12:16] = size.to_bytes(4, "little")
+        for found in run({"bytes": data}, {"bytes": data, "as": "stream", "chunk": 99}):
+            assert (found["error"], found["message"]) == (
+                "CorruptError",
+                f"header: {size} bytes",
+            )
+
+
+def test_a_long_comment_of_spaces_takes_no_time_to_search():
+    data = with_section(blocks(), SectionId.COMMENTS, lambda _: b"a" + b" " * 1000000 + b"b")
+    (found,) = run({"bytes": data})
+    assert_same(found, data)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tables_of_many_rare_symbols(seed):
+    """Almost all of which take slots from the frequent ones, equal ones among these."""
+    rng = np.random.default_rng(seed)
+    cases = []
+    for size, precision in ((1, 8), (5, 8), (256, 8), (300, 9), (4096, 12), (4096, 13)):
+        weights = np.ones(size, np.int64)
+        frequent = rng.integers(size, size=1 + size // 50)
+        weights[frequent] = rng.choice([1 << 20, 1 << 31, (1 << 32) - 1], len(frequent))
+        weights[rng.integers(size, size=size // 9)] = 0
+        cases.append({"weights": weights.tolist(), "precision": precision})
+    for case, found in zip(cases, run(*cases), strict=True):
+        expected = reference_tools.frequencies(case["weights"], case["precision"])
+        assert found["frequencies"] == expected
 
 
 def test_errors_of_workers_are_as_here():

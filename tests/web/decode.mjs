@@ -5,43 +5,82 @@ import { createServer } from 'node:http';
 import { Worker } from 'node:worker_threads';
 
 import { decode } from '../../viewer/web/src/index.js';
+import { frequencies } from '../../viewer/web/src/tables.js';
 
 const ARRAYS = ['positions', 'fDc', 'fRest', 'opacity', 'logScale', 'rotation'];
 
+/** Workers that were created and not terminated. */
+let alive = 0;
+
 /** A worker of Node that looks like one of a browser. */
-function nodeWorker() {
-  const worker = new Worker(new URL('./node_worker.mjs', import.meta.url));
+function nodeWorker(script = './node_worker.mjs') {
+  const worker = new Worker(new URL(script, import.meta.url));
+  alive++;
   const wrapped = {
-    postMessage: (message) => worker.postMessage(message),
-    terminate: () => worker.terminate(),
+    postMessage: (...message) => worker.postMessage(...message),
+    terminate: () => {
+      alive--;
+      return worker.terminate();
+    },
   };
   worker.on('message', (data) => wrapped.onmessage({ data }));
   worker.on('error', (error) => wrapped.onerror(error));
   return wrapped;
 }
 
-/** A stream of chunks of a size, which ends with an error after `broken` bytes. */
-function streamed(data, size, broken = Infinity) {
+const bytes = (data) => new Uint8Array(data);
+
+/** Chunks that are not at the beginning of their memory, as those of files in Node. */
+const buffers = (data) => Buffer.concat([Buffer.alloc(1), data]).subarray(1);
+
+/**
+ * A stream of chunks of a size, which ends with an error after `broken` bytes, and of which nothing
+ * more comes after `stalled` bytes.
+ */
+function streamed(data, { chunk, broken = Infinity, stalled = Infinity }, as = bytes) {
   let at = 0;
   return new ReadableStream({
     pull(controller) {
-      if (at >= broken) controller.error(new Error('reset'));
-      else if (at >= data.length) controller.close();
-      else controller.enqueue(new Uint8Array(data.subarray(at, (at += size))));
+      if (at >= stalled) return new Promise(() => {});
+      if (at >= broken) return controller.error(new Error('reset'));
+      if (at >= data.length) return controller.close();
+      return controller.enqueue(as(data.subarray(at, (at += chunk))));
     },
+    cancel: () => (at >= stalled ? new Promise(() => {}) : undefined),
   });
 }
 
+/** What servers, good and bad ones, answer to a range from `begin` to `end`. */
+const ANSWERS = {
+  ranges: (data, begin, end) => [206, data.subarray(begin, end)],
+  whole: (data) => [200, data],
+  longer: (data, begin, end) => [206, data.subarray(begin, end + 1)],
+  shorter: (data, begin, end) => [206, data.subarray(begin, end - 1)],
+  others: (data, begin, end) => [206, data.subarray(begin + 4, end + 4)],
+  none: () => [416, ''],
+  failing: (data, begin, end) => (begin > 0 ? [503, ''] : [206, data.subarray(begin, end)]),
+};
+
 /** Serve a file; what was asked for goes to `asked`. */
-async function served(data, ranges, asked, work) {
+async function served(data, answer, asked, work) {
   const server = createServer((request, response) => {
     const range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? '');
     asked.push(range ? [Number(range[1]), Number(range[2]) + 1] : null);
+    if (request.url === '/moved.egs') {
+      return response.writeHead(302, { Location: '/scene.egs' }).end();
+    }
     if (request.url !== '/scene.egs') return response.writeHead(404).end();
-    if (!range || !ranges) return response.writeHead(200).end(data);
-    return response
-      .writeHead(206, { 'Content-Range': `bytes ${range[1]}-${range[2]}/${data.length}` })
-      .end(data.subarray(Number(range[1]), Number(range[2]) + 1));
+    if (!range) return response.writeHead(200).end(data);
+    const [begin, end] = [Number(range[1]), Number(range[2]) + 1];
+    if (answer === 'cut') {
+      response
+        .writeHead(206, { 'Content-Length': end - begin })
+        .write(data.subarray(begin, begin + 1));
+      return setTimeout(() => response.destroy(), 20);
+    }
+    const [status, body] = ANSWERS[answer](data, begin, end);
+    const headers = { 'Content-Range': `bytes ${begin}-${end - 1}/${data.length}` };
+    return response.writeHead(status, status === 206 ? headers : {}).end(body);
   });
   await new Promise((resolve) => server.listen(0, '127.0.0.1', resolve));
   try {
@@ -51,7 +90,26 @@ async function served(data, ranges, asked, work) {
   }
 }
 
+/** A response as of a server of another origin, which does not say that the bytes were coded. */
+function ofOtherOrigin(data) {
+  const response = new Response(data, { headers: { 'Content-Length': '99' } });
+  return Object.defineProperty(response, 'type', { value: 'cors' });
+}
+
+/** Ways to create workers. */
+const CREATE = {
+  node: () => nodeWorker(),
+  missing: () => nodeWorker('./none.mjs'),
+  refused: () => {
+    if (alive > 0) throw new Error('not of this origin');
+    return nodeWorker();
+  },
+};
+
 async function run(job) {
+  if (job.weights) {
+    return { frequencies: [...frequencies(job.weights, job.precision, 'table')] };
+  }
   const data = job.bytes !== undefined ? Buffer.from(job.bytes, 'base64') : readFileSync(job.path);
   const told = { blocks: [], asked: [], progress: [] };
   const options = {
@@ -59,7 +117,7 @@ async function run(job) {
     box: job.box,
     maxBytes: job.maxBytes,
     workers: job.workers ?? 0,
-    createWorker: nodeWorker,
+    createWorker: CREATE[job.createWorker ?? 'node'],
     onBlock: (scene, part) => told.blocks.push([part.block, part.degree, part.first, part.count]),
     onProgress: (bytes, of) => told.progress.push([bytes, of]),
   };
@@ -67,17 +125,35 @@ async function run(job) {
     bytes: () => decode(data, options),
     buffer: () => decode(new Uint8Array(data).buffer, options),
     blob: () => decode(new Blob([data]), options),
-    stream: () => decode(streamed(data, job.chunk, job.broken), options),
+    stream: () => decode(streamed(data, job), options),
+    buffers: () => decode(streamed(data, job, buffers), options),
+    text: () => decode(streamed(data, job, String), options),
+    crossing: () => decode(ofOtherOrigin(data), options),
     response: () => decode(new Response(data), options),
-    url: () => served(data, true, told.asked, (host) => decode(`${host}/scene.egs`, options)),
+    url: () =>
+      served(data, job.answer ?? 'ranges', told.asked, (host) =>
+        decode(`${host}/scene.egs`, options),
+      ),
     unranged: () =>
-      served(data, false, told.asked, (host) => decode(new URL(`${host}/scene.egs`), options)),
-    missing: () => served(data, true, told.asked, (host) => decode(`${host}/none.egs`, options)),
+      served(data, 'whole', told.asked, (host) => decode(new URL(`${host}/scene.egs`), options)),
+    missing: () =>
+      served(data, 'ranges', told.asked, (host) => decode(`${host}/none.egs`, options)),
+    moved: () => served(data, 'ranges', told.asked, (host) => decode(`${host}/moved.egs`, options)),
+    thrown: () => {
+      options.onBlock = () => {
+        throw new Error('of the caller');
+      };
+      return decode(data, options);
+    },
     aborted: () => {
       const controller = new AbortController();
       options.signal = controller.signal;
-      options.onBlock = () => controller.abort();
-      return decode(data, options);
+      const abort = () => controller.abort(job.reason && new Error(job.reason));
+      if (job.abort === 'before') abort();
+      else if (job.abort === 'progress') options.onProgress = abort;
+      else if (job.abort === 'stalled') setTimeout(abort, 100);
+      else options.onBlock = abort;
+      return decode(job.chunk ? streamed(data, job) : data, options);
     },
     number: () => decode(7, options),
   };
@@ -92,9 +168,10 @@ async function run(job) {
     }
     const { count, degree, profile, coordinates, antialiased, comments } = scene;
     const facts = { count, degree, profile, coordinates, antialiased, comments };
-    return { ...facts, ...told, hash: hash.digest('hex'), properties: properties.digest('hex') };
+    const digests = { hash: hash.digest('hex'), properties: properties.digest('hex') };
+    return { ...facts, ...told, ...digests, alive };
   } catch (error) {
-    return { error: error.name, message: error.message, ...told };
+    return { error: error.name, message: error.message, where: error.where, ...told, alive };
   }
 }
 

@@ -113,8 +113,9 @@ export class LatticeBlock {
     const planes = new Float32Array(14 * count);
     const positionShifts = this.#shapes(sections, planes.subarray(6 * count));
     const places = this.#places(sections, positionShifts, planes);
-    this.near = new Neighbours(places);
-    this.#dc(sections['sh-dc'], planes.subarray(3 * count, 6 * count));
+    const near = new Neighbours(places);
+    this.nearest = near.nearest; // what bands need of them, so that the rest is not kept
+    this.#dc(sections['sh-dc'], near, planes.subarray(3 * count, 6 * count));
     if (this.degree === 0) checkLastStates(this.states);
     return planes;
   }
@@ -219,8 +220,8 @@ export class LatticeBlock {
   }
 
   /** f_dc pass. */
-  #dc(content, planes) {
-    const { lattice, count, near, colourShifts } = this;
+  #dc(content, near, planes) {
+    const { lattice, count, colourShifts } = this;
     const stream = new Stream(content, 'sh-dc');
     const pass = new Pass(lattice, this.states);
     const contexts = lattice.lists[9];
@@ -309,7 +310,7 @@ export class LatticeBlock {
 
   /** Levels of one coefficient of one colour; how many Gaussians have something left. */
   #plane(pass, contexts, stream, plane, left, active, some, j, isLast) {
-    const { nearest } = this.near;
+    const { nearest } = this;
     let kept = 0;
     for (let k = 0; k < some; k++) {
       const i = active[k];

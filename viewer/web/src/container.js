@@ -31,7 +31,9 @@ export function headerSize(prefix) {
   const version = reader.u16();
   if (version !== 1) throw new UnsupportedError(`version ${version} of the format`, 'header');
   reader.u16();
-  return reader.u32();
+  const size = reader.u32();
+  check(size >= 48 && (size - 48) % 20 === 0, 'header', `${size} bytes`);
+  return size;
 }
 
 /**
@@ -44,7 +46,7 @@ export function headerSize(prefix) {
 export class Header {
   constructor(data) {
     const size = headerSize(data);
-    check(size >= 48 && data.length >= size, 'header', 'truncated');
+    check(data.length >= size, 'header', 'truncated');
     const reader = new Reader(data.subarray(0, size), 'header');
     reader.take(10);
     this.minor = reader.u16();
@@ -224,20 +226,21 @@ export function readComments(content) {
     (byte) => (byte >= 32 && byte <= 126) || byte === 9 || byte === 10,
   );
   check(printable, 'comments', 'other than printable ASCII and tabs');
-  const lines = new TextDecoder().decode(content).split('\n');
+  const lines = new TextDecoder().decode(content.slice()).split('\n'); // not of shared memory
   for (const line of lines) check(!ofHeader(line), 'comments', `belongs into the header: ${line}`);
   return lines;
 }
 
 /** Whether a line states the coordinate system or antialiasing. */
 function ofHeader(line) {
-  const text = line.replace(/^[ \t]+|[ \t]+$/g, '').toUpperCase();
-  const system = /^COORDINATESYSTEM:[ \t]*([RLUDBF]{3})$/.exec(text);
+  // Spaces at the end are part of the patterns: to search for them takes a time that is quadratic.
+  const text = line.toUpperCase();
+  const system = /^[ \t]*COORDINATESYSTEM:[ \t]*([RLUDBF]{3})[ \t]*$/.exec(text);
   if (system) {
     const axes = [...system[1]].map((letter) => 'RLUDBF'.indexOf(letter));
     return axes[0] < 2 && new Set(axes.map((axis) => axis >> 1)).size === 3;
   }
-  return /^(SPLATRENDERMODE:[ \t]*|ANTIALIASED[ \t]+)[A-Z0-9_]+$/.test(text);
+  return /^[ \t]*(SPLATRENDERMODE:[ \t]*|ANTIALIASED[ \t]+)[A-Z0-9_]+[ \t]*$/.test(text);
 }
 
 /** Refuse what this decoder does not read. */

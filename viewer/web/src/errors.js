@@ -21,6 +21,9 @@ export class TooLargeError extends EgsError {}
 /** The bytes could not be had: the server or the connection failed. */
 export class SourceError extends EgsError {}
 
+/** A worker could not be created, or failed. */
+export class WorkerError extends EgsError {}
+
 /** Throw CorruptError unless a condition holds. */
 export function check(condition, where, message) {
   if (!condition) throw new CorruptError(message, where);

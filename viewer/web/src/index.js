@@ -40,18 +40,44 @@ const BANDS = ['sh1', 'sh2', 'sh3'];
  * @param {number} [options.workers] how many decode at once; 0 is this thread
  * @param {() => Worker} [options.createWorker] a worker that runs `worker.js`, where it cannot be
  *   found beside this module
- * @param {number} [options.maxBytes] most bytes of a scene's floats; by default 1 GiB or, where its
+ * @param {number} [options.maxBytes] most bytes of the file's floats; by default 1 GiB or, where its
  *   size is known, 1000 times the file
  * @param {AbortSignal} [options.signal]
  * @returns {Promise<Scene>}
- * @throws {CorruptError | UnsupportedError | TooLargeError | SourceError}
+ * @throws {EgsError} one of its classes; the signal's reason; RangeError of options
  */
 export async function decode(source, options = {}) {
-  const input = await openSource(source, options.box !== undefined, options.signal);
+  checkOptions(options);
+  const { signal } = options;
+  signal?.throwIfAborted();
+  const input = await openSource(source, options.box !== undefined, signal);
+  const decoding = new Decoding(input, options);
+  const abort = () => decoding.fail(signal.reason);
+  signal?.addEventListener('abort', abort);
+  if (signal?.aborted) abort();
   try {
-    return await new Decoding(input, options).run();
+    return await Promise.race([decoding.run(), decoding.failed]);
+  } catch (error) {
+    decoding.fail(error);
+    throw decoding.failure;
   } finally {
-    await input.close();
+    signal?.removeEventListener('abort', abort);
+    decoding.close();
+    input.close();
+  }
+}
+
+/** Refuse options that mean nothing. */
+function checkOptions({ shDegree, box, maxBytes }) {
+  if (shDegree !== undefined && ![0, 1, 2, 3].includes(shDegree)) {
+    throw new RangeError(`shDegree: ${shDegree}, expected 0-3`);
+  }
+  const isPoint = (point) => point?.length === 3 && [...point].every((value) => value === +value);
+  if (box !== undefined && !(box?.length === 2 && isPoint(box[0]) && isPoint(box[1]))) {
+    throw new RangeError('box: expected [[x, y, z], [x, y, z]]');
+  }
+  if (maxBytes !== undefined && !(maxBytes >= 0)) {
+    throw new RangeError(`maxBytes: ${maxBytes}, expected a number`);
   }
 }
 
@@ -60,16 +86,26 @@ const defaultWorkers = () =>
 
 const defaultWorker = () => new Worker(new URL('./worker.js', import.meta.url), { type: 'module' });
 
-/** Most bytes that are read at once, so that what has come is decoded meanwhile. */
-const AT_ONCE = 2 ** 20;
-
 class Decoding {
   constructor(input, options) {
     this.input = input;
     this.options = options;
     this.blocks = new Map(); // by number: where a block begins, and what of it waits
     this.pending = [];
-    this.failure = null;
+    this.failure = null; // what went wrong first; nothing is told after it
+    this.failed = new Promise((_, reject) => (this.reject = reject));
+    this.failed.catch(() => {}); // it is waited for, or has come too late to matter
+  }
+
+  /** End with an error, whatever is waited for. */
+  fail(error) {
+    if (this.failure) return;
+    this.failure = error;
+    this.reject(error);
+  }
+
+  close() {
+    this.pool?.close();
   }
 
   async run() {
@@ -83,23 +119,20 @@ class Decoding {
     const leading = sections.findIndex(({ name }) => !FIRST.includes(name));
     const split = leading < 0 ? sections.length : leading;
     let comments = [];
-    try {
-      await this.#read(sections.slice(0, split), (entry, content) => {
-        if (entry.name === 'index') this.boxes = readIndex(content, header.blocks);
-        if (entry.name === this.commonName) this.common = content;
-      });
-      this.#begin();
-      await this.#read(
-        sections.slice(split).filter((entry) => this.#wants(entry)),
-        (entry, content) => {
-          if (entry.name === 'comments') comments = readComments(content);
-          else this.#take(entry, content);
-        },
-      );
-      await Promise.all(this.pending);
-    } finally {
-      this.pool?.close();
-    }
+    await this.#read(sections.slice(0, split), (entry, content) => {
+      if (entry.name === 'index') this.boxes = readIndex(content, header.blocks);
+      // A copy, as workers are sent the memory that bytes are in: that may be the whole file.
+      if (entry.name === this.commonName) this.common = content.slice();
+    });
+    this.#begin();
+    await this.#read(
+      sections.slice(split).filter((entry) => this.#wants(entry)),
+      (entry, content) => {
+        if (entry.name === 'comments') comments = readComments(content);
+        else this.#take(entry, content);
+      },
+    );
+    await Promise.all(this.pending);
     const isWhole = !options.box && this.degree === header.degree;
     if (isWhole && !(await input.endsAt(header.end))) {
       throw new CorruptError('bytes after the last section', 'file');
@@ -126,15 +159,15 @@ class Decoding {
       let end = begin;
       let next = k;
       do end += paddedSize(entries[next++]);
-      while (entries[next]?.at === end && end - begin < AT_ONCE);
+      while (entries[next]?.at === end && end - begin < input.atOnce);
       const data = await input.read(begin, end);
-      options.signal?.throwIfAborted();
       if (this.failure) throw this.failure;
       for (; k < next; k++) {
         const entry = entries[k];
         take(entry, checked(entry, data.subarray(entry.at - begin)));
       }
       options.onProgress?.(end, header.end);
+      if (this.failure) throw this.failure;
     }
   }
 
@@ -189,7 +222,7 @@ class Decoding {
       const given = Object.fromEntries(names.map((name) => [name, sections[name]]));
       for (const name of names) delete sections[name];
       const done = this.#decode(block, waiting.next, given);
-      done.catch((error) => (this.failure ??= error));
+      done.catch((error) => this.fail(error));
       this.pending.push(done);
     }
   }
@@ -199,7 +232,7 @@ class Decoding {
     const { first } = this.blocks.get(block);
     const count = header.blockCount(block);
     const planes = await this.pool.decode({ block, count, part, sections });
-    options.signal?.throwIfAborted();
+    if (this.failure) throw this.failure;
     if (part === 0) checkBox(this.boxes[block].centres, planes, count, block);
     scene.put(part, planes, first, count);
     options.onBlock?.(scene, { block, first, count, degree: part });

@@ -34,28 +34,42 @@ export class WorkerPool {
   constructor(setup, size, create) {
     this.waiting = new Map();
     this.sent = 0;
-    this.workers = Array.from({ length: size }, () => {
-      const worker = create();
-      worker.onmessage = ({ data }) => this.#answer(data);
-      worker.onerror = (event) =>
-        this.#fail(new errors.EgsError(`worker: ${event.message ?? 'failed'}`));
-      worker.postMessage({ setup });
-      return worker;
-    });
+    this.failure = null; // after which workers do not answer
+    this.workers = [];
+    try {
+      while (this.workers.length < size) {
+        this.workers.push(create());
+        this.#start(this.workers[this.workers.length - 1], setup);
+      }
+    } catch (error) {
+      this.close();
+      throw new errors.WorkerError(`no worker could be created: ${error.message}`);
+    }
   }
 
+  #start(worker, setup) {
+    worker.onmessage = ({ data }) => this.#answer(data);
+    worker.onmessageerror = () => this.#fail(new errors.WorkerError('a message was lost'));
+    worker.onerror = (event) =>
+      this.#fail(new errors.WorkerError(event.message || 'worker.js could not be loaded'));
+    worker.postMessage({ setup });
+  }
+
+  /** Decode a part of a block; the memory of its sections goes to the worker. */
   decode(job) {
+    if (this.failure) return Promise.reject(this.failure);
     const id = this.sent++;
+    const memory = Object.values(job.sections).map((content) => content.buffer);
     return new Promise((resolve, reject) => {
       this.waiting.set(id, { resolve, reject });
-      this.workers[job.block % this.workers.length].postMessage({ id, ...job });
+      this.workers[job.block % this.workers.length].postMessage({ id, ...job }, memory);
     });
   }
 
   #answer({ id, planes, error }) {
     if (error) {
-      const Kind = errors[error.name] ?? Error;
-      const found = Object.assign(new Kind(error.message));
+      const Kind = errors[error.name] ?? errors.WorkerError;
+      const found = Object.assign(new Kind(error.message), { where: error.where ?? '' });
       if (id === undefined) this.#fail(found);
       else this.#take(id)?.reject(found);
     } else {
@@ -70,6 +84,7 @@ export class WorkerPool {
   }
 
   #fail(error) {
+    this.failure ??= error;
     for (const { reject } of this.waiting.values()) reject(error);
     this.waiting.clear();
   }

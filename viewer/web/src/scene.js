@@ -1,4 +1,5 @@
 // A decoded scene.
+import { TooLargeError } from './errors.js';
 
 /** Planes of the arrays of a scene, in the order of a block's first part. */
 const ARRAYS = [
@@ -23,8 +24,8 @@ export class Scene {
     this.coefficients = (degree + 1) ** 2 - 1;
     for (const name of ['profile', 'coordinates', 'antialiased']) this[name] = header[name];
     this.comments = [];
-    for (const [name, planes] of ARRAYS) this[name] = new Float32Array(planes * count);
-    this.fRest = new Float32Array(3 * this.coefficients * count);
+    for (const [name, planes] of ARRAYS) this[name] = allocated(planes * count);
+    this.fRest = allocated(3 * this.coefficients * count);
   }
 
   /** Names of the properties, as in a PLY file. */
@@ -77,5 +78,13 @@ export class Scene {
     for (let colour = 0; colour < 3; colour++) {
       for (let i = begin; i < end; i++) copy(this.fRest, colour * this.coefficients + i, from++);
     }
+  }
+}
+
+function allocated(size) {
+  try {
+    return new Float32Array(size);
+  } catch {
+    throw new TooLargeError(`there is no memory for ${4 * size} bytes`);
   }
 }

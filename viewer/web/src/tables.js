@@ -26,12 +26,25 @@ export function frequencies(weights, precision, where) {
   }
   rests.sort((a, b) => b.rest - a.rest || a.q - b.q);
   for (let k = 0; k < difference; k++) result[rests[k].q] += 1;
-  for (; difference < 0; difference++) {
-    let largest = 0;
-    for (let q = 1; q < result.length; q++) if (result[q] > result[largest]) largest = q;
-    result[largest] -= 1;
-  }
+  lowerLargest(result, -difference);
   return result;
+}
+
+/** Take 1 from the largest of these numbers, of equal ones the first, so many times. */
+function lowerLargest(numbers, times) {
+  if (times <= 0) return;
+  const above = (level) => numbers.reduce((sum, n) => sum + Math.max(n - level, 0), 0);
+  // The lowest level to which it is enough to lower all that are above it.
+  let level = 0;
+  for (let most = Math.max(...numbers); level < most;) {
+    const middle = (level + most) >> 1;
+    if (above(middle) <= times) most = middle;
+    else level = middle + 1;
+  }
+  let left = times - above(level);
+  for (let q = 0; q < numbers.length; q++) {
+    if (numbers[q] >= level) numbers[q] = left-- > 0 ? level - 1 : level;
+  }
 }
 
 /** Weights of tables of these `{size, mantissa}`. */

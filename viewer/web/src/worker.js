@@ -12,6 +12,7 @@ self.onmessage = ({ data }) => {
     const planes = blocks.decode(data);
     self.postMessage({ id: data.id, planes }, [planes.buffer]);
   } catch (error) {
-    self.postMessage({ id: data.id, error: { name: error.name, message: error.message } });
+    const { name, message, where } = error;
+    self.postMessage({ id: data.id, error: { name, message, where } });
   }
 };

@@ -16,7 +16,7 @@ from viewer.scenes.picked import Picker
 from viewer.window.pane import Pane
 
 #: Half the side of the part of a pane that has a mark, pixels.
-_AROUND = 60
+_AROUND = 64
 
 
 def click(driver: Driver, pane: Pane, right: int, down: int) -> list:

@@ -6,6 +6,7 @@ a.ply, b.egs, cameras.json and report in the folder.
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import sys
 import time
@@ -148,6 +149,7 @@ def closes(driver: Driver) -> bool:
 
 
 if __name__ == "__main__":
+    faulthandler.enable()  # Open3D may end the process
     numbers = [float(each) for each in sys.argv[2:]]
     os.chdir(sys.argv[1])  # where pictures are saved
     seconds, seed = [*numbers, *(20.0, 1.0)[len(numbers) :]]

@@ -1,15 +1,13 @@
 // Section "Lattices" of FORMAT.md: the passes of a block of the profiles l, m, s.
 import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
-import { COARSE, ONE, POWERS, PRECISION, SLOTS, bitLength, fixedPoint } from './lattice.js';
+import { COARSE, ONE, POWERS, PRECISION, SLOTS, fixedPoint } from './lattice.js';
 import { Neighbours } from './neighbours.js';
+import { bitLength, clamp, inRange } from './numbers.js';
 import { LANES, checkLastStates, firstStates, wordsOf } from './tables.js';
-import { axesOf, walkTree } from './tree.js';
+import { addBits, axesOf, walkTree } from './tree.js';
 
-const LARGEST = (2 - 2 ** -23) * 2 ** 127;
 const ROOTS = [1 / Math.sqrt(3), 1 / Math.sqrt(2), 1 / Math.sqrt(6)];
-
-const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
 /** Words and raw bits of a section. */
 class Stream {
@@ -197,9 +195,7 @@ export class LatticeBlock {
     walkTree(sections.geometry, count, axes, (x, y, z, missing, points) => {
       const cells = [x, y, z];
       const dropped = points === 1 ? Math.min(shifts[i], missing) : 0;
-      for (let k = axes.length - missing; k < axes.length - dropped; k++) {
-        cells[axes[k]] = (cells[axes[k]] << 1) | raw.take(1);
-      }
+      addBits(cells, axes, axes.length - missing, axes.length - dropped, raw);
       for (let axis = 0; axis < 3; axis++) {
         const width = among[axis][dropped];
         const place = (cells[axis] << (width + 1)) + (1 << width);
@@ -210,11 +206,9 @@ export class LatticeBlock {
     raw.finish();
     const half = lattice.step / 2;
     for (let axis = 0; axis < 3; axis++) {
-      const { [axis]: origin } = lattice.origin;
+      const origin = lattice.origin[axis];
       const found = places[axis];
-      for (let k = 0; k < count; k++) {
-        planes[axis * count + k] = clamp(origin + found[k] * half, -LARGEST, LARGEST);
-      }
+      for (let k = 0; k < count; k++) planes[axis * count + k] = inRange(origin + found[k] * half);
     }
     return places;
   }

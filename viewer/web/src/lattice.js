@@ -2,6 +2,7 @@
 import { BinaryCoder } from './binary.js';
 import { Reader } from './bytes.js';
 import { check } from './errors.js';
+import { bitLength } from './numbers.js';
 import { frequencies, sentTables } from './tables.js';
 
 /** 1 in fixed point. */
@@ -24,9 +25,6 @@ const LISTS = [31, 16, 256, 256, 256, 256, 32, 32, 32, 288];
 
 /** Powers of 2, which take longer to compute. */
 export const POWERS = Float64Array.from({ length: 32 }, (_, k) => 2 ** k);
-
-/** Bits that a number takes; of a number below 2^32. */
-export const bitLength = (n) => 32 - Math.clz32(n);
 
 /** A value, if it is below 1600 in magnitude. */
 export function fixedPoint(value) {

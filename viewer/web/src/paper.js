@@ -3,10 +3,10 @@ import { BinaryCoder } from './binary.js';
 import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
 import { Neighbours } from './neighbours.js';
+import { bitLength, inRange } from './numbers.js';
 import { LANES, checkLastStates, firstStates, frequencies, sentTables, wordsOf } from './tables.js';
-import { axesOf, walkTree } from './tree.js';
+import { addBits, axesOf, walkTree } from './tree.js';
 
-const LARGEST = (2 - 2 ** -23) * 2 ** 127;
 const BANDS = [
   [0, 3],
   [3, 8],
@@ -31,9 +31,7 @@ class Channel {
       plane.fill(first);
       return;
     }
-    for (let i = 0; i < plane.length; i++) {
-      plane[i] = Math.min(Math.max(first + symbols[i] * step, -LARGEST), LARGEST);
-    }
+    for (let i = 0; i < plane.length; i++) plane[i] = inRange(first + symbols[i] * step);
   }
 
   /** Read the quantiser. */
@@ -242,11 +240,7 @@ export class PaperBlock {
     let i = 0;
     walkTree(coded, this.count, axes, (x, y, z, missing, points) => {
       const cell = [x, y, z];
-      if (points === 1) {
-        for (let k = axes.length - missing; k < axes.length; k++) {
-          cell[axes[k]] = (cell[axes[k]] << 1) | raw.take(1);
-        }
-      }
+      if (points === 1) addBits(cell, axes, axes.length - missing, axes.length, raw);
       for (let axis = 0; axis < 3; axis++) cells[axis].fill(cell[axis], i, i + points);
       i += points;
     });
@@ -268,8 +262,8 @@ export class PaperBlock {
           const guess = near.predict(i, values[kind]);
           const spread = near.spread(i, values[kind], guess);
           const mean = Math.floor((4 * spread) / Math.max(near.totals[i], 1));
-          const activity = Math.min(32 - Math.clz32(mean), 13);
-          const size = Math.min((32 - Math.clz32(Math.abs(residual))) >> 1, 3);
+          const activity = Math.min(bitLength(mean), 13);
+          const size = Math.min(bitLength(Math.abs(residual)) >> 1, 3);
           residual = readResidual(coder, 56 * ((14 * kind + activity) * 4 + size));
           values[kind][i] = guess + residual;
         }

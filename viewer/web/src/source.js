@@ -24,14 +24,12 @@ export async function openSource(source, ranged, signal) {
 }
 
 async function request(url, options) {
-  let response;
   try {
-    response = await fetch(url, options);
+    return await fetch(url, options);
   } catch (error) {
     if (options.signal?.aborted) throw error;
     throw new SourceError(`${url}: ${error.message}`);
   }
-  return response;
 }
 
 /** Leave the body of a response unread. */

@@ -10,6 +10,11 @@ export function axesOf(depths) {
   return axes;
 }
 
+/** Add bits `begin` to `end` of a Morton code, which are raw, to the cells of a point. */
+export function addBits(cells, axes, begin, end, raw) {
+  for (let k = begin; k < end; k++) cells[axes[k]] = (cells[axes[k]] << 1) | raw.take(1);
+}
+
 /**
  * Walk the tree of `count` codes, ascending.
  *

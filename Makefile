@@ -32,9 +32,9 @@ demo: $(VENV)/installed
 	@echo "Next: samples/TUTORIAL.md, five minutes; or $(BIN)/gs-codec encode YOUR.ply YOUR.egs"
 
 # Tests run in WORKERS processes at once, by default one more than processors, as some tests wait. A file's tests
-# share what takes long, so one worker runs them all.
+# share what takes long, so one worker runs them all; one that crashes or hangs ends the run, and is named.
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
-PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 # Tests of what is not installed are skipped, and say what they miss; `make test-all` installs it.
 test: $(VENV)/installed-test

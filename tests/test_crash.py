@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -37,7 +36,7 @@ def folder(tmp_path) -> Path:
 
 
 def in_child(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess:
-    """Run Python in a process of its own that finds gs_codec and may be interrupted."""
+    """Run Python in a process of its own that finds gs_codec."""
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=cwd,
@@ -45,7 +44,6 @@ def in_child(*arguments: str, cwd: Path, **environment: str) -> subprocess.Compl
         capture_output=True,
         text=True,
         check=False,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import struct
 import sys
 from dataclasses import replace
@@ -257,11 +258,39 @@ def test_ours_needs_no_package(absent):
     assert decode_scene(encode_scene(scene, Config("paper-m"))[0]).count == 60
 
 
-@needs_torchac
-def test_what_torchac_prints_is_not_seen(capfd):
+@pytest.fixture
+def unloaded():
+    """torchac, yet to be loaded by this process."""
     torchac_coder._load.cache_clear()
     for name in [name for name in sys.modules if name.startswith("torchac")]:
         del sys.modules[name]
+
+
+@needs_torchac
+def test_what_torchac_prints_is_not_seen(unloaded, capfd):
     torchac_coder.require_torchac()
     print("after")
     assert capfd.readouterr() == ("after\n", "")
+
+
+@needs_torchac
+def test_what_was_killed_as_it_compiled_is_not_waited_for(unloaded, monkeypatch):
+    from torch.utils.file_baton import FileBaton
+
+    def take_and_die(self: FileBaton) -> bool:
+        acquired = acquire(self)
+        assert acquired
+        raise RuntimeError("killed")
+
+    def wait(self: FileBaton) -> None:
+        raise AssertionError("waits for ever")
+
+    acquire = FileBaton.try_acquire
+    monkeypatch.setattr(FileBaton, "wait", wait)
+    monkeypatch.setattr(FileBaton, "try_acquire", take_and_die)
+    with pytest.raises(MissingTool, match="killed"):
+        torchac_coder.require_torchac()
+    monkeypatch.setattr(FileBaton, "try_acquire", acquire)
+    environment = dict(os.environ)
+    torchac_coder.require_torchac()
+    assert os.environ == environment

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import secrets
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -92,6 +94,25 @@ def try_lock(descriptor: int) -> bool:
         except OSError:  # a file system without locks
             return True
     return True
+
+
+@contextmanager
+def alone(path: str | Path, patience: float = math.inf) -> Iterator[None]:
+    """Keep a file or folder locked within the block, once no other process has locked it.
+
+    After `patience` seconds the block runs without, as where there are no locks. The system takes
+    the lock from a process that is killed.
+    """
+    descriptor, end = None, time.monotonic() + patience
+    try:
+        with suppress(OSError):
+            descriptor = os.open(path, os.O_RDONLY)
+            while not try_lock(descriptor) and time.monotonic() < end:
+                time.sleep(0.02)
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 @contextmanager

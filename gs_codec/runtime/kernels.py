@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 
-from gs_codec.runtime.atomic import try_lock
+from gs_codec.runtime.atomic import alone
 
 #: Errors of a full disk, a folder without permission, or a truncated cache entry.
 _CACHE_ERRORS = (OSError, EOFError, pickle.UnpicklingError)
@@ -52,18 +51,12 @@ def _locked(source: str) -> Iterator[None]:
     if source in _compiling:
         yield
         return
-    descriptor, end = None, time.monotonic() + _PATIENCE
     _compiling.add(source)
     try:
-        with suppress(OSError):
-            descriptor = os.open(source, os.O_RDONLY)
-            while not try_lock(descriptor) and time.monotonic() < end:
-                time.sleep(0.02)
-        yield
+        with alone(source, _PATIENCE):
+            yield
     finally:
         _compiling.remove(source)
-        if descriptor is not None:
-            os.close(descriptor)
 
 
 def _go_by_cache(cache: Any, function: Callable) -> None:

@@ -15,6 +15,7 @@ import sysconfig
 import warnings
 from collections.abc import Iterator, Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from crc32c import crc32c
@@ -27,6 +28,7 @@ from gs_codec.egs.file import EgsFile, Section, SectionId
 from gs_codec.egs.header import Feature
 from gs_codec.egs.sections import read_line, write_line
 from gs_codec.errors import CorruptStream, MissingTool, one_line
+from gs_codec.runtime.atomic import alone
 
 #: Symbols coded together, times the alphabet: torchac wants a row of its CDF for each symbol.
 _VALUES = 1 << 22
@@ -51,7 +53,7 @@ def _load():
     import torch
 
     try:
-        with _without_output(), _own_programs_first(), warnings.catch_warnings():
+        with _without_output(), _compiling(torch.__version__), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a docstring, where it was not compiled before
             import torchac
     except (RuntimeError, OSError) as error:
@@ -61,14 +63,31 @@ def _load():
 
 
 @contextlib.contextmanager
-def _own_programs_first() -> Iterator[None]:
-    """Let torch find the ninja of this environment even when the shell has not activated it."""
-    path = os.environ.get("PATH", "")
-    os.environ["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), path])
+def _compiling(torch_version: str) -> Iterator[None]:
+    """Let torch compile by the ninja of this environment, activated or not, in a folder of ours.
+
+    One process at a time, and no process waits for one that was killed: the file by which torch
+    itself knows that another compiles stays then, and all that come later would wait for ever.
+    """
+    from torch.utils.cpp_extension import get_default_build_root
+
+    root = os.environ.get("TORCH_EXTENSIONS_DIR") or get_default_build_root()
+    folder = Path(root, f"gs_codec-{sys.implementation.cache_tag}-torch-{torch_version}")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
+    changed = {"PATH": path, "TORCH_EXTENSIONS_DIR": str(folder)}
+    before = {name: os.environ.get(name) for name in changed}
+    os.environ |= changed
     try:
-        yield
+        with alone(folder):
+            (folder / "torchac_backend" / "lock").unlink(missing_ok=True)
+            yield
     finally:
-        os.environ["PATH"] = path
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ NEW_VENV := $(PYTHON) -m venv --upgrade-deps $(VENV)
 # Without the warnings of setuptools, which that pip shows.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test test-all lint check docs boundscheck scaling suite fuzz peers clean
+.PHONY: demo test test-all lint check docs web boundscheck scaling suite fuzz peers clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -40,7 +40,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-r
 test: $(VENV)/installed-test
 	$(PYTEST)
 
-test-all: $(VENV)/installed-all
+test-all: $(VENV)/installed-all web
 	$(PYTEST)
 
 lint: $(VENV)/installed-test
@@ -55,6 +55,19 @@ docs: $(VENV)/installed
 	$(PIP) install -e '.[docs]'
 	rm -rf build/docs
 	$(BIN)/python samples/api_pages.py build/docs
+
+# The page of `gs-codec share` for browsers: Node 18 and npm, which fetches what package-lock.json names.
+WEB := viewer/web
+web: $(WEB)/build/page.html
+
+$(WEB)/build/page.html: $(WEB)/node_modules/.package-lock.json $(WEB)/build.mjs $(wildcard $(WEB)/page/* $(WEB)/src/*)
+	@echo "Building $@"
+	@npm --prefix $(WEB) run --silent build
+
+$(WEB)/node_modules/.package-lock.json: $(WEB)/package-lock.json
+	@command -v npm >/dev/null || { echo "make web: needs Node 18 and npm" >&2; exit 1; }
+	@echo "Fetching esbuild, which builds the page, and playwright-core, which tests it, into $(WEB)/node_modules"
+	@npm --prefix $(WEB) ci --silent --no-audit --no-fund
 
 # Time and memory of a sample tiled to up to 3 million Gaussians, and a plot: build/scaling/report. A few minutes.
 scaling: $(VENV)/installed-test
@@ -117,11 +130,11 @@ $(VENV)/installed-test: pyproject.toml .ci/system-packages
 # torch 2.13.0 is pinned because other releases may bring gigabytes of CUDA.
 $(VENV)/installed-all: pyproject.toml .ci/system-packages
 	@echo "Installing gs-codec and all that tests need into $(VENV), two gigabytes: torch, torchac and g++ for the paper's"
-	@echo "coder; Dask and sshfs for clusters and places elsewhere; OpenCV for photographs; usd-core; openssh-server to put files on; Xvfb and xdotool for windows; Node"
+	@echo "coder; Dask and sshfs for clusters and places elsewhere; OpenCV for photographs; usd-core; openssh-server to put files on; Xvfb and xdotool for windows; Node, npm and Chromium"
 	.ci/system-packages all
 	$(NEW_VENV)
 	$(PIP) install --no-compile torch==2.13.0 -e '.[cluster,paper,test,undistort,usd]'
 	@touch $(VENV)/installed $(VENV)/installed-test $@
 
 clean:
-	rm -rf $(VENV) demo build fuzz *.egg-info
+	rm -rf $(VENV) demo build fuzz *.egg-info $(WEB)/build $(WEB)/node_modules

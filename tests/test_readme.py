@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
+from gs_codec.files import sharing
 from gs_codec.formats.ply import write_ply
 from gs_codec.rendering import auto_cameras
 from samples.generate import generate
@@ -26,6 +27,7 @@ FOLDERS = ("gs_codec", "samples", "tests", "viewer")
 DOCUMENTS = sorted(
     path.relative_to(ROOT).as_posix()
     for path in [*ROOT.glob("*.md"), *(p for f in FOLDERS for p in (ROOT / f).rglob("*.md"))]
+    if "node_modules" not in path.parts
 )
 SHOWN = re.compile(r"```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 
@@ -41,6 +43,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(auto_cameras, "_THUMB", (32, 21))
     # SOG takes minutes where its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")
+    # A page is written where none has been built, too.
+    monkeypatch.setattr(sharing, "_template", lambda: "<!--title--><!--data-->")
     return tmp_path
 
 

@@ -40,7 +40,8 @@ def wheel(tmp_path_factory) -> Path:
         if source.is_file():
             shutil.copy(source, copy)
         else:
-            shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+            left = shutil.ignore_patterns("__pycache__", "node_modules")
+            shutil.copytree(source, copy / name, ignore=left)
     pip = "-m", "pip", "--disable-pip-version-check", "wheel", "--no-index", "--no-deps"
     run(*pip, "--no-build-isolation", "--wheel-dir", folder, copy, cwd=folder)
     return next(folder.glob("*.whl"))
@@ -65,7 +66,12 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
     }
     expected |= {
         path.relative_to(ROOT).as_posix()
-        for pattern in ("gs_codec/bench/*.jsonl", "gs_codec/bench/*.png", "viewer/*.png")
+        for pattern in (
+            "gs_codec/bench/*.jsonl",
+            "gs_codec/bench/*.png",
+            "viewer/*.png",
+            "viewer/web/build/page.html",  # where it has been built
+        )
         for path in ROOT.glob(pattern)
     }
     assert {name for name in names if not name.startswith(metadata)} == expected

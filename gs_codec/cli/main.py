@@ -18,7 +18,7 @@ from gs_codec.errors import GsCodecError, one_line
 #: Commands in the order of the help; each is a module of this package.
 NAMES = (
     "encode", "decode", "verify", "convert", "prepare", "batch", "inspect", "compare", "render",
-    "analyze", "bench",
+    "share", "analyze", "bench",
 )  # fmt: skip
 
 

@@ -41,7 +41,8 @@ export function headerSize(prefix) {
  *
  * Attributes beside those of the format: `profile` is a name, `coordinates` three letters or null,
  * `coefficients` the number of SH-AC of a colour, `blocks` the number of blocks, `sections` a list
- * of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file.
+ * of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file, `bytes`
+ * that of each stream, by name.
  */
 export class Header {
   constructor(data) {
@@ -82,6 +83,7 @@ export class Header {
     this.coefficients = COEFFICIENTS[this.degree];
     this.blocks = Math.ceil(this.count / this.blockSize);
     this.end = size;
+    this.bytes = { header: size };
     this.sections = Array.from({ length: sections }, () => this.#entry(table));
     this.#checkTable();
   }
@@ -98,6 +100,7 @@ export class Header {
     if (!name && flags !== 1) throw new UnsupportedError('not known, and not optional', where);
     const at = this.end;
     this.end += paddedSize({ size });
+    this.bytes[name] = (this.bytes[name] ?? 0) + this.end - at;
     check(Number.isSafeInteger(this.end), where, 'size');
     const blocks = OF_SCENE.includes(name) ? 1 : this.blocks;
     check(!name || block < blocks, where, 'there is no such block');

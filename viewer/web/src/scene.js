@@ -15,14 +15,16 @@ const ARRAYS = [
  *
  * `positions`: x, y, z; `fDc`: R, G, B; `fRest`: all SH-AC of R, then of G, then of B; `opacity`:
  * logits; `logScale`: natural logarithms; `rotation`: w, x, y, z, of length 1 (paper-*: any).
- * `coordinates` says where x, y, z point (three letters of RLUDBF), or is null.
+ * `coordinates` says where x, y, z point (three letters of RLUDBF), or is null. `bytes` of the file
+ * are told by the name of their stream.
  */
 export class Scene {
   constructor(header, count, degree) {
     this.count = count;
     this.degree = degree;
     this.coefficients = (degree + 1) ** 2 - 1;
-    for (const name of ['profile', 'coordinates', 'antialiased']) this[name] = header[name];
+    for (const name of ['profile', 'coordinates', 'antialiased', 'bytes'])
+      this[name] = header[name];
     this.comments = [];
     for (const [name, planes] of ARRAYS) this[name] = allocated(planes * count);
     this.fRest = allocated(3 * this.coefficients * count);

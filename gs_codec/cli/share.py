@@ -1,0 +1,44 @@
+"""``gs-codec share``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.output import SCENES, print_text, progress_bar
+from gs_codec.preparation.steps import CAMERAS
+
+
+@takes("max_bytes", "overwrite")
+def command(
+    first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="OUT", help="A .html file with all in it, or a folder for a web server."
+        ),
+    ],
+    asked: Asked,
+    second: Annotated[
+        Path | None,
+        typer.Argument(metavar="[B]", help="Another version of it.", show_default=False),
+    ] = None,
+    cameras: Annotated[
+        str, typer.Option(metavar="C", help=f"Views to choose from: {CAMERAS}")
+    ] = "auto",
+) -> None:
+    """Write a page that shows a scene, or compares two, in any browser."""
+    from gs_codec.files.sharing import share
+
+    sources = [first] if second is None else [first, second]
+    with progress_bar() as progress:
+        shared = share(
+            sources, out, cameras, progress=progress, max_bytes=asked["max_bytes"],
+            overwrite=asked["overwrite"],
+        )  # fmt: skip
+    for one in shared:
+        how = ", encoded for the page by profile l" if one.encoded else ""
+        print_text(f"{out}: {one.name}, {len(one.data) / 1e6:.2f} MB{how}")

@@ -1,0 +1,180 @@
+"""A page for browsers that shows a scene, or two versions of it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import importlib.util
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+
+from gs_codec.codecs.inspection import inspect_bytes
+from gs_codec.config import EGS, LOSSLESS, Config
+from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.files.scenes import scene_in
+from gs_codec.formats.coordinates import CONVENTION
+from gs_codec.formats.registry import open_scene
+from gs_codec.guidance.planned import encode_camera_free
+from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.inria import as_entry
+from gs_codec.report import Progress
+from gs_codec.runtime.atomic import atomic_writer, check_folder, check_writable, write_files
+from gs_codec.runtime.mapped import located
+from gs_codec.scene import Scene
+
+#: What scenes are encoded by that pages cannot read as they are.
+_PROFILE = "l"
+
+
+@dataclass(frozen=True)
+class SharedScene:
+    """A scene of a page.
+
+    Attributes
+    ----------
+    name : str
+        Its file's name.
+    data : bytes
+        The `.egs` file that the page reads.
+    encoded : bool
+        Whether it was encoded for the page, as pages do not read the file itself.
+    """
+
+    name: str
+    data: bytes
+    encoded: bool
+
+
+def share(
+    sources: Sequence[str | Path],
+    target: str | Path,
+    cameras: str | Path = "auto",
+    *,
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+    overwrite: bool = True,
+) -> list[SharedScene]:
+    """Write a page that shows a scene, or two versions of it, in a browser.
+
+    Parameters
+    ----------
+    sources : sequence of str or Path
+        One scene or two, in formats that `read` reads. `.egs` files of profiles `paper-*`, `l`,
+        `m` and `s` are shown as they are, unless G-PCC or torchac is needed to decode them; others
+        are encoded by profile `l`.
+    target : str or Path
+        A file ``.html`` that has all in it; or a folder, for any server of static files: the page,
+        ``index.html``, and the scenes.
+    cameras : str or Path
+        As for `render`: the views to choose from; the page begins with the first.
+    progress : callable, optional
+        Told while cameras are estimated and scenes encoded.
+    max_bytes : int, optional
+        As for `read`.
+    overwrite : bool
+        As for `encode_file`; of a folder, whether it may have files.
+
+    Raises
+    ------
+    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion
+        As for `read` and `render`; or if there are more scenes, or the target cannot be written.
+    MissingTool
+        If the page has not been built (``make web``).
+    """
+    target = Path(target)
+    if len(sources) not in (1, 2):
+        raise InvalidInput(f"{len(sources)} scenes, expected one or two")
+    alone = target.suffix.lower() == ".html"
+    if alone:
+        check_writable(target, overwrite)
+    elif target.suffix and not target.is_dir():
+        raise InvalidInput(f"{target}: expected a .html file or a folder")
+    else:
+        check_folder(target, overwrite)
+    template = _template()
+    opened = [_open(Path(source), progress, max_bytes) for source in sources]
+    shared = [one for one, _ in opened]
+    first = opened[0][1]
+    finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
+    views = find_cameras(cameras, first, progress=progress)
+    described = {
+        "views": [as_entry(index, camera) for index, camera in enumerate(views)],
+        "middle": np.median(finite, axis=1).tolist() if finite.size else [0.0, 0.0, 0.0],
+    }
+    names = _file_names(shared)
+    if alone:
+        entries = [{"name": one.name, "data": f"scene-{k}"} for k, one in enumerate(shared)]
+        data = [
+            _block(f"scene-{k}", "application/octet-stream", base64.b64encode(one.data).decode())
+            for k, one in enumerate(shared)
+        ]
+    else:
+        entries = [
+            {"name": one.name, "url": quote(name)} for one, name in zip(shared, names, strict=True)
+        ]
+        data = []
+    described["scenes"] = entries
+    # No text of a file ends the element that it is in.
+    listed = json.dumps(described, allow_nan=False).replace("<", "\\u003c")
+    page = _fill(
+        template,
+        title=html.escape(" and ".join(one.name for one in shared)),
+        data="\n".join([_block("scene-list", "application/json", listed), *data]),
+    ).encode()
+    if alone:
+        with atomic_writer(target) as file:
+            file.write(page)
+    else:
+        files = dict(zip(names, (one.data for one in shared), strict=True))
+        write_files(target, files | {"index.html": page})
+    return shared
+
+
+def _open(
+    path: Path, progress: Progress | None, max_bytes: int | None
+) -> tuple[SharedScene, Scene]:
+    """A scene, and what a page shows of it."""
+    with open_scene(path) as file:
+        scene = scene_in(file, "drop", progress, CONVENTION, max_bytes)
+        if file.format == EGS:
+            info = inspect_bytes(file.data)
+            if info.profile != LOSSLESS and not info.features:
+                return SharedScene(path.name, bytes(file.data), False), scene
+        with located(path):
+            parts, _ = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
+        return SharedScene(path.name, b"".join(parts), True), scene
+
+
+def _file_names(shared: Sequence[SharedScene]) -> list[str]:
+    """Names of the scenes' files, which differ."""
+    names = [Path(one.name).with_suffix(".egs").name for one in shared]
+    if len(names) == 2 and names[0].lower() == names[1].lower():
+        names = [f"{letter}-{name}" for letter, name in zip("ab", names, strict=True)]
+    return names
+
+
+def _template() -> str:
+    """The page that was built, without scenes."""
+    spec = importlib.util.find_spec("viewer")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        built = Path(folder, "web", "build", "page.html")
+        if built.is_file():
+            return built.read_text(encoding="utf-8")
+    raise MissingTool("the page for browsers is not built: make web, which needs Node and npm")
+
+
+def _fill(template: str, **parts: str) -> str:
+    for name, text in parts.items():
+        before, _, after = template.partition(f"<!--{name}-->")
+        template = before + text + after
+    return template
+
+
+def _block(name: str, kind: str, text: str) -> str:
+    """What a page holds and does not run."""
+    return f'<script type="{kind}" id="{name}">{text}</script>'

@@ -1,0 +1,546 @@
+"""The page that `gs-codec share` writes, in Chromium: what it shows, and how it is used."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import json
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import random_scene
+
+from gs_codec.cli.main import main
+from gs_codec.codecs import encode_scene
+from gs_codec.config import Config
+from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
+from gs_codec.files import sharing
+from gs_codec.files.scenes import turn_scene
+from gs_codec.files.sharing import share
+from gs_codec.formats.ply import write_ply
+from gs_codec.metrics.images import psnr
+from gs_codec.rendering.auto_cameras import auto_cameras
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import write_cameras
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import ANTIALIASED, Scene
+from samples.generate import generate
+from viewer.pictures.layers import error_image
+
+WEB = Path(__file__).parents[1] / "viewer" / "web"
+PLAYWRIGHT = WEB / "node_modules" / "playwright-core" / "index.mjs"
+NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium")
+
+built = pytest.mark.skipif(
+    not (WEB / "build" / "page.html").is_file(), reason="the page is not built: make web"
+)
+in_browser = pytest.mark.skipif(
+    not (NODE and CHROMIUM and PLAYWRIGHT.is_file()), reason="needs Node, Chromium and make web"
+)
+pytestmark = built
+
+SIZE = WIDTH, HEIGHT = 300, 200
+
+
+@dataclass
+class Job:
+    """A page to open, and what to do in it."""
+
+    url: str
+    steps: list[tuple]
+    size: tuple[int, int] = SIZE
+    before: str | None = None
+
+    def shot(self, name: str) -> None:
+        self.steps.append(("shot", name))
+
+
+@dataclass
+class Opened:
+    """What came of it."""
+
+    values: list[Any] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+    state: str = ""
+    status: str = ""
+    failure: str = ""
+
+
+def open_pages(*jobs: Job) -> list[Opened]:
+    """Open pages one after another, in one browser."""
+    assert NODE
+    assert CHROMIUM
+    done = subprocess.run(
+        [NODE, str(Path(__file__).parent / "web" / "page.mjs"), CHROMIUM, str(PLAYWRIGHT)],
+        input=json.dumps([vars(job) for job in jobs]),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+    found = [Opened(**json.loads(line)) for line in done.stdout.splitlines()]
+    assert len(found) == len(jobs), done.stderr
+    for one in found:
+        assert not one.failure, one.failure
+    return found
+
+
+def seen(path: str | Path) -> np.ndarray:
+    """A picture of a page, RGB, 0-1."""
+    return np.asarray(Image.open(path).convert("RGB"), np.float64) / 255
+
+
+def drawn(scene: Scene, camera: Camera, background: tuple = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """What our rasteriser draws, as a picture holds it."""
+    colour = render(scene, camera, background, device="cpu").colour
+    return np.round(colour.clip(0, 1) * 255) / 255
+
+
+def decibels(page: np.ndarray, ours: np.ndarray) -> float:
+    assert page.shape == ours.shape
+    return psnr(page, ours)
+
+
+@dataclass
+class Files:
+    """Two versions of a scene, and cameras that see it."""
+
+    folder: Path
+    a: Scene
+    b: Scene
+    cameras: list[Camera]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Files:
+    folder = tmp_path_factory.mktemp("page")
+    scene = generate(4000, 3, 12)
+    cameras = [
+        replace(camera.resized(*SIZE), name=f"view {k}", cx=150.0 + 9 * k)
+        for k, camera in enumerate(auto_cameras(scene, 3))
+    ]
+    write_cameras(folder / "cameras.json", cameras)
+    versions = []
+    for name, profile in (("a", "l"), ("b", "s")):
+        config = Config(profile, block_size=1024, coarseness=16.0 if name == "b" else 1.0)
+        (folder / f"{name}.egs").write_bytes(encode_scene(scene, config)[0])
+        versions.append(sharing._open(folder / f"{name}.egs", None, None)[1])
+    return Files(folder, *versions, cameras)
+
+
+@pytest.fixture(scope="module")
+def pages(files) -> dict[str, Path]:
+    """Pages of one scene and of two, each in one file."""
+    folder, cameras = files.folder, files.folder / "cameras.json"
+    share([folder / "a.egs"], folder / "one.html", cameras)
+    share([folder / "a.egs", folder / "b.egs"], folder / "two.html", cameras)
+    return {name: folder / f"{name}.html" for name in ("one", "two")}
+
+
+@in_browser
+def test_views_are_those_of_our_rasteriser(files, pages, tmp_path):
+    job = Job(pages["one"].as_uri(), [])
+    for k in range(3):
+        job.shot(str(tmp_path / f"{k}.png"))
+        job.steps.append(("key", "n"))
+    for degree in "01":
+        job.steps.append(("choose", "#degree", degree))
+        job.shot(str(tmp_path / f"degree {degree}.png"))
+    job.steps += [("choose", "#degree", "3"), ("choose", "#background", "white")]
+    job.shot(str(tmp_path / "white.png"))
+    [told] = open_pages(job)
+    assert (told.state, told.status, told.errors) == ("ready", "", [])
+    assert told.requests[0] == pages["one"].as_uri()
+    assert all(url.startswith(("blob:", "data:")) for url in told.requests[1:])
+    for k, camera in enumerate(files.cameras):
+        ours = drawn(files.a, camera)
+        assert np.ptp(ours) > 0.3
+        assert decibels(seen(tmp_path / f"{k}.png"), ours) > 45
+    for degree, rows in ((0, 0), (1, 3)):
+        rest = files.a.f_rest.reshape(3, 15, files.a.count)[:, :rows]
+        less = replace(files.a, f_rest=rest.reshape(3 * rows, files.a.count).copy())
+        ours = drawn(less, files.cameras[0])
+        assert decibels(seen(tmp_path / f"degree {degree}.png"), ours) > 45
+    ours = drawn(files.a, files.cameras[0], (1.0, 1.0, 1.0))
+    assert decibels(seen(tmp_path / "white.png"), ours) > 45
+
+
+@in_browser
+def test_two_scenes_are_compared(files, pages, tmp_path):
+    job = Job(pages["two"].as_uri(), [])
+    for name, key in (("wipe", "3"), ("a", "1"), ("flipped", "f"), ("error", "4"), ("b", "2")):
+        job.steps.append(("key", key))
+        job.shot(str(tmp_path / f"{name}.png"))
+    job.steps += [("key", "3"), ("drag", [[150, 60], [230, 60], [75, 60]], 3)]
+    job.shot(str(tmp_path / "left.png"))
+    job.steps += [("focus", "#wipe"), ("key", "ArrowRight"), ("key", "ArrowRight")]
+    job.steps.append(("value", "document.getElementById('wipe').getAttribute('aria-valuenow')"))
+    job.steps += [("key", "End")]
+    job.shot(str(tmp_path / "all a.png"))
+    [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    assert "29" in told.values  # 25 and twice 2
+    a, b = (drawn(scene, files.cameras[0]) for scene in (files.a, files.b))
+    assert decibels(a, b) < 40
+    page = {path.stem: seen(path) for path in tmp_path.glob("*.png")}
+    half, quarter = WIDTH // 2, WIDTH // 4
+    for name, line in (("wipe", half), ("left", quarter), ("a", WIDTH), ("flipped", 0), ("b", 0)):
+        assert decibels(page[name], np.concatenate([a[:, :line], b[:, line:]], axis=1)) > 45
+    assert decibels(page["all a"], a) > 45
+    ours = error_image(a, b)
+    assert np.abs(page["error"] - ours).max(axis=2).mean() < 0.05
+    assert np.ptp(ours) > 0.3
+
+
+@in_browser
+def test_a_folder_is_shown_by_any_server(files, tmp_path):
+    site = tmp_path / "site"
+    share([files.folder / "a.egs", files.folder / "b.egs"], site, files.folder / "cameras.json")
+    assert sorted(path.name for path in site.iterdir()) == ["a.egs", "b.egs", "index.html"]
+    with serving(site) as url:
+        job = Job(url, [])
+        job.shot(str(tmp_path / "wipe.png"))
+        [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    asked = [request for request in told.requests if not request.startswith(("blob:", "data:"))]
+    assert asked == [url, f"{url}a.egs", f"{url}b.egs"]
+    a, b = (drawn(scene, files.cameras[0]) for scene in (files.a, files.b))
+    both = np.concatenate([a[:, : WIDTH // 2], b[:, WIDTH // 2 :]], axis=1)
+    assert decibels(seen(tmp_path / "wipe.png"), both) > 45
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    """A server that says nothing, and of `stalled.egs` sends half."""
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+    def do_GET(self) -> None:
+        if not self.path.endswith("stalled.egs"):
+            super().do_GET()
+            return
+        data = Path(self.translate_path(self.path)).read_bytes()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data[: 2 * len(data) // 3])
+        self.wfile.flush()
+        self.server.over.wait(300)  # type: ignore[attr-defined]
+
+
+class serving:  # noqa: N801
+    """A server of a folder, on this machine alone."""
+
+    def __init__(self, folder: Path) -> None:
+        handler = functools.partial(Handler, directory=str(folder))
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+        self.server.over = threading.Event()  # type: ignore[attr-defined]
+
+    def __enter__(self) -> str:
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        return f"http://127.0.0.1:{self.server.server_port}/"
+
+    def __exit__(self, *_: object) -> None:
+        self.server.over.set()  # type: ignore[attr-defined]
+        self.server.shutdown()
+        self.server.server_close()
+
+
+@in_browser
+def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
+    site = tmp_path / "site"
+    shutil.copy(files.folder / "a.egs", tmp_path / "stalled.egs")
+    share([tmp_path / "stalled.egs"], site, files.folder / "cameras.json")
+    with serving(site) as url:
+        loaded = "document.querySelector('progress').value > 0.4"
+        job = Job(
+            url, [("until", loaded), ("until", "document.querySelector('small').textContent")]
+        )
+        job.steps.append(("click", "#stop"))
+        job.shot(str(tmp_path / "part.png"))
+        [told] = open_pages(job)
+    assert (told.state, told.status) == ("ready", "Stopped: what had come is shown.")
+    assert told.errors == []
+    assert np.ptp(seen(tmp_path / "part.png")) > 0.3
+
+
+@in_browser
+def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
+    """Damaged, of a later version, or no file at all."""
+    data = (files.folder / "b.egs").read_bytes()
+    place = 3 * len(data) // 4
+    bad = {
+        "damaged": data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :],
+        "later": data[:8] + b"\2" + data[9:],
+        "cut": data[: len(data) // 2],
+        "text": b"<html>not found</html>",
+    }
+    said = {
+        "damaged": "checksum", "later": "version 2 of the format", "cut": "cut off",
+        "text": "not an .egs file",
+    }  # fmt: skip
+    site = tmp_path / "site"
+    share([files.folder / "a.egs", files.folder / "b.egs"], site, files.folder / "cameras.json")
+    index = (site / "index.html").read_text()
+    jobs = []
+    with serving(site) as url:
+        for name, content in (*bad.items(), ("missing", None)):
+            if content is not None:
+                (site / f"{name}.egs").write_bytes(content)
+            (site / f"{name}.html").write_text(index.replace('"b.egs"}', f'"{name}.egs"}}'))
+            jobs.append(Job(f"{url}{name}.html", [("drawn",), ("key", "1")]))
+            jobs[-1].shot(str(tmp_path / f"{name}.png"))
+        found = open_pages(*jobs)
+    a = drawn(files.a, files.cameras[0])
+    for job, told in zip(jobs, found, strict=True):
+        name = Path(job.url).stem
+        assert told.state == "error"
+        assert told.status.startswith("b.egs: ")
+        assert said.get(name, "404") in told.status
+        assert decibels(seen(tmp_path / f"{name}.png"), a) > 45
+
+
+@in_browser
+def test_a_drag_there_and_back_changes_nothing_and_to_the_right_goes_right(files, pages, tmp_path):
+    def far(name: str, steps: list[tuple]) -> tuple[Job, str]:
+        job = Job(pages["one"].as_uri(), [("drawn",), *steps])
+        path = str(tmp_path / f"{name}.png")
+        job.shot(path)
+        return job, path
+
+    there, back = [[150, 100], [190, 120]], [[150, 100], [190, 120], [150, 100]]
+    jobs, paths = zip(
+        *[
+            far("start", []),
+            far("fast", [("drag", back, 1)]),
+            far("slow", [("drag", back, 15)]),
+            far("once", [("drag", there, 1)]),
+            far("often", [("drag", there, 15)]),
+            far("right", [("drag", [[150, 100], [170, 100]], 2, "right")]),
+            far("reset", [("drag", there, 3), ("wheel", -300), ("key", "r")]),
+            far("near", [("wheel", -300)]),
+            far("flown", [("hold", "w", 400)]),
+            far("turned", [("hold", "ArrowLeft", 400)]),
+            far("pinched", [("touch", [[[140, 100], [100, 100]], [[160, 100], [200, 100]]])]),
+            far("swiped", [("touch", [[[150, 100], [190, 120]]])]),
+        ],
+        strict=True,
+    )
+    for told in open_pages(*jobs):
+        assert (told.state, told.errors) == ("ready", [])
+    pictures = {Path(path).stem: seen(path) for path in paths}
+    start = pictures["start"]
+    for name in ("fast", "slow", "reset"):
+        assert decibels(pictures[name], start) > 45, name
+    assert decibels(pictures["once"], pictures["often"]) > 40
+    assert decibels(pictures["swiped"], pictures["once"]) > 40
+    for name in ("once", "right", "near", "flown", "turned", "pinched"):
+        assert decibels(pictures[name], start) < 30, name
+    # What was shifted to the right is there.
+    shifts = [
+        decibels(pictures["right"][:, 40 + d : -40 + d], start[:, 40:-40]) for d in (-20, 0, 20)
+    ]
+    assert np.argmax(shifts) == 2
+    # What is nearer fills more.
+    for name in ("near", "flown", "pinched"):
+        assert (pictures[name].sum(axis=2) > 0.1).mean() > (start.sum(axis=2) > 0.1).mean(), name
+
+
+@in_browser
+def test_nothing_of_elsewhere_runs_and_names_are_text(files, tmp_path):
+    name = "a <script>alert(1)<!--&'.egs"
+    shutil.copy(files.folder / "a.egs", tmp_path / name)
+    share([tmp_path / name], tmp_path / "page.html", files.folder / "cameras.json")
+    share([tmp_path / name], tmp_path / "site", files.folder / "cameras.json")
+    tries = """(() => {
+        const found = {title: document.title, name: document.querySelector('li').firstChild.data};
+        document.body.setAttribute('onclick', 'window.ran = true');
+        document.body.onclick?.();
+        const script = document.createElement('script');
+        script.textContent = 'window.ran = true';
+        document.body.append(script);
+        return {...found, ran: window.ran ?? false};
+    })()"""
+    fetched = "fetch('https://example.org/').then(() => 'fetched', (error) => error.name)"
+    with serving(tmp_path / "site") as url:
+        found = open_pages(
+            Job((tmp_path / "page.html").as_uri(), [("drawn",), ("value", tries)]),
+            Job(url, [("drawn",), ("value", tries), ("value", fetched)]),
+        )
+    for told in found:
+        assert told.state == "ready"
+        assert told.values[1] == {"title": name, "name": name, "ran": False}
+    assert found[1].values[2] == "TypeError"
+
+
+@in_browser
+def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_path):
+    cells = """Object.fromEntries([...document.querySelectorAll('#sizes tbody tr')].map(
+        (row) => [row.cells[0].textContent, [...row.cells].slice(1).map((c) => +c.textContent)]))"""
+    job = Job(pages["two"].as_uri(), [("drawn",), ("value", cells), ("key", "1")])
+    job.steps += [("drawn",), ("saved", "#save", str(tmp_path / "saved.png"))]
+    unnamed = """[...document.querySelectorAll('select, button, input, canvas, [tabindex]')]
+        .filter((e) => !(e.labels?.length || e.ariaLabel || e.textContent.trim()))
+        .map((e) => e.outerHTML)"""
+    job.steps.append(("value", unnamed))
+    [told] = open_pages(job)
+    assert (told.errors, told.values[-1]) == ([], [])
+    assert told.values[-2] == "a.egs_and_b.egs.png"
+    assert decibels(seen(tmp_path / "saved.png"), drawn(files.a, files.cameras[0])) > 45
+    shown = told.values[1]
+    for k, name in enumerate("ab"):
+        info = sharing.inspect_bytes((files.folder / f"{name}.egs").read_bytes())
+        bits = {stream.name: stream.bits_per_gaussian for stream in info.streams}
+        whole = 8 * info.file_bytes / info.count
+        assert shown["file"][k] == pytest.approx(whole, abs=0.051)
+        assert shown["SH-DC"][k] == pytest.approx(bits["sh-dc"], abs=0.051)
+        ac = sum(bits[band] for band in ("sh1", "sh2", "sh3"))
+        assert shown["SH-AC"][k] == pytest.approx(ac, abs=0.051)
+        assert sum(row[k] for title, row in shown.items() if title != "file") == pytest.approx(
+            whole, abs=0.4
+        )
+
+
+@in_browser
+@pytest.mark.parametrize("kind", ["turned", "antialiased", "paper", "empty"])
+def test_scenes_of_all_kinds(files, tmp_path, kind):
+    """In the file's own coordinates, with opacity compensation, of other profiles, of nothing."""
+    scene, config = files.a, Config("l", block_size=1024)
+    if kind == "turned":
+        scene = turn_scene(replace(scene, comments=["CoordinateSystem: RDF"]), "RUB")
+    if kind == "antialiased":
+        scene = replace(scene, comments=[ANTIALIASED])
+    if kind == "paper":
+        config = Config("paper-l", block_size=1024)
+    if kind == "empty":
+        scene = random_scene(0)
+    (tmp_path / "a.egs").write_bytes(encode_scene(scene, config)[0])
+    share([tmp_path / "a.egs"], tmp_path / "page.html", files.folder / "cameras.json")
+    expected = sharing._open(tmp_path / "a.egs", None, None)[1]
+    job = Job((tmp_path / "page.html").as_uri(), [])
+    job.shot(str(tmp_path / "a.png"))
+    [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    ours = drawn(expected, files.cameras[0])
+    page = seen(tmp_path / "a.png")
+    if kind == "empty":
+        assert not page.any()
+    else:
+        assert np.ptp(ours) > 0.3
+        assert decibels(page, ours) > 45
+
+
+@in_browser
+def test_a_browser_without_webgl_says_so(pages):
+    none = "HTMLCanvasElement.prototype.getContext = () => null"
+    [told] = open_pages(Job(pages["one"].as_uri(), [("drawn",)], before=none))
+    assert (told.state, told.status) == ("error", "this browser has no WebGL 2")
+
+
+@in_browser
+def test_it_fits_a_telephone(pages, tmp_path):
+    job = Job(pages["two"].as_uri(), [("drawn",)], size=(360, 640))
+    inside = """[...document.querySelectorAll('#panel, #wipe, canvas')].every((element) => {
+        const box = element.getBoundingClientRect();
+        return box.left >= 0 && box.right <= innerWidth && box.bottom <= innerHeight;
+    }) && document.documentElement.scrollWidth === innerWidth"""
+    job.steps.append(("value", inside))
+    [told] = open_pages(job)
+    assert told.values[-1] is True
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """The exit status of a command."""
+    monkeypatch.setattr("sys.argv", ["gs-codec", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    return stop.value.code or 0
+
+
+def test_other_scenes_are_encoded_for_the_page(files, tmp_path, monkeypatch, capsys):
+    write_ply(tmp_path / "a.ply", files.a)
+    (tmp_path / "a.egs").write_bytes(encode_scene(files.a, Config("lossless"))[0])
+    cameras = files.folder / "cameras.json"
+    for name in ("a.ply", "a.egs"):
+        (tmp_path / "folder").mkdir(exist_ok=True)
+        arguments = (tmp_path / name, "--cameras", cameras, "--out", tmp_path / "folder")
+        assert run(monkeypatch, "share", *arguments, "--overwrite") == 0
+        out = capsys.readouterr().out
+        assert f"folder: {name}, " in out
+        assert out.endswith(" MB, encoded for the page by profile l\n")
+        info = sharing.inspect_bytes((tmp_path / "folder" / "a.egs").read_bytes())
+        assert (info.profile, info.count) == ("l", files.a.count)
+
+
+def test_two_files_of_one_name_are_kept_apart(files, tmp_path):
+    (tmp_path / "other").mkdir()
+    shutil.copy(files.folder / "b.egs", tmp_path / "other" / "A.egs")
+    sources = [files.folder / "a.egs", tmp_path / "other" / "A.egs"]
+    share(sources, tmp_path / "site", files.folder / "cameras.json")
+    for name, source in zip(("a-a.egs", "b-A.egs"), sources, strict=True):
+        assert (tmp_path / "site" / name).read_bytes() == source.read_bytes()
+
+
+def test_cameras_are_estimated_without_a_file(files, tmp_path):
+    share([files.folder / "a.egs"], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    listed = page.split('id="scene-list">')[1].split("</script>")[0]
+    described = json.loads(listed)
+    assert len(described["views"]) == 24
+    assert {"img_name", "fx", "rotation"} <= set(described["views"][0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.egs", "--out", "page.txt"], "page.txt: expected a .html file or a folder"),
+        (["a.egs", "--out", "taken.html"], "taken.html: exists"),
+        (["a.egs", "--out", "taken"], "taken: not empty"),
+        (["none.egs", "--out", "page.html"], "none.egs: No such file"),
+        (["a.egs", "--out", "nowhere/page.html"], "nowhere"),
+        (["a.egs", "--out", "page.html", "--max-bytes", "999"], "the limit is 999"),
+        (["a.egs", "--out", "page.html", "--cameras", "none.json"], "none.json: no such file"),
+    ],
+)
+def test_refusals_are_one_line(files, tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(files.folder / "a.egs", "a.egs")
+    Path("taken.html").write_text("")
+    Path("taken").mkdir()
+    Path("taken/file").write_text("")
+    before = sorted(tmp_path.rglob("*"))
+    assert run(monkeypatch, "share", *arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_three_scenes_are_too_many(files, tmp_path):
+    with pytest.raises(InvalidInput, match="3 scenes, expected one or two"):
+        share([files.folder / "a.egs"] * 3, tmp_path / "page.html")
+
+
+def test_without_the_build_it_says_what_builds_it(files, tmp_path, monkeypatch):
+    monkeypatch.setattr(sharing.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(MissingTool, match="the page for browsers is not built: make web"):
+        share([files.folder / "a.egs"], tmp_path / "page.html")
+
+
+def test_nothing_stays_of_a_page_that_cannot_be_written(files, tmp_path, monkeypatch):
+    def full(*_: object) -> Callable:
+        raise GsCodecError("No space left on device")
+
+    monkeypatch.setattr(sharing, "atomic_writer", full)
+    with pytest.raises(GsCodecError, match="No space"):
+        share([files.folder / "a.egs"], tmp_path / "page.html", files.folder / "cameras.json")
+    assert list(tmp_path.iterdir()) == []

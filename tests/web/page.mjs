@@ -1,0 +1,107 @@
+// Opens pages in Chromium as test_web_page.py asks: JSON on stdin, a line of JSON for each page.
+//
+//     node page.mjs CHROMIUM PLAYWRIGHT < jobs.json
+//
+// A job has a `url`, a `size`, and `steps`, each of which is [name, ...arguments]; see STEPS.
+import { readFileSync } from 'node:fs';
+import { pathToFileURL } from 'node:url';
+
+const [executablePath, playwright] = process.argv.slice(2);
+const { chromium } = await import(pathToFileURL(playwright));
+
+const END = ['ready', 'error'];
+
+const STEPS = {
+  /** Until everything is loaded and drawn. */
+  drawn: (page) =>
+    page.waitForFunction((end) => end.includes(document.body.dataset.state), END),
+  /** A picture of the page without what lies above the scene; its file is a value. */
+  async shot(page, path) {
+    await STEPS.drawn(page);
+    const cover = (visibility) =>
+      page.evaluate((value) => {
+        for (const id of ['panel', 'status', 'wipe']) {
+          document.getElementById(id).style.visibility = value;
+        }
+      }, visibility);
+    await cover('hidden');
+    await page.screenshot({ path });
+    await cover('');
+  },
+  /** A picture of all. */
+  screen: (page, path) => page.screenshot({ path }),
+  key: (page, name) => page.keyboard.press(name),
+  /** A key that is held for some time. */
+  async hold(page, name, milliseconds) {
+    await page.keyboard.down(name);
+    await page.waitForTimeout(milliseconds);
+    await page.keyboard.up(name);
+  },
+  click: (page, selector) => page.click(selector),
+  choose: (page, selector, value) => page.selectOption(selector, value),
+  focus: (page, selector) => page.focus(selector),
+  wheel: async (page, amount) => {
+    await page.mouse.move(150, 100);
+    await page.mouse.wheel(0, amount);
+    await page.waitForTimeout(100);
+  },
+  /** A drag through points, by so many events each. */
+  async drag(page, points, events, button = 'left') {
+    await page.mouse.move(...points[0]);
+    await page.mouse.down({ button });
+    for (const point of points.slice(1)) await page.mouse.move(...point, { steps: events });
+    await page.mouse.up({ button });
+  },
+  /** Fingers, each a list of points, all as many. */
+  async touch(page, fingers) {
+    const client = await page.context().newCDPSession(page);
+    const send = (type, touchPoints) =>
+      client.send('Input.dispatchTouchEvent', { type, touchPoints });
+    const at = (k) => fingers.map((points, id) => ({ x: points[k][0], y: points[k][1], id }));
+    await send('touchStart', at(0));
+    for (let k = 1; k < fingers[0].length; k++) await send('touchMove', at(k));
+    await send('touchEnd', []);
+  },
+  /** Until a script of the page is true. */
+  async until(page, script) {
+    while (!(await page.evaluate(script))) await page.waitForTimeout(20);
+  },
+  /** The value of a script. */
+  value: (page, script) => page.evaluate(script),
+  /** The file that a click has one save. */
+  async saved(page, selector, path) {
+    const [download] = await Promise.all([page.waitForEvent('download'), page.click(selector)]);
+    await download.saveAs(path);
+    return download.suggestedFilename();
+  },
+  resize: (page, width, height) => page.setViewportSize({ width, height }),
+};
+
+const browser = await chromium.launch({
+  executablePath,
+  args: ['--no-sandbox', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'],
+});
+for (const { url, size, steps, before } of JSON.parse(readFileSync(0, 'utf8'))) {
+  const [width, height] = size;
+  const context = await browser.newContext({ viewport: { width, height }, hasTouch: true });
+  const page = await context.newPage();
+  page.setDefaultTimeout(60_000);
+  const told = { values: [], requests: [], errors: [] };
+  page.on('request', (request) => told.requests.push(request.url()));
+  page.on('pageerror', (error) => told.errors.push(error.message));
+  page.on('console', (message) => {
+    if (message.type() === 'error') told.errors.push(message.text());
+  });
+  if (before) await page.addInitScript(before);
+  try {
+    await page.goto(url);
+    for (const [name, ...given] of steps) told.values.push((await STEPS[name](page, ...given)) ?? null);
+    told.state = await page.evaluate('document.body.dataset.state');
+    told.status = await page.textContent('#status');
+  } catch (error) {
+    told.failure = error.message;
+  }
+  process.stdout.write(`${JSON.stringify(told)}\n`);
+  await context.close();
+}
+await browser.close();

@@ -1,0 +1,65 @@
+// Builds the page: build/page.html, all in one file, in which `gs-codec share` puts scenes.
+import { createHash } from 'node:crypto';
+import { mkdir, readFile, writeFile } from 'node:fs/promises';
+import { dirname, resolve } from 'node:path';
+import { fileURLToPath } from 'node:url';
+
+import { build } from 'esbuild';
+
+const here = dirname(fileURLToPath(import.meta.url));
+
+/** `text:FILE` is a bundled script as text, of which the page makes workers. */
+const texts = {
+  name: 'text',
+  setup(builder) {
+    builder.onResolve({ filter: /^text:/ }, ({ path, resolveDir }) => ({
+      path: resolve(resolveDir, path.slice('text:'.length)),
+      namespace: 'text',
+    }));
+    builder.onLoad({ filter: /.*/, namespace: 'text' }, async ({ path }) => ({
+      contents: await bundled(path, 'iife'),
+      loader: 'text',
+    }));
+  },
+};
+
+async function bundled(path, format) {
+  const { outputFiles } = await build({
+    entryPoints: [path],
+    bundle: true,
+    minify: true,
+    format,
+    target: 'es2022',
+    write: false,
+    legalComments: 'none',
+    plugins: [texts],
+  });
+  return outputFiles[0].text.trim();
+}
+
+const page = (name) => resolve(here, 'page', name);
+const hash = (text) => `'sha256-${createHash('sha256').update(text).digest('base64')}'`;
+
+const script = await bundled(page('main.js'), 'esm');
+const style = await bundled(page('page.css'));
+// Nothing is taken from anywhere but the page's own folder, and nothing runs but what is built here.
+const policy = [
+  "default-src 'none'",
+  `script-src ${hash(script)}`,
+  `style-src ${hash(style)}`,
+  "style-src-attr 'none'",
+  'img-src data:',
+  "connect-src 'self'",
+  'worker-src blob:',
+  "base-uri 'none'",
+  "form-action 'none'",
+].join('; ');
+const parts = {
+  policy: `<meta http-equiv="Content-Security-Policy" content="${policy}">`,
+  style: `<style>${style}</style>`,
+  script: `<script type="module">${script}</script>`,
+};
+let text = await readFile(page('page.html'), 'utf8');
+for (const [name, part] of Object.entries(parts)) text = text.replace(`<!--${name}-->`, () => part);
+await mkdir(resolve(here, 'build'), { recursive: true });
+await writeFile(resolve(here, 'build', 'page.html'), text);

@@ -1,0 +1,109 @@
+// Mouse, touch and keys.
+
+/** Radians of a pixel. */
+const TURN = 0.005;
+
+/** How far a key goes in a second: radians; the distance to what is looked at. */
+const [ANGLE, PACE] = [1.2, 0.6];
+
+/** What keys do while they are held: sideways and upwards turn, right, down, forward. */
+const HELD = {
+  ArrowLeft: [1, 0, 0, 0, 0],
+  ArrowRight: [-1, 0, 0, 0, 0],
+  ArrowUp: [0, 1, 0, 0, 0],
+  ArrowDown: [0, -1, 0, 0, 0],
+  KeyA: [0, 0, -1, 0, 0],
+  KeyD: [0, 0, 1, 0, 0],
+  KeyQ: [0, 0, 0, 1, 0],
+  KeyE: [0, 0, 0, -1, 0],
+  KeyW: [0, 0, 0, 0, 1],
+  KeyS: [0, 0, 0, 0, -1],
+};
+
+/**
+ * Let a canvas be turned, shifted and flown.
+ *
+ * @param {HTMLElement} element
+ * @param {object} viewer has `pose`, `up`, `focal` (pixels of the page), and `moved()`
+ */
+export function control(element, viewer) {
+  const pointers = new Map();
+
+  const shift = (x, y) => {
+    const size = viewer.pose.distance / viewer.focal;
+    viewer.pose.move(-x * size, -y * size, 0);
+  };
+
+  element.addEventListener('pointerdown', (event) => {
+    element.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+  });
+  for (const name of ['pointerup', 'pointercancel']) {
+    element.addEventListener(name, (event) => pointers.delete(event.pointerId));
+  }
+  element.addEventListener('pointermove', (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    const now = [event.clientX, event.clientY];
+    const [x, y] = [now[0] - before[0], now[1] - before[1]];
+    const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
+    pointers.set(event.pointerId, now);
+    const { pose, up } = viewer;
+    if (other) {
+      const apart = (at) => Math.hypot(at[0] - other[0], at[1] - other[1]) + 1;
+      pose.zoom(apart(before) / apart(now));
+      shift(x / 2, y / 2); // two fingers move what is between them by half of each
+    } else if (event.ctrlKey || event.shiftKey || event.buttons & 6) {
+      shift(x, y);
+    } else {
+      pose.orbit(-x * TURN * handed(pose, up), -y * TURN, up);
+    }
+    viewer.moved();
+  });
+  element.addEventListener('contextmenu', (event) => event.preventDefault());
+  element.addEventListener(
+    'wheel',
+    (event) => {
+      event.preventDefault();
+      const lines = event.deltaY * [1, 30, 300][event.deltaMode];
+      viewer.pose.zoom(Math.exp(Math.min(Math.max(lines, -300), 300) * 0.0012));
+      viewer.moved();
+    },
+    { passive: false },
+  );
+
+  const held = new Set();
+  let last = 0;
+  const step = (now) => {
+    if (held.size === 0) return;
+    const seconds = Math.min((now - last) / 1000, 0.1);
+    last = now;
+    const sum = [0, 0, 0, 0, 0];
+    for (const key of held) HELD[key].forEach((value, k) => (sum[k] += value * seconds));
+    const { pose, up } = viewer;
+    pose.orbit(-sum[0] * ANGLE * handed(pose, up), -sum[1] * ANGLE, up);
+    const pace = PACE * pose.distance;
+    pose.move(...sum.slice(2).map((value) => value * pace));
+    viewer.moved();
+    requestAnimationFrame(step);
+  };
+  document.addEventListener('keydown', (event) => {
+    const { code, target } = event;
+    if (!HELD[code] || event.ctrlKey || event.altKey || event.metaKey) return;
+    // Arrows move in what has the focus, letters choose in lists.
+    const isElsewhere = target !== element && target !== document.body;
+    if (target.tagName === 'SELECT' || (isElsewhere && code.startsWith('Arrow'))) return;
+    event.preventDefault();
+    if (held.size === 0) {
+      last = performance.now();
+      requestAnimationFrame(step);
+    }
+    held.add(event.code);
+  });
+  document.addEventListener('keyup', (event) => held.delete(event.code));
+  addEventListener('blur', () => held.clear());
+}
+
+/** Whether a camera stands on its feet or on its head: to the right is to the right. */
+const handed = ({ turn }, up) =>
+  turn[1].reduce((sum, value, k) => sum + value * up[k], 0) > 0 ? -1 : 1;

@@ -1,0 +1,13 @@
+// Numbers of 16 bits for the graphics card.
+const float = new Float32Array(1);
+const bits = new Uint32Array(float.buffer);
+
+/** The half nearest to a number, as its bits; what is too large is the largest. */
+export function half(value) {
+  float[0] = value;
+  const sign = (bits[0] >>> 16) & 0x8000;
+  const magnitude = bits[0] & 0x7fffffff;
+  if (magnitude >= 0x477ff000) return sign | 0x7bff;
+  if (magnitude < 0x38800000) return sign | Math.round(Math.abs(value) * 2 ** 24); // subnormal
+  return sign | ((magnitude - 0x38000000 + 0xfff + ((magnitude >>> 13) & 1)) >>> 13);
+}

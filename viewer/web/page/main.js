@@ -1,0 +1,151 @@
+// The page: one scene, or two to compare.
+import { control } from './controls.js';
+import { Loaded } from './loaded.js';
+import { Panel } from './panel.js';
+import { Pose, upOf } from './pose.js';
+import { Renderer } from './renderer.js';
+
+const BACKGROUNDS = { black: [0, 0, 0], grey: [0.5, 0.5, 0.5], white: [1, 1, 1] };
+
+class Viewer {
+  constructor({ scenes, views, middle }) {
+    this.views = views;
+    this.middle = middle;
+    this.up = upOf(views);
+    this.canvas = document.getElementById('view');
+    this.abort = new AbortController();
+    this.failed = false;
+    this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
+    this.panel = new Panel(this, scenes);
+    this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
+    this.choose(0);
+    control(this.canvas, this);
+    new ResizeObserver(() => this.redraw()).observe(this.canvas);
+    this.canvas.addEventListener('webglcontextlost', () =>
+      this.#fail(new Error('the graphics card was lost: reload the page')),
+    );
+  }
+
+  async run() {
+    try {
+      this.renderer = new Renderer(this.canvas);
+    } catch (error) {
+      this.#fail(error);
+      return;
+    }
+    const { signal } = this.abort;
+    const tasks = this.scenes.map((scene) =>
+      scene.load(this.renderer.gl, signal).catch((error) => {
+        if (signal.aborted) this.panel.tell('Stopped: what had come is shown.');
+        else this.#fail(error, scene.entry.name);
+      }),
+    );
+    await Promise.all(tasks);
+    this.panel.loaded();
+    this.isLoaded = true;
+    this.redraw();
+  }
+
+  #fail(error, name = '') {
+    this.failed = true;
+    this.panel.tell(name ? `${name}: ${error.message}` : error.message, true);
+  }
+
+  #arrived() {
+    this.panel.progress(this.scenes);
+    this.redraw();
+  }
+
+  /** Go to a view by its number. */
+  choose(index) {
+    const count = this.views.length;
+    this.view = ((index % count) + count) % count;
+    this.pose = Pose.of(this.views[this.view], this.middle);
+    this.panel.chosen(this.view);
+    this.moved();
+  }
+
+  /** The camera has moved. */
+  moved() {
+    this.pose = this.pose.copy(); // scenes know by it which order they are in
+    this.redraw();
+  }
+
+  /** Show otherwise: `show` (a, b, wipe, error), `split`, `degree`, `background`. */
+  set(look) {
+    Object.assign(this.look, look);
+    this.panel.shown(this.look);
+    this.redraw();
+  }
+
+  /** Pixels of the page by which a thing as far away as it is large is seen. */
+  get focal() {
+    return this.#lens().focal[1] / (this.canvas.width / this.canvas.clientWidth || 1);
+  }
+
+  /** The lens of the view, of which the whole frame is in the canvas. */
+  #lens() {
+    const { width, height, fx, fy, cx, cy } = this.views[this.view];
+    const { width: w, height: h } = this.canvas;
+    const scale = Math.min(w / width, h / height);
+    const aside = [(w - scale * width) / 2, (h - scale * height) / 2];
+    return {
+      focal: [scale * fx, scale * fy],
+      centre: [aside[0] + scale * cx, aside[1] + scale * cy],
+    };
+  }
+
+  /** Draw soon. */
+  redraw() {
+    document.body.dataset.state = 'drawing';
+    this.asked ??= requestAnimationFrame(() => this.#drawIfDone());
+  }
+
+  /** Draw unless the last picture is not done: on slow devices many would wait. */
+  #drawIfDone() {
+    const { renderer } = this;
+    if (!renderer) {
+      document.body.dataset.state = this.failed ? 'error' : 'loading';
+      this.asked = undefined;
+      return;
+    }
+    for (const scene of this.scenes) scene.sort(this.pose);
+    // While scenes load, a third of the time is for pictures.
+    const isTime = this.isLoaded || renderer.rested > 2 * renderer.took;
+    if (renderer.isDone() && isTime && this.scenes.every((scene) => scene.isNearlyInOrder)) {
+      this.asked = undefined;
+      this.#draw();
+    } else {
+      this.asked = requestAnimationFrame(() => this.#drawIfDone());
+    }
+  }
+
+  #draw() {
+    const { canvas, renderer, scenes, pose, look } = this;
+    const dots = Math.min(globalThis.devicePixelRatio || 1, 2);
+    canvas.width = Math.max(1, Math.round(canvas.clientWidth * dots));
+    canvas.height = Math.max(1, Math.round(canvas.clientHeight * dots));
+    renderer.draw(scenes, pose, this.#lens(), {
+      degree: look.degree,
+      background: BACKGROUNDS[look.background],
+      split: { a: 1, b: 0, wipe: look.split, error: 1 }[look.show],
+      errors: look.show === 'error',
+    });
+    const inOrder = scenes.every((scene) => scene.isInOrder(pose));
+    const state = !inOrder ? 'drawing' : this.isLoaded ? 'ready' : 'loading';
+    document.body.dataset.state = this.failed && state === 'ready' ? 'error' : state;
+  }
+
+  /** Save what the canvas shows. */
+  save() {
+    this.canvas.toBlob((blob) => {
+      const link = document.createElement('a');
+      link.href = URL.createObjectURL(blob);
+      link.download = `${document.title.replace(/[^\w.-]+/g, '_')}.png`;
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    });
+  }
+}
+
+new Viewer(JSON.parse(document.getElementById('scene-list').textContent)).run();

@@ -1,0 +1,172 @@
+// What stands beside the picture, and the keys.
+const $ = (id) => document.getElementById(id);
+
+/** Streams of a file, by what they hold. */
+const ATTRIBUTES = {
+  positions: ['geometry', 'low-bits'],
+  'SH-DC': ['sh-dc'],
+  'SH-AC': ['sh1', 'sh2', 'sh3'],
+  opacity: ['opacity'],
+  scaling: ['scaling', 'classes'],
+  rotation: ['rotation'],
+};
+
+const number = (value, digits) =>
+  value.toLocaleString('en', { minimumFractionDigits: digits, maximumFractionDigits: digits });
+
+function element(name, text, parent) {
+  const made = document.createElement(name);
+  made.textContent = text;
+  parent.append(made);
+  return made;
+}
+
+export class Panel {
+  constructor(viewer, entries) {
+    this.viewer = viewer;
+    this.two = entries.length === 2;
+    if (this.two) viewer.look.show = 'wipe';
+    this.rows = entries.map(({ name }, k) => {
+      const item = element('li', (this.two ? `${'AB'[k]}: ` : '') + name, $('scenes'));
+      const told = element('small', '', item);
+      const bar = element('progress', '', item);
+      bar.setAttribute('aria-label', `${name}, loaded`);
+      return { told, bar };
+    });
+    viewer.views.forEach(({ img_name: name }, k) => $('views').add(new Option(`${k}: ${name}`, k)));
+    $('shows').hidden = !this.two;
+    $('stop').hidden = false;
+    this.#listen();
+    this.shown(viewer.look);
+  }
+
+  #listen() {
+    const { viewer } = this;
+    $('stop').addEventListener('click', () => viewer.abort.abort());
+    $('save').addEventListener('click', () => viewer.save());
+    $('views').addEventListener('change', ({ target }) => viewer.choose(Number(target.value)));
+    $('degree').addEventListener('change', ({ target }) =>
+      viewer.set({ degree: Number(target.value) }),
+    );
+    $('background').addEventListener('change', ({ target }) =>
+      viewer.set({ background: target.value }),
+    );
+    $('shows').addEventListener('change', ({ target }) => viewer.set({ show: target.value }));
+    this.#listenToWipe();
+    document.addEventListener('keydown', (event) => this.#key(event));
+  }
+
+  #listenToWipe() {
+    const { viewer } = this;
+    const line = $('wipe');
+    line.addEventListener('pointerdown', (event) => line.setPointerCapture(event.pointerId));
+    line.addEventListener('pointermove', (event) => {
+      if (!line.hasPointerCapture(event.pointerId)) return;
+      viewer.set({ split: Math.min(Math.max(event.clientX / innerWidth, 0), 1) });
+    });
+    line.addEventListener('keydown', (event) => {
+      const { split } = viewer.look;
+      const steps = { ArrowLeft: split - 0.02, ArrowRight: split + 0.02, Home: 0, End: 1 };
+      if (!(event.key in steps)) return;
+      event.preventDefault();
+      viewer.set({ split: Math.min(Math.max(steps[event.key], 0), 1) });
+    });
+  }
+
+  #key(event) {
+    const { viewer, two } = this;
+    if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === 'SELECT') return;
+    const show = (name) => two && viewer.set({ show: name });
+    const actions = {
+      n: () => viewer.choose(viewer.view + 1),
+      p: () => viewer.choose(viewer.view - 1),
+      r: () => viewer.choose(viewer.view),
+      1: () => show('a'),
+      2: () => show('b'),
+      3: () => show('wipe'),
+      4: () => show('error'),
+      f: () => show(viewer.look.show === 'a' ? 'b' : 'a'),
+      x: () => viewer.save(),
+      h: () => {
+        $('panel').open = true;
+        $('keys').open = !$('keys').open;
+      },
+    };
+    actions[event.key.toLowerCase()]?.();
+  }
+
+  /** Say something, below the picture. */
+  tell(text, isError = false) {
+    $('status').textContent = text;
+    $('status').classList.toggle('error', isError);
+  }
+
+  /** Which view is shown. */
+  chosen(index) {
+    $('views').value = index;
+  }
+
+  /** How it is shown. */
+  shown({ show, split, degree, background }) {
+    for (const input of $('shows').querySelectorAll('input')) input.checked = input.value === show;
+    $('wipe').hidden = show !== 'wipe';
+    $('wipe').style.left = `${100 * split}%`;
+    $('wipe').setAttribute('aria-valuenow', Math.round(100 * split));
+    $('legend').hidden = show !== 'error';
+    $('background').value = background;
+    $('degree').value = degree;
+  }
+
+  /** How far scenes are loaded. */
+  progress(scenes) {
+    scenes.forEach(({ share, scene }, k) => {
+      const { told, bar } = this.rows[k];
+      bar.value = share;
+      if (!scene || told.textContent) return;
+      const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
+      const size = `${number(bytes / 1e6, 2)} MB`;
+      told.textContent = `${number(scene.count, 0)} Gaussians, SH degree ${scene.degree}, ${size}, profile ${scene.profile}`;
+      this.#list(scenes);
+    });
+  }
+
+  /** List bits by attribute, and the degrees that there are. */
+  #list(scenes) {
+    const known = scenes.map(({ scene }) => scene).filter(Boolean);
+    const highest = Math.max(...known.map(({ degree }) => degree));
+    const degrees = Array.from({ length: highest + 1 }, (_, k) => new Option(k, k));
+    $('degree').replaceChildren(...degrees);
+    this.viewer.set({ degree: highest });
+    const [head, body] = [$('sizes').tHead, $('sizes').tBodies[0]];
+    head.replaceChildren();
+    body.replaceChildren();
+    const title = element('tr', '', head);
+    if (this.two) for (const name of ['', 'A', 'B']) element('th', name, title).scope = 'col';
+    const columns = scenes.map(({ scene }) => bitsOf(scene));
+    for (const name of [...Object.keys(ATTRIBUTES), 'other', 'file']) {
+      const row = element('tr', '', body);
+      element('th', name, row).scope = 'row';
+      for (const bits of columns) element('td', bits ? number(bits[name], 1) : '', row);
+    }
+  }
+
+  /** Everything is there, or has failed. */
+  loaded() {
+    $('stop').hidden = true;
+    for (const { bar } of this.rows) bar.hidden = true;
+  }
+}
+
+/** Bits per Gaussian by attribute. */
+function bitsOf(scene) {
+  if (!scene) return null;
+  const per = (bytes) => (8 * bytes) / Math.max(scene.count, 1);
+  const found = { other: 0, file: 0 };
+  for (const [name, streams] of Object.entries(ATTRIBUTES)) {
+    found[name] = per(streams.reduce((sum, stream) => sum + (scene.bytes[stream] ?? 0), 0));
+    found.other -= found[name];
+  }
+  found.file = per(Object.values(scene.bytes).reduce((sum, size) => sum + size, 0));
+  found.other += found.file;
+  return found;
+}

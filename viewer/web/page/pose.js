@@ -1,0 +1,111 @@
+// Where the camera is: `eye`, and `turn`, whose rows point right, down and forward in the world.
+
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const plus = (a, b, times = 1) => a.map((value, k) => value + times * b[k]);
+const times = (a, factor) => a.map((value) => value * factor);
+const cross = (a, b) => [
+  a[1] * b[2] - a[2] * b[1],
+  a[2] * b[0] - a[0] * b[2],
+  a[0] * b[1] - a[1] * b[0],
+];
+const unit = (a) => times(a, 1 / Math.hypot(...a));
+
+/** A vector turned about an axis of length 1. */
+function turned(vector, axis, angle) {
+  const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+  const along = times(axis, dot(axis, vector) * (1 - cos));
+  return plus(plus(along, vector, cos), cross(axis, vector), sin);
+}
+
+/** How near to straight up or down one may look, as the sine of the angle. */
+const STEEP = 0.02;
+
+export class Pose {
+  /**
+   * @param {number[]} eye
+   * @param {number[][]} turn
+   * @param {number} distance to what it turns about, straight ahead
+   */
+  constructor(eye, turn, distance) {
+    this.eye = eye;
+    this.turn = turn;
+    this.distance = distance;
+  }
+
+  /** The pose of a camera, as cameras.json has it; it turns about the depth of a point. */
+  static of({ position, rotation }, middle) {
+    const turn = [0, 1, 2].map((axis) => rotation.map((row) => row[axis]));
+    const away = plus(middle, position, -1);
+    return new Pose(position, turn, Math.max(dot(away, turn[2]), 0.2 * Math.hypot(...away), 1e-3));
+  }
+
+  copy() {
+    return new Pose(this.eye, this.turn, this.distance);
+  }
+
+  get target() {
+    return plus(this.eye, this.turn[2], this.distance);
+  }
+
+  /** Turn about the target by angles: to the side about `up`, and upwards. */
+  orbit(aside, upwards, up) {
+    const { target } = this;
+    this.#turn(aside, upwards, up);
+    this.eye = plus(target, this.turn[2], -this.distance);
+  }
+
+  /** Look around from where the camera is. */
+  look(aside, upwards, up) {
+    this.#turn(aside, upwards, up);
+  }
+
+  #turn(aside, upwards, up) {
+    const sideways = this.turn.map((row) => turned(row, up, aside));
+    const tilted = sideways.map((row) => turned(row, sideways[0], upwards));
+    const steep = (rows) => Math.hypot(...cross(rows[2], up));
+    const kept = steep(tilted) > STEEP || steep(tilted) > steep(sideways) ? tilted : sideways;
+    // Rounding adds up.
+    const forward = unit(kept[2]);
+    const right = unit(cross(kept[1], forward));
+    this.turn = [right, cross(forward, right), forward];
+  }
+
+  /** Move along the camera's own axes, scene units. */
+  move(right, down, forward) {
+    const [x, y, z] = this.turn;
+    this.eye = plus(plus(plus(this.eye, x, right), y, down), z, forward);
+  }
+
+  /** Come nearer to the target, or go away from it. */
+  zoom(factor) {
+    const { target } = this;
+    this.distance *= factor;
+    this.eye = plus(target, this.turn[2], -this.distance);
+  }
+
+  /** The same in other axes: rows of `axes` are those of the world, in the other's. */
+  within(axes) {
+    const given = (vector) =>
+      [0, 1, 2].map((k) =>
+        dot(
+          axes.map((row) => row[k]),
+          vector,
+        ),
+      );
+    return { eye: given(this.eye), turn: this.turn.map(given) };
+  }
+}
+
+/** What is up for cameras, taken together. */
+export function upOf(views) {
+  const down = views.map(({ rotation }) => rotation.map((row) => row[1]));
+  const sum = down.reduce((all, one) => plus(all, one, -1), [0, 0, 0]);
+  return Math.hypot(...sum) > 1e-6 * views.length ? unit(sum) : times(down[0], -1);
+}
+
+/** The axes right, down, forward of the world in those of a file, three letters of RLUDBF. */
+export function axesOf(coordinates) {
+  return ['RL', 'DU', 'FB'].map((pair) =>
+    [...(coordinates ?? 'RDF')].map((letter) => [1, -1, 0][(pair.indexOf(letter) + 3) % 3]),
+  );
+}

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import gs_codec
+from gs_codec.cli.asked import is_given
 from gs_codec.cli.main import describe_error
+from gs_codec.cli.options import typed_name
 from gs_codec.cli.output import SCENES, log_to_stderr, print_status, print_text, progress_bar
 from gs_codec.preparation.steps import CAMERAS
 from viewer.scenes.choice import (
@@ -37,10 +39,15 @@ app = typer.Typer(
 
 #: Panels of the help.
 _INPUT, _SHOWN, _OUTPUT = "What to open", "What to show", "Pictures and films; no display is needed"
+_BROWSER = "In a browser, in place of a window"
+
+#: What may be asked for with ``--web``.
+_OF_PAGES = {"web", "port", "a", "b", "cameras", "max_bytes"}
 
 
 @app.command(epilog="Without a scene, the window opens empty. H in it lists the keys.")
 def command(
+    ctx: typer.Context,
     a: Annotated[Path | None, typer.Argument(metavar="A", help=SCENES, show_default=False)] = None,
     b: Annotated[
         Path | None,
@@ -186,12 +193,33 @@ def command(
             "--overwrite", help="Replace an existing picture or film.", rich_help_panel=_OUTPUT
         ),
     ] = False,
+    web: Annotated[
+        bool,
+        typer.Option(
+            "--web",
+            help="Show it in a browser, by a server for this machine alone; over SSH, too.",
+            rich_help_panel=_BROWSER,
+        ),
+    ] = False,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="The server's port; by default a free one.",
+            rich_help_panel=_BROWSER,
+        ),
+    ] = None,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
     """Show a 3D Gaussian Splatting scene, or two versions of one, of any format."""
     if version:
         print_text(f"gs-viewer {gs_codec.__version__}")
         return
+    if web:
+        _serve(ctx, a, b, cameras, port, max_bytes)
+        return
+    if port is not None:
+        raise gs_codec.GsCodecError("port: needs --web")
     from viewer.scenes.request import Request, parse_layers
 
     request = Request(
@@ -229,6 +257,27 @@ def command(
     from viewer.window.viewer import run
 
     run(request, device)
+
+
+def _serve(
+    ctx: typer.Context,
+    a: Path | None,
+    b: Path | None,
+    cameras: str | None,
+    port: int | None,
+    max_bytes: int | None,
+) -> None:
+    """Show a page in a browser; options without effect on it are refused."""
+    for name in ctx.params:
+        if name not in _OF_PAGES and is_given(ctx, name):
+            raise gs_codec.GsCodecError(f"{typed_name(name)}: has no effect on --web")
+    if a is None:
+        raise gs_codec.GsCodecError("web: needs a scene")
+    from viewer.served import serve
+
+    with progress_bar() as progress:
+        page = serve([a] if b is None else [a, b], cameras or "auto", port, max_bytes, progress)
+    page.run()
 
 
 def _leave_out_plotly() -> None:

@@ -58,7 +58,7 @@ class Asked:
             for name, value in values.items()
             if value is not None
         }
-        self._typed = {name for name in values if _is_given(ctx, name)}
+        self._typed = {name for name in values if is_given(ctx, name)}
         self.actions = typed_actions(ctx, values)
         if preset := self._values.get("preset"):
             chosen = PRESETS[preset].options()
@@ -150,7 +150,7 @@ def _parameter(name: str, default: Any, hidden: bool) -> inspect.Parameter:
     )
 
 
-def _is_given(ctx: typer.Context, name: str) -> bool:
+def is_given(ctx: typer.Context, name: str) -> bool:
     """Whether an option was typed, be it with its default."""
     source = ctx.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"

@@ -30,6 +30,9 @@ from gs_codec.scene import Scene
 #: What scenes are encoded by that pages cannot read as they are.
 _PROFILE = "l"
 
+#: The page among its files.
+PAGE = "index.html"
+
 
 @dataclass(frozen=True)
 class SharedScene:
@@ -96,43 +99,55 @@ def share(
         raise InvalidInput(f"{target}: expected a .html file or a folder")
     else:
         check_folder(target, overwrite)
+    shared, files = page_of(sources, cameras, alone, progress=progress, max_bytes=max_bytes)
+    if alone:
+        with atomic_writer(target) as file:
+            file.write(files[PAGE])
+    else:
+        write_files(target, files)
+    return shared
+
+
+def page_of(
+    sources: Sequence[str | Path],
+    cameras: str | Path,
+    alone: bool,
+    *,
+    progress: Progress | None = None,
+    max_bytes: int | None = None,
+) -> tuple[list[SharedScene], dict[str, bytes]]:
+    """The scenes of a page, and its files by name, `PAGE` last; `alone`, that is the only one.
+
+    See `share`.
+    """
     template = _template()
     opened = [_open(Path(source), progress, max_bytes) for source in sources]
     shared = [one for one, _ in opened]
     first = opened[0][1]
     finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
-    views = find_cameras(cameras, first, progress=progress)
+    files, entries, blocks = {}, [], []
+    for k, (one, name) in enumerate(zip(shared, _file_names(shared), strict=True)):
+        if alone:
+            entries.append({"name": one.name, "data": f"scene-{k}"})
+            text = base64.b64encode(one.data).decode()
+            blocks.append(_block(f"scene-{k}", "application/octet-stream", text))
+        else:
+            entries.append({"name": one.name, "url": quote(name)})
+            files[name] = one.data
     described = {
-        "views": [as_entry(index, camera) for index, camera in enumerate(views)],
+        "views": [
+            as_entry(index, camera)
+            for index, camera in enumerate(find_cameras(cameras, first, progress=progress))
+        ],
         "middle": np.median(finite, axis=1).tolist() if finite.size else [0.0, 0.0, 0.0],
+        "scenes": entries,
     }
-    names = _file_names(shared)
-    if alone:
-        entries = [{"name": one.name, "data": f"scene-{k}"} for k, one in enumerate(shared)]
-        data = [
-            _block(f"scene-{k}", "application/octet-stream", base64.b64encode(one.data).decode())
-            for k, one in enumerate(shared)
-        ]
-    else:
-        entries = [
-            {"name": one.name, "url": quote(name)} for one, name in zip(shared, names, strict=True)
-        ]
-        data = []
-    described["scenes"] = entries
     # No text of a file ends the element that it is in.
     listed = json.dumps(described, allow_nan=False).replace("<", "\\u003c")
-    page = _fill(
-        template,
-        title=html.escape(" and ".join(one.name for one in shared)),
-        data="\n".join([_block("scene-list", "application/json", listed), *data]),
-    ).encode()
-    if alone:
-        with atomic_writer(target) as file:
-            file.write(page)
-    else:
-        files = dict(zip(names, (one.data for one in shared), strict=True))
-        write_files(target, files | {"index.html": page})
-    return shared
+    title = html.escape(" and ".join(one.name for one in shared))
+    data = "\n".join([_block("scene-list", "application/json", listed), *blocks])
+    files[PAGE] = _fill(template, title=title, data=data).encode()
+    return shared, files
 
 
 def _open(

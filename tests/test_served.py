@@ -1,0 +1,162 @@
+"""``gs-viewer --web``: a page for this machine alone."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from scenes import random_scene
+from test_web_page import Job, built, in_browser, open_pages
+
+from gs_codec.codecs import encode_scene
+from gs_codec.config import Config
+from viewer.main import main
+from viewer.served import Page, serve
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("served") / "a.egs"
+    path.write_bytes(encode_scene(random_scene(300, 1, seed=5), Config("m"))[0])
+    return path
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    page = Page({"a b.egs": b"scene", "index.html": b"page"})
+    threading.Thread(target=page.serve_forever, daemon=True).start()
+    yield page
+    page.shutdown()
+    page.server_close()
+
+
+def answer(page: Page, path: str, method: str = "GET", host: str | None = None) -> tuple:
+    """Status and body that the server answers."""
+    connection = http.client.HTTPConnection("127.0.0.1", page.server_port, timeout=60)
+    name = f"127.0.0.1:{page.server_port}" if host is None else host
+    connection.request(method, path, headers={"Host": name})
+    response = connection.getresponse()
+    return response.status, response.read()
+
+
+def test_it_answers_who_knows_the_address(page):
+    root = urlsplit(page.url).path
+    assert urlsplit(page.url).hostname == "127.0.0.1"
+    assert len(root) > 20
+    assert answer(page, root) == (200, b"page")
+    assert answer(page, f"{root}a%20b.egs") == (200, b"scene")
+    assert answer(page, root, "HEAD") == (200, b"")
+    assert answer(page, root, host="localhost:9000") == (200, b"page")  # by ssh -L
+
+
+@pytest.mark.parametrize("path", ["/", "/index.html", "/a%20b.egs", "/x/", "/../a%20b.egs"])
+def test_without_it_there_is_nothing(page, path):
+    assert answer(page, path)[0] == 404
+
+
+def test_nothing_else_is_served(page):
+    root = urlsplit(page.url).path
+    for path in ("index.html", "b.egs", "../", "%2e%2e/", "a%20b.egs/"):
+        assert answer(page, root + path)[0] == 404
+    assert answer(page, root, "POST")[0] == 501
+
+
+def test_pages_of_other_hosts_cannot_ask(page):
+    root = urlsplit(page.url).path
+    for host in ("example.org", f"example.org:{page.server_port}", ""):
+        assert answer(page, root, host=host)[0] == 404
+
+
+def test_addresses_differ():
+    pages = [Page({"index.html": b""}) for _ in range(2)]
+    for page in pages:
+        page.server_close()
+    assert len({urlsplit(page.url).path for page in pages}) == 2
+
+
+@built
+@in_browser
+def test_a_browser_shows_it(scene):
+    page = serve([scene], "auto", None, None, None)
+    threading.Thread(target=page.serve_forever, daemon=True).start()
+    [told] = open_pages(Job(page.url, [("drawn",)]))
+    page.shutdown()
+    page.server_close()
+    assert (told.state, told.status, told.errors) == ("ready", "", [])
+    asked = [url for url in told.requests if not url.startswith(("blob:", "data:"))]
+    assert asked == [page.url, f"{page.url}a.egs"]
+
+
+@built
+def test_it_serves_until_it_is_interrupted(scene):
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-c", "from viewer.main import main; main()", scene, "--web"],
+        env=environment | {"PYTHONPATH": str(ROOT), "SSH_CONNECTION": "a 1 b 2"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    url = process.stdout.readline().split()[0]
+    elsewhere = process.stdout.readline()
+    parts = urlsplit(url)
+    assert f"ssh -L {parts.port}:127.0.0.1:{parts.port} HOST" in elsewhere
+    connection = http.client.HTTPConnection("127.0.0.1", parts.port or 0, timeout=60)
+    connection.request("GET", parts.path)
+    assert b"scene-list" in connection.getresponse().read()
+    connection.close()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.egs", "--web", "--mode", "wipe"], "--mode: has no effect on --web"),
+        (["a.egs", "--web", "--screenshot", "a.png"], "--screenshot: has no effect on --web"),
+        (["a.egs", "--web", "--overwrite"], "--overwrite: has no effect on --web"),
+        (["--web"], "web: needs a scene"),
+        (["a.egs", "--port", "8000"], "port: needs --web"),
+        (["a.egs", "--web", "--port", "0"], "port 0: expected 1 to 65535"),
+        (["none.egs", "--web"], "none.egs: No such file"),
+        (["a.egs", "--web", "--max-bytes", "99"], "the limit is 99"),
+    ],
+)
+@built
+def test_refusals_are_one_line(scene, tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(scene, "a.egs")
+    monkeypatch.setattr("sys.argv", ["gs-viewer", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@built
+def test_a_taken_port_is_one_line(scene, monkeypatch, capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        monkeypatch.setattr("sys.argv", ["gs-viewer", str(scene), "--web", "--port", port])
+        with pytest.raises(SystemExit) as stop:
+            main()
+    assert stop.value.code == 2
+    assert f"port {port}: Address already in use" in capsys.readouterr().err

@@ -1,0 +1,133 @@
+"""The page for browsers, served on this machine."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+import webbrowser
+from collections.abc import Sequence
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import quote
+
+import gs_codec
+from gs_codec.cli.output import print_text
+from gs_codec.files.sharing import PAGE, page_of
+from gs_codec.report import Progress
+
+#: This machine alone.
+_HOST = "127.0.0.1"
+
+
+class Page(ThreadingHTTPServer):
+    """A server of a page to those on this machine who know its address.
+
+    Parameters
+    ----------
+    files : dict of str to bytes
+        By name; `PAGE` is the address itself.
+    port : int
+        0 takes a free one.
+
+    Attributes
+    ----------
+    url : str
+        The address, with a random part that nobody guesses.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, files: dict[str, bytes], port: int = 0) -> None:
+        super().__init__((_HOST, port), _Handler)
+        root = f"/{secrets.token_urlsafe(16)}/"
+        self.contents = {root + quote(name): data for name, data in files.items()}
+        self.contents[root] = self.contents.pop(root + PAGE)
+        self.url = f"http://{_HOST}:{self.server_port}{root}"
+
+    def run(self) -> None:
+        """Tell the address, open a browser where there is a screen, and serve until Ctrl-C."""
+        print_text(f"{self.url}  (Ctrl-C ends)")
+        if _has_screen():
+            webbrowser.open(self.url)
+        elif "SSH_CONNECTION" in os.environ:
+            port = self.server_port
+            print_text(f"elsewhere: ssh -L {port}:{_HOST}:{port} HOST, then open the address there")
+        try:
+            self.serve_forever()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.server_close()
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing of a connection that was cut, as when a page is closed."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Page
+
+    def do_GET(self) -> None:
+        data = self._head()
+        if data is not None:
+            self.wfile.write(data)
+
+    def do_HEAD(self) -> None:
+        self._head()
+
+    def _head(self) -> bytes | None:
+        """Send what comes before a file, and return that."""
+        # By another name than this machine's, a page of another host could ask.
+        host = self.headers.get("Host", "").partition(":")[0]
+        data = self.server.contents.get(self.path) if host in (_HOST, "localhost") else None
+        if data is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return None
+        kind = "text/html; charset=utf-8" if self.path.endswith("/") else "application/octet-stream"
+        self.send_response(HTTPStatus.OK)
+        for name, value in (
+            ("Content-Type", kind),
+            ("Content-Length", str(len(data))),
+            ("Cache-Control", "no-store"),
+            ("Referrer-Policy", "no-referrer"),
+            ("X-Content-Type-Options", "nosniff"),
+        ):
+            self.send_header(name, value)
+        self.end_headers()
+        return data
+
+    def log_message(self, *arguments: object) -> None:
+        """Say nothing of requests."""
+
+
+def serve(
+    sources: Sequence[Path],
+    cameras: str,
+    port: int | None,
+    max_bytes: int | None,
+    progress: Progress | None,
+) -> Page:
+    """A server of a page that shows one scene or two; see `gs_codec.files.sharing.share`.
+
+    Raises
+    ------
+    gs_codec.GsCodecError
+        If the page cannot be made, or the port cannot be had.
+    """
+    if port is not None and not 1 <= port <= 65535:
+        raise gs_codec.GsCodecError(f"port {port}: expected 1 to 65535")
+    files = page_of(sources, cameras, alone=False, progress=progress, max_bytes=max_bytes)[1]
+    try:
+        return Page(files, port or 0)
+    except OSError as error:
+        raise gs_codec.GsCodecError(f"port {port}: {error.strerror or error}") from error
+
+
+def _has_screen() -> bool:
+    """Whether a browser with windows can be opened here."""
+    if "SSH_CONNECTION" in os.environ:
+        return False
+    return sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))

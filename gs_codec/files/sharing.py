@@ -127,12 +127,13 @@ def page_of(
     finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
     files, entries, blocks = {}, [], []
     for k, (one, name) in enumerate(zip(shared, _file_names(shared), strict=True)):
+        entry = {"name": one.name, "encoded": one.encoded}
         if alone:
-            entries.append({"name": one.name, "data": f"scene-{k}"})
+            entries.append(entry | {"data": f"scene-{k}"})
             text = base64.b64encode(one.data).decode()
             blocks.append(_block(f"scene-{k}", "application/octet-stream", text))
         else:
-            entries.append({"name": one.name, "url": quote(name)})
+            entries.append(entry | {"url": quote(name)})
             files[name] = one.data
     described = {
         "views": [

@@ -13,8 +13,7 @@ const END = ['ready', 'error'];
 
 const STEPS = {
   /** Until everything is loaded and drawn. */
-  drawn: (page) =>
-    page.waitForFunction((end) => end.includes(document.body.dataset.state), END),
+  drawn: (page) => page.waitForFunction((end) => end.includes(document.body.dataset.state), END),
   /** A picture of the page without what lies above the scene; its file is a value. */
   async shot(page, path) {
     await STEPS.drawn(page);
@@ -95,7 +94,8 @@ for (const { url, size, steps, before } of JSON.parse(readFileSync(0, 'utf8'))) 
   if (before) await page.addInitScript(before);
   try {
     await page.goto(url);
-    for (const [name, ...given] of steps) told.values.push((await STEPS[name](page, ...given)) ?? null);
+    for (const [name, ...given] of steps)
+      told.values.push((await STEPS[name](page, ...given)) ?? null);
     told.state = await page.evaluate('document.body.dataset.state');
     told.status = await page.textContent('#status');
   } catch (error) {

@@ -83,11 +83,12 @@ class Viewer {
     return this.#lens().focal[1] / (this.canvas.width / this.canvas.clientWidth || 1);
   }
 
-  /** The lens of the view, of which the whole frame is in the canvas. */
+  /** The lens of the view, whose frame is all in the canvas, unless that is of quite another shape. */
   #lens() {
     const { width, height, fx, fy, cx, cy } = this.views[this.view];
     const { width: w, height: h } = this.canvas;
-    const scale = Math.min(w / width, h / height);
+    const [fit, fill] = [w / width, h / height].sort((a, b) => a - b);
+    const scale = Math.max(fit, fill / 2);
     const aside = [(w - scale * width) / 2, (h - scale * height) / 2];
     return {
       focal: [scale * fx, scale * fy],
@@ -148,4 +149,6 @@ class Viewer {
   }
 }
 
+// On telephones there is no room for both.
+document.getElementById('panel').open = innerWidth > 560;
 new Viewer(JSON.parse(document.getElementById('scene-list').textContent)).run();

@@ -119,13 +119,15 @@ export class Panel {
 
   /** How far scenes are loaded. */
   progress(scenes) {
-    scenes.forEach(({ share, scene }, k) => {
+    scenes.forEach(({ share, scene, entry }, k) => {
       const { told, bar } = this.rows[k];
       bar.value = share;
       if (!scene || told.textContent) return;
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
       const size = `${number(bytes / 1e6, 2)} MB`;
-      told.textContent = `${number(scene.count, 0)} Gaussians, SH degree ${scene.degree}, ${size}, profile ${scene.profile}`;
+      const profile = `${entry.encoded ? 'encoded for this page, ' : ''}profile ${scene.profile}`;
+      const parts = [`${number(scene.count, 0)} Gaussians`, `SH degree ${scene.degree}`, size];
+      told.textContent = [...parts, profile].join(', ');
       this.#list(scenes);
     });
   }
@@ -137,6 +139,7 @@ export class Panel {
     const degrees = Array.from({ length: highest + 1 }, (_, k) => new Option(k, k));
     $('degree').replaceChildren(...degrees);
     this.viewer.set({ degree: highest });
+    $('sizes').hidden = false;
     const [head, body] = [$('sizes').tHead, $('sizes').tBodies[0]];
     head.replaceChildren();
     body.replaceChildren();

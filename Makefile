@@ -40,7 +40,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-r
 test: $(VENV)/installed-test
 	$(PYTEST)
 
-test-all: $(VENV)/installed-all web
+test-all: $(VENV)/installed-all web tests/web/node_modules/.package-lock.json
 	$(PYTEST)
 
 lint: $(VENV)/installed-test
@@ -64,10 +64,11 @@ $(WEB)/build/page.html: $(WEB)/node_modules/.package-lock.json $(WEB)/build.mjs 
 	@echo "Building $@"
 	@npm --prefix $(WEB) run --silent build
 
-$(WEB)/node_modules/.package-lock.json: $(WEB)/package-lock.json
-	@command -v npm >/dev/null || { echo "make web: needs Node 18 and npm" >&2; exit 1; }
-	@echo "Fetching esbuild, which builds the page, and playwright-core, which tests it, into $(WEB)/node_modules"
-	@npm --prefix $(WEB) ci --silent --no-audit --no-fund
+# esbuild for the page; for tests playwright-core, PlayCanvas, three.js and Spark.
+%/node_modules/.package-lock.json: %/package-lock.json
+	@command -v npm >/dev/null || { echo "$*: needs Node 18 and npm" >&2; exit 1; }
+	@echo "Fetching what $*/package.json names"
+	@npm --prefix $* ci --silent --no-audit --no-fund
 
 # Time and memory of a sample tiled to up to 3 million Gaussians, and a plot: build/scaling/report. A few minutes.
 scaling: $(VENV)/installed-test
@@ -137,4 +138,4 @@ $(VENV)/installed-all: pyproject.toml .ci/system-packages
 	@touch $(VENV)/installed $(VENV)/installed-test $@
 
 clean:
-	rm -rf $(VENV) demo build fuzz *.egg-info $(WEB)/build $(WEB)/node_modules
+	rm -rf $(VENV) demo build fuzz *.egg-info $(WEB)/build $(WEB)/node_modules tests/web/node_modules

@@ -35,15 +35,17 @@ from gs_codec.scene import ANTIALIASED, Scene
 from samples.generate import generate
 from viewer.pictures.layers import error_image
 
-WEB = Path(__file__).parents[1] / "viewer" / "web"
-PLAYWRIGHT = WEB / "node_modules" / "playwright-core" / "index.mjs"
+ROOT = Path(__file__).parents[1]
+HERE = Path(__file__).parent / "web"
 NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium")
 
 built = pytest.mark.skipif(
-    not (WEB / "build" / "page.html").is_file(), reason="the page is not built: make web"
+    not (ROOT / "viewer" / "web" / "build" / "page.html").is_file(),
+    reason="the page is not built: make web",
 )
 in_browser = pytest.mark.skipif(
-    not (NODE and CHROMIUM and PLAYWRIGHT.is_file()), reason="needs Node, Chromium and make web"
+    not (NODE and CHROMIUM and (HERE / "node_modules").is_dir()),
+    reason="needs Node, Chromium, and npm ci in tests/web",
 )
 pytestmark = built
 
@@ -80,7 +82,7 @@ def open_pages(*jobs: Job) -> list[Opened]:
     assert NODE
     assert CHROMIUM
     done = subprocess.run(
-        [NODE, str(Path(__file__).parent / "web" / "page.mjs"), CHROMIUM, str(PLAYWRIGHT)],
+        [NODE, str(HERE / "page.mjs"), CHROMIUM],
         input=json.dumps([vars(job) for job in jobs]),
         capture_output=True,
         text=True,
@@ -219,7 +221,12 @@ def test_a_folder_is_shown_by_any_server(files, tmp_path):
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
-    """A server that says nothing, and of `stalled.egs` sends half."""
+    """A server that says nothing, and of `stalled.egs` sends half; the project is in `/project`."""
+
+    def translate_path(self, path: str) -> str:
+        if path.startswith("/project/"):
+            return str(ROOT / path.removeprefix("/project/"))
+        return super().translate_path(path.removeprefix("/files"))
 
     def log_message(self, *_: Any) -> None:
         pass
@@ -437,6 +444,17 @@ def test_scenes_of_all_kinds(files, tmp_path, kind):
     else:
         assert np.ptp(ours) > 0.3
         assert decibels(page, ours) > 45
+
+
+@in_browser
+@pytest.mark.parametrize(("program", "least"), [("playcanvas", 28), ("spark", 28)])
+def test_other_programs_draw_scenes_by_an_adapter(files, tmp_path, program, least):
+    with serving(files.folder) as url:
+        job = Job(f"{url}project/tests/web/{program}.html", [])
+        job.shot(str(tmp_path / "a.png"))
+        open_pages(job)
+    ours = drawn(files.a, files.cameras[0])
+    assert decibels(seen(tmp_path / "a.png"), ours) > least
 
 
 @in_browser

@@ -1,13 +1,11 @@
 // Opens pages in Chromium as test_web_page.py asks: JSON on stdin, a line of JSON for each page.
 //
-//     node page.mjs CHROMIUM PLAYWRIGHT < jobs.json
+//     node page.mjs CHROMIUM < jobs.json
 //
 // A job has a `url`, a `size`, and `steps`, each of which is [name, ...arguments]; see STEPS.
 import { readFileSync } from 'node:fs';
-import { pathToFileURL } from 'node:url';
 
-const [executablePath, playwright] = process.argv.slice(2);
-const { chromium } = await import(pathToFileURL(playwright));
+import { chromium } from 'playwright-core';
 
 const END = ['ready', 'error'];
 
@@ -77,7 +75,7 @@ const STEPS = {
 };
 
 const browser = await chromium.launch({
-  executablePath,
+  executablePath: process.argv[2],
   args: ['--no-sandbox', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'],
 });
 for (const { url, size, steps, before } of JSON.parse(readFileSync(0, 'utf8'))) {

@@ -14,7 +14,7 @@ class Viewer {
     this.up = upOf(views);
     this.canvas = document.getElementById('view');
     this.abort = new AbortController();
-    this.failed = false;
+    this.failures = [];
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
     this.panel = new Panel(this, scenes);
     this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
@@ -47,8 +47,8 @@ class Viewer {
   }
 
   #fail(error, name = '') {
-    this.failed = true;
-    this.panel.tell(name ? `${name}: ${error.message}` : error.message, true);
+    this.failures.push(name ? `${name}: ${error.message}` : error.message);
+    this.panel.tell(this.failures.join('\n'), true);
   }
 
   #arrived() {
@@ -106,7 +106,7 @@ class Viewer {
   #drawIfDone() {
     const { renderer } = this;
     if (!renderer) {
-      document.body.dataset.state = this.failed ? 'error' : 'loading';
+      document.body.dataset.state = this.failures.length ? 'error' : 'loading';
       this.asked = undefined;
       return;
     }
@@ -124,8 +124,13 @@ class Viewer {
   #draw() {
     const { canvas, renderer, scenes, pose, look } = this;
     const dots = Math.min(globalThis.devicePixelRatio || 1, 2);
-    canvas.width = Math.max(1, Math.round(canvas.clientWidth * dots));
-    canvas.height = Math.max(1, Math.round(canvas.clientHeight * dots));
+    for (const [side, length] of [
+      ['width', canvas.clientWidth],
+      ['height', canvas.clientHeight],
+    ]) {
+      const pixels = Math.max(1, Math.round(length * dots));
+      if (canvas[side] !== pixels) canvas[side] = pixels; // to set it clears the picture
+    }
     renderer.draw(scenes, pose, this.#lens(), {
       degree: look.degree,
       background: BACKGROUNDS[look.background],
@@ -134,7 +139,7 @@ class Viewer {
     });
     const inOrder = scenes.every((scene) => scene.isInOrder(pose));
     const state = !inOrder ? 'drawing' : this.isLoaded ? 'ready' : 'loading';
-    document.body.dataset.state = this.failed && state === 'ready' ? 'error' : state;
+    document.body.dataset.state = this.failures.length && state === 'ready' ? 'error' : state;
   }
 
   /** Save what the canvas shows. */

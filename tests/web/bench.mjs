@@ -9,7 +9,7 @@ import { fileURLToPath } from 'node:url';
 
 import { chromium } from 'playwright-core';
 
-const here = dirname(fileURLToPath(import.meta.url));
+const web = resolve(dirname(fileURLToPath(import.meta.url)), '../../viewer/web');
 const [file, workers = '4', rounds = '7'] = process.argv.slice(2);
 if (!file) throw new Error('usage: node bench.mjs FILE.egs [WORKERS [ROUNDS]]');
 
@@ -43,7 +43,7 @@ async function measure([workers, rounds]) {
 const types = { '.js': 'text/javascript', '.egs': 'application/octet-stream' };
 const server = createServer(async ({ url }, response) => {
   if (url === '/') return response.setHeader('Content-Type', 'text/html').end('<!doctype html>');
-  const path = url === '/scene.egs' ? resolve(file) : resolve(here, `.${url}`);
+  const path = url === '/scene.egs' ? resolve(file) : resolve(web, `.${url}`);
   try {
     response.setHeader('Content-Type', types[path.slice(path.lastIndexOf('.'))] ?? 'text/plain');
     return response.end(await readFile(path));

@@ -28,9 +28,9 @@ EXAMPLES = 25
 #: compile different kernels.
 FIRST = (
     "test_optimise.py", "test_viewer_window.py", "test_batch_processes.py", "test_rate.py",
-    "test_damage.py", "test_tutorial.py", "test_analysis.py", "test_readme.py", "test_bench.py",
-    "test_auto_cameras.py", "test_interchange.py", "test_calibrate.py", "test_usd.py",
-    "test_lossless.py",
+    "test_damage.py", "test_web_page.py", "test_tutorial.py", "test_analysis.py", "test_readme.py",
+    "test_bench.py", "test_auto_cameras.py", "test_interchange.py", "test_calibrate.py",
+    "test_usd.py", "test_lossless.py",
 )  # fmt: skip
 
 

@@ -60,6 +60,7 @@ class Job:
     steps: list[tuple]
     size: tuple[int, int] = SIZE
     before: str | None = None
+    panel: bool = False  # to open it, as is done by hand where there is little room
 
     def shot(self, name: str) -> None:
         self.steps.append(("shot", name))
@@ -150,7 +151,7 @@ def pages(files) -> dict[str, Path]:
 
 @in_browser
 def test_views_are_those_of_our_rasteriser(files, pages, tmp_path):
-    job = Job(pages["one"].as_uri(), [])
+    job = Job(pages["one"].as_uri(), [], panel=True)
     for k in range(3):
         job.shot(str(tmp_path / f"{k}.png"))
         job.steps.append(("key", "n"))
@@ -269,10 +270,9 @@ def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
     share([tmp_path / "stalled.egs"], site, files.folder / "cameras.json")
     with serving(site) as url:
         loaded = "document.querySelector('progress').value > 0.4"
-        job = Job(
-            url, [("until", loaded), ("until", "document.querySelector('small').textContent")]
-        )
-        job.steps.append(("click", "#stop"))
+        described = "document.querySelector('small').textContent"
+        steps = [("until", loaded), ("until", described), ("click", "#stop")]
+        job = Job(url, steps, panel=True)
         job.shot(str(tmp_path / "part.png"))
         [told] = open_pages(job)
     assert (told.state, told.status) == ("ready", "Stopped: what had come is shown.")
@@ -393,7 +393,7 @@ def test_nothing_of_elsewhere_runs_and_names_are_text(files, tmp_path):
 def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_path):
     cells = """Object.fromEntries([...document.querySelectorAll('#sizes tbody tr')].map(
         (row) => [row.cells[0].textContent, [...row.cells].slice(1).map((c) => +c.textContent)]))"""
-    job = Job(pages["two"].as_uri(), [("drawn",), ("value", cells), ("key", "1")])
+    job = Job(pages["two"].as_uri(), [("drawn",), ("value", cells), ("key", "1")], panel=True)
     job.steps += [("drawn",), ("saved", "#save", str(tmp_path / "saved.png"))]
     unnamed = """[...document.querySelectorAll('select, button, input, canvas, [tabindex]')]
         .filter((e) => !(e.labels?.length || e.ariaLabel || e.textContent.trim()))

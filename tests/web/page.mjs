@@ -26,7 +26,9 @@ const STEPS = {
     await cover('');
   },
   /** A picture of all. */
-  screen: (page, path) => page.screenshot({ path }),
+  async screen(page, path) {
+    await page.screenshot({ path });
+  },
   key: (page, name) => page.keyboard.press(name),
   /** A key that is held for some time. */
   async hold(page, name, milliseconds) {
@@ -78,7 +80,7 @@ const browser = await chromium.launch({
   executablePath: process.argv[2],
   args: ['--no-sandbox', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'],
 });
-for (const { url, size, steps, before } of JSON.parse(readFileSync(0, 'utf8'))) {
+for (const { url, size, steps, before, panel } of JSON.parse(readFileSync(0, 'utf8'))) {
   const [width, height] = size;
   const context = await browser.newContext({ viewport: { width, height }, hasTouch: true });
   const page = await context.newPage();
@@ -92,6 +94,7 @@ for (const { url, size, steps, before } of JSON.parse(readFileSync(0, 'utf8'))) 
   if (before) await page.addInitScript(before);
   try {
     await page.goto(url);
+    if (panel) await page.click('summary');
     for (const [name, ...given] of steps)
       told.values.push((await STEPS[name](page, ...given)) ?? null);
     told.state = await page.evaluate('document.body.dataset.state');

@@ -31,8 +31,10 @@ class Viewer {
       this.renderer = new Renderer(this.canvas);
     } catch (error) {
       this.#fail(error);
+      document.body.dataset.state = 'error';
       return;
     }
+    this.redraw();
     const { signal } = this.abort;
     const tasks = this.scenes.map((scene) =>
       scene.load(this.renderer.gl, signal).catch((error) => {
@@ -98,6 +100,7 @@ class Viewer {
 
   /** Draw soon. */
   redraw() {
+    if (!this.renderer) return;
     document.body.dataset.state = 'drawing';
     this.asked ??= requestAnimationFrame(() => this.#drawIfDone());
   }
@@ -105,11 +108,6 @@ class Viewer {
   /** Draw unless the last picture is not done: on slow devices many would wait. */
   #drawIfDone() {
     const { renderer } = this;
-    if (!renderer) {
-      document.body.dataset.state = this.failures.length ? 'error' : 'loading';
-      this.asked = undefined;
-      return;
-    }
     for (const scene of this.scenes) scene.sort(this.pose);
     // While scenes load, a third of the time is for pictures.
     const isTime = this.isLoaded || renderer.rested > 2 * renderer.took;

@@ -119,6 +119,8 @@ export class Panel {
 
   /** How far scenes are loaded. */
   progress(scenes) {
+    const least = Math.min(...scenes.map(({ share }) => share));
+    this.#title(`Loading: ${Math.floor(100 * least)} %`);
     scenes.forEach(({ share, scene, entry }, k) => {
       const { told, bar } = this.rows[k];
       bar.value = share;
@@ -153,8 +155,14 @@ export class Panel {
     }
   }
 
+  /** What stands above the panel, and is seen where it is closed. */
+  #title(text) {
+    $('panel').firstElementChild.textContent = text;
+  }
+
   /** Everything is there, or has failed. */
   loaded() {
+    this.#title('Scene');
     $('stop').hidden = true;
     for (const { bar } of this.rows) bar.hidden = true;
   }

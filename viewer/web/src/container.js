@@ -62,6 +62,8 @@ export class Header {
     this.blockSize = reader.u32();
     const sections = reader.u32();
     check(size === 48 + 20 * sections, 'header', `${size} bytes for ${sections} sections`);
+    // As many as a Set holds.
+    if (sections >= 2 ** 24) throw new TooLargeError(`${sections} sections`);
     const table = new Reader(reader.take(20 * sections), 'section table');
     const checksum = crc32c(data.subarray(0, reader.at));
     check(reader.u32() === checksum, 'header', 'checksum');

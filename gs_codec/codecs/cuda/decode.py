@@ -1,0 +1,245 @@
+"""Profiles ``l``, ``m`` and ``s`` on a device: stream to tensors.
+
+Headers, checksums and tables are read on the CPU, and so are the trees of positions, which are
+serial: its threads decode them while the device decodes shapes. What the device finds is checked
+before anybody sees it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numba import cuda
+from numba.core.errors import NumbaPerformanceWarning
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.contexts import passes
+from gs_codec.codecs.adaptive.lattice import Lattice, cell_widths, packed_rules
+from gs_codec.codecs.adaptive.rotation import TURN_RULES
+from gs_codec.codecs.adaptive.section import lattice_of
+from gs_codec.codecs.cuda.colours import read_colours
+from gs_codec.codecs.cuda.floats import fill_colours, fill_shapes
+from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH
+from gs_codec.codecs.cuda.places import find_widths, place, surround
+from gs_codec.codecs.cuda.sh_ac import read_band
+from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
+from gs_codec.codecs.cuda.streams import Streams
+from gs_codec.coding.context_rans import BAD_VALUE, PassTables
+from gs_codec.coding.count_tree import decode_tree
+from gs_codec.coding.morton import axis_tables
+from gs_codec.coding.nearest import NEIGHBOURS
+from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.index import check_boxes
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import SH_COEFFICIENTS, sh_bands
+
+#: Threads of a kernel that has one for each Gaussian.
+_THREADS = 1 if SIMULATED else 128
+
+
+def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
+    """Decode all blocks of a file to tensors on a device, in stream order.
+
+    Returns
+    -------
+    dict of str to Tensor
+        Float32 ``means (N, 3)``, ``quats (N, 4)``, ``log_scales (N, 3)``, ``logits (N,)``, ``sh
+        (N, 1 + K, 3)``, as the file states them.
+
+    Raises
+    ------
+    TruncatedStream, CorruptStream
+    """
+    place = torch.device("cpu" if SIMULATED else device)
+    count, coefficients = file.header.count, SH_COEFFICIENTS[file.header.sh_degree]
+    if count == 0:
+        shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logits": ()}
+        shapes["sh"] = (1 + coefficients, 3)
+        return {name: torch.zeros((0, *shape), device=place) for name, shape in shapes.items()}
+    with warnings.catch_warnings():
+        # A file of few blocks keeps few processors busy.
+        warnings.simplefilter("ignore", NumbaPerformanceWarning)
+        if SIMULATED:
+            return _Decoder(file, place).decode()
+        with torch.cuda.device(place), cuda.gpus[torch.cuda.current_device()]:
+            return _Decoder(file, place).decode()
+
+
+def _argument(tensor: torch.Tensor) -> Any:
+    """What a kernel takes of a tensor: the same memory."""
+    return tensor.numpy() if SIMULATED else cuda.as_cuda_array(tensor, sync=False)
+
+
+@dataclass
+class _Tables:
+    """Tables of all passes on the device, and the number of that of each context of each pass."""
+
+    spans: Any
+    slots: Any
+    rows: list[Any]
+
+
+class _Decoder:
+    """Decodes the blocks of a file, kernel by kernel."""
+
+    def __init__(self, file: EgsFile, device: torch.device) -> None:
+        self.file, self.device = file, device
+        self.header = file.header
+        self.coefficients = SH_COEFFICIENTS[self.header.sh_degree]
+        self.lattice: Lattice
+        self.lattice, models = lattice_of(file)
+        listed = passes(self.coefficients)
+        tables = PassTables.pack(models.tables())
+        self.streams = Streams.of(file, [name for item in listed for name in item.streams])
+        blocks = np.arange(self.header.block_count + 1) * self.header.block_size
+        data = self._upload(self.streams.data)
+        self.raw, self.words = _argument(data), _argument(data.view(torch.int16)).view(np.uint16)
+        self.tables = _Tables(
+            _argument(self._upload(tables.spans.view(np.int32))).view(np.uint32),
+            _argument(self._upload(tables.slots)),
+            [_argument(self._upload(models.rows(item).astype(np.int32))) for item in listed],
+        )
+        self.reached = self._upload(self.streams.begins)
+        self.states = self._upload(self.streams.states)
+        self.faults = self._new((self.header.block_count, 1 + len(listed)), torch.int64)
+        self.chains = (
+            _argument(self.reached),
+            _argument(self._upload(self.streams.ends)),
+            _argument(self._upload(np.minimum(blocks, self.header.count))),
+            _argument(self.states),
+        )
+
+    def decode(self) -> dict[str, torch.Tensor]:
+        """All attributes, checked."""
+        planes = self._shapes()
+        shifts, widths, places, means = self._places(planes)
+        ago = self._new((self.header.count, NEIGHBOURS), torch.uint8)
+        weights = self._new((self.header.count, NEIGHBOURS), torch.int16)
+        self._each(surround, _argument(places), self.header.block_size, ago, weights)
+        values = self._new((3, self.header.count), torch.int32)
+        unit = self.lattice.units["sh-dc"]
+        self._chain(read_colours, 1, STREAMS, ago, weights, unit, shifts, values)
+        levels = self._levels(ago, shifts)
+        found = {"means": means, **self._floats(planes, values, levels, shifts)}
+        self._check(widths, means)
+        return found
+
+    def _upload(self, array: NDArray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+    def _new(self, shape: tuple[int, ...], kind: torch.dtype) -> torch.Tensor:
+        return torch.zeros(shape, dtype=kind, device=self.device)
+
+    def _each(self, kernel: Any, *arguments: Any) -> None:
+        """Run a kernel that has a thread for each Gaussian."""
+        grid = -(-self.header.count // _THREADS), _THREADS
+        given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
+        kernel[grid](*given)
+
+    def _chain(self, kernel: Any, number: int, stream: int | None, *arguments: Any) -> None:
+        """Run a kernel that has a warp for each block, the pass of a number."""
+        given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
+        first = [] if stream is None else [stream]
+        tables = self.tables.spans, self.tables.slots, self.tables.rows[number]
+        kernel[self.header.block_count, WIDTH](
+            self.words, self.raw, *tables, *self.chains, *first, *given, _argument(self.faults)
+        )
+
+    def _rules(self, *names: str) -> list[torch.Tensor]:
+        rules = packed_rules([self.lattice.rules[name] for name in names])
+        return [self._upload(array) for array in rules]
+
+    def _shapes(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Integers of classes and shapes ``(9, N)``, and poles ``(N,)``."""
+        lattice, count = self.lattice, self.header.count
+        planes, poles = self._new((9, count), torch.int32), self._new((count,), torch.int8)
+        units = [lattice.units[name] for name in ("opacity", "opacity", "scaling", "rotation")]
+        numbers = [np.array(x, np.int64) for x in (units, lattice.centres, lattice.classes)]
+        rules = self._rules("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES)
+        packed = [self._upload(array) for array in numbers]
+        self._chain(read_shapes, 0, None, *rules, *packed, planes, poles)
+        return planes, poles
+
+    def _trees(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Codes of positions without their low bits, and how many these are, ``(N,)``."""
+        codes = np.empty(self.header.count, np.int64)
+        lefts = np.empty(self.header.count, np.uint8)
+
+        def fill(block: int) -> None:
+            start, stop = self.header.block_range(block)
+            tree, bits = self.file.section(SectionId.GEOMETRY, block), self.lattice.grid.total_bits
+            where = f"geometry of block {block}"
+            codes[start:stop], lefts[start:stop] = decode_tree(tree, stop - start, bits, where)
+
+        run_all(fill, range(self.header.block_count))
+        return self._upload(codes), self._upload(lefts)
+
+    def _places(self, shapes: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, ...]:
+        """Shifts of colours, widths of low bits, places in half steps, and centres."""
+        count, grid = self.header.count, self.lattice.grid
+        codes, lefts = self._trees()
+        shifts, widths = self._new((count,), torch.uint8), self._new((count,), torch.uint8)
+        self._each(find_widths, *self._rules("position", "colour"), shapes[0], lefts, widths, shifts)
+        before = torch.cumsum(widths, 0, dtype=torch.int64) - widths
+        places, means = self._new((3, count), torch.int32), self._new((count, 3), torch.float32)
+        firsts, lasts = (self._upload(column) for column in self.streams.low_bits.T)
+        axes = self._upload(axis_tables(grid.bits).astype(np.int32))
+        sides, origin = self._upload(cell_widths(grid)), self._upload(np.array(grid.origin))
+        low_bits = firsts, lasts, before, widths
+        self._each(
+            place, self.raw, *low_bits, lefts, codes, self.header.block_size,
+            axes, sides, origin, 0.5 * grid.step, places, means,
+        )  # fmt: skip
+        return shifts, widths, places, means
+
+    def _levels(self, ago: torch.Tensor, shifts: torch.Tensor) -> torch.Tensor:
+        """Levels of SH-AC ``(K, 3, N)``; of one coefficient, all 0, if there are none."""
+        count, bands = self.header.count, sh_bands(self.coefficients)
+        levels = self._new((max(self.coefficients, 1), 3, count), torch.int32)
+        left, shares, live = self._new((3, count), torch.int32)
+        for number, band in enumerate(bands, 1):
+            ends = number == 1, number == len(bands)
+            marks = self._new((count,), torch.int8)
+            own = levels[band.start : band.stop]
+            self._chain(
+                read_band, 1 + number, STREAMS + number,
+                ago, shifts, *ends, left, shares, live, marks, own,
+            )  # fmt: skip
+        return levels
+
+    def _floats(
+        self,
+        shapes: tuple[torch.Tensor, torch.Tensor],
+        values: torch.Tensor,
+        levels: torch.Tensor,
+        shifts: torch.Tensor,
+    ) -> dict[str, torch.Tensor]:
+        """Everything but centres."""
+        count, coefficients = self.header.count, self.coefficients
+        sizes = {"quats": (4,), "log_scales": (3,), "logits": (), "sh": (1 + coefficients, 3)}
+        found = {name: self._new((count, *size), torch.float32) for name, size in sizes.items()}
+        self._each(fill_shapes, *shapes, found["logits"], found["log_scales"], found["quats"])
+        bands = enumerate(sh_bands(coefficients), 1)
+        units = [self.lattice.units[f"sh{number}"] for number, band in bands for _ in band]
+        packed = self._upload(np.array(units, np.float64)) if units else values
+        last = self.faults.shape[1] - 1
+        own = packed, shifts, coefficients, self.header.block_size, last, BAD_VALUE, self.faults
+        self._each(fill_colours, values, levels, *own, found["sh"])
+        return found
+
+    def _check(self, widths: torch.Tensor, means: torch.Tensor) -> None:
+        """Raise what the kernels found wrong."""
+        size, whole = self.header.block_size, self.header.count // self.header.block_size
+        parts = [means[: whole * size].view(whole, size, 3), means[None, whole * size :]]
+        bits = [part.to(torch.int64) for part in (widths[: whole * size], widths[whole * size :])]
+        parts = [part for part in parts if part.numel()]
+        boxes = torch.cat([torch.cat([x.amin(1), x.amax(1)], 1) for x in parts])
+        sums = torch.cat([bits[0].view(whole, size).sum(1), bits[1].sum()[None]])
+        low_bits = sums[: self.header.block_count].cpu().numpy() + self.streams.low_bits[:, 0]
+        told = [x.cpu().numpy() for x in (self.reached, self.states, self.faults, boxes)]
+        self.streams.check(told[0], low_bits, told[1], told[2])
+        check_boxes(self.file, told[3])

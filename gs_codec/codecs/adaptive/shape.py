@@ -87,7 +87,7 @@ def walk_shape(lattice: Lattice, classes: NDArray[np.int64], code: Coder) -> Sha
 
 
 @inlined
-def before_context(attribute, shift, total):
+def _before_context(attribute, shift, total):
     """Context of opacity (0) or a scale (1-3), by the sum of the two values before."""
     context = BEFORE * min(shift, SHIFT_CONTEXTS - 1) + before_bucket(attribute, total)
     return SHAPE_OFFSETS[2 + attribute] + context
@@ -105,7 +105,7 @@ def _contexts(levels, shifts, steps, contexts):
             if k < 4:
                 total = levels[2 + k, last] * steps[k, last] * some
                 total += levels[2 + k, before] * steps[k, before] * more
-                contexts[i, 2 + k] = before_context(k, shifts[k, i], total)
+                contexts[i, 2 + k] = _before_context(k, shifts[k, i], total)
             else:
                 shift = min(shifts[k, i], SHIFT_CONTEXTS - 1)
                 contexts[i, 2 + k] = SHAPE_OFFSETS[2 + k] + shift
@@ -162,7 +162,7 @@ def _read(
         classes[0, i], classes[1, i] = first, second
 
         shift = rule_shift(numbers, limits, 0, first, 0, 0, 0, 0, 0)
-        row = rows[before_context(0, shift, last[0] + before[0])]
+        row = rows[_before_context(0, shift, last[0] + before[0])]
         level, p1, u1 = read_token(
             words, p1, states, symbol + 2, spans, slots, row, bits, u1, False
         )
@@ -174,7 +174,7 @@ def _read(
         value = centres[1]
         for k in range(1, 4):
             shift = rule_shift(numbers, limits, k, first, logit, longest, middle, 0, 0)
-            row = rows[before_context(k, shift, last[k] + before[k])]
+            row = rows[_before_context(k, shift, last[k] + before[k])]
             level, p2, u2 = read_token(
                 words, p2, states, symbol + 2 + k, spans, slots, row, bits, u2, False
             )

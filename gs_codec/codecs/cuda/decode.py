@@ -22,24 +22,19 @@ from gs_codec.codecs.adaptive.lattice import Lattice, cell_widths, packed_rules
 from gs_codec.codecs.adaptive.rotation import TURN_RULES
 from gs_codec.codecs.adaptive.section import lattice_of
 from gs_codec.codecs.cuda.colours import read_colours
-from gs_codec.codecs.cuda.floats import fill_colours, fill_shapes
-from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH
+from gs_codec.codecs.cuda.floats import THREADS, fill_colours, fill_shapes
+from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH, pack_entries
 from gs_codec.codecs.cuda.places import find_widths, place, surround
-from gs_codec.codecs.cuda.sh_ac import read_band
+from gs_codec.codecs.cuda.sh_ac import OF_SHARE, OF_SUM, read_levels, read_shares, read_sums
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
 from gs_codec.codecs.cuda.streams import Streams
 from gs_codec.coding.context_rans import BAD_VALUE, PassTables
 from gs_codec.coding.count_tree import decode_tree
 from gs_codec.coding.morton import axis_tables
-from gs_codec.coding.nearest import NEIGHBOURS
 from gs_codec.egs.file import EgsFile, SectionId
 from gs_codec.egs.index import check_boxes
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_COEFFICIENTS, sh_bands
-
-#: Threads of a kernel that has one for each Gaussian.
-_THREADS = 1 if SIMULATED else 128
-
 
 def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
     """Decode all blocks of a file to tensors on a device, in stream order.
@@ -78,8 +73,8 @@ def _argument(tensor: torch.Tensor) -> Any:
 class _Tables:
     """Tables of all passes on the device, and the number of that of each context of each pass."""
 
+    entries: Any
     spans: Any
-    slots: Any
     rows: list[Any]
 
 
@@ -99,13 +94,15 @@ class _Decoder:
         data = self._upload(self.streams.data)
         self.raw, self.words = _argument(data), _argument(data.view(torch.int16)).view(np.uint16)
         self.tables = _Tables(
-            _argument(self._upload(tables.spans.view(np.int32))).view(np.uint32),
-            _argument(self._upload(tables.slots)),
+            _argument(self._upload(pack_entries(tables))),
+            _argument(self._upload(tables.spans.view(np.int32))),
             [_argument(self._upload(models.rows(item).astype(np.int32))) for item in listed],
         )
-        self.reached = self._upload(self.streams.begins)
+        # Words and bits read, symbols, and Gaussians that have some of what comes next.
+        self.reached = self._new((*self.streams.begins.shape[:2], 4), torch.int64)
+        self.reached[..., :2] = self._upload(self.streams.begins)
         self.states = self._upload(self.streams.states)
-        self.faults = self._new((self.header.block_count, 1 + len(listed)), torch.int64)
+        self.faults = self._new((self.header.block_count, 1 + self.streams.begins.shape[1]), torch.int64)
         self.chains = (
             _argument(self.reached),
             _argument(self._upload(self.streams.ends)),
@@ -117,13 +114,13 @@ class _Decoder:
         """All attributes, checked."""
         planes = self._shapes()
         shifts, widths, places, means = self._places(planes)
-        ago = self._new((self.header.count, NEIGHBOURS), torch.uint8)
-        weights = self._new((self.header.count, NEIGHBOURS), torch.int16)
-        self._each(surround, _argument(places), self.header.block_size, ago, weights)
+        kinds = torch.int32, torch.int64, torch.float64
+        near = [self._new((self.header.count,), kind) for kind in kinds]
+        self._each(surround, places, self.header.block_size, *near)
         values = self._new((3, self.header.count), torch.int32)
         unit = self.lattice.units["sh-dc"]
-        self._chain(read_colours, 1, STREAMS, ago, weights, unit, shifts, values)
-        levels = self._levels(ago, shifts)
+        self._chain(read_colours, 1, STREAMS, *near, unit, shifts, values)
+        levels = self._levels(near[0], shifts)
         found = {"means": means, **self._floats(planes, values, levels, shifts)}
         self._check(widths, means)
         return found
@@ -136,7 +133,7 @@ class _Decoder:
 
     def _each(self, kernel: Any, *arguments: Any) -> None:
         """Run a kernel that has a thread for each Gaussian."""
-        grid = -(-self.header.count // _THREADS), _THREADS
+        grid = -(-self.header.count // THREADS), THREADS
         given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
         kernel[grid](*given)
 
@@ -144,7 +141,7 @@ class _Decoder:
         """Run a kernel that has a warp for each block, the pass of a number."""
         given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
         first = [] if stream is None else [stream]
-        tables = self.tables.spans, self.tables.slots, self.tables.rows[number]
+        tables = self.tables.entries, self.tables.spans, self.tables.rows[number]
         kernel[self.header.block_count, WIDTH](
             self.words, self.raw, *tables, *self.chains, *first, *given, _argument(self.faults)
         )
@@ -157,11 +154,13 @@ class _Decoder:
         """Integers of classes and shapes ``(9, N)``, and poles ``(N,)``."""
         lattice, count = self.lattice, self.header.count
         planes, poles = self._new((9, count), torch.int32), self._new((count,), torch.int8)
-        units = [lattice.units[name] for name in ("opacity", "opacity", "scaling", "rotation")]
-        numbers = [np.array(x, np.int64) for x in (units, lattice.centres, lattice.classes)]
-        rules = self._rules("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES)
-        packed = [self._upload(array) for array in numbers]
-        self._chain(read_shapes, 0, None, *rules, *packed, planes, poles)
+        names = ("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES)
+        numbers, limits = packed_rules([lattice.rules[name] for name in names])
+        of_lanes = ("opacity", *("scaling",) * 3, *("rotation",) * 3)
+        units = np.array([0, 0, *(lattice.units[name] for name in of_lanes)])
+        rules = np.pad(numbers, ((2, 0), (0, 0))), np.pad(limits, (2, 0)), units
+        given = (*rules, np.array(lattice.centres), np.array(lattice.classes))
+        self._chain(read_shapes, 0, None, *map(self._upload, given), planes, poles)
         return planes, poles
 
     def _trees(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -202,13 +201,16 @@ class _Decoder:
         levels = self._new((max(self.coefficients, 1), 3, count), torch.int32)
         left, shares, live = self._new((3, count), torch.int32)
         for number, band in enumerate(bands, 1):
-            ends = number == 1, number == len(bands)
+            first, last = number == 1, number == len(bands)
+            chain = 1 + number, STREAMS + number
+            if first:
+                self._chain(read_sums, *chain, shifts, left)
+            offset = OF_SUM if first else 0
+            self._chain(read_shares, *chain, -1 if last else offset, left, shares, live)
+            offset += 0 if last else OF_SHARE
             marks = self._new((count,), torch.int8)
             own = levels[band.start : band.stop]
-            self._chain(
-                read_band, 1 + number, STREAMS + number,
-                ago, shifts, *ends, left, shares, live, marks, own,
-            )  # fmt: skip
+            self._chain(read_levels, *chain, offset, ago, shares, live, marks, own)
         return levels
 
     def _floats(
@@ -226,9 +228,8 @@ class _Decoder:
         bands = enumerate(sh_bands(coefficients), 1)
         units = [self.lattice.units[f"sh{number}"] for number, band in bands for _ in band]
         packed = self._upload(np.array(units, np.float64)) if units else values
-        last = self.faults.shape[1] - 1
-        own = packed, shifts, coefficients, self.header.block_size, last, BAD_VALUE, self.faults
-        self._each(fill_colours, values, levels, *own, found["sh"])
+        own = packed, shifts, coefficients, self.header.block_size, BAD_VALUE, self.faults
+        self._each(fill_colours, values, levels, *own, found["sh"].view(-1))
         return found
 
     def _check(self, widths: torch.Tensor, means: torch.Tensor) -> None:

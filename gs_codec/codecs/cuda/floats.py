@@ -8,17 +8,17 @@ import numpy as np
 from numba import cuda
 
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE
-from gs_codec.codecs.cuda.lanes import device, rounded
+from gs_codec.codecs.cuda.lanes import SIMULATED, device, rounded
 from gs_codec.coding.ycocg import GREEN, LUMA, ORANGE
+from gs_codec.scene import SH_COEFFICIENTS
+
+#: Threads of a kernel that has one for each Gaussian.
+THREADS = 1 if SIMULATED else 128
+
+#: Colours of a Gaussian that threads share, and one, so that none waits for another.
+_COLUMNS = 3 * (1 + max(SH_COEFFICIENTS)) + 1
 
 _ONE = float(1 << FRACTION_BITS)
-
-
-@device
-def _red_green_blue(y, o, g, out):
-    luma, orange, green = rounded(y, LUMA), rounded(o, ORANGE), rounded(g, GREEN)
-    rest = luma - green
-    out[0], out[1], out[2] = rest + orange, luma + 2.0 * green, rest - orange
 
 
 @cuda.jit
@@ -44,21 +44,35 @@ def fill_shapes(planes, poles, logits, log_scales, quats):
     quats[i, 3 - pole] = rounded(real, third) + sign * rounded(roll, middle)
 
 
+@device
+def _fill(tile, thread, column, y, o, g):
+    luma, orange, green = rounded(y, LUMA), rounded(o, ORANGE), rounded(g, GREEN)
+    rest = luma - green
+    tile[thread, column] = rest + orange
+    tile[thread, column + 1] = luma + 2.0 * green
+    tile[thread, column + 2] = rest - orange
+
+
 @cuda.jit
-def fill_colours(
-    values, levels, units, shifts, coefficients, block_size, number, fault, faults, sh
-):  # fmt: skip
-    """Fill ``sh (N, 1 + K, 3)`` from SH-DC ``values (3, N)`` and SH-AC ``levels (K, 3, N)``."""
-    i = cuda.grid(1)
-    if i >= len(shifts):
-        return
-    y, o = np.float64(values[0, i]) / _ONE, np.float64(values[1, i]) / _ONE
-    _red_green_blue(y, o, np.float64(values[2, i]) / _ONE, sh[i, 0])
-    octave = np.float64(1 << np.int64(shifts[i])) / _ONE
-    for k in range(coefficients):
-        step = np.float64(units[k]) * octave
-        y, o = np.float64(levels[k, 0, i]) * step, np.float64(levels[k, 1, i]) * step
-        g = np.float64(levels[k, 2, i]) * step
-        if max(abs(y), abs(o), abs(g)) >= TOO_LARGE:
-            faults[i // block_size, number] = fault
-        _red_green_blue(y, o, g, sh[i, 1 + k])
+def fill_colours(values, levels, units, shifts, coefficients, block_size, fault, faults, sh):
+    """Fill ``sh (N (1 + K) 3,)`` from SH-DC ``values (3, N)`` and SH-AC ``levels (K, 3, N)``.
+
+    Threads write what they share, as colours of a Gaussian lie side by side.
+    """
+    tile = cuda.shared.array((THREADS, _COLUMNS), np.float32)
+    thread, first = cuda.threadIdx.x, cuda.blockIdx.x * THREADS
+    i, width = first + thread, 3 * (1 + coefficients)
+    if i < len(shifts):
+        y, o = np.float64(values[0, i]) / _ONE, np.float64(values[1, i]) / _ONE
+        _fill(tile, thread, 0, y, o, np.float64(values[2, i]) / _ONE)
+        octave = np.float64(1 << np.int64(shifts[i])) / _ONE
+        for k in range(coefficients):
+            step = units[k] * octave
+            y, o = np.float64(levels[k, 0, i]) * step, np.float64(levels[k, 1, i]) * step
+            g = np.float64(levels[k, 2, i]) * step
+            if max(abs(y), abs(o), abs(g)) >= TOO_LARGE:
+                faults[i // block_size, faults.shape[1] - 1] = fault
+            _fill(tile, thread, 3 + 3 * k, y, o, g)
+    cuda.syncthreads()
+    for k in range(thread, min(THREADS, len(shifts) - first) * width, THREADS):
+        sh[first * width + k] = tile[k // width, k % width]

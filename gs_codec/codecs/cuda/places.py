@@ -62,8 +62,12 @@ def place(
 
 
 @cuda.jit
-def surround(places, block_size, ago, weights):
-    """Fill how many Gaussians ago the nearest four came, and their weights, ``(N, 4)``."""
+def surround(places, block_size, ago, weights, inverses):
+    """Find the nearest of the Gaussians just before each, ``(N,)``.
+
+    ``ago`` tells how many Gaussians ago each of four came, 8 bits each, 0 where there is none;
+    ``weights`` has theirs, 16 bits each; ``inverses`` half of the inverse of their sum.
+    """
     i = cuda.grid(1)
     if i >= len(ago):
         return
@@ -76,6 +80,11 @@ def surround(places, block_size, ago, weights):
     first = i - i % block_size
     found = find_nearest(places[:, first : i + 1], i - first, near, distances, 0, keys)
     weigh(distances, 0, found, own)
+    back = weight = mass = np.int64(0)
     for k in range(NEIGHBOURS):
-        ago[i, k] = i - first - near[0, k] if k < found else 0
-        weights[i, k] = own[k]
+        if k < found:
+            back |= (i - first - near[0, k]) << (8 * k)
+            weight |= own[k] << (16 * k)
+            mass += own[k]
+    ago[i], weights[i] = back, weight
+    inverses[i] = 0.5 / mass if mass > 0 else 0.0

@@ -8,8 +8,7 @@ before anybody sees it.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -69,13 +68,18 @@ def _argument(tensor: torch.Tensor) -> Any:
     return tensor.numpy() if SIMULATED else cuda.as_cuda_array(tensor, sync=False)
 
 
-@dataclass
-class _Tables:
-    """Tables of all passes on the device, and the number of that of each context of each pass."""
+def _unsigned(tensor: torch.Tensor) -> Any:
+    """What a kernel takes of a tensor of 32-bit integers that are not negative."""
+    return _argument(tensor.view(-1)).view(np.uint32).reshape(tensor.shape)
 
+
+class _Tables(NamedTuple):
+    """Words and raw bits of a file, and the tables of all passes."""
+
+    words: Any
+    raw: Any
     entries: Any
     spans: Any
-    rows: list[Any]
 
 
 class _Decoder:
@@ -89,25 +93,28 @@ class _Decoder:
         self.lattice, models = lattice_of(file)
         listed = passes(self.coefficients)
         tables = PassTables.pack(models.tables())
-        self.streams = Streams.of(file, [name for item in listed for name in item.streams])
+        names = [name for item in listed for name in item.streams]
+        self.streams = Streams.of(file, names)
         blocks = np.arange(self.header.block_count + 1) * self.header.block_size
         data = self._upload(self.streams.data)
-        self.raw, self.words = _argument(data), _argument(data.view(torch.int16)).view(np.uint16)
+        bits = data.view(-1, 4).flip(1).contiguous().view(torch.int32).view(-1)
+        self.bytes = _argument(data)
         self.tables = _Tables(
-            _argument(self._upload(pack_entries(tables))),
-            _argument(self._upload(tables.spans.view(np.int32))),
-            [_argument(self._upload(models.rows(item).astype(np.int32))) for item in listed],
+            _argument(data.view(torch.int16)).view(np.uint16),
+            _unsigned(bits),
+            _unsigned(self._upload(pack_entries(tables).view(np.int32))),
+            _unsigned(self._upload(tables.spans.view(np.int32))),
         )
-        # Words and bits read, symbols, and Gaussians that have some of what comes next.
-        self.reached = self._new((*self.streams.begins.shape[:2], 4), torch.int64)
-        self.reached[..., :2] = self._upload(self.streams.begins)
-        self.states = self._upload(self.streams.states)
-        self.faults = self._new((self.header.block_count, 1 + self.streams.begins.shape[1]), torch.int64)
+        self.rows = [_argument(self._upload(models.rows(i).astype(np.int32))) for i in listed]
+        self.reached = self._upload(self.streams.reached)
+        self.states = self._upload(self.streams.states.astype(np.uint32).view(np.int32))
+        self.faults = self._new((self.header.block_count, 1 + len(names)), torch.int64)
         self.chains = (
             _argument(self.reached),
+            _argument(self._upload(self.streams.begins)),
             _argument(self._upload(self.streams.ends)),
             _argument(self._upload(np.minimum(blocks, self.header.count))),
-            _argument(self.states),
+            _unsigned(self.states),
         )
 
     def decode(self) -> dict[str, torch.Tensor]:
@@ -119,7 +126,7 @@ class _Decoder:
         self._each(surround, places, self.header.block_size, *near)
         values = self._new((3, self.header.count), torch.int32)
         unit = self.lattice.units["sh-dc"]
-        self._chain(read_colours, 1, STREAMS, *near, unit, shifts, values)
+        self._chain(read_colours, 1, STREAMS, *near, unit, shifts, values.view(-1))
         levels = self._levels(near[0], shifts)
         found = {"means": means, **self._floats(planes, values, levels, shifts)}
         self._check(widths, means)
@@ -141,9 +148,8 @@ class _Decoder:
         """Run a kernel that has a warp for each block, the pass of a number."""
         given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
         first = [] if stream is None else [stream]
-        tables = self.tables.entries, self.tables.spans, self.tables.rows[number]
         kernel[self.header.block_count, WIDTH](
-            self.words, self.raw, *tables, *self.chains, *first, *given, _argument(self.faults)
+            *self.tables, self.rows[number], *self.chains, *first, *given, _argument(self.faults)
         )
 
     def _rules(self, *names: str) -> list[torch.Tensor]:
@@ -160,7 +166,7 @@ class _Decoder:
         units = np.array([0, 0, *(lattice.units[name] for name in of_lanes)])
         rules = np.pad(numbers, ((2, 0), (0, 0))), np.pad(limits, (2, 0)), units
         given = (*rules, np.array(lattice.centres), np.array(lattice.classes))
-        self._chain(read_shapes, 0, None, *map(self._upload, given), planes, poles)
+        self._chain(read_shapes, 0, None, *map(self._upload, given), planes.view(-1), poles)
         return planes, poles
 
     def _trees(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -190,7 +196,7 @@ class _Decoder:
         sides, origin = self._upload(cell_widths(grid)), self._upload(np.array(grid.origin))
         low_bits = firsts, lasts, before, widths
         self._each(
-            place, self.raw, *low_bits, lefts, codes, self.header.block_size,
+            place, self.bytes, *low_bits, lefts, codes, self.header.block_size,
             axes, sides, origin, 0.5 * grid.step, places, means,
         )  # fmt: skip
         return shifts, widths, places, means
@@ -209,8 +215,9 @@ class _Decoder:
             self._chain(read_shares, *chain, -1 if last else offset, left, shares, live)
             offset += 0 if last else OF_SHARE
             marks = self._new((count,), torch.int8)
-            own = levels[band.start : band.stop]
-            self._chain(read_levels, *chain, offset, ago, shares, live, marks, own)
+            own = levels[band.start : band.stop].view(-1)
+            members = band.stop - band.start
+            self._chain(read_levels, *chain, offset, members, ago, shares, live, marks, own)
         return levels
 
     def _floats(
@@ -242,5 +249,5 @@ class _Decoder:
         sums = torch.cat([bits[0].view(whole, size).sum(1), bits[1].sum()[None]])
         low_bits = sums[: self.header.block_count].cpu().numpy() + self.streams.low_bits[:, 0]
         told = [x.cpu().numpy() for x in (self.reached, self.states, self.faults, boxes)]
-        self.streams.check(told[0], low_bits, told[1], told[2])
+        self.streams.check(told[0], low_bits, told[1].view(np.uint32), told[2])
         check_boxes(self.file, told[3])

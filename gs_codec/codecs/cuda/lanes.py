@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import config, cuda
+from numpy.typing import NDArray
 
 from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS, PassTables
 from gs_codec.coding.rans import LANES
@@ -37,23 +38,20 @@ if SIMULATED:
 
     def ones(mask):
         """Number of lanes in a mask."""
-        return bin(mask).count("1")
+        return np.int32(bin(mask).count("1"))
 
     def bit_length(value):
-        """Bits of a number that is not negative."""
-        return int(value).bit_length()
+        """Bits of a number from 0 to 2**31 - 1."""
+        return np.int32(int(value).bit_length())
 
     def value_of(values, lane):
         """What a lane has."""
-        return np.int64(values[lane])
+        return np.int32(values[lane])
 
     def sums_before(values, sums):
         """Fill `sums` with what the lanes before each have in total; returns that of all."""
-        total = 0
-        for lane in range(LANES):
-            sums[lane] = total
-            total += np.int64(values[lane])
-        return total
+        sums[:] = np.cumsum(values) - values
+        return np.int32(np.sum(values))
 
     def rounded(first, second):
         """A product that is rounded before it is added to anything."""
@@ -77,31 +75,28 @@ else:
     @device
     def ones(mask):
         """Number of lanes in a mask."""
-        return np.int64(cuda.popc(mask))
+        return np.int32(cuda.popc(np.uint32(mask)))
 
     @device
     def bit_length(value):
-        """Bits of a number that is not negative."""
-        return 64 - np.int64(cuda.clz(np.int64(value)))
+        """Bits of a number from 0 to 2**31 - 1."""
+        return 32 - np.int32(cuda.clz(np.int32(value)))
 
     @device
     def value_of(values, lane):
         """What a lane has."""
-        return np.int64(cuda.shfl_sync(_ALL, values[0], lane))
+        return np.int32(cuda.shfl_sync(_ALL, values[0], lane))
 
     @device
     def sums_before(values, sums):
         """Fill `sums` with what the lanes before each have in total; returns that of all."""
         lane = cuda.threadIdx.x
-        total = values[0]
-        step = 1
-        while step < LANES:
-            other = cuda.shfl_up_sync(_ALL, total, step)
-            if lane >= step:
-                total += other
-            step *= 2
+        total = np.int32(values[0])
+        for turn in range(5):
+            other = np.int32(cuda.shfl_up_sync(_ALL, total, 1 << turn))
+            total = np.int32(total + (other if lane >= 1 << turn else 0))
         sums[0] = total - values[0]
-        return np.int64(cuda.shfl_sync(_ALL, total, LANES - 1))
+        return np.int32(cuda.shfl_sync(_ALL, total, LANES - 1))
 
     @device
     def rounded(first, second):
@@ -112,48 +107,63 @@ else:
 @device
 def lanes_before(mask, lane):
     """Number of lanes in a mask that come before a lane."""
-    return ones(mask & ((1 << lane) - 1))
+    return ones(mask & ((np.int64(1) << lane) - 1))
 
 
-def pack_entries(tables: PassTables) -> np.ndarray:
-    """Of every ``2**RUN_BITS`` slots the first token, and its start and frequency less 1, int32."""
+def pack_entries(tables: PassTables) -> NDArray[np.uint32]:
+    """Of every ``2**RUN_BITS`` slots the first token, and its start and its frequency less 1."""
     size = 1 << (PRECISION - RUN_BITS)
     tokens = tables.slots.astype(np.uint32)
     rows = np.repeat(np.arange(len(tokens) // size), size)
     spans = tables.spans[(rows << SPAN_BITS) + tokens]
     entries = tokens | (spans >> np.uint32(16)) << np.uint32(8)
-    return (entries | ((spans & np.uint32(0xFFFF)) - np.uint32(1)) << np.uint32(20)).view(np.int32)
+    return entries | ((spans & np.uint32(0xFFFF)) - np.uint32(1)) << np.uint32(20)
+
+
+# 32-bit integers where they are enough, as a device has no others: numba computes in 64 bits unless
+# each result is converted. Only signed ones are mixed.
 
 
 @device
 def pull(entries, spans, row, state):
     """Decode a token under a table; returns it and the state, which lacks a word if it is low."""
-    slot = state & ((1 << PRECISION) - 1)
-    entry = np.int64(entries[np.uint64((row << (PRECISION - RUN_BITS)) + (slot >> RUN_BITS))])
-    token, place, frequency = entry & 255, slot - ((entry >> 8) & 4095), ((entry >> 20) & 4095) + 1
+    wide = np.int64(state)
+    slot = np.int32(wide & ((1 << PRECISION) - 1))
+    at = np.int32((row << (PRECISION - RUN_BITS)) + (slot >> RUN_BITS))
+    entry = np.int64(entries[np.uint64(at)])
+    token, place = np.int32(entry & 255), np.int32(slot - ((entry >> 8) & 4095))
+    frequency = np.int32((entry >> 20) + 1)
     while place >= frequency:
-        token += 1
-        span = np.int64(spans[np.uint64((row << SPAN_BITS) + token)])
-        place, frequency = slot - (span >> 16), span & 0xFFFF
-    return token, frequency * (state >> PRECISION) + place
+        token = np.int32(token + 1)
+        span = np.int64(spans[np.uint64(np.int32((row << SPAN_BITS) + token))])
+        place, frequency = np.int32(slot - (span >> 16)), np.int32(span & 0xFFFF)
+    return token, np.uint32(np.int64(frequency) * (wide >> PRECISION) + place)
+
+
+@device
+def completed(after, lacks, words, at):
+    """A state with the word that it lacks, or does not lack."""
+    if lacks:
+        return np.uint32(np.int64(after) << 16 | np.int64(words[np.uint64(at)]))
+    return after
 
 
 @device
 def raw_width(token):
     """Number of raw bits that complete a token."""
-    size = token >> 1
-    return 0 if size < 16 else ((size - 16) >> 2) + 2
+    return np.int32((((token >> 1) - 16) >> 2) + 2 if token >= 32 else 0)
 
 
 @device
-def integer_of(token, raw, used, width):
-    """The integer of a token and its raw bits, `width` from bit `used` on."""
-    size = token >> 1
+def integer_of(token, raw, begin, used, width):
+    """The integer of a token and its raw bits, `width` from bit `used` on.
+
+    Bits are those from item `begin` on of ``raw``, 32 in each, most significant first.
+    """
+    size = np.int32(token >> 1)
     if width > 0:
-        at = used >> 3
-        window = np.int64(raw[np.uint64(at)]) << 32 | np.int64(raw[np.uint64(at + 1)]) << 24
-        window |= np.int64(raw[np.uint64(at + 2)]) << 16 | np.int64(raw[np.uint64(at + 3)]) << 8
-        window |= np.int64(raw[np.uint64(at + 4)])
-        rest = (window >> (40 - (used & 7) - width)) & ((1 << width) - 1)
-        size = ((4 + ((size - 16) & 3)) << width) | rest
-    return -size if token & 1 else size
+        at = begin + (used >> 5)
+        window = np.int64(raw[np.uint64(at)]) << 32 | np.int64(raw[np.uint64(at + 1)])
+        rest = np.int32((window >> (64 - (used & 31) - width)) & ((1 << width) - 1))
+        size = np.int32(((4 + ((size - 16) & 3)) << width) | rest)
+    return np.int32(-size if token & 1 else size)

@@ -25,6 +25,7 @@ from gs_codec.codecs.cuda.lanes import (
     WIDTH,
     ballot,
     bit_length,
+    completed,
     integer_of,
     ones,
     pull,
@@ -54,6 +55,10 @@ _PRIOR = np.array([0, 0, 0, 1 << 5, 0, 0, 0, 1 << 6, 3 << 6], np.int64)
 #: How many of opacity and three scales a rule may know when a lane uses it.
 _KNOWN = np.array([0, 0, 0, 1, 2, 3, 4, 4, 4], np.int64)
 
+#: Factors of the shift, and of the bucket of the last two values, in a lane's context.
+_BY_SHIFT = np.array([0, 0, BEFORE, BEFORE, BEFORE, BEFORE, 1, 1, 1], np.int64)
+_BY_BUCKET = np.array([0, 0, 1, 1, 1, 1, 0, 0, 0], np.int64)
+
 #: Lanes that a thread may have in use; steps after which faults are looked for.
 _HELD = min(_ITEMS, OWN)
 _PATIENCE = 16
@@ -61,30 +66,45 @@ _PATIENCE = 16
 
 @cuda.jit
 def read_shapes(
-    words, raw, entries, spans, rows, reached, ends, starts, states,
+    words, raw, entries, spans, rows, reached, begins, ends, starts, states,
     numbers, limits, units, centres, most, planes, poles, faults,
 ):  # fmt: skip
-    """Decode ``planes (9, N)``: classes, opacity, scales, turns; and ``poles (N,)``.
+    """Decode ``planes (9 N,)``: classes, opacity, scales, turns; and ``poles (N,)``.
 
     Rules, ``numbers (9, 5)`` and ``limits (9,)``, units and centres are of the lanes.
     """
-    block, thread = cuda.blockIdx.x, cuda.threadIdx.x
-    start, count = starts[block], starts[block + 1] - starts[block]
-    state = cuda.shared.array(LANES, np.int64)
-    # Of each lane: its symbols so far, what it is, its rule.
-    position = cuda.local.array(OWN, np.int64)
-    used = cuda.local.array(OWN, np.int64)
+    block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
+    start, count = starts[block], np.int32(starts[block + 1] - starts[block])
+    state = cuda.shared.array(LANES, np.uint32)
+    # Of each lane: where its stream is, what it is, its rule, and its last two values.
+    words_at = cuda.local.array(OWN, np.int64)
+    raw_at = cuda.local.array(OWN, np.int64)
+    position = cuda.local.array(OWN, np.int32)
+    used = cuda.local.array(OWN, np.int32)
+    behind = cuda.local.array(OWN, np.int32)
+    turn = cuda.local.array(OWN, np.int32)
+    mates = cuda.local.array(OWN, np.int32)
+    prior = cuda.local.array(OWN, np.int32)
+    first = cuda.local.array(OWN, np.int32)
+    rule = cuda.local.array((OWN, 5), np.int32)
+    limit = cuda.local.array(OWN, np.int32)
+    unit = cuda.local.array(OWN, np.int64)
+    centre = cuda.local.array(OWN, np.int32)
+    offset = cuda.local.array(OWN, np.int32)
+    by_shift = cuda.local.array(OWN, np.int32)
+    by_bucket = cuda.local.array(OWN, np.int32)
+    down = cuda.local.array(OWN, np.int32)
+    up = cuda.local.array(OWN, np.int32)
+    where = cuda.local.array(OWN, np.int32)
+    out = cuda.local.array(OWN, np.int64)
     last = cuda.local.array(OWN, np.int64)
     past = cuda.local.array(OWN, np.int64)
-    fault = cuda.local.array(OWN, np.int64)
-    rule = cuda.local.array((OWN, 5), np.int64)
-    limit = cuda.local.array(OWN, np.int64)
-    unit = cuda.local.array(OWN, np.int64)
-    mates = cuda.local.array(OWN, np.int64)
+    fault = cuda.local.array(OWN, np.int32)
     # Of each lane, in a phase.
+    active = cuda.local.array(OWN, np.int32)
     shift = cuda.local.array(OWN, np.int32)
-    token = cuda.local.array(OWN, np.int64)
-    after = cuda.local.array(OWN, np.int64)
+    token = cuda.local.array(OWN, np.int32)
+    after = cuda.local.array(OWN, np.uint32)
     lacks = cuda.local.array(OWN, np.int32)
     width = cuda.local.array(OWN, np.int32)
     found = cuda.local.array(OWN, np.int32)
@@ -92,120 +112,124 @@ def read_shapes(
         lane = own * WIDTH + thread
         state[lane] = states[block, lane]
         lacks[own] = width[own] = found[own] = shift[own] = 0
-        position[own] = used[own] = last[own] = past[own] = fault[own] = 0
-        limit[own] = unit[own] = mates[own] = 0
+        last[own] = past[own] = fault[own] = 0
+        kind = min(lane, _ITEMS - 1)
+        stream = _STREAM[kind]
+        words_at[own], raw_at[own] = begins[block, stream, 0], begins[block, stream, 1] >> 5
+        position[own], used[own] = reached[block, stream, 0], reached[block, stream, 1]
+        # Lanes without a list never have their turn.
+        behind[own], turn[own] = _BEHIND[kind], _PHASE[kind] if lane < _ITEMS else -1
+        prior[own], first[own] = _PRIOR[kind], _FIRST[kind]
+        limit[own], unit[own] = limits[kind], units[kind]
+        offset[own], by_shift[own] = SHAPE_OFFSETS[kind], _BY_SHIFT[kind]
+        by_bucket[own] = _BY_BUCKET[kind]
+        down[own] = BEFORE_SHIFTS[min(max(kind - _OPACITY, 0), 3)]
+        up[own] = BEFORE_CENTRES[min(max(kind - _OPACITY, 0), 3)]
+        centre[own] = 0
+        if kind == _OPACITY or kind == _SCALE:
+            centre[own] = centres[kind - _OPACITY]
         for k in range(5):
-            rule[own, k] = 0
-        if lane < _ITEMS:
-            stream = _STREAM[lane]
-            position[own], used[own] = reached[block, stream, 0], reached[block, stream, 1]
-            limit[own], unit[own] = limits[lane], units[lane]
-            for k in range(5):
-                rule[own, k] = numbers[lane, k] if k <= _KNOWN[lane] else 0
-            for other in range(_ITEMS):
-                mates[own] |= np.int64(_STREAM[other] == stream) << other
+            rule[own, k] = numbers[kind, k] if k <= _KNOWN[kind] else 0
+        mates[own] = 0
+        for other in range(_ITEMS):
+            mates[own] |= np.int32(_STREAM[other] == stream) << other
+        where[own] = (lane - _ITEMS * behind[own]) & (LANES - 1)
+        out[own] = kind * starts[cuda.gridDim.x] + start - behind[own]
     settle()
+    most0, most1 = np.int32(most[0]), np.int32(most[1])
     # Class, opacity and scales of a Gaussian and of the three before.
-    c0 = c1 = c2 = c3 = o0 = o1 = o2 = o3 = np.int64(0)
-    l1 = l2 = l3 = m2 = m3 = s2 = s3 = np.int64(0)
+    c0 = c1 = c2 = c3 = o0 = o1 = o2 = o3 = np.int32(0)
+    l1 = l2 = l3 = m2 = m3 = s2 = s3 = np.int32(0)
     for step in range(count + _LAST):
         for phase in range(2):
             for own in range(_HELD):
-                lane = own * WIDTH + thread
+                lane = np.int32(own * WIDTH + thread)
+                i = np.int32(step - behind[own])
+                active[own] = np.int32(turn[own] == phase and i >= 0 and i < count)
                 # What is not decoded yet has a factor of 0.
                 octaves = c0 if lane < _SCALE else c1 if lane == _SCALE else c2
                 octaves = c3 if lane >= _ROLL else octaves
                 logit = o3 if lane >= _ROLL else o1 if lane == _SCALE else o2
-                longest, middle = (l3, m3) if lane >= _ROLL else (l2, m2)
-                total = rule[own, 0] + (octaves << RULE_FRACTION_BITS)
-                total += (rule[own, 1] * min(logit, 0)) >> FRACTION_BITS
-                total += (rule[own, 2] * longest) >> FRACTION_BITS
-                total += (rule[own, 3] * middle) >> FRACTION_BITS
-                total += (rule[own, 4] * s3) >> FRACTION_BITS
-                total >>= RULE_FRACTION_BITS
-                apart = abs(m3 - s3) if lane == _ROLL else abs(s3 - l3)
-                apart = abs(l3 - m3) if lane > _ROLL + 1 else apart
-                alike = max(FRACTION_BITS - bit_length(apart), 0)
-                total += alike if lane >= _ROLL else 0
-                shift[own] = min(max(total, 0), limit[own])
+                longest, middle = l3 if lane >= _ROLL else l2, m3 if lane >= _ROLL else m2
+                total = np.int64(rule[own, 0]) + (np.int64(octaves) << RULE_FRACTION_BITS)
+                total += (np.int64(rule[own, 1]) * np.int64(min(logit, 0))) >> FRACTION_BITS
+                total += (np.int64(rule[own, 2]) * np.int64(longest)) >> FRACTION_BITS
+                total += (np.int64(rule[own, 3]) * np.int64(middle)) >> FRACTION_BITS
+                if phase == 0:
+                    total += (np.int64(rule[own, 4]) * np.int64(s3)) >> FRACTION_BITS
+                octave = np.int32(min(max(total >> RULE_FRACTION_BITS, -64), 64))
+                if phase == 0:
+                    one = m3 if lane == _ROLL else l3
+                    other = m3 if lane > _ROLL + 1 else s3
+                    apart = min(abs(np.int64(one) - np.int64(other)), 1 << FRACTION_BITS)
+                    alike = max(FRACTION_BITS - bit_length(apart), 0)
+                    octave = np.int32(octave + (alike if lane >= _ROLL else 0))
+                shift[own] = min(max(octave, 0), limit[own])
             if phase == 0:
-                first, second = value_of(shift, _ROLL), value_of(shift, _ROLL + 2)
+                one, other = value_of(shift, _ROLL), value_of(shift, _ROLL + 2)
                 for own in range(_HELD):
                     lane = own * WIDTH + thread
-                    i = step - _LAST
                     if lane == _ROLL:
-                        shift[own] = max(first, second)
-                        if i >= 0:
-                            poles[start + i] = 2 if second > first else 0
+                        shift[own] = max(one, other)
+                        if active[own]:
+                            poles[start + step - _LAST] = 2 if other > one else 0
                     elif lane == _ROLL + 2:
-                        shift[own] = min(first, second)
+                        shift[own] = min(one, other)
             for own in range(_HELD):
                 lane = own * WIDTH + thread
-                kind = min(lane, _ITEMS - 1)
-                i = step - _BEHIND[kind]
-                active = lane < _ITEMS and _PHASE[kind] == phase and i >= 0 and i < count
                 lacks[own] = width[own] = 0
-                if active:
-                    few = min(np.int64(shift[own]), SHIFT_CONTEXTS - 1)
+                if active[own]:
+                    few = min(shift[own], SHIFT_CONTEXTS - 1)
                     total = last[own] + past[own]
-                    context = SHAPE_OFFSETS[lane]
+                    bucket = np.int32(min(max((total >> down[own]) + up[own], 0), BEFORE - 1))
+                    context = np.int32(offset[own] + by_shift[own] * few + by_bucket[own] * bucket)
                     if lane == _CLASS:
-                        context += total
+                        context = np.int32(total)
                     elif lane == _COLOUR:
-                        context += c0
-                    elif lane < _ROLL:
-                        bucket = total >> BEFORE_SHIFTS[lane - _OPACITY]
-                        bucket = min(max(bucket + BEFORE_CENTRES[lane - _OPACITY], 0), BEFORE - 1)
-                        context += BEFORE * few + bucket
-                    else:
-                        context += few
-                    row = np.int64(rows[np.uint64(context)])
-                    where = (_ITEMS * i + lane) & (LANES - 1)
-                    token[own], after[own] = pull(entries, spans, row, state[where])
-                    lacks[own] = np.int32(after[own] < LOWEST)
+                        context = np.int32(context + c0)
+                    row = np.int32(rows[np.uint64(context)])
+                    token[own], after[own] = pull(entries, spans, row, state[where[own]])
+                    lacks[own] = np.int32(np.int64(after[own]) < LOWEST)
                     width[own] = raw_width(token[own])
             lacking = ballot(lacks)
             some = ballot(width)
             for own in range(_HELD):
                 lane = own * WIDTH + thread
-                kind = min(lane, _ITEMS - 1)
-                before = total = np.int64(0)
+                before = bits = np.int32(0)
                 if some != 0:
                     for k in range(_MOST):
-                        other = _FIRST[kind] + k
-                        bits = value_of(width, other)
-                        total += bits * ((mates[own] >> other) & 1)
-                        before += bits * ((_PRIOR[kind] >> other) & 1)
-                i = step - _BEHIND[kind]
-                active = lane < _ITEMS and _PHASE[kind] == phase and i >= 0 and i < count
-                if active:
-                    if lacks[own]:
-                        at = position[own] + ones(lacking & _PRIOR[kind])
-                        after[own] = after[own] << 16 | np.int64(words[np.uint64(at)])
-                    state[(_ITEMS * i + lane) & (LANES - 1)] = after[own]
-                    bits = np.int64(width[own])
-                    value = integer_of(token[own], raw, used[own] + before, bits)
+                        place = np.int32(first[own] + k)
+                        each = value_of(width, place)
+                        bits = np.int32(bits + (each if (mates[own] >> place) & 1 else 0))
+                        before = np.int32(before + (each if (prior[own] >> place) & 1 else 0))
+                if active[own]:
+                    at = words_at[own] + position[own] + ones(lacking & prior[own])
+                    state[where[own]] = completed(after[own], lacks[own], words, at)
+                    at = np.int32(used[own] + before)
+                    level = integer_of(token[own], raw, raw_at[own], at, width[own])
+                    value = np.int64(level)
                     if lane < _OPACITY:
-                        if value < 0 or value >= most[lane]:
+                        if level < 0 or level >= (most0 if lane == _CLASS else most1):
                             fault[own] = BAD_CLASS
                             value = np.int64(0)
                     else:
-                        value *= unit[own] << np.int64(shift[own])
+                        value *= unit[own] << shift[own]
                     past[own] = last[own]
-                    last[own] = value
-                    if lane == _OPACITY or lane == _SCALE:
-                        value += centres[lane - _OPACITY]
-                    elif lane == _SCALE + 1:
-                        value = l2 - value
+                    moved = value + np.int64(centre[own])
+                    if lane == _SCALE + 1:
+                        moved = np.int64(l2) - value
                     elif lane == _SCALE + 2:
-                        value = m2 - value
-                    if abs(value) >= FIXED_LIMIT:
+                        moved = np.int64(m2) - value
+                    if abs(moved) >= FIXED_LIMIT:
                         fault[own] = BAD_VALUE
-                        value = np.int64(0)
-                    found[own] = value
-                    planes[lane, start + i] = value
+                        value = moved = np.int64(0)
+                    last[own] = value
+                    found[own] = moved
+                    planes[out[own] + step] = moved
+                if turn[own] == phase:
+                    where[own] = (where[own] + _ITEMS) & (LANES - 1)
                 position[own] += ones(lacking & mates[own])
-                used[own] += total
+                used[own] += bits
             settle()
             if phase == 0:
                 c0, m2 = value_of(found, _CLASS), value_of(found, _SCALE + 1)
@@ -219,7 +243,8 @@ def read_shapes(
             for own in range(_HELD):
                 lane = own * WIDTH + thread
                 stream = _STREAM[min(lane, _ITEMS - 1)]
-                if position[own] > ends[block, stream, 0] or used[own] > ends[block, stream, 1]:
+                over = position[own] > ends[block, stream, 0] - words_at[own]
+                if over or used[own] > ends[block, stream, 1] - (raw_at[own] << 5):
                     fault[own] = OUT_OF_WORDS
                 lacks[own] = np.int32(fault[own] != 0 and lane < _ITEMS)
             if ballot(lacks) != 0:

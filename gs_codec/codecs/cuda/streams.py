@@ -13,6 +13,9 @@ from gs_codec.coding.rans import LANES, LOWEST, read_states
 from gs_codec.egs.file import EgsFile, SectionId
 from gs_codec.errors import CorruptStream, TruncatedStream
 
+#: Bytes that no stream of a block has: a symbol takes fewer than 6 of them.
+_LONG = 1 << 27
+
 #: Bytes after the file, which kernels may read before they stop.
 PADDING = 512
 
@@ -58,12 +61,25 @@ class Streams:
             raise CorruptStream("a section of a block: an odd number of bytes of words")
         begins = np.stack([(first + 4) // 2, 8 * (first + 4 + size)], axis=2)
         ends = np.stack([(first + 4 + size) // 2, 8 * last], axis=2)
+        if np.any(last - first >= _LONG):
+            raise CorruptStream(f"a section of a block: {_LONG} bytes or more")
         states = [
             read_states(file.section(SectionId.STATES, block), LANES, f"block {block}")
             for block in range(file.header.block_count)
         ]
         low_bits = 8 * _places(file, SectionId.LOW_BITS)
         return cls(data, begins, ends, low_bits, np.array(states))
+
+    @property
+    def reached(self) -> NDArray[np.int64]:
+        """What kernels have of each stream at first, ``(blocks, streams, 4)``.
+
+        Words and bits that were read, bits from a multiple of 32 on; symbols; and Gaussians that
+        have some of what comes next.
+        """
+        reached = np.zeros((*self.begins.shape[:2], 4), np.int64)
+        reached[..., 1] = self.begins[..., 1] & 31
+        return reached
 
     def check(
         self,
@@ -80,10 +96,12 @@ class Streams:
         """
         for block, fault in np.argwhere(faults):
             raise CorruptStream(f"block {block}: {FAULTS[faults[block, fault]]}")
-        ends = np.argwhere(reached[..., 0] != self.ends[..., 0])
+        words = self.begins[..., 0] + reached[..., 0]
+        ends = np.argwhere(words != self.ends[..., 0])
         for block, stream in ends:
             raise CorruptStream(f"block {block}: stream {stream} does not end where its words do")
-        used = np.concatenate([reached[..., 1], low_bits[:, None]], axis=1)
+        bits = (self.begins[..., 1] & -32) + reached[..., 1]
+        used = np.concatenate([bits, low_bits[:, None]], axis=1)
         ends = np.concatenate([self.ends[..., 1], self.low_bits[:, 1:]], axis=1)
         if np.any((used + 7) // 8 != ends // 8):
             [block, _] = np.argwhere((used + 7) // 8 != ends // 8)[0]

@@ -39,7 +39,7 @@ _HELD = min(_USED, OWN)
 
 @cuda.jit
 def read_colours(
-    words, raw, entries, spans, rows, reached, begins, ends, starts, states, stream,
+    words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     ago, weights, inverses, unit, shifts, values, faults,
 ):  # fmt: skip
     """Decode ``values (3 N,)``, fixed-point numbers; of neighbours as `surround` gives them."""
@@ -103,7 +103,7 @@ def read_colours(
             context = channel * COLOUR_SHIFTS + min(shift, COLOUR_SHIFTS - 1)
             context = np.int32(ACTIVITIES * context + max(guesses[own], 0))
             row = np.int32(rows[np.uint64(context)])
-            tokens[own], after[own] = pull(entries, spans, row, state[where[own]])
+            tokens[own], after[own] = pull(runs, spans, row, state[where[own]])
             total = np.int64(w0) * np.int64(v0) + np.int64(w1) * np.int64(v1)
             total += np.int64(w2) * np.int64(v2) + np.int64(w3) * np.int64(v3)
             # Rounded down: the quotient is half of a 2048th or more away from integers.

@@ -22,11 +22,11 @@ from gs_codec.codecs.adaptive.rotation import TURN_RULES
 from gs_codec.codecs.adaptive.section import lattice_of
 from gs_codec.codecs.cuda.colours import read_colours
 from gs_codec.codecs.cuda.floats import THREADS, fill_colours, fill_shapes
-from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH, pack_entries
+from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH, pack_tables
 from gs_codec.codecs.cuda.places import find_widths, place, surround
 from gs_codec.codecs.cuda.sh_ac import OF_SHARE, OF_SUM, read_levels, read_shares, read_sums
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
-from gs_codec.codecs.cuda.streams import Streams
+from gs_codec.codecs.cuda.streams import PADDING, Streams
 from gs_codec.coding.context_rans import BAD_VALUE, PassTables
 from gs_codec.coding.count_tree import decode_tree
 from gs_codec.coding.morton import axis_tables
@@ -59,8 +59,10 @@ def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
         warnings.simplefilter("ignore", NumbaPerformanceWarning)
         if SIMULATED:
             return _Decoder(file, place).decode()
-        with torch.cuda.device(place), cuda.gpus[torch.cuda.current_device()]:
-            return _Decoder(file, place).decode()
+        # numba's stream is the default one.
+        with torch.cuda.stream(torch.cuda.default_stream(place)):
+            with cuda.gpus[torch.cuda.current_device()]:
+                return _Decoder(file, place).decode()
 
 
 def _argument(tensor: torch.Tensor) -> Any:
@@ -73,12 +75,17 @@ def _unsigned(tensor: torch.Tensor) -> Any:
     return _argument(tensor.view(-1)).view(np.uint32).reshape(tensor.shape)
 
 
+def _staging(count: int, kind: torch.dtype) -> torch.Tensor:
+    """Memory of the CPU that is copied to a device while both go on."""
+    return torch.empty(count, dtype=kind, pin_memory=not SIMULATED)
+
+
 class _Tables(NamedTuple):
     """Words and raw bits of a file, and the tables of all passes."""
 
     words: Any
     raw: Any
-    entries: Any
+    runs: Any
     spans: Any
 
 
@@ -92,18 +99,18 @@ class _Decoder:
         self.lattice: Lattice
         self.lattice, models = lattice_of(file)
         listed = passes(self.coefficients)
-        tables = PassTables.pack(models.tables())
+        tables = pack_tables(PassTables.pack(models.tables()))
         names = [name for item in listed for name in item.streams]
-        self.streams = Streams.of(file, names)
+        staged = _staging(len(file.data) + PADDING, torch.uint8)
+        self.streams = Streams.of(file, names, staged.numpy())
         blocks = np.arange(self.header.block_count + 1) * self.header.block_size
-        data = self._upload(self.streams.data)
+        data = staged.to(self.device, non_blocking=True)
         bits = data.view(-1, 4).flip(1).contiguous().view(torch.int32).view(-1)
         self.bytes = _argument(data)
         self.tables = _Tables(
             _argument(data.view(torch.int16)).view(np.uint16),
             _unsigned(bits),
-            _unsigned(self._upload(pack_entries(tables).view(np.int32))),
-            _unsigned(self._upload(tables.spans.view(np.int32))),
+            *(_unsigned(self._upload(table.view(np.int32))) for table in tables),
         )
         self.rows = [_argument(self._upload(models.rows(i).astype(np.int32))) for i in listed]
         self.reached = self._upload(self.streams.reached)
@@ -133,7 +140,7 @@ class _Decoder:
         return found
 
     def _upload(self, array: NDArray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device, non_blocking=True)
 
     def _new(self, shape: tuple[int, ...], kind: torch.dtype) -> torch.Tensor:
         return torch.zeros(shape, dtype=kind, device=self.device)
@@ -169,19 +176,22 @@ class _Decoder:
         self._chain(read_shapes, 0, None, *map(self._upload, given), planes.view(-1), poles)
         return planes, poles
 
-    def _trees(self) -> tuple[torch.Tensor, torch.Tensor]:
+    def _trees(self) -> tuple[torch.Tensor, ...]:
         """Codes of positions without their low bits, and how many these are, ``(N,)``."""
-        codes = np.empty(self.header.count, np.int64)
-        lefts = np.empty(self.header.count, np.uint8)
+        codes = _staging(self.header.count, torch.int64)
+        lefts = _staging(self.header.count, torch.uint8)
+        rows = codes.numpy(), lefts.numpy()
 
         def fill(block: int) -> None:
             start, stop = self.header.block_range(block)
             tree, bits = self.file.section(SectionId.GEOMETRY, block), self.lattice.grid.total_bits
             where = f"geometry of block {block}"
-            codes[start:stop], lefts[start:stop] = decode_tree(tree, stop - start, bits, where)
+            found = decode_tree(tree, stop - start, bits, where)
+            for row, each in zip(rows, found, strict=True):
+                row[start:stop] = each
 
         run_all(fill, range(self.header.block_count))
-        return self._upload(codes), self._upload(lefts)
+        return tuple(x.to(self.device, non_blocking=True) for x in (codes, lefts))
 
     def _places(self, shapes: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, ...]:
         """Shifts of colours, widths of low bits, places in half steps, and centres."""

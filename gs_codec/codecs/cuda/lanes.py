@@ -110,14 +110,30 @@ def lanes_before(mask, lane):
     return ones(mask & ((np.int64(1) << lane) - 1))
 
 
-def pack_entries(tables: PassTables) -> NDArray[np.uint32]:
-    """Of every ``2**RUN_BITS`` slots the first token, and its start and its frequency less 1."""
-    size = 1 << (PRECISION - RUN_BITS)
-    tokens = tables.slots.astype(np.uint32)
-    rows = np.repeat(np.arange(len(tokens) // size), size)
-    spans = tables.spans[(rows << SPAN_BITS) + tokens]
-    entries = tokens | (spans >> np.uint32(16)) << np.uint32(8)
-    return entries | ((spans & np.uint32(0xFFFF)) - np.uint32(1)) << np.uint32(20)
+def pack_tables(tables: PassTables) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Tables in which a token is found without going through others, as lanes wait for the last.
+
+    Tokens that occur have ranks. Of every ``2**RUN_BITS`` slots, the first have the rank of the
+    token of the first slot and, shifted by 8, marks of the slots at which further ones start; the
+    second have, of each rank, its token, start and frequency less 1 (8, 12, 12 bits).
+    """
+    spans = tables.spans.reshape(-1, 1 << SPAN_BITS)
+    rows, tokens = np.nonzero(spans & 0xFFFF)
+    of_each = spans[rows, tokens]
+    starts, frequencies = of_each >> np.uint32(16), of_each & np.uint32(0xFFFF)
+    counts = np.bincount(rows, minlength=len(spans))
+    ranked = np.zeros_like(spans)
+    ranks = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
+    packed = tokens.astype(np.uint32) | starts << np.uint32(8)
+    ranked[rows, ranks] = packed | (frequencies - np.uint32(1)) << np.uint32(20)
+    shape = len(spans), 1 << (PRECISION - RUN_BITS)
+    of_run = rows * shape[1] + (starts >> np.uint32(RUN_BITS))
+    begun = np.bincount(of_run, minlength=shape[0] * shape[1]).reshape(shape).astype(np.uint32)
+    marks = np.zeros(shape, np.uint32)
+    np.add.at(marks.ravel(), of_run, np.uint32(1) << (starts & np.uint32((1 << RUN_BITS) - 1)))
+    own = marks & np.uint32(1)
+    first = np.cumsum(begun, axis=1, dtype=np.uint32) - (begun - own) - np.uint32(1)
+    return (first | (marks - own) << np.uint32(8)).ravel(), ranked.ravel()
 
 
 # 32-bit integers where they are enough, as a device has no others: numba computes in 64 bits unless
@@ -125,19 +141,17 @@ def pack_entries(tables: PassTables) -> NDArray[np.uint32]:
 
 
 @device
-def pull(entries, spans, row, state):
+def pull(runs, spans, row, state):
     """Decode a token under a table; returns it and the state, which lacks a word if it is low."""
     wide = np.int64(state)
     slot = np.int32(wide & ((1 << PRECISION) - 1))
     at = np.int32((row << (PRECISION - RUN_BITS)) + (slot >> RUN_BITS))
-    entry = np.int64(entries[np.uint64(at)])
-    token, place = np.int32(entry & 255), np.int32(slot - ((entry >> 8) & 4095))
-    frequency = np.int32((entry >> 20) + 1)
-    while place >= frequency:
-        token = np.int32(token + 1)
-        span = np.int64(spans[np.uint64(np.int32((row << SPAN_BITS) + token))])
-        place, frequency = np.int32(slot - (span >> 16)), np.int32(span & 0xFFFF)
-    return token, np.uint32(np.int64(frequency) * (wide >> PRECISION) + place)
+    run = np.int64(runs[np.uint64(at)])
+    rank = np.int32((run & 255) + ones((run >> 8) & ((2 << (slot & ((1 << RUN_BITS) - 1))) - 1)))
+    span = np.int64(spans[np.uint64(np.int32((row << SPAN_BITS) + rank))])
+    place = np.int32(slot - ((span >> 8) & 4095))
+    after = ((span >> 20) + 1) * (wide >> PRECISION) + place
+    return np.int32(span & 255), np.uint32(after)
 
 
 @device

@@ -49,7 +49,7 @@ def _bucket(total):
 
 @cuda.jit
 def read_sums(
-    words, raw, entries, spans, rows, reached, begins, ends, starts, states, stream, shifts, left, faults
+    words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream, shifts, left, faults
 ):
     """Decode the sums of magnitudes of all bands, first of the first band's pass."""
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
@@ -95,7 +95,7 @@ def read_sums(
                 widths[own] = 0
                 if base + own * WIDTH + thread < count:
                     row = np.int32(rows[np.uint64(firsts[own] + _bucket(totals[own]))])
-                    tokens[own], after[own] = pull(entries, spans, row, state[own])
+                    tokens[own], after[own] = pull(runs, spans, row, state[own])
                     widths[own] = raw_width(tokens[own])
             bits = np.int32(0)
             if ballot(widths) != 0:
@@ -138,7 +138,7 @@ def read_sums(
 
 @cuda.jit
 def read_shares(
-    words, raw, entries, spans, rows, reached, begins, ends, starts, states, stream,
+    words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     offset, left, shares, live, faults,
 ):  # fmt: skip
     """Decode a band's shares of what is left; those of the last band, of offset -1, are all of it.
@@ -191,7 +191,7 @@ def read_shares(
                 numbers[own] = live[start + j]
                 rest = np.int32(left[start + numbers[own]])
                 row = np.int32(rows[np.uint64(offset + _bucket(rest))])
-                tokens[own], after[own] = pull(entries, spans, row, state[own])
+                tokens[own], after[own] = pull(runs, spans, row, state[own])
                 widths[own] = raw_width(tokens[own])
                 flags[own] = np.int32(np.int64(after[own]) < LOWEST)
         lacking = ballot(flags)
@@ -236,7 +236,7 @@ def read_shares(
 
 @cuda.jit
 def read_levels(
-    words, raw, entries, spans, rows, reached, begins, ends, starts, states, stream,
+    words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     offset, members, ago, shares, live, marks, levels, faults,
 ):  # fmt: skip
     """Decode ``levels (members 3 N,)``, 0 before, of a band; `shares` and `live` are used up.
@@ -323,23 +323,18 @@ def read_levels(
                 known[own] = sums[own] = signs[own] = widths[own] = 0
                 t0[own] = t1[own] = t2[own] = 0
                 if number >= 0:
-                    mark = np.int32(marks[start + first])
-                    if first < number and source0[own] < 0 and mark >> 2 == k:
-                        known[own] += (mark & 3) - 1
-                    mark = np.int32(marks[start + second])
-                    if second < number and source1[own] < 0 and mark >> 2 == k:
-                        known[own] += (mark & 3) - 1
+                    one, other = np.int32(marks[start + first]), np.int32(marks[start + second])
+                    there = (first < number) & (source0[own] < 0) & (one >> 2 == k)
+                    known[own] += ((one & 3) - 1) * np.int32(there)
+                    there = (second < number) & (source1[own] < 0) & (other >> 2 == k)
+                    known[own] += ((other & 3) - 1) * np.int32(there)
                     context = np.int32(begin + SIGNS * MEMBERS * _bucket(rests[own]))
                     row0 = np.int32(rows[np.uint64(context)])
                     row1 = np.int32(rows[np.uint64(context + MEMBERS)])
                     row2 = np.int32(rows[np.uint64(context + 2 * MEMBERS)])
-                    t0[own], x0[own] = pull(entries, spans, row0, state[own])
-                    t1[own], x1[own] = t0[own], x0[own]
-                    if row1 != row0:
-                        t1[own], x1[own] = pull(entries, spans, row1, state[own])
-                    t2[own], x2[own] = t1[own], x1[own]
-                    if row2 != row1:
-                        t2[own], x2[own] = pull(entries, spans, row2, state[own])
+                    t0[own], x0[own] = pull(runs, spans, row0, state[own])
+                    t1[own], x1[own] = pull(runs, spans, row1, state[own])
+                    t2[own], x2[own] = pull(runs, spans, row2, state[own])
             changed = True
             while changed:
                 for own in range(OWN):

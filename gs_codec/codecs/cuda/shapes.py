@@ -66,7 +66,7 @@ _PATIENCE = 16
 
 @cuda.jit
 def read_shapes(
-    words, raw, entries, spans, rows, reached, begins, ends, starts, states,
+    words, raw, runs, spans, rows, reached, begins, ends, starts, states,
     numbers, limits, units, centres, most, planes, poles, faults,
 ):  # fmt: skip
     """Decode ``planes (9 N,)``: classes, opacity, scales, turns; and ``poles (N,)``.
@@ -188,7 +188,7 @@ def read_shapes(
                     elif lane == _COLOUR:
                         context = np.int32(context + c0)
                     row = np.int32(rows[np.uint64(context)])
-                    token[own], after[own] = pull(entries, spans, row, state[where[own]])
+                    token[own], after[own] = pull(runs, spans, row, state[where[own]])
                     lacks[own] = np.int32(np.int64(after[own]) < LOWEST)
                     width[own] = raw_width(token[own])
             lacking = ballot(lacks)

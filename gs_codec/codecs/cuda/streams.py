@@ -41,15 +41,15 @@ class Streams:
     states: NDArray[np.int64]
 
     @classmethod
-    def of(cls, file: EgsFile, streams: Sequence[str]) -> Streams:
-        """Find the streams of a file, whose sections were read.
+    def of(cls, file: EgsFile, streams: Sequence[str], data: NDArray[np.uint8]) -> Streams:
+        """Find the streams of a file, whose sections were read; fills ``data``, `PADDING` longer.
 
         Raises
         ------
         TruncatedStream, CorruptStream
         """
-        data = np.zeros(len(file.data) + PADDING, np.uint8)
         data[: len(file.data)] = np.frombuffer(file.data, np.uint8)
+        data[len(file.data) :] = 0
         places = [_places(file, SectionId.of_stream(stream)) for stream in streams]
         first, last = np.stack(places, axis=1).transpose(2, 0, 1)
         if np.any(last - first < 4):

@@ -27,12 +27,11 @@ from gs_codec.codecs.cuda.places import find_widths, place, surround
 from gs_codec.codecs.cuda.sh_ac import OF_SHARE, OF_SUM, read_levels, read_shares, read_sums
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
 from gs_codec.codecs.cuda.streams import PADDING, Streams
+from gs_codec.codecs.cuda.trees import read_trees
 from gs_codec.coding.context_rans import BAD_VALUE, PassTables
-from gs_codec.coding.count_tree import decode_tree
 from gs_codec.coding.morton import axis_tables
-from gs_codec.egs.file import EgsFile, SectionId
+from gs_codec.egs.file import EgsFile
 from gs_codec.egs.index import check_boxes
-from gs_codec.runtime.threads import run_all
 from gs_codec.scene import SH_COEFFICIENTS, sh_bands
 
 def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
@@ -116,18 +115,22 @@ class _Decoder:
         self.reached = self._upload(self.streams.reached)
         self.states = self._upload(self.streams.states.astype(np.uint32).view(np.int32))
         self.faults = self._new((self.header.block_count, 1 + len(names)), torch.int64)
+        self.coders = self._new((self.header.block_count, 3), torch.int64)
+        self.starts = _argument(self._upload(np.minimum(blocks, self.header.count)))
+        self.beside = None if SIMULATED else torch.cuda.Stream()
         self.chains = (
             _argument(self.reached),
             _argument(self._upload(self.streams.begins)),
             _argument(self._upload(self.streams.ends)),
-            _argument(self._upload(np.minimum(blocks, self.header.count))),
+            self.starts,
             _unsigned(self.states),
         )
 
     def decode(self) -> dict[str, torch.Tensor]:
         """All attributes, checked."""
+        trees = self._trees()
         planes = self._shapes()
-        shifts, widths, places, means = self._places(planes)
+        shifts, widths, places, means = self._places(trees, planes)
         kinds = torch.int32, torch.int64, torch.float64
         near = [self._new((self.header.count,), kind) for kind in kinds]
         self._each(surround, places, self.header.block_size, *near)
@@ -177,26 +180,29 @@ class _Decoder:
         return planes, poles
 
     def _trees(self) -> tuple[torch.Tensor, ...]:
-        """Codes of positions without their low bits, and how many these are, ``(N,)``."""
-        codes = _staging(self.header.count, torch.int64)
-        lefts = _staging(self.header.count, torch.uint8)
-        rows = codes.numpy(), lefts.numpy()
+        """Codes of positions without their low bits, and how many these are, ``(N,)``.
 
-        def fill(block: int) -> None:
-            start, stop = self.header.block_range(block)
-            tree, bits = self.file.section(SectionId.GEOMETRY, block), self.lattice.grid.total_bits
-            where = f"geometry of block {block}"
-            found = decode_tree(tree, stop - start, bits, where)
-            for row, each in zip(rows, found, strict=True):
-                row[start:stop] = each
+        They need nothing else, so they are decoded beside the shapes.
+        """
+        count, bits = self.header.count, self.lattice.grid.total_bits
+        codes, lefts = self._new((count,), torch.int64), self._new((count,), torch.uint8)
+        places = _argument(self._upload(self.streams.trees))
+        given = places, self.starts, bits, _argument(codes), _argument(lefts)
+        configuration: list[Any] = [self.header.block_count, 1]
+        if not SIMULATED:
+            self.beside.wait_stream(torch.cuda.current_stream())
+            configuration.append(cuda.external_stream(self.beside.cuda_stream))
+        read_trees[tuple(configuration)](self.bytes, *given, _argument(self.coders))
+        return codes, lefts
 
-        run_all(fill, range(self.header.block_count))
-        return tuple(x.to(self.device, non_blocking=True) for x in (codes, lefts))
-
-    def _places(self, shapes: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, ...]:
+    def _places(
+        self, trees: tuple[torch.Tensor, ...], shapes: tuple[torch.Tensor, torch.Tensor]
+    ) -> tuple[torch.Tensor, ...]:
         """Shifts of colours, widths of low bits, places in half steps, and centres."""
         count, grid = self.header.count, self.lattice.grid
-        codes, lefts = self._trees()
+        codes, lefts = trees
+        if not SIMULATED:
+            torch.cuda.current_stream().wait_stream(self.beside)
         shifts, widths = self._new((count,), torch.uint8), self._new((count,), torch.uint8)
         self._each(find_widths, *self._rules("position", "colour"), shapes[0], lefts, widths, shifts)
         before = torch.cumsum(widths, 0, dtype=torch.int64) - widths
@@ -258,6 +264,7 @@ class _Decoder:
         boxes = torch.cat([torch.cat([x.amin(1), x.amax(1)], 1) for x in parts])
         sums = torch.cat([bits[0].view(whole, size).sum(1), bits[1].sum()[None]])
         low_bits = sums[: self.header.block_count].cpu().numpy() + self.streams.low_bits[:, 0]
-        told = [x.cpu().numpy() for x in (self.reached, self.states, self.faults, boxes)]
-        self.streams.check(told[0], low_bits, told[1].view(np.uint32), told[2])
-        check_boxes(self.file, told[3])
+        results = self.reached, self.states, self.faults, self.coders, boxes
+        told = [x.cpu().numpy() for x in results]
+        self.streams.check(told[0], low_bits, told[1].view(np.uint32), *told[2:4])
+        check_boxes(self.file, told[4])

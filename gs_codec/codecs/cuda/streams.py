@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.coding.binary import check_end
 from gs_codec.coding.context_rans import FAULTS
 from gs_codec.coding.rans import LANES, LOWEST, read_states
 from gs_codec.egs.file import EgsFile, SectionId
@@ -31,13 +32,14 @@ class Streams:
     """Words and raw bits of the streams of all blocks, by their places in the file.
 
     ``begins`` and ``ends (blocks, streams, 2)`` are of words, in words, and of raw bits, in bits;
-    those of ``low_bits (blocks, 2)`` in bits. ``states (blocks, LANES)`` are the initial ones.
+    those of ``low_bits (blocks, 2)`` in bits, of ``trees (blocks, 2)`` in bytes. ``states (blocks, LANES)`` are the initial ones.
     """
 
     data: NDArray[np.uint8]
     begins: NDArray[np.int64]
     ends: NDArray[np.int64]
     low_bits: NDArray[np.int64]
+    trees: NDArray[np.int64]
     states: NDArray[np.int64]
 
     @classmethod
@@ -68,7 +70,8 @@ class Streams:
             for block in range(file.header.block_count)
         ]
         low_bits = 8 * _places(file, SectionId.LOW_BITS)
-        return cls(data, begins, ends, low_bits, np.array(states))
+        trees = _places(file, SectionId.GEOMETRY)
+        return cls(data, begins, ends, low_bits, trees, np.array(states))
 
     @property
     def reached(self) -> NDArray[np.int64]:
@@ -87,6 +90,7 @@ class Streams:
         low_bits: NDArray[np.int64],
         states: NDArray[np.int64],
         faults: NDArray[np.int64],
+        coders: NDArray[np.int64],
     ) -> None:
         """Check where kernels stopped, the final states, and that no kernel found a fault.
 
@@ -94,6 +98,8 @@ class Streams:
         ------
         CorruptStream
         """
+        for block, (place, coder) in enumerate(zip(self.trees, coders.tolist(), strict=True)):
+            check_end(*coder, int(place[1] - place[0]), f"geometry of block {block}")
         for block, fault in np.argwhere(faults):
             raise CorruptStream(f"block {block}: {FAULTS[faults[block, fault]]}")
         words = self.begins[..., 0] + reached[..., 0]

@@ -78,19 +78,19 @@ STACK = 65
 
 
 @inlined
-def walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes, prefixes):
+def walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes):
     """Code `codes` depth first, low half first; leaves leave out their ``lefts`` low bits.
 
-    ``nodes (4, STACK)`` and ``prefixes (STACK,)``, int64, are scratch memory: where a node that
-    waits begins, its count, its bits left, whether it is all of its parent; and its prefix.
+    ``nodes (5, STACK)``, int64, is scratch memory: where a node that waits begins, its count, its
+    bits left, whether it is all of its parent, its prefix.
     """
-    nodes[0, 0], nodes[1, 0], nodes[2, 0], nodes[3, 0] = 0, len(codes), total_bits, 0
-    prefixes[0] = 0
+    nodes[0, 0], nodes[1, 0], nodes[2, 0] = 0, len(codes), total_bits
+    nodes[3, 0] = nodes[4, 0] = 0
     top = 1 if len(codes) > 0 else 0
     while top > 0:
         top -= 1
         start, count, left = nodes[0, top], nodes[1, top], nodes[2, top]
-        prefix = prefixes[top]
+        prefix = nodes[4, top]
         if count == 1 or left == 0:
             # Alone, or as often as it occurs, when no bits are left.
             for i in range(start, start + count):
@@ -106,20 +106,18 @@ def walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes, prefi
         onesided = 1 if low in (0, count) else 0
         if low < count:
             nodes[0, top], nodes[1, top] = start + low, count - low
-            nodes[2, top], nodes[3, top] = left, onesided
-            prefixes[top] = (prefix << 1) | 1
+            nodes[2, top], nodes[3, top], nodes[4, top] = left, onesided, (prefix << 1) | 1
             top += 1
         if low > 0:
             nodes[0, top], nodes[1, top] = start, low
-            nodes[2, top], nodes[3, top] = left, onesided
-            prefixes[top] = prefix << 1
+            nodes[2, top], nodes[3, top], nodes[4, top] = left, onesided, prefix << 1
             top += 1
 
 
 @kernel
 def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
-    nodes, prefixes = np.empty((4, STACK), np.int64), np.empty(STACK, np.int64)
-    walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes, prefixes)
+    nodes = np.empty((5, STACK), np.int64)
+    walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes)
 
 
 def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArray[np.int64]]:

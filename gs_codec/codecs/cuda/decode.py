@@ -27,7 +27,6 @@ from gs_codec.codecs.cuda.places import find_widths, place, surround
 from gs_codec.codecs.cuda.sh_ac import OF_SHARE, OF_SUM, read_levels, read_shares, read_sums
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
 from gs_codec.codecs.cuda.streams import PADDING, Streams
-from gs_codec.codecs.cuda.trees import read_trees
 from gs_codec.coding.context_rans import BAD_VALUE, PassTables
 from gs_codec.coding.morton import axis_tables
 from gs_codec.egs.file import EgsFile
@@ -109,27 +108,27 @@ class _Decoder:
         self.tables = _Tables(
             _argument(data.view(torch.int16)).view(np.uint16),
             _unsigned(bits),
-            *(_unsigned(self._upload(table.view(np.int32))) for table in tables),
+            _argument(self._upload(tables[0])),
+            _unsigned(self._upload(tables[1].view(np.int32))),
         )
         self.rows = [_argument(self._upload(models.rows(i).astype(np.int32))) for i in listed]
         self.reached = self._upload(self.streams.reached)
         self.states = self._upload(self.streams.states.astype(np.uint32).view(np.int32))
         self.faults = self._new((self.header.block_count, 1 + len(names)), torch.int64)
-        self.coders = self._new((self.header.block_count, 3), torch.int64)
-        self.starts = _argument(self._upload(np.minimum(blocks, self.header.count)))
-        self.beside = None if SIMULATED else torch.cuda.Stream()
+        self.coders = self._new((self.header.block_count, 5), torch.int64)
         self.chains = (
             _argument(self.reached),
             _argument(self._upload(self.streams.begins)),
             _argument(self._upload(self.streams.ends)),
-            self.starts,
+            _argument(self._upload(np.minimum(blocks, self.header.count))),
             _unsigned(self.states),
         )
 
     def decode(self) -> dict[str, torch.Tensor]:
         """All attributes, checked."""
-        trees = self._trees()
-        planes = self._shapes()
+        count = self.header.count
+        trees = self._new((count,), torch.int64), self._new((count,), torch.uint8)
+        planes = self._shapes(*trees)
         shifts, widths, places, means = self._places(trees, planes)
         kinds = torch.int32, torch.int64, torch.float64
         near = [self._new((self.header.count,), kind) for kind in kinds]
@@ -158,7 +157,8 @@ class _Decoder:
         """Run a kernel that has a warp for each block, the pass of a number."""
         given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
         first = [] if stream is None else [stream]
-        kernel[self.header.block_count, WIDTH](
+        # The first pass has a second warp, for the tree.
+        kernel[self.header.block_count * (2 if number == 0 else 1), WIDTH](
             *self.tables, self.rows[number], *self.chains, *first, *given, _argument(self.faults)
         )
 
@@ -166,8 +166,13 @@ class _Decoder:
         rules = packed_rules([self.lattice.rules[name] for name in names])
         return [self._upload(array) for array in rules]
 
-    def _shapes(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Integers of classes and shapes ``(9, N)``, and poles ``(N,)``."""
+    def _shapes(
+        self, codes: torch.Tensor, lefts: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Integers of classes and shapes ``(9, N)``, and poles ``(N,)``; fills what trees tell.
+
+        These are the codes of positions without their low bits, and how many these are.
+        """
         lattice, count = self.lattice, self.header.count
         planes, poles = self._new((9, count), torch.int32), self._new((count,), torch.int8)
         names = ("opacity", "scale_0", "scale_1", "scale_2", *TURN_RULES)
@@ -176,24 +181,12 @@ class _Decoder:
         units = np.array([0, 0, *(lattice.units[name] for name in of_lanes)])
         rules = np.pad(numbers, ((2, 0), (0, 0))), np.pad(limits, (2, 0)), units
         given = (*rules, np.array(lattice.centres), np.array(lattice.classes))
-        self._chain(read_shapes, 0, None, *map(self._upload, given), planes.view(-1), poles)
+        trees = self._upload(self.streams.trees), lattice.grid.total_bits, codes, lefts
+        self._chain(
+            read_shapes, 0, None, *map(self._upload, given), planes.view(-1), poles,
+            self.bytes, *trees, self.coders,
+        )  # fmt: skip
         return planes, poles
-
-    def _trees(self) -> tuple[torch.Tensor, ...]:
-        """Codes of positions without their low bits, and how many these are, ``(N,)``.
-
-        They need nothing else, so they are decoded beside the shapes.
-        """
-        count, bits = self.header.count, self.lattice.grid.total_bits
-        codes, lefts = self._new((count,), torch.int64), self._new((count,), torch.uint8)
-        places = _argument(self._upload(self.streams.trees))
-        given = places, self.starts, bits, _argument(codes), _argument(lefts)
-        configuration: list[Any] = [self.header.block_count, 1]
-        if not SIMULATED:
-            self.beside.wait_stream(torch.cuda.current_stream())
-            configuration.append(cuda.external_stream(self.beside.cuda_stream))
-        read_trees[tuple(configuration)](self.bytes, *given, _argument(self.coders))
-        return codes, lefts
 
     def _places(
         self, trees: tuple[torch.Tensor, ...], shapes: tuple[torch.Tensor, torch.Tensor]
@@ -201,8 +194,6 @@ class _Decoder:
         """Shifts of colours, widths of low bits, places in half steps, and centres."""
         count, grid = self.header.count, self.lattice.grid
         codes, lefts = trees
-        if not SIMULATED:
-            torch.cuda.current_stream().wait_stream(self.beside)
         shifts, widths = self._new((count,), torch.uint8), self._new((count,), torch.uint8)
         self._each(find_widths, *self._rules("position", "colour"), shapes[0], lefts, widths, shifts)
         before = torch.cumsum(widths, 0, dtype=torch.int64) - widths

@@ -26,6 +26,7 @@ from gs_codec.codecs.cuda.lanes import (
     ballot,
     bit_length,
     completed,
+    device,
     integer_of,
     ones,
     pull,
@@ -33,7 +34,9 @@ from gs_codec.codecs.cuda.lanes import (
     settle,
     value_of,
 )
+from gs_codec.codecs.cuda.trees import read_tree
 from gs_codec.coding.context_rans import BAD_CLASS, BAD_VALUE, OUT_OF_WORDS
+from gs_codec.coding.count_tree import STACK, TREE_CONTEXTS
 from gs_codec.coding.rans import LANES, LOWEST
 
 _CLASS, _COLOUR, _OPACITY, _SCALE, _ROLL, _ITEMS = 0, 1, 2, 3, 6, 9
@@ -67,12 +70,33 @@ _PATIENCE = 16
 @cuda.jit
 def read_shapes(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states,
-    numbers, limits, units, centres, most, planes, poles, faults,
+    numbers, limits, units, centres, most, planes, poles,
+    data, trees, total_bits, codes, lefts, coders, faults,
 ):  # fmt: skip
     """Decode ``planes (9 N,)``: classes, opacity, scales, turns; and ``poles (N,)``.
 
-    Rules, ``numbers (9, 5)`` and ``limits (9,)``, units and centres are of the lanes.
+    Rules, ``numbers (9, 5)`` and ``limits (9,)``, units and centres are of the lanes. A second warp
+    for each block reads its tree at the same time, see `read_tree`.
     """
+    blocks = len(starts) - 1
+    if cuda.blockIdx.x < blocks:
+        _read(
+            words, raw, runs, spans, rows, reached, begins, ends, starts, states,
+            numbers, limits, units, centres, most, planes, poles, faults,
+        )  # fmt: skip
+    elif cuda.threadIdx.x == 0:
+        contexts = cuda.shared.array(TREE_CONTEXTS, np.int32)
+        nodes = cuda.shared.array((5, STACK), np.int64)
+        state = cuda.local.array(5, np.int64)
+        scratch, block = (contexts, nodes, state), cuda.blockIdx.x - blocks
+        read_tree(block, data, trees, starts, total_bits, codes, lefts, coders, *scratch)
+
+
+@device
+def _read(
+    words, raw, runs, spans, rows, reached, begins, ends, starts, states,
+    numbers, limits, units, centres, most, planes, poles, faults,
+):  # fmt: skip
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])
     state = cuda.shared.array(LANES, np.uint32)
@@ -134,7 +158,7 @@ def read_shapes(
         for other in range(_ITEMS):
             mates[own] |= np.int32(_STREAM[other] == stream) << other
         where[own] = (lane - _ITEMS * behind[own]) & (LANES - 1)
-        out[own] = kind * starts[cuda.gridDim.x] + start - behind[own]
+        out[own] = kind * starts[len(starts) - 1] + start - behind[own]
     settle()
     most0, most1 = np.int32(most[0]), np.int32(most[1])
     # Class, opacity and scales of a Gaussian and of the three before.

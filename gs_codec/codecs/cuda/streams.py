@@ -99,7 +99,8 @@ class Streams:
         CorruptStream
         """
         for block, (place, coder) in enumerate(zip(self.trees, coders.tolist(), strict=True)):
-            check_end(*coder, int(place[1] - place[0]), f"geometry of block {block}")
+            low, high, _, position, _ = coder
+            check_end(low, high, position, int(place[1] - place[0]), f"geometry of block {block}")
         for block, fault in np.argwhere(faults):
             raise CorruptStream(f"block {block}: {FAULTS[faults[block, fault]]}")
         words = self.begins[..., 0] + reached[..., 0]

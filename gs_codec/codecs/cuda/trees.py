@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import cuda
 
+from gs_codec.codecs.cuda.lanes import device
 from gs_codec.coding.binary import FRESH
-from gs_codec.coding.count_tree import STACK, TREE_CONTEXTS, walk
-
-#: State of a binary coder: low, high, code, bytes read, whether it encodes.
-_STATE = 5
+from gs_codec.coding.count_tree import TREE_CONTEXTS, walk
 
 
-@cuda.jit
-def read_trees(raw, places, starts, total_bits, codes, lefts, ends):
+@device
+def read_tree(block, data, places, starts, total_bits, codes, lefts, coders, contexts, nodes, state):
     """Fill codes of positions and how many low bits they lack, ``(N,)``.
 
-    Data of a block are between its ``places (blocks, 2)``; ``ends (blocks, 3)`` get the low, high
-    and position that the coder ends with.
+    The tree of a block is between its ``places (blocks, 2)``; ``coders (blocks, 5)`` get the state
+    that its coder ends with. ``contexts (TREE_CONTEXTS,)``, int32, and ``nodes (5, STACK)`` and
+    ``state (5,)``, int64, are scratch memory.
     """
-    block = cuda.blockIdx.x
     start, stop = starts[block], starts[block + 1]
-    data = raw[places[block, 0] : places[block, 1]]
-    contexts = cuda.shared.array(TREE_CONTEXTS, np.int32)
-    nodes = cuda.shared.array((4, STACK), np.int64)
-    prefixes = cuda.shared.array(STACK, np.int64)
-    state = cuda.local.array(_STATE, np.int64)
+    tree = data[places[block, 0] : places[block, 1]]
     for k in range(TREE_CONTEXTS):
         contexts[k] = FRESH
-    state[0], state[1], state[2], state[3], state[4] = 0, 0xFFFFFFFF, 0, 4, 0
+    code = np.int64(0)
     for k in range(4):
-        byte = np.int64(data[k]) if k < len(data) else np.int64(0)
-        state[2] = state[2] << 8 | byte
-    own = codes[start:stop], lefts[start:stop]
-    walk(own[0], total_bits, state, data, contexts, own[1], False, nodes, prefixes)
-    ends[block, 0], ends[block, 1], ends[block, 2] = state[0], state[1], state[3]
+        code = code << 8 | (np.int64(tree[k]) if k < len(tree) else np.int64(0))
+    state[0], state[1], state[2], state[3], state[4] = 0, 0xFFFFFFFF, code, 4, 0
+    walk(codes[start:stop], total_bits, state, tree, contexts, lefts[start:stop], False, nodes)
+    for k in range(5):
+        coders[block, k] = state[k]

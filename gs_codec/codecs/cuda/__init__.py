@@ -1,1 +1,1 @@
-"""Profiles ``l``, ``m`` and ``s`` decoded on a CUDA device, with the numbers of the CPU's decoder."""
+"""Profiles ``l``, ``m``, ``s`` decoded on a CUDA device, to the numbers of the CPU's decoder."""

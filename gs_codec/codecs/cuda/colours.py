@@ -27,7 +27,7 @@ from gs_codec.codecs.cuda.lanes import (
     sums_before,
 )
 from gs_codec.coding.context_rans import BAD_VALUE, OUT_OF_WORDS
-from gs_codec.coding.nearest import NEIGHBOURS, WINDOW
+from gs_codec.coding.nearest import WINDOW
 from gs_codec.coding.rans import LANES, LOWEST
 
 _CHANNELS = 3

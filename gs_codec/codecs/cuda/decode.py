@@ -23,15 +23,17 @@ from gs_codec.codecs.adaptive.section import lattice_of
 from gs_codec.codecs.cuda.colours import read_colours
 from gs_codec.codecs.cuda.floats import THREADS, fill_colours, fill_shapes
 from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH, pack_tables
+from gs_codec.codecs.cuda.levels import read_levels
 from gs_codec.codecs.cuda.places import find_widths, place, surround
-from gs_codec.codecs.cuda.sh_ac import OF_SHARE, OF_SUM, read_levels, read_shares, read_sums
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
 from gs_codec.codecs.cuda.streams import PADDING, Streams
+from gs_codec.codecs.cuda.sums import OF_SHARE, OF_SUM, read_shares, read_sums
 from gs_codec.coding.context_rans import BAD_VALUE, PassTables
 from gs_codec.coding.morton import axis_tables
 from gs_codec.egs.file import EgsFile
 from gs_codec.egs.index import check_boxes
 from gs_codec.scene import SH_COEFFICIENTS, sh_bands
+
 
 def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
     """Decode all blocks of a file to tensors on a device, in stream order.
@@ -58,9 +60,9 @@ def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
         if SIMULATED:
             return _Decoder(file, place).decode()
         # numba's stream is the default one.
-        with torch.cuda.stream(torch.cuda.default_stream(place)):
-            with cuda.gpus[torch.cuda.current_device()]:
-                return _Decoder(file, place).decode()
+        stream = torch.cuda.default_stream(place)
+        with torch.cuda.stream(stream), cuda.gpus[stream.device.index]:
+            return _Decoder(file, place).decode()
 
 
 def _argument(tensor: torch.Tensor) -> Any:
@@ -108,8 +110,7 @@ class _Decoder:
         self.tables = _Tables(
             _argument(data.view(torch.int16)).view(np.uint16),
             _unsigned(bits),
-            _argument(self._upload(tables[0])),
-            _unsigned(self._upload(tables[1].view(np.int32))),
+            *(_unsigned(self._upload(table.view(np.int32))) for table in tables),
         )
         self.rows = [_argument(self._upload(models.rows(i).astype(np.int32))) for i in listed]
         self.reached = self._upload(self.streams.reached)
@@ -149,9 +150,10 @@ class _Decoder:
 
     def _each(self, kernel: Any, *arguments: Any) -> None:
         """Run a kernel that has a thread for each Gaussian."""
-        grid = -(-self.header.count // THREADS), THREADS
+        # In the simulator one thread goes through all.
+        grid = 1 if SIMULATED else -(-self.header.count // THREADS)
         given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
-        kernel[grid](*given)
+        kernel[grid, THREADS](*given)
 
     def _chain(self, kernel: Any, number: int, stream: int | None, *arguments: Any) -> None:
         """Run a kernel that has a warp for each block, the pass of a number."""
@@ -195,7 +197,9 @@ class _Decoder:
         count, grid = self.header.count, self.lattice.grid
         codes, lefts = trees
         shifts, widths = self._new((count,), torch.uint8), self._new((count,), torch.uint8)
-        self._each(find_widths, *self._rules("position", "colour"), shapes[0], lefts, widths, shifts)
+        self._each(
+            find_widths, *self._rules("position", "colour"), shapes[0], lefts, widths, shifts
+        )
         before = torch.cumsum(widths, 0, dtype=torch.int64) - widths
         places, means = self._new((3, count), torch.int32), self._new((count, 3), torch.float32)
         firsts, lasts = (self._upload(column) for column in self.streams.low_bits.T)

@@ -32,6 +32,9 @@ if SIMULATED:
     def settle():
         """Let all lanes see what each has written."""
 
+    def meet():
+        """Let all threads of a block see what each has written."""
+
     def ballot(flags):
         """Mask of the lanes whose flag is not 0."""
         return sum(1 << lane for lane in range(LANES) if flags[lane])
@@ -66,6 +69,11 @@ else:
     def settle():
         """Let all lanes see what each has written."""
         cuda.syncwarp()
+
+    @device
+    def meet():
+        """Let all threads of a block see what each has written."""
+        cuda.syncthreads()
 
     @device
     def ballot(flags):
@@ -110,12 +118,12 @@ def lanes_before(mask, lane):
     return ones(mask & ((np.int64(1) << lane) - 1))
 
 
-def pack_tables(tables: PassTables) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+def pack_tables(tables: PassTables) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Tables in which a token is found in two steps, as all lanes wait for the last.
 
-    Tokens that occur have ranks. The second have, of each rank, its token, start and frequency less
-    1 (8, 12, 12 bits). Of every ``2**RUN_BITS`` slots, the first have that of the token of the
-    first slot (32 bits), marks of the slots at which further tokens start (16 bits), and its rank.
+    Tokens that occur have ranks. Of every ``2**RUN_BITS`` slots, the first have the rank of the
+    token of the first slot (8 bits) and marks of the slots at which further tokens start. The
+    second have, of each rank, its token, start and frequency less 1 (8, 12, 12 bits).
     """
     spans = tables.spans.reshape(-1, 1 << SPAN_BITS)
     rows, tokens = np.nonzero(spans & 0xFFFF)
@@ -126,12 +134,13 @@ def pack_tables(tables: PassTables) -> tuple[NDArray[np.int64], NDArray[np.uint3
     ranked[rows, ranks] = tokens.astype(np.uint32) | starts << 8 | (frequencies - 1) << 20
     shape = len(spans), 1 << (PRECISION - RUN_BITS)
     of_run = rows * shape[1] + (starts >> RUN_BITS)
-    begun = np.bincount(of_run, minlength=shape[0] * shape[1]).reshape(shape)
-    marks = np.zeros(shape, np.int64)
-    np.add.at(marks.ravel(), of_run, 1 << (starts.astype(np.int64) & ((1 << RUN_BITS) - 1)))
+    bits = np.ldexp(1.0, (starts & ((1 << RUN_BITS) - 1)).astype(np.int32))
+    begun, marks = (
+        np.bincount(of_run, weights, shape[0] * shape[1]).astype(np.int64).reshape(shape)
+        for weights in (None, bits)
+    )
     first = np.cumsum(begun, axis=1) - (begun - (marks & 1)) - 1
-    own = np.take_along_axis(ranked, first, axis=1).astype(np.int64)
-    return (own | (marks & ~1) << 32 | first << 48).ravel(), ranked.ravel()
+    return (first | (marks & ~1) << 8).astype(np.uint32).ravel(), ranked.ravel()
 
 
 # 32-bit integers where they are enough, as a device has no others: numba computes in 64 bits unless
@@ -145,11 +154,8 @@ def pull(runs, spans, row, state):
     slot = np.int32(wide & ((1 << PRECISION) - 1))
     at = np.int32((row << (PRECISION - RUN_BITS)) + (slot >> RUN_BITS))
     run = np.int64(runs[np.uint64(at)])
-    span = run & _ALL
-    further = ones((run >> 32) & ((2 << (slot & ((1 << RUN_BITS) - 1))) - 1))
-    if further > 0:
-        rank = np.int32((run >> 48) + further)
-        span = np.int64(spans[np.uint64(np.int32((row << SPAN_BITS) + rank))])
+    rank = np.int32((run & 255) + ones((run >> 8) & ((2 << (slot & ((1 << RUN_BITS) - 1))) - 1)))
+    span = np.int64(spans[np.uint64(np.int32((row << SPAN_BITS) + rank))])
     place = np.int32(slot - ((span >> 8) & 4095))
     after = ((span >> 20) + 1) * (wide >> PRECISION) + place
     return np.int32(span & 255), np.uint32(after)

@@ -150,7 +150,7 @@ def _read(
         down[own] = BEFORE_SHIFTS[min(max(kind - _OPACITY, 0), 3)]
         up[own] = BEFORE_CENTRES[min(max(kind - _OPACITY, 0), 3)]
         centre[own] = 0
-        if kind == _OPACITY or kind == _SCALE:
+        if _OPACITY <= kind <= _SCALE:
             centre[own] = centres[kind - _OPACITY]
         for k in range(5):
             rule[own, k] = numbers[kind, k] if k <= _KNOWN[kind] else 0

@@ -32,7 +32,8 @@ class Streams:
     """Words and raw bits of the streams of all blocks, by their places in the file.
 
     ``begins`` and ``ends (blocks, streams, 2)`` are of words, in words, and of raw bits, in bits;
-    those of ``low_bits (blocks, 2)`` in bits, of ``trees (blocks, 2)`` in bytes. ``states (blocks, LANES)`` are the initial ones.
+    those of ``low_bits (blocks, 2)`` in bits, of ``trees (blocks, 2)`` in bytes. ``states (blocks,
+    LANES)`` are the initial ones.
     """
 
     data: NDArray[np.uint8]

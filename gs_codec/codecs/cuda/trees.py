@@ -10,7 +10,9 @@ from gs_codec.coding.count_tree import TREE_CONTEXTS, walk
 
 
 @device
-def read_tree(block, data, places, starts, total_bits, codes, lefts, coders, contexts, nodes, state):
+def read_tree(
+    block, data, places, starts, total_bits, codes, lefts, coders, contexts, nodes, state
+):  # fmt: skip
     """Fill codes of positions and how many low bits they lack, ``(N,)``.
 
     The tree of a block is between its ``places (blocks, 2)``; ``coders (blocks, 5)`` get the state

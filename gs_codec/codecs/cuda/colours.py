@@ -20,6 +20,7 @@ from gs_codec.codecs.cuda.lanes import (
     completed,
     integer_of,
     lanes_before,
+    launched,
     ones,
     pull,
     raw_width,
@@ -37,7 +38,7 @@ _USED = _CHANNELS * ACTIVITIES
 _HELD = min(_USED, OWN)
 
 
-@cuda.jit
+@launched
 def read_colours(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     ago, weights, inverses, unit, shifts, values, faults,

@@ -8,7 +8,7 @@ import numpy as np
 from numba import cuda
 
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, TOO_LARGE
-from gs_codec.codecs.cuda.lanes import SIMULATED, device, meet, rounded
+from gs_codec.codecs.cuda.lanes import SIMULATED, device, launched, meet, rounded
 from gs_codec.coding.ycocg import GREEN, LUMA, ORANGE
 from gs_codec.scene import SH_COEFFICIENTS
 
@@ -21,7 +21,7 @@ _COLUMNS = 3 * (1 + max(SH_COEFFICIENTS)) + 1
 _ONE = float(1 << FRACTION_BITS)
 
 
-@cuda.jit
+@launched
 def fill_shapes(planes, poles, logits, log_scales, quats):
     """Fill ``logits (N,)``, ``log_scales (N, 3)`` and ``quats (N, 4)``."""
     for i in range(cuda.grid(1), len(logits), cuda.gridsize(1)):
@@ -51,7 +51,7 @@ def _fill(tile, thread, column, y, o, g):
     tile[thread, column + 2] = rest - orange
 
 
-@cuda.jit
+@launched
 def fill_colours(values, levels, units, shifts, coefficients, block_size, fault, faults, sh):
     """Fill ``sh (N (1 + K) 3,)`` from SH-DC ``values (3, N)`` and SH-AC ``levels (K, 3, N)``.
 

@@ -7,12 +7,17 @@ through these.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
 import numpy as np
 from numba import config, cuda
 from numpy.typing import NDArray
 
 from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS, PassTables
 from gs_codec.coding.rans import LANES
+from gs_codec.runtime.kernels import go_by_cache
 
 #: Whether kernels run in numba's simulator.
 SIMULATED = bool(config.ENABLE_CUDASIM)
@@ -24,6 +29,7 @@ OWN = LANES // WIDTH
 _ALL = 0xFFFFFFFF
 
 if SIMULATED:
+    launched = cuda.jit
 
     def device(function):
         """A function that kernels call."""
@@ -64,6 +70,14 @@ else:
     from numba.cuda import libdevice
 
     device = cuda.jit(device=True)
+
+    def launched(function: Callable) -> Any:
+        """Compile a kernel, which takes seconds, or load it from the disk, if possible."""
+        compiled: Any = cuda.jit(function)
+        with suppress(RuntimeError):  # no folder for a cache
+            compiled.enable_caching()
+            go_by_cache(compiled._cache, function, lambda target: target)
+        return compiled
 
     @device
     def settle():

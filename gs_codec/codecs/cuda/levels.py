@@ -17,6 +17,7 @@ from gs_codec.codecs.cuda.lanes import (
     completed,
     integer_of,
     lanes_before,
+    launched,
     ones,
     pull,
     raw_width,
@@ -36,7 +37,7 @@ _OF_COLOUR = SUMS * SIGNS * MEMBERS
 _NONE, _LARGEST = -1 - WINDOW, (1 << 31) - 1
 
 
-@cuda.jit
+@launched
 def read_levels(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     offset, members, ago, shares, live, marks, levels, faults,

@@ -6,14 +6,14 @@ import numpy as np
 from numba import cuda
 
 from gs_codec.codecs.adaptive.lattice import rule_shift
-from gs_codec.codecs.cuda.lanes import rounded
+from gs_codec.codecs.cuda.lanes import launched, rounded
 from gs_codec.coding.colour import weigh
 from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, find_nearest
 
 _LARGEST = float(np.finfo(np.float32).max)
 
 
-@cuda.jit
+@launched
 def find_widths(numbers, limits, planes, lefts, widths, shifts):
     """Fill widths of low bits and shifts of colours, ``(N,)``; rules are of positions, colours."""
     for i in range(cuda.grid(1), len(widths), cuda.gridsize(1)):
@@ -26,7 +26,7 @@ def find_widths(numbers, limits, planes, lefts, widths, shifts):
         shifts[i] = rule_shift(numbers, limits, 1, octaves, logit, longest, middle, shortest, 0)
 
 
-@cuda.jit
+@launched
 def place(
     raw, firsts, lasts, before, widths, lefts, codes, block_size, axes, sides, origin, half,
     places, means,
@@ -57,7 +57,7 @@ def place(
             means[i, axis] = min(max(position, -_LARGEST), _LARGEST)
 
 
-@cuda.jit
+@launched
 def surround(places, block_size, ago, weights, inverses):
     """Find the nearest of the Gaussians just before each, ``(N,)``.
 

@@ -28,6 +28,7 @@ from gs_codec.codecs.cuda.lanes import (
     completed,
     device,
     integer_of,
+    launched,
     ones,
     pull,
     raw_width,
@@ -67,7 +68,7 @@ _HELD = min(_ITEMS, OWN)
 _PATIENCE = 16
 
 
-@cuda.jit
+@launched
 def read_shapes(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states,
     numbers, limits, units, centres, most, planes, poles,

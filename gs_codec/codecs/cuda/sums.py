@@ -21,6 +21,7 @@ from gs_codec.codecs.cuda.lanes import (
     device,
     integer_of,
     lanes_before,
+    launched,
     ones,
     pull,
     raw_width,
@@ -44,7 +45,7 @@ def bucket(total):
     return np.int32(total) if total < 2 else large
 
 
-@cuda.jit
+@launched
 def read_sums(
     words,
     raw,
@@ -146,7 +147,7 @@ def read_sums(
             faults[block, stream] = fault
 
 
-@cuda.jit
+@launched
 def read_shares(
     words, raw, runs, spans, rows, reached, begins, ends, starts, states, stream,
     offset, left, shares, live, faults,

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from numba import config, cuda
+from numba import config
 
 from gs_codec.codecs.decode import ChosenPart, carried, choose_part
 from gs_codec.codecs.part import Part
@@ -119,8 +119,15 @@ def _require(device: str) -> None:
         return
     if int(number or 0) >= torch.cuda.device_count():
         raise MissingTool(f"device '{device}': torch sees {torch.cuda.device_count()} CUDA devices")
-    if find_spec("numba_cuda") is None or not cuda.is_available():
+    if find_spec("numba_cuda") is None or not _is_complete():
         raise MissingTool(f"device '{device}': needs numba-cuda and its CUDA toolkit, {_INSTALL}")
+
+
+def _is_complete() -> bool:
+    """Whether numba finds the driver and the toolkit."""
+    from numba import cuda
+
+    return bool(cuda.is_available())
 
 
 def _decode(chosen: ChosenPart, device: str) -> Splats:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numba import cuda
-from numba.core.errors import NumbaPerformanceWarning
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.contexts import passes
@@ -55,8 +54,8 @@ def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
         shapes["sh"] = (1 + coefficients, 3)
         return {name: torch.zeros((0, *shape), device=place) for name, shape in shapes.items()}
     with warnings.catch_warnings():
-        # A file of few blocks keeps few processors busy.
-        warnings.simplefilter("ignore", NumbaPerformanceWarning)
+        # A file of few blocks keeps few processors busy, which numba warns of.
+        warnings.filterwarnings("ignore", ".*Grid size")
         if SIMULATED:
             return _Decoder(file, place).decode()
         # numba's stream is the default one.

@@ -26,7 +26,7 @@ from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.scene import Scene
 
-pytest.importorskip("torch")
+pytest.importorskip("torch", reason="torch is not installed")
 
 HERE = Path(__file__).parent
 GOLDEN = [f"v1-{name}" for name in ("l", "m", "s", "guided", "carried-m", "empty-m", "paper-m")]

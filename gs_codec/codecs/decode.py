@@ -158,7 +158,7 @@ class ChosenPart:
         A larger block is a scene of its own. If there are no blocks, one empty scene is given.
         """
         header = self.file.header
-        decode, (comments, extra) = _decoder(header.profile, self.tool), _carried(self.file)
+        decode, (comments, extra) = _decoder(header.profile, self.tool), carried(self.file)
         runs = list(self._runs(size))
         total, done = sum(run.count for run in runs), 0
         for run in runs:
@@ -251,7 +251,7 @@ def _check_sections(file: EgsFile) -> None:
         raise CorruptStream(f"header: {found} sections of blocks, expected {needed}")
 
 
-def _carried(file: EgsFile) -> tuple[tuple[str, ...], dict[str, NDArray]]:
+def carried(file: EgsFile) -> tuple[tuple[str, ...], dict[str, NDArray]]:
     """Comments with what the header states, and extra properties of all Gaussians."""
     header = file.header
     stored = file.sections.get((SectionId.COMMENTS, 0))

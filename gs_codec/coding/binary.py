@@ -92,9 +92,13 @@ def bit_length(value):
     return length
 
 
+#: A fresh context: probability of a 1 in 1/65536, shifted by 8, and number of occurrences.
+FRESH = 32768 << 8
+
+
 def new_contexts(count: int) -> NDArray[np.int32]:
-    """Fresh contexts: probability of a 1 in 1/65536, shifted by 8, and number of occurrences."""
-    return np.full(count, 32768 << 8, np.int32)
+    """So many fresh contexts."""
+    return np.full(count, FRESH, np.int32)
 
 
 def encode_binary(model: Callable[[NDArray, NDArray], None], capacity: int) -> bytes:
@@ -124,9 +128,14 @@ def decode_binary(
     code = int.from_bytes(bytes(data[:4]).ljust(4, b"\0"), "big")
     state = np.array([0, _MASK, code, 4, 0], np.int64)
     model(state, stream)
-    used = int(state[_POSITION]) - 4 + _flush_length(int(state[_LOW]), int(state[_HIGH]))
-    if used != stream.size:
-        raise CorruptStream(f"{where}: {stream.size} coded bytes, expected {used}")
+    check_end(int(state[_LOW]), int(state[_HIGH]), int(state[_POSITION]), stream.size, where)
+
+
+def check_end(low: int, high: int, position: int, size: int, where: str) -> None:
+    """Check that a decoder that ended with these used exactly `size` bytes."""
+    used = position - 4 + _flush_length(low, high)
+    if used != size:
+        raise CorruptStream(f"{where}: {size} coded bytes, expected {used}")
 
 
 def _flush_length(low: int, high: int) -> int:

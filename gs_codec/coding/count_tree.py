@@ -19,7 +19,7 @@ from gs_codec.runtime.kernels import inlined, kernel
 _CLASSES = 24
 _SPLIT_CONTEXTS = 4 * _CLASSES
 _BISECT_NODES = 32
-_CONTEXTS = _SPLIT_CONTEXTS + _CLASSES * _BISECT_NODES
+TREE_CONTEXTS = _SPLIT_CONTEXTS + _CLASSES * _BISECT_NODES
 
 
 @inlined
@@ -73,54 +73,51 @@ def _low_half(codes, start, stop, bit):
     return first - start
 
 
-@kernel
-def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
-    """Code `codes` depth first, low half first; leaves leave out their ``lefts`` low bits."""
-    depth = total_bits + 2
-    starts = np.zeros(depth, np.int64)
-    counts = np.zeros(depth, np.int64)
-    remaining = np.zeros(depth, np.int64)
-    sides = np.zeros(depth, np.int64)
-    prefixes = np.zeros(depth, np.int64)
-    counts[0] = codes.size
-    remaining[0] = total_bits
-    top = 1 if codes.size > 0 else 0
+#: Most nodes that wait to be visited, for codes of 63 bits.
+STACK = 65
+
+
+@inlined
+def walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes):
+    """Code `codes` depth first, low half first; leaves leave out their ``lefts`` low bits.
+
+    ``nodes (5, STACK)``, int64, is scratch memory: where a node that waits begins, its count, its
+    bits left, whether it is all of its parent, its prefix.
+    """
+    nodes[0, 0], nodes[1, 0], nodes[2, 0] = 0, len(codes), total_bits
+    nodes[3, 0] = nodes[4, 0] = 0
+    top = 1 if len(codes) > 0 else 0
     while top > 0:
         top -= 1
-        start = starts[top]
-        count = counts[top]
-        left = remaining[top]
-        prefix = prefixes[top]
-        if count == 1:
-            lefts[start] = left
-            if not encoding:
-                codes[start] = prefix << left
-            continue
-        if left == 0:
-            lefts[start : start + count] = 0
-            if not encoding:
-                codes[start : start + count] = prefix
+        start, count, left = nodes[0, top], nodes[1, top], nodes[2, top]
+        prefix = nodes[4, top]
+        if count == 1 or left == 0:
+            # Alone, or as often as it occurs, when no bits are left.
+            for i in range(start, start + count):
+                lefts[i] = left
+                if not encoding:
+                    codes[i] = prefix << left
             continue
         left -= 1
         low = 0
         if encoding:
             low = _low_half(codes, start, start + count, left)
-        low = _code_split(state, data, contexts, count, sides[top], low)
+        low = _code_split(state, data, contexts, count, nodes[3, top], low)
         onesided = 1 if low in (0, count) else 0
         if low < count:
-            starts[top] = start + low
-            counts[top] = count - low
-            remaining[top] = left
-            sides[top] = onesided
-            prefixes[top] = (prefix << 1) | 1
+            nodes[0, top], nodes[1, top] = start + low, count - low
+            nodes[2, top], nodes[3, top], nodes[4, top] = left, onesided, (prefix << 1) | 1
             top += 1
         if low > 0:
-            starts[top] = start
-            counts[top] = low
-            remaining[top] = left
-            sides[top] = onesided
-            prefixes[top] = prefix << 1
+            nodes[0, top], nodes[1, top] = start, low
+            nodes[2, top], nodes[3, top], nodes[4, top] = left, onesided, prefix << 1
             top += 1
+
+
+@kernel
+def _walk(codes, total_bits, state, data, contexts, lefts, encoding):
+    nodes = np.empty((5, STACK), np.int64)
+    walk(codes, total_bits, state, data, contexts, lefts, encoding, nodes)
 
 
 def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArray[np.int64]]:
@@ -142,7 +139,7 @@ def encode_tree(codes: NDArray[np.int64], total_bits: int) -> tuple[bytes, NDArr
     lefts = np.zeros(codes.size, np.int64)
 
     def model(state: NDArray, data: NDArray) -> None:
-        _walk(codes, total_bits, state, data, new_contexts(_CONTEXTS), lefts, True)
+        _walk(codes, total_bits, state, data, new_contexts(TREE_CONTEXTS), lefts, True)
 
     return encode_binary(model, codes.size), lefts
 
@@ -160,7 +157,7 @@ def decode_tree(
     codes, lefts = np.zeros((2, count), np.int64)
 
     def model(state: NDArray, stream: NDArray) -> None:
-        _walk(codes, total_bits, state, stream, new_contexts(_CONTEXTS), lefts, False)
+        _walk(codes, total_bits, state, stream, new_contexts(TREE_CONTEXTS), lefts, False)
 
     decode_binary(model, data, where)
     return codes, lefts

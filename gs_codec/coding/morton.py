@@ -59,7 +59,7 @@ def _encode(cells, tables, codes):
 
 
 @lru_cache(maxsize=1)  # the blocks of a file have the same
-def _axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
+def axis_tables(depths: tuple[int, int, int]) -> NDArray[np.uint32]:
     """Bits that each value of each byte of a code sets on each axis, shape (8, 256, 3)."""
     tables = np.zeros((8, 256, 3), np.uint32)
     for axis, of_axis, of_code in _bits(depths):
@@ -91,7 +91,7 @@ def encode_morton(cells: NDArray[np.uint32], depths: tuple[int, int, int]) -> ND
 def decode_morton(codes: NDArray[np.int64], depths: tuple[int, int, int]) -> NDArray[np.uint32]:
     """Quantised positions ``(3, N)`` of Morton codes ``(N,)``."""
     cells = np.empty((3, codes.size), np.uint32)
-    _decode(codes, -(-sum(depths) // 8), _axis_tables(depths), cells)
+    _decode(codes, -(-sum(depths) // 8), axis_tables(depths), cells)
     return cells
 
 

@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import inlined, kernel
 
-_LUMA = 1.0 / math.sqrt(3.0)
-_ORANGE = 1.0 / math.sqrt(2.0)
-_GREEN = 1.0 / math.sqrt(6.0)
+LUMA = 1.0 / math.sqrt(3.0)
+ORANGE = 1.0 / math.sqrt(2.0)
+GREEN = 1.0 / math.sqrt(6.0)
 
 
 def to_ycocg(colours: NDArray[np.float32]) -> NDArray[np.float64]:
     """Y, Co, Cg ``(3, ...)`` of R, G, B ``(3, ...)``; keeps lengths."""
     red, green, blue = colours.astype(np.float64)
-    luma = (red + green + blue) * _LUMA
-    return np.stack([luma, (red - blue) * _ORANGE, (2.0 * green - red - blue) * _GREEN])
+    luma = (red + green + blue) * LUMA
+    return np.stack([luma, (red - blue) * ORANGE, (2.0 * green - red - blue) * GREEN])
 
 
 def from_ycocg(values: NDArray[np.float64]) -> NDArray[np.float32]:
     """The inverse of `to_ycocg`, in float64, product by product, then float32."""
-    luma, orange, green = values[0] * _LUMA, values[1] * _ORANGE, values[2] * _GREEN
+    luma, orange, green = values[0] * LUMA, values[1] * ORANGE, values[2] * GREEN
     rest = luma - green
     return np.stack([rest + orange, luma + 2.0 * green, rest - orange]).astype(np.float32)
 
@@ -31,14 +31,14 @@ def from_ycocg(values: NDArray[np.float64]) -> NDArray[np.float32]:
 @inlined
 def luma_chroma(red, green, blue):
     """Y, Co, Cg of one colour, as in `to_ycocg`."""
-    luma = (red + green + blue) * _LUMA
-    return luma, (red - blue) * _ORANGE, (2.0 * green - red - blue) * _GREEN
+    luma = (red + green + blue) * LUMA
+    return luma, (red - blue) * ORANGE, (2.0 * green - red - blue) * GREEN
 
 
 @inlined
 def red_green_blue(y, o, g):
     """R, G, B of one colour, as in `from_ycocg`."""
-    luma, orange, green = y * _LUMA, o * _ORANGE, g * _GREEN
+    luma, orange, green = y * LUMA, o * ORANGE, g * GREEN
     rest = luma - green
     return rest + orange, luma + 2.0 * green, rest - orange
 

@@ -51,6 +51,20 @@ def check_centres(file: EgsFile, block: int, positions: NDArray[np.float32]) -> 
         raise CorruptStream(f"{_WHERE}: does not match block {block}")
 
 
+def check_boxes(file: EgsFile, boxes: NDArray[np.float32]) -> None:
+    """Check that the index has the boxes ``(blocks, 6)`` of the decoded, finite centres of blocks.
+
+    Raises
+    ------
+    CorruptStream
+    """
+    # Adding 0 turns -0 into 0.
+    found, told = boxes + np.float32(0), np.ascontiguousarray(index_of(file)[:, :6])
+    differ = np.any(found.view(np.uint32) != told.view(np.uint32), axis=1)
+    if differ.any():
+        raise CorruptStream(f"{_WHERE}: does not match block {np.argmax(differ)}")
+
+
 def read_index(data: memoryview, blocks: int) -> NDArray[np.float32]:
     """Extents of so many blocks, ``(blocks, 12)``, the inverse of `index_section`.
 

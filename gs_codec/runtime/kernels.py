@@ -30,7 +30,7 @@ def kernel(function: Callable) -> Any:
         return compiled
     with suppress(RuntimeError):  # no folder for a cache: each process compiles again
         compiled.enable_caching()
-        _go_by_cache(compiled._cache, function)
+        go_by_cache(compiled._cache, function, _Loading)
         compiled.compile = _alone(compiled.compile, function.__code__.co_filename)
     return compiled
 
@@ -59,15 +59,18 @@ def _locked(source: str) -> Iterator[None]:
         _compiling.remove(source)
 
 
-def _go_by_cache(cache: Any, function: Callable) -> None:
-    """Load quickly from the cache, and ignore its failures: a kernel can be compiled again."""
+def go_by_cache(cache: Any, function: Callable, loading: Callable[[Any], Any]) -> None:
+    """Load from the cache, and ignore its failures: a kernel can be compiled again.
+
+    `loading` makes of numba's target the one that machine code is loaded with.
+    """
     load, save = cache.load_overload, cache.save_overload
 
     def try_to_load(signature: Any, target: Any) -> Any:
         # Only now are all globals of the function's module there.
         cache._cache_file._source_stamp = _stamp(function)
         with suppress(*_CACHE_ERRORS):
-            return load(signature, _Loading(target))
+            return load(signature, loading(target))
         return None
 
     def try_to_save(*arguments: Any) -> None:

@@ -91,14 +91,14 @@ SHAPE_OFFSETS = np.array([0, *accumulate(item.contexts for item in SHAPE_PASS.li
 
 #: Of opacity and scales: values of the two Gaussians before, added, are shifted down by this, and
 #: moved up by that. Values are in units of 2**-20, so buckets are 1 logit, or 0.5 log-scale, wide.
-_BEFORE_SHIFTS = np.array([21, 20, 20, 20])
-_BEFORE_CENTRES = np.array([4, 4, 0, 0])
+BEFORE_SHIFTS = np.array([21, 20, 20, 20])
+BEFORE_CENTRES = np.array([4, 4, 0, 0])
 
 
 @inlined
 def before_bucket(attribute, total):
     """Bucket of the sum of two values of opacity (0) or a scale (1-3)."""
-    place = (total >> _BEFORE_SHIFTS[attribute]) + _BEFORE_CENTRES[attribute]
+    place = (total >> BEFORE_SHIFTS[attribute]) + BEFORE_CENTRES[attribute]
     return min(max(place, 0), BEFORE - 1)
 
 

@@ -164,7 +164,7 @@ def grid_codes(positions: NDArray[np.float32], grid: PositionGrid) -> NDArray[np
     return encode_morton(cells, grid.bits)
 
 
-def _widths(grid: PositionGrid) -> NDArray[np.int64]:
+def cell_widths(grid: PositionGrid) -> NDArray[np.int64]:
     """Bits of the number of a cell on each axis ``(3, bits + 1)`` of so many low Morton bits."""
     widths = np.zeros((3, grid.total_bits + 1), np.int64)
     for bit, axis in enumerate(bit_layout(grid.bits)[::-1]):
@@ -175,7 +175,7 @@ def _widths(grid: PositionGrid) -> NDArray[np.int64]:
 
 def cell_sides(dropped: NDArray[np.int64], grid: PositionGrid) -> NDArray[np.float64]:
     """Sides ``(3, n)`` of the cells of codes without ``dropped (n,)`` low bits, scene units."""
-    return np.ldexp(grid.step, _widths(grid)[:, dropped])
+    return np.ldexp(grid.step, cell_widths(grid)[:, dropped])
 
 
 def centres(
@@ -187,7 +187,7 @@ def centres(
     """
     cells = 2 * decode_morton(codes, grid.bits).astype(np.int64)
     # Not [:, dropped]: its rows, and those of what follows, would not be contiguous.
-    cells += np.int64(1) << np.take(_widths(grid), dropped, axis=1)
+    cells += np.int64(1) << np.take(cell_widths(grid), dropped, axis=1)
     return cells
 
 

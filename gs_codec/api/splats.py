@@ -1,0 +1,148 @@
+"""Tensors on a device, ready to be drawn, of an `.egs` file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from numba import config
+
+from gs_codec.codecs.decode import ChosenPart, carried, choose_part
+from gs_codec.codecs.part import Part
+from gs_codec.codecs.slabs import opened_slabs
+from gs_codec.config import ADAPTIVE_PROFILES
+from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.runtime.mapped import located
+from gs_codec.scene import SH_COEFFICIENTS
+
+if TYPE_CHECKING:
+    import torch
+
+_INSTALL = "pip install 'gs-codec[cuda]'"
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Gaussians as gsplat's rasteriser takes them: float32 tensors of one device, in stream order.
+
+    The tensors are what the file states, the same bits on every device; `scales` and `opacities`
+    are computed from them by torch.
+
+    Attributes
+    ----------
+    means : Tensor, shape (N, 3)
+        Centres.
+    quats : Tensor, shape (N, 4)
+        Quaternions wxyz: of profiles ``l``, ``m`` and ``s`` of length 1, of others as stored.
+    log_scales : Tensor, shape (N, 3)
+        Natural logarithms of standard deviations.
+    logits : Tensor, shape (N,)
+        Opacities before the sigmoid.
+    sh : Tensor, shape (N, 1 + K, 3)
+        SH-DC, then the K = 0, 3, 8, 15 coefficients of SH-AC; R, G, B.
+    """
+
+    means: torch.Tensor
+    quats: torch.Tensor
+    log_scales: torch.Tensor
+    logits: torch.Tensor
+    sh: torch.Tensor
+
+    @property
+    def scales(self) -> torch.Tensor:
+        """Standard deviations along the axes, ``(N, 3)``."""
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self) -> torch.Tensor:
+        """Opacities from 0 to 1, ``(N,)``."""
+        return self.logits.sigmoid()
+
+
+def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
+    """Decode an `.egs` file or stream to tensors on a device.
+
+    A CUDA device decodes profiles ``l``, ``m`` and ``s`` itself. Files of other profiles are
+    decoded on the CPU, and their numbers copied to the device.
+
+    Parameters
+    ----------
+    source : bytes, str or Path
+        A stream, or the path of a file.
+    device : str
+        ``cuda``, ``cuda:1``..., or ``cpu``.
+
+    Returns
+    -------
+    Splats
+        The numbers that `decode` gives, bit for bit.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be read, or there is no such kind of device.
+    CorruptStream, TruncatedStream, UnsupportedVersion
+        As for `decode`.
+    MissingTool, ToolFailed
+        If torch, or for ``cuda`` numba-cuda or a device, is missing; or as for `decode`.
+
+    Examples
+    --------
+    >>> splats = gs_codec.decode_tensors("scene.egs", device="cpu")
+    >>> splats.means.shape, splats.opacities.shape, splats.sh.shape
+    (torch.Size([2000, 3]), torch.Size([2000]), torch.Size([2000, 16, 3]))
+
+    Drawn by gsplat, with ``device="cuda"``::
+
+        shapes = splats.means, splats.quats, splats.scales
+        gsplat.rasterization(*shapes, splats.opacities, splats.sh, views, lenses, 800, 532)
+    """
+    _require(device)
+    if isinstance(source, bytes):
+        return _decode(choose_part(source, Part()), device)
+    with opened_slabs(source, Part()) as slabs, located(Path(source)):
+        return _decode(slabs.chosen, device)
+
+
+def _require(device: str) -> None:
+    """Check that there are a device and what is needed to decode on it."""
+    kind, _, number = device.partition(":")
+    if kind not in ("cpu", "cuda") or (number and not (kind == "cuda" and number.isdecimal())):
+        raise InvalidInput(f"device '{device}': expected cpu, cuda, cuda:1...")
+    try:
+        import torch
+    except ImportError as error:
+        raise MissingTool(f"torch: not installed, {_INSTALL}") from error
+    if kind == "cpu" or config.ENABLE_CUDASIM:
+        return
+    if int(number or 0) >= torch.cuda.device_count():
+        raise MissingTool(f"device '{device}': torch sees {torch.cuda.device_count()} CUDA devices")
+    if find_spec("numba_cuda") is None or not _is_complete():
+        raise MissingTool(f"device '{device}': needs numba-cuda and its CUDA toolkit, {_INSTALL}")
+
+
+def _is_complete() -> bool:
+    """Whether numba finds the driver and the toolkit."""
+    from numba import cuda
+
+    return bool(cuda.is_available())
+
+
+def _decode(chosen: ChosenPart, device: str) -> Splats:
+    header = chosen.file.header
+    if device != "cpu" and header.profile in ADAPTIVE_PROFILES:
+        from gs_codec.codecs.cuda.decode import decode_blocks
+
+        carried(chosen.file)  # Damage there is found, too.
+        return Splats(**decode_blocks(chosen.file, device))
+    import torch
+
+    (scene,) = chosen.slabs(header.count)
+    rest = scene.f_rest.reshape(3, SH_COEFFICIENTS[scene.sh_degree], scene.count)
+    sh = torch.cat([torch.from_numpy(x) for x in (scene.f_dc[:, None], rest)], 1).permute(2, 1, 0)
+    rows = scene.positions.T, scene.rot.T, scene.log_scale.T, scene.opacity[0]
+    place = "cpu" if config.ENABLE_CUDASIM else device
+    tensors = [torch.from_numpy(row) for row in rows]
+    return Splats(*(each.to(place).contiguous() for each in (*tensors, sh)))

@@ -1,0 +1,204 @@
+"""What kernels on a device share: lanes of rANS, and products that are rounded.
+
+A warp decodes a block: a thread for each lane. In numba's simulator, where threads are slow, one
+thread goes through all lanes; so kernels keep what a lane has in arrays of `OWN` items, and go
+through these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numba import config, cuda
+from numpy.typing import NDArray
+
+from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS, PassTables
+from gs_codec.coding.rans import LANES
+from gs_codec.runtime.kernels import go_by_cache
+
+#: Whether kernels run in numba's simulator.
+SIMULATED = bool(config.ENABLE_CUDASIM)
+
+#: Threads of a block of Gaussians, and lanes that each has.
+WIDTH = 1 if SIMULATED else LANES
+OWN = LANES // WIDTH
+
+_ALL = 0xFFFFFFFF
+
+if SIMULATED:
+    launched = cuda.jit
+
+    def device(function):
+        """A function that kernels call."""
+        return function
+
+    def settle():
+        """Let all lanes see what each has written."""
+
+    def meet():
+        """Let all threads of a block see what each has written."""
+
+    def ballot(flags):
+        """Mask of the lanes whose flag is not 0."""
+        return sum(1 << lane for lane in range(LANES) if flags[lane])
+
+    def ones(mask):
+        """Number of lanes in a mask."""
+        return np.int32(bin(mask).count("1"))
+
+    def bit_length(value):
+        """Bits of a number from 0 to 2**31 - 1."""
+        return np.int32(int(value).bit_length())
+
+    def value_of(values, lane):
+        """What a lane has."""
+        return np.int32(values[lane])
+
+    def sums_before(values, sums):
+        """Fill `sums` with what the lanes before each have in total; returns that of all."""
+        sums[:] = np.cumsum(values) - values
+        return np.int32(np.sum(values))
+
+    def rounded(first, second):
+        """A product that is rounded before it is added to anything."""
+        return first * second
+
+else:
+    from numba.cuda import libdevice
+
+    device = cuda.jit(device=True)
+
+    def launched(function: Callable) -> Any:
+        """Compile a kernel, which takes seconds, or load it from the disk, if possible."""
+        compiled: Any = cuda.jit(function)
+        with suppress(RuntimeError):  # no folder for a cache
+            compiled.enable_caching()
+            go_by_cache(compiled._cache, function, lambda target: target)
+        return compiled
+
+    @device
+    def settle():
+        """Let all lanes see what each has written."""
+        cuda.syncwarp()
+
+    @device
+    def meet():
+        """Let all threads of a block see what each has written."""
+        cuda.syncthreads()
+
+    @device
+    def ballot(flags):
+        """Mask of the lanes whose flag is not 0."""
+        return np.int64(cuda.ballot_sync(_ALL, flags[0] != 0)) & _ALL
+
+    @device
+    def ones(mask):
+        """Number of lanes in a mask."""
+        return np.int32(cuda.popc(np.uint32(mask)))
+
+    @device
+    def bit_length(value):
+        """Bits of a number from 0 to 2**31 - 1."""
+        return 32 - np.int32(cuda.clz(np.int32(value)))
+
+    @device
+    def value_of(values, lane):
+        """What a lane has."""
+        return np.int32(cuda.shfl_sync(_ALL, values[0], lane))
+
+    @device
+    def sums_before(values, sums):
+        """Fill `sums` with what the lanes before each have in total; returns that of all."""
+        lane = cuda.threadIdx.x
+        total = np.int32(values[0])
+        for turn in range(5):
+            other = np.int32(cuda.shfl_up_sync(_ALL, total, 1 << turn))
+            total = np.int32(total + (other if lane >= 1 << turn else 0))
+        sums[0] = total - values[0]
+        return np.int32(cuda.shfl_sync(_ALL, total, LANES - 1))
+
+    @device
+    def rounded(first, second):
+        """A product that is rounded before it is added to anything: never a fused operation."""
+        return libdevice.dmul_rn(first, second)
+
+
+@device
+def lanes_before(mask, lane):
+    """Number of lanes in a mask that come before a lane."""
+    return ones(mask & ((np.int64(1) << lane) - 1))
+
+
+def pack_tables(tables: PassTables) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Tables in which a token is found in two steps, as all lanes wait for the last.
+
+    Tokens that occur have ranks. Of every ``2**RUN_BITS`` slots, the first have the rank of the
+    token of the first slot (8 bits) and marks of the slots at which further tokens start. The
+    second have, of each rank, its token, start and frequency less 1 (8, 12, 12 bits).
+    """
+    spans = tables.spans.reshape(-1, 1 << SPAN_BITS)
+    rows, tokens = np.nonzero(spans & 0xFFFF)
+    starts, frequencies = spans[rows, tokens] >> np.uint32(16), spans[rows, tokens] & 0xFFFF
+    counts = np.bincount(rows, minlength=len(spans))
+    ranked = np.zeros_like(spans)
+    ranks = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
+    ranked[rows, ranks] = tokens.astype(np.uint32) | starts << 8 | (frequencies - 1) << 20
+    shape = len(spans), 1 << (PRECISION - RUN_BITS)
+    of_run = rows * shape[1] + (starts >> RUN_BITS)
+    bits = np.ldexp(1.0, (starts & ((1 << RUN_BITS) - 1)).astype(np.int32))
+    begun, marks = (
+        np.bincount(of_run, weights, shape[0] * shape[1]).astype(np.int64).reshape(shape)
+        for weights in (None, bits)
+    )
+    first = np.cumsum(begun, axis=1) - (begun - (marks & 1)) - 1
+    return (first | (marks & ~1) << 8).astype(np.uint32).ravel(), ranked.ravel()
+
+
+# 32-bit integers where they are enough, as a device has no others: numba computes in 64 bits unless
+# each result is converted. Only signed ones are mixed.
+
+
+@device
+def pull(runs, spans, row, state):
+    """Decode a token under a table; returns it and the state, which lacks a word if it is low."""
+    wide = np.int64(state)
+    slot = np.int32(wide & ((1 << PRECISION) - 1))
+    at = np.int32((row << (PRECISION - RUN_BITS)) + (slot >> RUN_BITS))
+    run = np.int64(runs[np.uint64(at)])
+    rank = np.int32((run & 255) + ones((run >> 8) & ((2 << (slot & ((1 << RUN_BITS) - 1))) - 1)))
+    span = np.int64(spans[np.uint64(np.int32((row << SPAN_BITS) + rank))])
+    place = np.int32(slot - ((span >> 8) & 4095))
+    after = ((span >> 20) + 1) * (wide >> PRECISION) + place
+    return np.int32(span & 255), np.uint32(after)
+
+
+@device
+def completed(after, lacks, words, at):
+    """A state with the word that it lacks, or does not lack."""
+    if lacks:
+        return np.uint32(np.int64(after) << 16 | np.int64(words[np.uint64(at)]))
+    return after
+
+
+@device
+def raw_width(token):
+    """Number of raw bits that complete a token."""
+    return np.int32((((token >> 1) - 16) >> 2) + 2 if token >= 32 else 0)
+
+
+@device
+def integer_of(token, raw, begin, used, width):
+    """The integer of a token and its raw bits, `width` from bit `used` on.
+
+    Bits are those from item `begin` on of ``raw``, 32 in each, most significant first.
+    """
+    size = np.int32(token >> 1)
+    if width > 0:
+        at = begin + (used >> 5)
+        window = np.int64(raw[np.uint64(at)]) << 32 | np.int64(raw[np.uint64(at + 1)])
+        rest = np.int32((window >> (64 - (used & 31) - width)) & ((1 << width) - 1))
+        size = np.int32(((4 + ((size - 16) & 3)) << width) | rest)
+    return np.int32(-size if token & 1 else size)

@@ -1,0 +1,36 @@
+"""Decodes files on a device, for tests: `python device_work.py FOLDER`, in numba's simulator.
+
+Beside each `.egs` of the folder it writes its tensors, `.npz`, or the kind of its error, `.txt`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numba.cuda.simulator import kernel
+
+from gs_codec.api.splats import decode_tensors
+from gs_codec.errors import GsCodecError
+
+FIELDS = ("means", "quats", "log_scales", "logits", "sh")
+
+
+def run(self, place: tuple, *arguments) -> None:
+    """One thread of a block: the simulator's own would ask all the time whether it has ended."""
+    thread = kernel.BlockThread(lambda: self._f(*arguments), self, place, (0, 0, 0), self._debug)
+    thread.start()
+    thread.join()
+    if thread.exception:
+        raise thread.exception[0].with_traceback(thread.exception[1])
+
+
+kernel.BlockManager.run = run
+for path in sorted(Path(sys.argv[1]).glob("*.egs")):
+    try:
+        splats = decode_tensors(path)
+    except GsCodecError as error:
+        path.with_suffix(".txt").write_text(type(error).__name__)
+    else:
+        np.savez(path.with_suffix(".npz"), **{name: getattr(splats, name) for name in FIELDS})

@@ -1,8 +1,7 @@
 """Profiles ``l``, ``m`` and ``s`` on a device: stream to tensors.
 
-Headers, checksums and tables are read on the CPU, and so are the trees of positions, which are
-serial: its threads decode them while the device decodes shapes. What the device finds is checked
-before anybody sees it.
+Headers, checksums and tables are read on the CPU. A warp decodes a block, pass by pass, and another
+the tree of its positions meanwhile. What the device finds is checked before anybody sees it.
 """
 
 from __future__ import annotations

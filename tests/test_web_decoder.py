@@ -144,7 +144,8 @@ def test_every_kind_of_source_gives_the_same(profile):
 
 def test_the_example_of_the_readme(tmp_path):
     folder = HERE.parent / "viewer" / "web"
-    lines = re.findall(r"^    (.*)", (folder / "README.md").read_text(), re.MULTILINE)
+    text = (folder / "README.md").read_text().split("## The decoder")[1].split("\n## ")[0]
+    lines = re.findall(r"^    (.*)", text, re.MULTILINE)
     code = "\n".join(lines).replace("./src", (folder / "src").as_uri())
     scene, script = tmp_path / "scene.egs", tmp_path / "example.mjs"
     scene.write_bytes(blocks())

@@ -30,11 +30,12 @@ const STEPS = {
     await page.screenshot({ path });
   },
   key: (page, name) => page.keyboard.press(name),
-  /** A key that is held for some time. */
-  async hold(page, name, milliseconds) {
-    await page.keyboard.down(name);
+  /** Keys, as `Shift+w`, that are held for some time. */
+  async hold(page, names, milliseconds) {
+    const keys = names.split('+');
+    for (const key of keys) await page.keyboard.down(key);
     await page.waitForTimeout(milliseconds);
-    await page.keyboard.up(name);
+    for (const key of keys) await page.keyboard.up(key);
   },
   click: (page, selector) => page.click(selector),
   choose: (page, selector, value) => page.selectOption(selector, value),

@@ -56,6 +56,11 @@ export class Loaded {
    * @throws {Error} of the decoder
    */
   async load(gl, signal) {
+    if (this.entry.url && location.protocol === 'file:') {
+      throw new Error(
+        'pages on disk cannot read files beside them: serve it, or share one .html file',
+      );
+    }
     const source = this.entry.url ?? inPage(this.entry.data);
     const scene = await decode(source, {
       signal,

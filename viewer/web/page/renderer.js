@@ -62,6 +62,9 @@ export class Splats {
       ROW * Math.max(1, this.texels),
       this.texels ? this.rows : 1,
     );
+    if (gl.getError() === gl.OUT_OF_MEMORY) {
+      throw new DeviceError(`${scene.count} Gaussians: the graphics card has no memory for them`);
+    }
     this.order = gl.createBuffer();
     this.array = gl.createVertexArray();
     gl.bindVertexArray(this.array);

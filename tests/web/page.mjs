@@ -25,10 +25,6 @@ const STEPS = {
     await page.screenshot({ path });
     await cover('');
   },
-  /** A picture of all. */
-  async screen(page, path) {
-    await page.screenshot({ path });
-  },
   key: (page, name) => page.keyboard.press(name),
   /** Keys, as `Shift+w`, that are held for some time. */
   async hold(page, names, milliseconds) {
@@ -74,7 +70,6 @@ const STEPS = {
     await download.saveAs(path);
     return download.suggestedFilename();
   },
-  resize: (page, width, height) => page.setViewportSize({ width, height }),
 };
 
 const browser = await chromium.launch({

@@ -54,11 +54,6 @@ export class Pose {
     this.eye = plus(target, this.turn[2], -this.distance);
   }
 
-  /** Look around from where the camera is. */
-  look(aside, upwards, up) {
-    this.#turn(aside, upwards, up);
-  }
-
   #turn(aside, upwards, up) {
     const sideways = this.turn.map((row) => turned(row, up, aside));
     const tilted = sideways.map((row) => turned(row, sideways[0], upwards));

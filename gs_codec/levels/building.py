@@ -21,9 +21,9 @@ FANOUT = 4
 #: a tiled room lose less than 35 dB (RESULTS.md, "Levels of detail").
 ERROR = 2.0
 
-#: The pixel that clusters and opacities are made for, as a share of the distance of neighbours. What
-#: rasterisers widen splats by makes many small ones hide more than one of their mass. Smaller,
-#: images drawn with compensation are better, larger, those seen from afar without it.
+#: The pixel that clusters and opacities are made for, as a share of the distance of neighbours:
+#: what rasterisers widen splats by makes many small ones hide more than one of their mass. If it is
+#: smaller, images drawn with compensation are better; if larger, those from afar without it.
 FOOTPRINT = 0.16
 
 

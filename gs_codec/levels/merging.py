@@ -133,9 +133,10 @@ def _merged(
     left.covariances[places] = covariances
     left.opacity[places] = opacity
     left.mass[places] = np.maximum(opacity * areas_of(covariances), _TINY)
-    colours = colours[:, kept], colours[:, first] * (1 - share) + colours[:, second] * share
-    colours[0][:, places] = colours[1]
-    return left, colours[0], moved
+    mixed = colours[:, first] * (1 - share) + colours[:, second] * share
+    colours = colours[:, kept]
+    colours[:, places] = mixed
+    return left, colours, moved
 
 
 def _renumbered(into: NDArray[np.int64], scene: Scene, number: int) -> NDArray[np.int64]:

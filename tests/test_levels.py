@@ -385,7 +385,7 @@ def test_sections_of_levels_elsewhere_are_refused():
 def test_damage_in_a_level_is_found_when_it_is_read(tmp_path):
     data, rng = sample(), np.random.default_rng(336)
     position, size, _ = read_file(data).table[SectionId.LEVEL, 1]
-    for at in rng.choice(size, 60, replace=False):
+    for at in rng.choice(size, 25, replace=False):
         damaged = flipped(data, 8 * (position + int(at)) + int(rng.integers(8)))
         assert_same_floats(decode_scene(bytes(damaged)), decode_scene(data))
         (tmp_path / "a.egs").write_bytes(damaged)

@@ -35,7 +35,7 @@ SHOWN = re.compile(r"```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder that holds a scene.ply, as the documents assume."""
-    write_ply(tmp_path / "scene.ply", generate(1000, 1, 80))
+    write_ply(tmp_path / "scene.ply", generate(1100, 1, 80))
     monkeypatch.chdir(tmp_path)
     # Chosen views are smaller, and of fewer, which take the most of the time.
     for name in ("WIDTH", "HEIGHT", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):

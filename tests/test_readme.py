@@ -78,7 +78,7 @@ def test_every_command_has_an_example():
 def test_python_example_runs(folder, capsys):
     example = re.search(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(example[1], "README.md", "exec"), {})
-    assert "[1000, 3]" in capsys.readouterr().out
+    assert "[1100, 3]" in capsys.readouterr().out
     assert (folder / "decoded.ply").exists()
 
 

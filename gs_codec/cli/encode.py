@@ -86,6 +86,8 @@ def _print_report(target: Path, report: EncodeReport) -> None:
         f"{8 * report.file_bytes / max(report.count, 1):.1f} bits per Gaussian, "
         f"{sum(report.seconds.values()):.2f} s"
     )
+    if levels := report.section_bytes.get("level"):
+        print_text(f"coarser levels of detail: {size_text(levels)} of it")
     if report.prepared is not None:
         print_prepared(report.prepared)
     if report.rate is not None:

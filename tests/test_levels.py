@@ -24,11 +24,14 @@ from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.egs.levels import errors_of, levels_of, open_level
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.preparing import prepare_file
 from gs_codec.formats.ply import read_ply, write_ply
 from gs_codec.levels.building import build_levels
 from gs_codec.levels.encoding import add_levels
 from gs_codec.levels.merging import Clusters, merge_group
 from gs_codec.metrics.views import compare_views
+from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.camera import Camera, facing
 from gs_codec.rendering.cameras import write_cameras
 from gs_codec.scene import GROUPS, Scene
@@ -291,7 +294,25 @@ def test_other_formats_targets_and_memory_limits_go_without_levels(tmp_path):
     for extra in ({"rate": {"ratio": 5}}, {"max_memory": 10**9}):
         with pytest.raises(InvalidInput, match="lod"):
             encode_file(tmp_path / "scene.ply", tmp_path / "a.egs", Config(lod=True), **extra)
+    with pytest.raises(InvalidInput, match="lod"):
+        convert_file(tmp_path / "scene.ply", tmp_path / "a.egs", Config(lod=True), max_memory=10**9)
     assert not (tmp_path / "a.egs").exists()
+
+
+def test_guided_prepared_and_converted_files_have_levels(tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(1500, 0))
+    write_cameras(tmp_path / "cameras.json", [FAR, replace(NEAR, name="b")])
+    plan = Plan(cameras=str(tmp_path / "cameras.json"))
+    pruning, config = replace(plan, steps=Steps(prune=10)), Config(lod=True, block_size=1024)
+    source, target = tmp_path / "scene.ply", tmp_path / "a.egs"
+    for write, expected in (
+        (lambda: encode_file(source, target, config, plan), 375),
+        (lambda: encode_file(source, target, config, pruning), 338),
+        (lambda: prepare_file(source, target, pruning, config), 338),
+        (lambda: convert_file(source, target, config), 375),
+    ):
+        write()
+        assert decode_part(target.read_bytes(), Part(level=1))[0].count == expected
 
 
 # Damage

@@ -21,6 +21,7 @@ from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_sc
 from gs_codec.files.suffixes import IN_PARTS, UNBUNDLED
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
+from gs_codec.levels.encoding import check_levels
 from gs_codec.report import ActionReport, Progress, StageTimes
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.mapped import located
@@ -140,6 +141,8 @@ def convert_file(
     suffix = check_target(sources, target, overwrite=overwrite)
     if max_memory is not None and suffix not in IN_PARTS:
         raise InvalidInput(f"{target}: max-memory: expected one of {', '.join(IN_PARTS)}")
+    if suffix == ".egs":
+        check_levels(config, max_memory=max_memory)
     check_actions(actions, plan, max_memory is not None)
     stated, _, wanted = coordinates.rpartition(":")
     own = OWN_SYSTEMS.get(suffix)

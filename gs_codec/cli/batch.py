@@ -30,6 +30,7 @@ from gs_codec.cli.asked import (
     target_of,
 )
 from gs_codec.cli.encode import ACTIONS, CODING, EXPERT
+from gs_codec.cli.options import DASK
 from gs_codec.cli.output import print_json, print_status, print_text, progress_lines, smaller
 from gs_codec.edit.actions import check_actions
 from gs_codec.errors import InvalidInput, printable
@@ -66,10 +67,7 @@ def command(
     on_error: Annotated[
         str, typer.Option(help="After a scene that failed: continue or stop.")
     ] = "continue",
-    dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Use a Dask scheduler's workers, or local ones."),
-    ] = None,
+    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help=DASK)] = None,
 ) -> None:
     """Encode or convert a folder of scenes, each as `encode` or `convert` would.
 

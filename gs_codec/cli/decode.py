@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gs_codec.cli.asked import Asked, takes
+from gs_codec.cli.options import DASK
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.streams import piped
+from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
+    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help=DASK)] = None,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
     box = None if bbox is None else _parse_box(bbox)
@@ -41,6 +43,18 @@ def command(
     from gs_codec.files.coding import decode_file
 
     part = Part(box, sh_degree)
+    if dask is not None:
+        asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
+        check_no_pipes("--dask", source, target)
+        from gs_codec.distributed.decoding import decode_distributed
+
+        with progress_bar() as progress:
+            report = decode_distributed(
+                source, target, part, dask=dask, threads=asked["threads"], progress=progress,
+                max_memory=asked["max_memory"], overwrite=asked["overwrite"],
+            )  # fmt: skip
+        _tell(source, target, target, asked, report)
+        return
     with piped([source], target, ".ply") as ([file], out):
         with progress_bar() as progress:
             report = decode_file(
@@ -48,11 +62,16 @@ def command(
                 max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
                 overwrite=asked["overwrite"],
             )  # fmt: skip
-        named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
-        if asked["json"]:
-            print_json(named | asdict(report))
-        else:
-            _print_report(named, report)
+        _tell(source, target, out, asked, report)
+
+
+def _tell(source: Path, target: Path, out: Path, asked: Asked, report: DecodeReport) -> None:
+    """Print the report; `out` is the file that was written for the target."""
+    named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
+    if asked["json"]:
+        print_json(named | asdict(report))
+    else:
+        _print_report(named, report)
 
 
 def _print_report(named: dict[str, Any], report: DecodeReport) -> None:

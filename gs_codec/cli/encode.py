@@ -10,7 +10,7 @@ import typer
 
 from gs_codec.cli.actions import say_what_was_done
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
-from gs_codec.cli.options import ENCODED_SHOWN
+from gs_codec.cli.options import DASK, ENCODED_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -21,9 +21,10 @@ from gs_codec.cli.output import (
     size_text,
     smaller,
 )
-from gs_codec.cli.streams import piped
+from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.edit.actions import KINDS
+from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, RateReport
 
@@ -45,10 +46,23 @@ def command(
         Path, typer.Argument(metavar="OUT", help=f"File to write: {ENCODED_SHOWN}; - is stdout.")
     ],
     asked: Asked,
+    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help=DASK)] = None,
 ) -> None:
-    """Encode a scene to an .egs file, or in a format that other programs read."""
+    """Encode a scene to an .egs file, or in a format that other programs read.
+
+    With --dask, IN may be a folder of tiles, or a glob in quotes.
+    """
     config, rate = config_of(asked, target), target_of(asked)
     plan = plan_of(asked, config)
+    if dask is not None:
+        if plan is not None or rate is not None or asked.actions:
+            raise InvalidInput("--dask: not with views, preparation, actions, or a target to meet")
+        asked.refuse(["max_bytes"], "has no effect with --dask")
+        check_no_pipes("--dask", source, target)
+        _tell(
+            source, target, config, asked, _encode_distributed(source, target, config, asked, dask)
+        )
+        return
     from gs_codec.files.coding import encode_file
 
     with piped([source], target, f".{config.format}") as ([file], out):
@@ -58,15 +72,36 @@ def command(
                 max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
                 overwrite=asked["overwrite"],
             )  # fmt: skip
-        _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
-        if asked["json"]:
-            print_json(
-                {"input": str(source), "output": str(target), "profile": config.profile}
-                | asdict(done)
-                | {"file_bytes": done.file_bytes}
-            )
-        else:
-            _print_report(target, done)
+        _tell(source, target, config, asked, done)
+
+
+def _encode_distributed(
+    source: Path, target: Path, config: Config, asked: Asked, dask: str
+) -> EncodeReport:
+    """Encode a scene, or the tiles of a folder or glob, by the workers of a cluster."""
+    from gs_codec.batch.local import LocalStorage
+    from gs_codec.distributed.encoding import encode_distributed
+
+    tiles = [location.path for _, location in LocalStorage(str(source)).find((".ply", ".egs"))]
+    if not tiles:
+        raise InvalidInput(f"{source}: no such file, no .ply or .egs in it")
+    with progress_bar() as progress:
+        return encode_distributed(
+            tiles, target, config, dask=dask, progress=progress,
+            max_memory=asked["max_memory"], overwrite=asked["overwrite"],
+        )  # fmt: skip
+
+
+def _tell(source: Path, target: Path, config: Config, asked: Asked, done: EncodeReport) -> None:
+    _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
+    if asked["json"]:
+        print_json(
+            {"input": str(source), "output": str(target), "profile": config.profile}
+            | asdict(done)
+            | {"file_bytes": done.file_bytes}
+        )
+    else:
+        _print_report(target, done)
 
 
 def _say_what_changed(report: EncodeReport, lattices: bool) -> None:

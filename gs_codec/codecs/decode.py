@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -116,8 +116,9 @@ def choose_part(
     part: Part,
     max_bytes: int | None = None,
     tmc3: str | Path | None = None,
+    among: Container[int] | None = None,
 ) -> ChosenPart:
-    """Read and check the sections that a part needs; see `decode_part`."""
+    """Read and check the sections that a part needs, of the blocks `among`; see `decode_part`."""
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header = file.header
     limit = most_bytes(len(data), max_bytes)
@@ -131,6 +132,8 @@ def choose_part(
     require_coder(file)
     degree = part.degree_of(header.sh_degree)
     blocks = np.flatnonzero(part.meets(index[:, :3], index[:, 3:6])).tolist()
+    if among is not None:
+        blocks = [block for block in blocks if block in among]
     chosen = frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
     file = file.read(

@@ -85,7 +85,7 @@ def decode_with(
         degree, index = slabs.sh_degree, index_of(file)
         blocks = np.flatnonzero(part.meets(index[:, :3], index[:, 3:6])).tolist()
         bounds = bounds_of(file)
-    each = size // file.header.block_size
+    each = max(size // file.header.block_size, 1)
     chunks = [blocks[start : start + each] for start in range(0, len(blocks), each)]
     status = os.stat(source)
     stamp = (source, status.st_size, status.st_mtime_ns)

@@ -147,6 +147,8 @@ def encode_with(
 ) -> EncodeReport:
     """Encode a scene in tasks of about `size` Gaussians; see `encode_distributed`."""
     times = StageTimes()
+    if not sources.count:
+        return _encode_nothing(sources, target, config, 0)
     with work_folder(target, _identity(sources, config, size)) as folder:
         job = _Job(folder, sources, sources.spans(size), config)
         with times.stage("scan"):
@@ -201,12 +203,10 @@ def _scan(
     workers: Workers, job: _Job
 ) -> tuple[Config, NDArray[np.int64], int, tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """The coarseness a scene needs, numbers of dropped Gaussians, zero quaternions, and bounds."""
-    number, count = len(job.spans), job.sources.count
-    windows: list[Camera] = []
-    if count:
-        do_all(workers, job.folder, "sample", partial(_sample, job), number)
-        sample = join_scenes([job.load_scene(f"sample-{k}") for k in range(number)])
-        windows = calibrate.choose_windows(sample, count)
+    number = len(job.spans)
+    do_all(workers, job.folder, "sample", partial(_sample, job), number)
+    sample = join_scenes([job.load_scene(f"sample-{k}") for k in range(number)])
+    windows = calibrate.choose_windows(sample, job.sources.count)
     do_all(workers, job.folder, "scan", partial(_look, job, windows), number)
     names = ("dropped", "zeros", "bounds")
     seen = [job.folder.load(f"scan-{k}", *names) for k in range(number)]

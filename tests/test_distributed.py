@@ -249,7 +249,10 @@ def test_what_needs_the_whole_scene_is_refused(tmp_path, config, match):
         (["encode", "-", "b.egs"], "-: a pipe, expected a file with --dask"),
         (["encode", "scene.ply", "-"], "-: a pipe, expected a file with --dask"),
         (["encode", "none", "b.egs"], "none: no such file, no .ply or .egs in it"),
-        (["encode", "cameras.json", "b.egs"], "cameras.json: only .egs and binary PLY of floats are read in parts"),
+        (
+            ["encode", "cameras.json", "b.egs"],
+            "cameras.json: only .egs and binary PLY of floats are read in parts",
+        ),
         (["encode", "scene.ply", "b.egs", "--cameras", "auto"], "--dask: not with views"),
         (["encode", "scene.ply", "b.egs", "--target-size", "9kB"], "--dask: not with views"),
         (["encode", "scene.ply", "b.egs", "--scale", "2"], "--dask: not with views"),

@@ -110,7 +110,10 @@ class Sources:
         """A part with what all parts have in common."""
         if len(self.listed) > 1:
             scene = without_order(turn_axes(scene))
-        return join_scenes([self.head, replace(scene, comments=self.head.comments)])
+        head = self.head
+        if scene.sh_degree < head.sh_degree:
+            scene = join_scenes([head, scene])
+        return replace(scene, comments=head.comments, has_normals=head.has_normals)
 
 
 def open_sources(paths: Sequence[Path], extra: Extra) -> Sources:

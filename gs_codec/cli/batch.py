@@ -30,14 +30,21 @@ from gs_codec.cli.asked import (
     target_of,
 )
 from gs_codec.cli.encode import ACTIONS, CODING, EXPERT
-from gs_codec.cli.options import DASK
 from gs_codec.cli.output import print_json, print_status, print_text, progress_lines, smaller
 from gs_codec.edit.actions import check_actions
 from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
 
 
-@takes(*CODING, "json", expert=EXPERT, without=["checkpoint"], actions=ACTIONS, actions_hidden=True)
+@takes(
+    *CODING,
+    "dask",
+    "json",
+    expert=EXPERT,
+    without=["checkpoint"],
+    actions=ACTIONS,
+    actions_hidden=True,
+)
 def command(
     source: Annotated[
         str,
@@ -67,7 +74,6 @@ def command(
     on_error: Annotated[
         str, typer.Option(help="After a scene that failed: continue or stop.")
     ] = "continue",
-    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help=DASK)] = None,
 ) -> None:
     """Encode or convert a folder of scenes, each as `encode` or `convert` would.
 
@@ -93,7 +99,7 @@ def command(
         config, plan, rate, asked["max_bytes"], asked["max_memory"], tuple(asked.actions), plain
     )
     batch = Batch(
-        source, target, options, jobs, resume, report, on_error, dask, asked["overwrite"],  # type: ignore[arg-type]
+        source, target, options, jobs, resume, report, on_error, asked["dask"], asked["overwrite"],  # type: ignore[arg-type]
     )  # fmt: skip
     redact_process()
     with _watching("encode" if plain is None else "convert") as watcher:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gs_codec.cli.asked import Asked, takes
-from gs_codec.cli.options import DASK
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
 from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.errors import InvalidInput
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from gs_codec.files.coding import DecodeReport
 
 
-@takes("threads", "max_memory", "max_bytes", "tmc3", "overwrite", "json")
+@takes("threads", "max_memory", "max_bytes", "tmc3", "dask", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file; - is stdin.")],
     target: Annotated[
@@ -35,7 +34,6 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
-    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help=DASK)] = None,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
     box = None if bbox is None else _parse_box(bbox)
@@ -43,15 +41,15 @@ def command(
     from gs_codec.files.coding import decode_file
 
     part = Part(box, sh_degree)
-    if dask is not None:
+    if asked["dask"] is not None:
         asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
         from gs_codec.distributed.decoding import decode_distributed
 
         with progress_bar() as progress:
             report = decode_distributed(
-                source, target, part, dask=dask, threads=asked["threads"], progress=progress,
-                max_memory=asked["max_memory"], overwrite=asked["overwrite"],
+                source, target, part, dask=asked["dask"], threads=asked["threads"],
+                progress=progress, max_memory=asked["max_memory"], overwrite=asked["overwrite"],
             )  # fmt: skip
         _tell(source, target, target, asked, report)
         return

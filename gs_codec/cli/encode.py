@@ -10,7 +10,7 @@ import typer
 
 from gs_codec.cli.actions import say_what_was_done
 from gs_codec.cli.asked import Asked, config_of, plan_of, takes, target_of
-from gs_codec.cli.options import DASK, ENCODED_SHOWN
+from gs_codec.cli.options import ENCODED_SHOWN
 from gs_codec.cli.output import (
     SCENES_PIPED,
     print_json,
@@ -39,29 +39,26 @@ EXPERT = (Config, RateTarget, Plan)
 ACTIONS = [name for name in KINDS if name != "gaussians"]
 
 
-@takes(*CODING, "json", expert=EXPERT, actions=ACTIONS, actions_hidden=True)
+@takes(*CODING, "json", expert=EXPERT, hidden=["dask"], actions=ACTIONS, actions_hidden=True)
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
         Path, typer.Argument(metavar="OUT", help=f"File to write: {ENCODED_SHOWN}; - is stdout.")
     ],
     asked: Asked,
-    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help=DASK)] = None,
 ) -> None:
     """Encode a scene to an .egs file, or in a format that other programs read.
 
-    With --dask, IN may be a folder of tiles, or a glob in quotes.
+    With --dask, the workers of a cluster share one giant scene: IN may be a folder of its tiles.
     """
     config, rate = config_of(asked, target), target_of(asked)
     plan = plan_of(asked, config)
-    if dask is not None:
+    if asked["dask"] is not None:
         if plan is not None or rate is not None or asked.actions:
             raise InvalidInput("--dask: not with views, preparation, actions, or a target to meet")
         asked.refuse(["max_bytes"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
-        _tell(
-            source, target, config, asked, _encode_distributed(source, target, config, asked, dask)
-        )
+        _tell(source, target, config, asked, _encode_distributed(source, target, config, asked))
         return
     from gs_codec.files.coding import encode_file
 
@@ -75,9 +72,7 @@ def command(
         _tell(source, target, config, asked, done)
 
 
-def _encode_distributed(
-    source: Path, target: Path, config: Config, asked: Asked, dask: str
-) -> EncodeReport:
+def _encode_distributed(source: Path, target: Path, config: Config, asked: Asked) -> EncodeReport:
     """Encode a scene, or the tiles of a folder or glob, by the workers of a cluster."""
     from gs_codec.batch.local import LocalStorage
     from gs_codec.distributed.encoding import encode_distributed
@@ -87,7 +82,7 @@ def _encode_distributed(
         raise InvalidInput(f"{source}: no such file, no .ply or .egs in it")
     with progress_bar() as progress:
         return encode_distributed(
-            tiles, target, config, dask=dask, progress=progress,
+            tiles, target, config, dask=asked["dask"], progress=progress,
             max_memory=asked["max_memory"], overwrite=asked["overwrite"],
         )  # fmt: skip
 

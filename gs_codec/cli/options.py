@@ -23,9 +23,6 @@ _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "
 ENCODED_SHOWN = ", ".join(ENCODED[:-1]) + f" or {ENCODED[-1]}"
 WRITTEN_SHOWN = f"{', '.join(PLAIN)}, {ENCODED_SHOWN}"
 
-#: What `--dask` is for.
-DASK = "By the workers of a Dask scheduler, or local ones."
-
 #: How numbers are typed, and what they are called.
 _NUMBERS: Mapping[type, tuple[str, str]] = {
     int: (r"[-+]?[0-9]{1,30}", "an integer"),
@@ -44,6 +41,9 @@ OPTIONS = {
     "preset": Option(
         "entropygs: the paper's whole pipeline; --refine and -p paper-* change it.",
         values=tuple(PRESETS),
+    ),
+    "dask": Option(
+        "Use the workers of a Dask scheduler, or local ones.", metavar="ADDRESS",
     ),
     "overwrite": Option("Replace what exists; without it, that is an error.", bool),
     "json": Option("Print the report as JSON.", bool),

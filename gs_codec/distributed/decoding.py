@@ -55,6 +55,7 @@ def decode_distributed(
     Returns
     -------
     DecodeReport
+        As that of `decode_file`.
 
     Raises
     ------

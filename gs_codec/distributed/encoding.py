@@ -83,6 +83,7 @@ def encode_distributed(
     Returns
     -------
     EncodeReport
+        As that of `encode_file`, but for its stages.
 
     Raises
     ------

@@ -46,7 +46,7 @@ _PUBLIC = {
     "gs_codec.files.preparing": ("prepare_file",),
     "gs_codec.files.conversion": ("convert_file", "ConvertReport"),
     "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport", "ActionReport"),
-    "gs_codec.codecs.inspection": ("Info", "StreamInfo", "PassInfo"),
+    "gs_codec.codecs.inspection": ("Info", "StreamInfo", "PassInfo", "LevelInfo"),
     "gs_codec.metrics.attributes": ("Comparison", "GroupError"),
     "gs_codec.preparation.report": ("PrepareReport", "StepReport"),
     "gs_codec.codecs.entropygs.section": ("Channel",),

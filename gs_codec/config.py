@@ -354,6 +354,9 @@ class Config:
         ``usda``, ``usdc`` or ``usdz``.
         Format of the file; where it has a name, its suffix says so too. Others than ``egs`` take
         profiles ``l``, ``m`` and ``s``, and neither `depths` nor `block_size`. Default ``egs``.
+    lod : bool
+        With ``l``, ``m``, ``s``: add coarser levels of a quarter, a sixteenth ... of the Gaussians,
+        for views from afar and first views; about a third more bytes. Default False.
     spz_version : {3, 4}
         With format ``spz``: 4 is smaller, 3 is read by more programs. Default 3.
 
@@ -435,6 +438,9 @@ class Config:
         "Format of files in a batch, or of stdout; other files have that of their suffix.",
         metavar="NAME", values=FORMATS,
     )  # fmt: skip
+    lod: bool = option(
+        False, "With profiles l, m, s: add coarser levels of detail, a third more bytes.", kind=bool
+    )
     spz_version: Literal[3, 4] = option(
         3, "With format spz: 4 is smaller, 3 is read by more programs.", kind=int, low=3, high=4
     )
@@ -450,6 +456,11 @@ class Config:
             raise InvalidInput(f"coarseness: profile '{self.profile}' has none, {known} do")
         if self.keep_order and self.profile != LOSSLESS:
             raise InvalidInput(f"keep_order: profile '{self.profile}', expected 'lossless'")
+        if self.lod and (self.profile not in ADAPTIVE_PROFILES or self.format != EGS):
+            known = ", ".join(ADAPTIVE_PROFILES)
+            raise InvalidInput(
+                f"lod: profile '{self.profile}', format '{self.format}', expected {known} as .egs"
+            )
         for name in PAPER_OPTIONS:
             value = getattr(self, name)
             if value != getattr(Config, name) and self.profile not in PROFILES:

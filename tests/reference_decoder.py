@@ -17,9 +17,10 @@ from reference_tools import Reader, check, crc32c, finite
 
 MAGIC = bytes.fromhex("894547530D0A1A0A")
 CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, GPCC, TOOL, CODER = 1, 11, 12, 13, 16, 17, 18, 19
-SCENE = {CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, TOOL, CODER}
-KNOWN = range(1, 20)
-FIRST = (INDEX, CHANNELS, LATTICE, TOOL, CODER)
+LEVEL, ERRORS = 20, 21
+SCENE = {CHANNELS, COMMENTS, EXTRA, LATTICE, INDEX, TOOL, CODER, ERRORS}
+KNOWN = range(1, 22)
+FIRST = (INDEX, ERRORS, CHANNELS, LATTICE, TOOL, CODER)
 G_PCC, TORCHAC = 1, 2
 LOSSLESS = 6
 TYPES = ("<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")
@@ -143,6 +144,9 @@ def check_table(header):
         blocks = header.blocks
         if entry.id in SCENE or entry.id not in KNOWN:
             blocks = 1 if entry.id in SCENE else max(blocks, 1)
+        if entry.id == LEVEL:
+            check(1 <= entry.block <= len(level_counts(header)), f"{name}: there is no such level")
+            blocks = entry.block + 1
         check(entry.block < blocks, f"{name}: there is no such block")
         seen.add((entry.id, entry.block))
     ids = [entry.id for entry in header.sections]
@@ -159,7 +163,8 @@ def check_presence(header, sections, of_scene, of_blocks):
         of_scene = of_scene | {INDEX}
     expected = {(number, 0) for number in of_scene}
     expected |= {(number, block) for number in of_blocks for block in range(header.blocks)}
-    found = {key for key in sections if key[0] in KNOWN and key[0] not in (COMMENTS, EXTRA)}
+    free = (COMMENTS, EXTRA, LEVEL)
+    found = {key for key in sections if key[0] in KNOWN and key[0] not in free}
     check(found == expected, f"sections: (id, block) {sorted(found ^ expected)[:3]}")
 
 
@@ -266,7 +271,15 @@ def decode(data):
     `values` has the floats of each property in stream order, `symbols` (profiles 0-2 only) the
     symbols of each channel that varies, `extra` the properties beyond the layout.
     """
+    return decode_file(data) | {"levels": decode_levels(data)}
+
+
+def decode_file(data, level=False):
+    """Decode a file without its levels, or a level."""
     header, sections = read_file(data)
+    check(((ERRORS, 0) in sections) == level, "section errors: there, or missing")
+    if level:
+        check(not {(COMMENTS, 0), (EXTRA, 0)} & set(sections), "level: comments or extra")
     check(not header.features & G_PCC, "G-PCC: this decoder does not read it")
     check_size(header, len(data), 0)
     extra = {}
@@ -289,6 +302,124 @@ def decode(data):
     }
 
 
+# Section "Levels"
+
+
+def level_counts(header):
+    """Number of Gaussians of level 1, 2, ..."""
+    counts, count = [], header.count
+    while count > header.block_size:
+        count = -(-count // 4)
+        counts.append(count)
+    return counts
+
+
+def decode_levels(data):
+    """What each level decodes to, with its `errors` and its `boxes`, the second of each block."""
+    header, sections = read_file(data)
+    numbers = sorted(block for section, block in sections if section == LEVEL)
+    check(not numbers or 3 <= header.profile <= 5, "level: of another profile")
+    counts = level_counts(header)
+    check(numbers in ([], list(range(1, len(counts) + 1))), "level: not all are there")
+    found, before = [], [0.0] * header.blocks
+    for number in numbers:
+        content = sections[LEVEL, number]
+        own, parts = read_file(content)
+        check(not any(section == LEVEL for section, _ in parts), "level: has levels")
+        same = ("features", "antialiased", "coordinates", "profile", "sh_degree", "block_size")
+        for name in same:
+            check(getattr(own, name) == getattr(header, name), f"level {number}: {name}")
+        check(own.count == counts[number - 1], f"level {number}: {own.count} Gaussians")
+        check(not own.has_normals and not own.kept_order, f"level {number}: flags")
+        decoded = decode_file(content, level=True)
+        reader = Reader(parts[ERRORS, 0], "errors")
+        errors = list(reader.numbers(f"{own.blocks}f"))
+        reader.finish()
+        for block, error in enumerate(errors):
+            least = max(before[4 * block : 4 * block + 4])
+            check(finite(error) and error >= least >= 0, f"errors of level {number}")
+        before = errors
+        found.append(decoded | {"errors": errors, "boxes": boxes_of(parts[INDEX, 0])})
+    return found
+
+
+def boxes_of(index):
+    """The second box of each block."""
+    return [row[6:] for row in struct.iter_unpack("<12f", index)]
+
+
+# Section "Selection"
+
+
+def select(data, view, tolerance, budget=None):
+    """Blocks (level, number) that a view needs; `view` has the fields of a camera."""
+    header, sections = read_file(data)
+    levels = decode_levels(data)
+    boxes = [boxes_of(sections[INDEX, 0]), *(level["boxes"] for level in levels)]
+    errors = [[0.0] * header.blocks, *(level["errors"] for level in levels)]
+    counts = [header.count, *(level["count"] for level in levels)]
+
+    def gaussians(chosen):
+        size = header.block_size
+        return sum(min(size, counts[k] - j * size) for k, j in chosen)
+
+    def distance(k, j):
+        box = boxes[k][j]
+        a, b, c = (
+            max(low - p, p - high, 0.0)
+            for low, high, p in zip(box[:3], box[3:], view.position, strict=True)
+        )
+        return math.sqrt((a * a + b * b) + c * c)
+
+    def screen_error(k, j):
+        if errors[k][j] == 0:
+            return 0.0
+        d = distance(k, j)
+        return errors[k][j] * max(view.fx, view.fy) / d if d else math.inf
+
+    def seen(k, j):
+        return in_view(boxes[k][j], view)
+
+    top = len(levels)
+    chosen = [(top, j) for j in range(len(boxes[top])) if seen(top, j)]
+    if budget is not None and gaussians(chosen) > budget:
+        ordered, chosen = sorted(chosen, key=lambda block: (distance(*block), block[1])), []
+        for block in ordered:
+            if gaussians([*chosen, block]) > budget:
+                break
+            chosen.append(block)
+        return sorted(chosen)
+    while chosen:
+        worst = max(chosen, key=lambda block: (screen_error(*block), block[0], -block[1]))
+        if screen_error(*worst) <= tolerance:
+            break
+        k, j = worst
+        below = range(4 * j, min(4 * j + 4, len(boxes[k - 1])))
+        changed = [block for block in chosen if block != worst]
+        changed += [(k - 1, child) for child in below if seen(k - 1, child)]
+        if budget is not None and gaussians(changed) > budget:
+            break
+        chosen = changed
+    return sorted(chosen)
+
+
+def in_view(box, view):
+    """Whether no edge of a view has all eight corners of a box beyond it."""
+    beyond = [True] * 5
+    for number in range(8):
+        q = [box[3 * (number >> axis & 1) + axis] - view.position[axis] for axis in range(3)]
+        x, y, z = ((r[0] * q[0] + r[1] * q[1]) + r[2] * q[2] for r in view.rotation.tolist())
+        outside = (
+            z <= 0,
+            view.fx * x + view.cx * z < 0,
+            view.fx * x + (view.cx - view.width) * z > 0,
+            view.fy * y + view.cy * z < 0,
+            view.fy * y + (view.cy - view.height) * z > 0,
+        )
+        beyond = [a and b for a, b in zip(beyond, outside, strict=True)]
+    return not any(beyond)
+
+
 def decode_scene(header, sections):
     """Symbols and values of all Gaussians, by name."""
     if header.profile <= 2:
@@ -300,7 +431,8 @@ def decode_scene(header, sections):
         decode_block = reference_lossless.decode_block
     else:
         expected = reference_lattice.expected_sections(header.sh_degree)
-        check_presence(header, sections, {LATTICE}, expected)
+        own = {ERRORS} if (ERRORS, 0) in sections else set()
+        check_presence(header, sections, {LATTICE} | own, expected)
         lattice = reference_lattice.read_lattice(sections[LATTICE, 0], header.sh_degree)
 
         def decode_block(*block):

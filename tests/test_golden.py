@@ -12,7 +12,8 @@ from other_programs import check, stored_numbers
 from reference_decoder import decode as reference_decode
 from scenes import encode_by
 
-from gs_codec.codecs import decode_scene
+from gs_codec.codecs import decode_part, decode_scene
+from gs_codec.codecs.part import Part
 from gs_codec.egs.file import VERSION
 from gs_codec.scene import GROUPS, Scene
 
@@ -32,6 +33,18 @@ def test_golden_file_decodes_to_the_same_floats(path):
         for group in GROUPS:
             before, after = expected[group], getattr(decoded, group)
             np.testing.assert_array_equal(after.view(np.uint32), before.view(np.uint32))
+
+
+def test_levels_of_a_golden_file_decode_to_the_same_floats():
+    path = FOLDER / f"v{VERSION}-levels.egs"
+    found = [decode_part(path.read_bytes(), Part(level=level))[0] for level in (1, 2, 3)]
+    values = [level["values"]["z"] for level in reference_decode(path.read_bytes())["levels"]]
+    with np.load(path.with_suffix(".npz")) as expected:
+        for level, (scene, z) in enumerate(zip(found, values, strict=True), 1):
+            np.testing.assert_array_equal(scene.positions[2].view("u4"), z.view("u4"))
+            for group in GROUPS:
+                before, after = expected[f"level {level} {group}"], getattr(scene, group)
+                np.testing.assert_array_equal(after.view(np.uint32), before.view(np.uint32))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

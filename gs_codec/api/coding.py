@@ -14,6 +14,7 @@ from gs_codec.files.scenes import inspect_file, read_scene, write_scene
 from gs_codec.formats.cloud import from_cloud, to_cloud
 from gs_codec.formats.ply import vertex_rows
 from gs_codec.guidance.planned import encode_by_plan
+from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import Progress, RateReport
 from gs_codec.runtime.threads import using_threads
@@ -208,10 +209,14 @@ def encode(
     True
     """
     config = config or Config()
+    check_levels(config, rate)
     scene = from_cloud(source, config.extra)
     with using_threads(config.threads):
         ply_bytes = vertex_rows(scene).nbytes if rate is not None else 0
         data, report = encode_by_plan(scene, ply_bytes, config, plan, rate, progress)
+        if config.lod:
+            parts, report = add_levels([data], report, config, progress)
+            data = b"".join(parts)
     return data if report.rate is None else (data, report.rate)
 
 
@@ -233,7 +238,7 @@ def decode(
     source : bytes
         A whole stream, from `encode` or a file.
     part : Part, optional
-        A box, a lower SH degree, or both.
+        A box, a lower SH degree, or both; a level of detail, or what a view needs.
     threads : int, optional
         Worker threads, 1-256; by default one for each available processor, but a single one for
         fewer than 4096 Gaussians.
@@ -251,7 +256,7 @@ def decode(
     Raises
     ------
     InvalidInput
-        If a box has no Gaussians.
+        If a box has no Gaussians, or the stream lacks the level.
     CorruptStream, TruncatedStream, UnsupportedVersion
         If the stream is damaged, decodes to more than `max_bytes`, or is newer than this version.
     MissingTool, ToolFailed
@@ -265,6 +270,14 @@ def decode(
     SizeVector[2000, 4]
     >>> gs_codec.decode(data, gs_codec.Part(sh_degree=0)).point.f_rest.shape
     SizeVector[2000, 0, 3]
+
+    What a camera sees of a scene with levels of detail, where an error of 4 pixels may be:
+
+    >>> data = gs_codec.encode(cloud, gs_codec.Config(lod=True, block_size=1024))
+    >>> [camera, _] = gs_codec.read_cameras("cameras.json")
+    >>> seen = gs_codec.decode(data, gs_codec.Part(view=camera, tolerance=4))
+    >>> gs_codec.decode(data, gs_codec.Part(level=1)).point.positions.shape
+    SizeVector[500, 3]
     """
     return to_cloud(decode_part(source, part or Part(), threads, max_bytes, progress, tmc3)[0])
 

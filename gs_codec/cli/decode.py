@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
     from gs_codec.files.coding import DecodeReport
+    from gs_codec.rendering.camera import Camera
 
 
 @takes("threads", "max_memory", "max_bytes", "tmc3", "dask", "overwrite", "json")
@@ -34,13 +36,31 @@ def command(
     sh_degree: Annotated[
         int | None, typer.Option(metavar="D", help="No SH above this degree, 0-3.")
     ] = None,
+    level: Annotated[
+        int, typer.Option(metavar="K", help="Level of detail: 0 is the scene, 1 a quarter of it...")
+    ] = 0,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CAMERAS[:NAME]",
+            help="Only blocks that this camera sees, coarser ones where its pixels allow.",
+        ),
+    ] = None,
+    budget: Annotated[
+        int | None, typer.Option(metavar="N", help="With --view: most Gaussians.")
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(metavar="PIXELS", help="With --view: largest error (default: 1)."),
+    ] = None,
 ) -> None:
     """Decode an .egs file to a PLY that other 3DGS tools open."""
     box = None if bbox is None else _parse_box(bbox)
     from gs_codec.codecs.part import Part
     from gs_codec.files.coding import decode_file
 
-    part = Part(box, sh_degree)
+    camera = None if view is None else _camera_of(view)
+    part = Part(box, sh_degree, level, camera, budget, tolerance)
     if asked["dask"] is not None:
         asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
         check_no_pipes("--dask", source, target)
@@ -80,6 +100,22 @@ def _print_report(named: dict[str, Any], report: DecodeReport) -> None:
     if report.bytes_read < report.file_bytes:
         share = report.bytes_read / report.file_bytes
         print_text(f"read {size_text(report.bytes_read)} of {named['input']}, {share:.0%} of it")
+
+
+def _camera_of(text: str) -> Camera:
+    """The camera that ``CAMERAS[:NAME]`` names."""
+    from gs_codec.rendering.cameras import read_cameras
+
+    path, name = text, ""
+    if not os.path.exists(text):
+        path, _, name = text.rpartition(":")
+        path, name = (path, name) if path else (text, "")
+    cameras = read_cameras(path)
+    found = [camera for camera in cameras if name in ("", camera.name)]
+    if len(found) != 1:
+        known = f"{len(cameras)} cameras, expected {path}:NAME, for example {cameras[0].name}"
+        raise InvalidInput(f"--view {text}: {'no such camera' if name else 'one'} of {known}")
+    return found[0]
 
 
 def _parse_box(text: str) -> tuple[float, ...]:

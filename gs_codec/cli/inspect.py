@@ -190,6 +190,17 @@ def _print_info(file: Path, info: Info) -> None:
         ["stream", "bytes", "bits/Gaussian", "depth", "models"],
         [_stream_row(stream, info) for stream in info.streams],
     )
+    if info.levels:
+        print_table(
+            ["level", "Gaussians", "blocks", "bytes", "least error", "largest error"],
+            [
+                [
+                    str(one.level), f"{one.count:,}", f"{one.blocks:,}", f"{one.bytes:,}",
+                    f"{one.least_error:.4g}", f"{one.largest_error:.4g}",
+                ]
+                for one in info.levels
+            ],
+        )  # fmt: skip
     if info.skipped:
         print_text("skipped:", *(f"  {line}" for line in info.skipped))
 

@@ -42,9 +42,10 @@ def command(
     if asked["json"]:
         print_json({"input": str(source), **asdict(report)})
     else:
+        levels = f"{report.levels} coarser levels, " if report.levels else ""
         print_text(
             f"{source}: sound, {size_text(report.file_bytes)}, {report.sections:,} sections, "
-            f"{report.count:,} Gaussians, {report.blocks:,} blocks, SH degree "
+            f"{report.count:,} Gaussians, {report.blocks:,} blocks, {levels}SH degree "
             f"{report.sh_degree}, profile {report.profile}, {report.seconds:.2f} s"
         )
 

@@ -20,11 +20,13 @@ from gs_codec.codecs.interchange import decode_interchange
 from gs_codec.codecs.lossless.lossless import decode_lossless, lossless_sections
 from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
+from gs_codec.codecs.selection import select_blocks
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, LOSSLESS, Config, check_threads
 from gs_codec.egs.file import DESCRIPTIONS, SCENE_SECTIONS, EgsFile, SectionId, read_file
 from gs_codec.egs.index import index_of
+from gs_codec.egs.levels import levels_of, open_level, within
 from gs_codec.egs.sections import extra_bytes, read_comments, read_extra
-from gs_codec.errors import CorruptStream
+from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.formats.limits import most_bytes
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import current
@@ -63,7 +65,7 @@ def decode_part(
     """Decode a part of an `.egs` stream.
 
     SH above the part's degree is not read, nor are blocks whose centres the index has apart from
-    the part's box.
+    the part's box, or that its view does not need.
 
     Parameters
     ----------
@@ -82,9 +84,9 @@ def decode_part(
     Returns
     -------
     scene : Scene
-        In the order of the stream.
+        In the order of the stream; with a view, the coarsest level first.
     file : EgsFile
-        The header, and the sections that were read.
+        The header, and the sections that were read; with a level, its own.
 
     Raises
     ------
@@ -98,7 +100,7 @@ def decode_part(
     with using_threads(threads):
         chosen = choose_part(data, part, max_bytes, tmc3)
         if current().limit is None:
-            (scene,) = chosen.slabs(chosen.file.header.count, progress)
+            scene = join_scenes(list(chosen.slabs(chosen.file.header.count, progress)))
         else:
             size = slab_within(chosen.file, chosen.degree, _SLAB)
             scene = join_scenes([_kept(slab) for slab in chosen.slabs(size, progress)])
@@ -120,22 +122,59 @@ def choose_part(
 ) -> ChosenPart:
     """Read and check the sections that a part needs, of the blocks `among`; see `decode_part`."""
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
-    header = file.header
-    limit = most_bytes(len(data), max_bytes)
+    header, limit = file.header, most_bytes(len(data), max_bytes)
     if header.float_bytes > limit:
         raise CorruptStream(
             f"header: {header.count} Gaussians are {header.float_bytes} bytes, the limit is {limit}"
         )
     _check_sections(file)
-    index = index_of(file)
     tool = tool_for(file, tmc3)
     require_coder(file)
-    degree = part.degree_of(header.sh_degree)
+    if part.view is not None:
+        levels = [file, *(_opened(file, level) for level in levels_of(file))]
+        selected = select_blocks(levels, part.view, part.budget, part.chosen_tolerance)
+        if not any(selected) and part.budget is not None and header.count:
+            raise InvalidInput(f"budget {part.budget}: the nearest block has more Gaussians")
+        finest, *coarser = (
+            _chosen(own, part, blocks, limit, tool)
+            for own, blocks in zip(levels, selected, strict=True)
+        )
+        return replace(finest, coarser=tuple(coarser))
+    if part.level:
+        if part.level not in levels_of(file):
+            known = len(levels_of(file))
+            raise InvalidInput(f"level {part.level}: the file has levels 0 to {known}")
+        own = _opened(file, part.level)
+        with within(part.level):
+            blocks = _in_box(own, part, among)
+            chosen = _chosen(own, part, blocks, limit, tool)
+        return replace(chosen, bytes_before=file.bytes_read)
+    return _chosen(file, part, _in_box(file, part, among), limit, tool)
+
+
+def _opened(file: EgsFile, level: int) -> EgsFile:
+    """A level of a file, with exactly its sections."""
+    found = open_level(file, level)
+    with within(level):
+        _check_sections(found, is_level=True)
+    return found
+
+
+def _in_box(file: EgsFile, part: Part, among: Container[int] | None) -> list[int]:
+    """Blocks, of those `among`, of which a part may have Gaussians."""
+    index = index_of(file)
     blocks = np.flatnonzero(part.meets(index[:, :3], index[:, 3:6])).tolist()
-    if among is not None:
-        blocks = [block for block in blocks if block in among]
+    return blocks if among is None else [block for block in blocks if block in among]
+
+
+def _chosen(
+    file: EgsFile, part: Part, blocks: Sequence[int], limit: int, tool: Tmc3 | None
+) -> ChosenPart:
+    """Blocks of a file, whose sections are read and checked."""
+    degree = part.degree_of(file.header.sh_degree)
     chosen = frozenset(blocks)
     unread = {SectionId.of_stream(f"sh{band}") for band in range(degree + 1, 4)}
+    unread.add(SectionId.LEVEL)
     file = file.read(
         lambda section, block: (
             section not in unread and (section in SCENE_SECTIONS or block in chosen)
@@ -147,33 +186,65 @@ def choose_part(
 
 @dataclass(frozen=True)
 class ChosenPart:
-    """A file whose needed sections are read and checked, and the blocks to decode."""
+    """A file whose needed sections are read and checked, and the blocks to decode.
+
+    `coarser` are those of coarser levels beside it, the finest first; `bytes_before` are those of
+    the file around a level that were read.
+    """
 
     file: EgsFile
     part: Part
     degree: int
     blocks: Sequence[int]
     tool: Tmc3 | None
+    coarser: tuple[ChosenPart, ...] = ()
+    bytes_before: int = 0
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians in the blocks."""
+        spans = [self.file.header.block_range(block) for block in self.blocks]
+        return sum(stop - start for start, stop in spans) + sum(p.count for p in self.coarser)
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes of the file that were read."""
+        return self.bytes_before + self.file.bytes_read + sum(p.bytes_read for p in self.coarser)
 
     def slabs(self, size: int, progress: Progress | None = None) -> Iterator[Scene]:
         """Decode to consecutive scenes of whole blocks, at most `size` Gaussians each.
 
         A larger block is a scene of its own. If there are no blocks, one empty scene is given.
+        Coarser levels come first, and have no extra properties, nor has then any slab.
         """
-        header = self.file.header
-        decode, (comments, extra) = _decoder(header.profile, self.tool), carried(self.file)
-        runs = list(self._runs(size))
-        total, done = sum(run.count for run in runs), 0
-        for run in runs:
-            advance = progress if len(runs) == 1 else _part_of(progress, done, run.count, total)
-            with using_threads(None, run.count):
-                groups = decode(self.file, run.spans, self.degree, advance)
-            normals, own = header.has_normals, run.of(extra)
-            scene = Scene(**groups, has_normals=normals, comments=comments, extra=own)
+        comments, extra = carried(self.file)
+        if self.coarser:
+            extra = {}
+        listed = [
+            (number, self._of(number), run)
+            for number in range(len(self.coarser), -1, -1)
+            for run in self._of(number)._runs(size)
+        ]
+        if any(run.spans for _, _, run in listed):
+            listed = [one for one in listed if one[2].spans]
+        else:
+            listed = listed[-1:]
+        total, done = sum(run.count for _, _, run in listed), 0
+        for number, own, run in listed:
+            advance = progress if len(listed) == 1 else _part_of(progress, done, run.count, total)
+            with within(number or self.part.level), using_threads(None, run.count):
+                decode = _decoder(own.file.header.profile, own.tool)
+                groups = decode(own.file, run.spans, own.degree, advance)
+            normals = self.file.header.has_normals
+            scene = Scene(**groups, has_normals=normals, comments=comments, extra=run.of(extra))
             if self.part.box is not None:
                 scene = scene.take(self.part.contains(scene.positions))
             yield scene
             done += run.count
+
+    def _of(self, number: int) -> ChosenPart:
+        """The blocks of a level: 0 is this, others are coarser."""
+        return self.coarser[number - 1] if number else self
 
     def _runs(self, size: int) -> Iterator[_Run]:
         header = self.file.header
@@ -230,8 +301,8 @@ def _check_extra(file: EgsFile, limit: int) -> None:
         )
 
 
-def _check_sections(file: EgsFile) -> None:
-    """Check that a file has exactly its profile's sections."""
+def _check_sections(file: EgsFile, is_level: bool = False) -> None:
+    """Check that a file, or a level of one, has exactly its profile's sections."""
     header = file.header
     own: set[SectionId] = set()
     if header.profile == LOSSLESS:
@@ -243,7 +314,13 @@ def _check_sections(file: EgsFile) -> None:
         own = sections_beside(file, expected)
     if header.count:
         own = own | {SectionId.INDEX}
-    others = set(SectionId) - own - expected - {SectionId.COMMENTS, SectionId.EXTRA}
+    if is_level:
+        own = own | {SectionId.ERRORS}
+    else:
+        own = own | {SectionId.COMMENTS, SectionId.EXTRA}
+        if header.profile in ADAPTIVE_PROFILES:
+            own = own | {SectionId.LEVEL}
+    others = set(SectionId) - own - expected
     for section_id, block in file.table:
         if section_id in others:
             label = SectionId(section_id).label

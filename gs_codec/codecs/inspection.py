@@ -20,6 +20,7 @@ from gs_codec.codecs.skipped import skipped_by_channels, skipped_by_header, skip
 from gs_codec.config import ADAPTIVE_PROFILES, LOSSLESS
 from gs_codec.egs.file import DESCRIPTIONS, EgsFile, SectionId, read_file, section_label
 from gs_codec.egs.index import Box, bounds_of
+from gs_codec.egs.levels import errors_of, levels_of, open_level
 from gs_codec.egs.sections import read_line
 from gs_codec.scene import SH_COEFFICIENTS
 
@@ -67,6 +68,31 @@ class PassInfo:
     tables: int
     finest_step: float
     coarsest_step: float
+
+
+@dataclass(frozen=True)
+class LevelInfo:
+    """A coarser level of detail of a file.
+
+    Attributes
+    ----------
+    level : int
+        1 has a quarter of the Gaussians of the file, 2 a sixteenth, ...
+    count, blocks : int
+        Number of its Gaussians, and of its blocks.
+    bytes : int
+        Size of its section.
+    least_error, largest_error : float
+        Of its blocks, scene units; as far away as a block's error is a pixel, the block stands for
+        four of the level before.
+    """
+
+    level: int
+    count: int
+    blocks: int
+    bytes: int
+    least_error: float
+    largest_error: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +144,8 @@ class Info:
         Whether opacity compensation is asked for.
     skipped : tuple of str
         What takes no bits, in words, as far as header and tables tell.
+    levels : tuple of LevelInfo
+        Coarser levels of detail, the finest first.
     """
 
     version: int
@@ -142,6 +170,7 @@ class Info:
     coordinates: str | None
     antialiased: bool
     skipped: tuple[str, ...]
+    levels: tuple[LevelInfo, ...] = ()
 
     @property
     def ratio(self) -> float:
@@ -155,6 +184,7 @@ class Info:
         plain["channels"] = [_channel_dict(channel) for channel in self.channels]
         plain["grid"] = None if self.grid is None else vars(self.grid)
         plain["passes"] = [vars(item) for item in self.passes]
+        plain["levels"] = [vars(level) for level in self.levels]
         return plain
 
 
@@ -196,8 +226,16 @@ def describe(file: EgsFile) -> Info:
         coordinates=header.coordinates,
         antialiased=header.antialiased,
         bounds=bounds_of(file),
+        levels=tuple(_level_info(file, level) for level in levels_of(file)),
         **details(file),
     )
+
+
+def _level_info(file: EgsFile, level: int) -> LevelInfo:
+    found = open_level(file, level)
+    errors, size = errors_of(found), file.sizes[SectionId.LEVEL, level]
+    ends = float(errors.min()), float(errors.max())
+    return LevelInfo(level, found.header.count, found.header.block_count, size, *ends)
 
 
 def _streams(file: EgsFile) -> tuple[StreamInfo, ...]:

@@ -1,4 +1,4 @@
-"""A part of a scene: the Gaussians in a box, with SH up to a degree."""
+"""A part of a scene: the Gaussians in a box, of a level, or that a view needs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.codecs.selection import View
 from gs_codec.errors import InvalidInput
 from gs_codec.scene import SH_COEFFICIENTS
 
@@ -22,11 +23,23 @@ class Part:
         Lowest x, y, z and highest x, y, z: Gaussians whose centre is within, borders included.
     sh_degree : int, optional
         Highest SH degree to decode, 0-3.
+    level : int
+        Level of detail: 0 is the scene, 1 is a quarter of its Gaussians, 2 a sixteenth ..., as far
+        as the file has levels (`Config.lod`). Default 0.
+    view : Camera, optional
+        Only the blocks in this camera's view, each at the coarsest level whose error there is at
+        most `tolerance`; without levels, all blocks in view. The camera's axes are the file's.
+    budget : int, optional
+        With `view`, most Gaussians: what has the largest error is refined as far as they go. If
+        they do not hold the coarsest level, its nearest blocks are taken.
+    tolerance : float, optional
+        With `view`, error in pixels, 0 or more; None is 1, and 0 takes nothing but level 0.
 
     Raises
     ------
     InvalidInput
-        If a corner is not finite, the lowest is above the highest, or the degree is not 0-3.
+        If a corner is not finite, the lowest is above the highest, the degree is not 0-3, another
+        number is out of range, or parts exclude each other.
 
     Examples
     --------
@@ -36,8 +49,13 @@ class Part:
 
     box: tuple[float, ...] | None = None
     sh_degree: int | None = None
+    level: int = 0
+    view: View | None = None
+    budget: int | None = None
+    tolerance: float | None = None
 
     def __post_init__(self) -> None:
+        self._check_view()
         if self.box is not None:
             finite = len(self.box) == 6 and all(map(math.isfinite, self.box))
             if not finite or any(a > b for a, b in zip(self.box[:3], self.box[3:], strict=True)):
@@ -45,6 +63,32 @@ class Part:
                 raise InvalidInput(f"box {listed}: expected lowest x, y, z, then highest x, y, z")
         if self.sh_degree is not None and not 0 <= self.sh_degree < len(SH_COEFFICIENTS):
             raise InvalidInput(f"SH degree {self.sh_degree}: expected 0-3")
+
+    def _check_view(self) -> None:
+        if self.level < 0:
+            raise InvalidInput(f"level {self.level}: expected 0 or more")
+        if self.view is None:
+            for name in ("budget", "tolerance"):
+                if (value := getattr(self, name)) is not None:
+                    raise InvalidInput(f"{name} {value}: has no effect without a view")
+            return
+        if self.level or self.box is not None:
+            name = "level" if self.level else "box"
+            raise InvalidInput(f"{name}: not with a view, which selects blocks of all levels")
+        if self.budget is not None and self.budget < 1:
+            raise InvalidInput(f"budget {self.budget}: expected at least 1 Gaussian")
+        if self.tolerance is not None and not 0 <= self.tolerance < math.inf:
+            raise InvalidInput(f"tolerance {self.tolerance}: expected 0 or more pixels")
+
+    @property
+    def chosen_tolerance(self) -> float:
+        """The tolerance, with its default, pixels."""
+        return 1.0 if self.tolerance is None else self.tolerance
+
+    @property
+    def whole(self) -> bool:
+        """Whether these are all Gaussians of the scene."""
+        return self.box is None and self.view is None and not self.level
 
     def degree_of(self, degree: int) -> int:
         """The degree to decode, of a scene of this degree."""

@@ -16,7 +16,9 @@ from gs_codec.codecs.memory import slab_within
 from gs_codec.codecs.part import Part
 from gs_codec.coding.extent import box_text
 from gs_codec.config import check_threads
+from gs_codec.egs.file import EgsFile
 from gs_codec.egs.index import bounds_of
+from gs_codec.egs.levels import check_errors, errors_of, levels_of, open_level, within
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.formats.registry import open_scene
 from gs_codec.report import Progress
@@ -49,7 +51,7 @@ class Slabs:
     @property
     def bytes_read(self) -> int:
         """Bytes of the file that were read."""
-        return self.chosen.file.bytes_read
+        return self.chosen.bytes_read
 
     def counted(self) -> tuple[int, Iterator[Scene]]:
         """The number of Gaussians, and the slabs.
@@ -59,11 +61,14 @@ class Slabs:
         Raises
         ------
         InvalidInput
-            If the scene has Gaussians, but none in the box.
+            If the scene has Gaussians, but none in the box, or in view.
         """
         scenes = self.scenes()
         if self.chosen.part.box is None:
-            return self.chosen.file.header.count, scenes
+            count = self.chosen.count
+        if self.chosen.part.view is not None and not count and self.chosen.file.header.count:
+            raise InvalidInput(f"{self.path}: no Gaussians in view")
+        return count, scenes
         found = list(scenes)
         count = sum(scene.count for scene in found)
         bounds = bounds_of(self.chosen.file)
@@ -72,11 +77,11 @@ class Slabs:
         return count, iter(found)
 
     def scenes(self) -> Iterator[Scene]:
-        """Yield one slab after another as a scene; without a box, each states its order."""
+        """Yield one slab after another as a scene; if it is all, each states its order."""
         order = None
         start = time.perf_counter()
         with located(self.path):
-            if self.chosen.part.box is None:
+            if self.chosen.part.whole:
                 order = order_of_file(describe(self.chosen.file))
             file = self.chosen.file
             wanted = max(_SLAB, 2 * available_threads() * file.header.block_size)
@@ -126,7 +131,10 @@ def opened_slabs(
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """What was checked: blocks were decoded, and sections agree with their checksums."""
+    """What was checked: blocks were decoded, and sections agree with their checksums.
+
+    `levels` is the number of coarser levels, which were decoded, too.
+    """
 
     count: int
     sh_degree: int
@@ -135,6 +143,7 @@ class VerifyReport:
     sections: int
     file_bytes: int
     seconds: float
+    levels: int = 0
 
 
 def verify_file(
@@ -164,6 +173,13 @@ def verify_file(
             file = slabs.chosen.file.read()
         for _ in slabs.scenes():
             pass
+        levels = levels_of(file)
+        for level in levels:
+            with located(path):
+                chosen = choose_part(file.data, Part(level=level), max_bytes)
+                _check_all(chosen, file, level)
+            for _ in Slabs(slabs.path, chosen, progress, 0.0).scenes():
+                pass
         header = file.header
         return VerifyReport(
             header.count,
@@ -173,4 +189,13 @@ def verify_file(
             len(file.table),
             os.path.getsize(path),
             time.perf_counter() - start,
+            len(levels),
         )
+
+
+def _check_all(chosen: ChosenPart, file: EgsFile, level: int) -> None:
+    """Check all sections of a level, and its errors against those of the level before."""
+    with within(level):
+        chosen.file.read()
+        if level > 1:
+            check_errors(errors_of(open_level(file, level - 1)), errors_of(chosen.file))

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from gs_codec.coding.clean import finite_gaussians, identity_for_zero
 from gs_codec.coding.morton import spatial_order
 from gs_codec.edit.clouds import on_clouds
-from gs_codec.edit.pairs import Blobs, blobs_of, lone_errors, merge_errors, merge_pairs
+from gs_codec.edit.pairs import Blobs, blobs_of, merge_pairs
+from gs_codec.edit.reduction import cheapest, colours_of, contrast
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.pipeline import choose_views
 from gs_codec.preparation.prune import expected_weight, keep_highest, leave_one_out
@@ -23,21 +24,14 @@ from gs_codec.preparation.reference_views import ReferenceViews
 from gs_codec.preparation.refit_colour import refit_colour
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.report import Progress, step_counter
-from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import available_threads
-from gs_codec.scene import GROUPS, SH_C0, Scene
+from gs_codec.scene import GROUPS, Scene
 
 #: Share of the remaining Gaussians that a round may remove.
 _ROUND = 0.2
 
 #: Neighbours that a Gaussian may merge with.
 _NEIGHBOURS = 10
-
-#: Weight of alpha beside the three colours.
-_ALPHA = 0.3
-
-#: Least error that scores are divided by.
-_TINY = 1e-300
 
 #: Conjugate-gradient iterations on the colours: with 10, few views are fitted too closely.
 _REFIT = 4
@@ -122,12 +116,12 @@ def _reduce(
     scene = scene.take(places)
     for turn, quota in enumerate(quotas, 1):
         blobs, near = blobs_of(scene), _neighbours(scene.positions)
-        colours = _contrast(scene, blobs, near)
+        colours = contrast(colours_of(scene), blobs, near)
         if anywhere is None:
             scores = expected_weight(scene) * (colours * colours).sum(axis=1)
         else:
             scores = leave_one_out(scene, anywhere, f"round {turn}", progress)
-        first, second = _cheapest(blobs, colours, scores, near, quota)
+        first, second = cheapest(blobs, colours, scores, near, quota)
         scene, kept = _merge(scene, blobs, first, second)
         places = places[kept]
         advance()
@@ -151,55 +145,6 @@ def _neighbours(positions: NDArray[np.float32]) -> NDArray[np.int64]:
     points = np.column_stack([positions.T, np.linspace(0.0, 1e-30, count)])
     wanted = min(_NEIGHBOURS + 1, count)
     return cKDTree(points).query(points, wanted, workers=available_threads())[1]
-
-
-def _contrast(scene: Scene, blobs: Blobs, near: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Colours less the mean of the neighbours', and a constant for alpha, ``(N, 4)``."""
-    colours = np.maximum(0.5 + SH_C0 * scene.f_dc.astype(np.float64), 0.0)
-    weights = blobs.mass[near]
-    weights /= weights.sum(axis=1, keepdims=True)
-    around = [(colour[near] * weights).sum(axis=1) for colour in colours]
-    return np.column_stack([*(colours - around), np.full(scene.count, _ALPHA)])
-
-
-def _cheapest(
-    blobs: Blobs,
-    colours: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    near: NDArray[np.int64],
-    quota: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The Gaussians to drop, each with itself, and the pairs to merge: together `quota`.
-
-    What a merge costs counts as much as what both cost without it: their scores.
-    """
-    count, errors = len(near), merge_errors(blobs, colours, near).ravel()
-    at = np.flatnonzero(errors < np.inf)
-    first, second = at // near.shape[1], near.ravel()[at]
-    with np.errstate(over="ignore", invalid="ignore"):
-        seen = np.sqrt(scores / np.maximum(lone_errors(blobs, colours), _TINY))
-        costs = errors[at] * seen[first] * seen[second]
-    # Of other pairs, one is dropped before they would merge.
-    pays = costs < np.minimum(scores[first], scores[second])
-    alone = np.arange(count)
-    first, second = np.append(alone, first[pays]), np.append(alone, second[pays])
-    order = np.argsort(np.append(scores, costs[pays]), kind="stable")
-    chosen = np.empty(quota, np.int64)
-    _choose(order, first, second, np.zeros(count, bool), chosen)
-    return first[chosen], second[chosen]
-
-
-@kernel
-def _choose(order, first, second, used, chosen):
-    """Fill `chosen` with pairs in their order, none with a Gaussian of an earlier one."""
-    number = 0
-    for pair in order:
-        if number == len(chosen):
-            break
-        if not (used[first[pair]] or used[second[pair]]):
-            used[first[pair]] = used[second[pair]] = True
-            chosen[number] = pair
-            number += 1
 
 
 def _merge(

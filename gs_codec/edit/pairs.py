@@ -22,7 +22,7 @@ from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
 #: Opacity up to which the rasteriser draws; a merged Gaussian has at most this.
-_OPAQUE = 0.99
+OPAQUE = 0.99
 
 #: Log-scales are cut to this, so that products of variances stay in the range of floats.
 _LARGEST = 80.0
@@ -63,13 +63,17 @@ def blobs_of(scene: Scene) -> Blobs:
     pairs = ((x, x), (y, y), (z, z), (x, y), (y, z), (z, x))
     covariances = np.stack([(a * b).sum(axis=0) for a, b in pairs], axis=1)
     opacity = sigmoid(scene.opacity[0].astype(np.float64))
-    mass = np.maximum(opacity * _areas(covariances), _TINY)
+    mass = np.maximum(opacity * areas_of(covariances), _TINY)
     return Blobs(np.ascontiguousarray(scene.positions.T, np.float64), covariances, opacity, mass)
 
 
-def _areas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Root mean square of the areas over all directions, of ``covariances (N, 6)``, over 2 pi."""
+def areas_of(covariances: NDArray[np.float64], widened: float = 0.0) -> NDArray[np.float64]:
+    """Root mean square of the areas over all directions, of ``covariances (N, 6)``, over 2 pi.
+
+    `widened` is a variance that is added along all axes.
+    """
     xx, yy, zz, xy, yz, zx = covariances.T
+    xx, yy, zz = xx + widened, yy + widened, zz + widened
     minors = (xx * yy - xy * xy) + (yy * zz - yz * yz) + (zz * xx - zx * zx)
     return np.sqrt(np.maximum(minors / 3, _TINY))
 
@@ -87,13 +91,8 @@ def merge_pairs(
     first, second : ndarray, shape (M,), int64
         Indices of each pair's Gaussians. Extra properties are those of `first`.
     """
-    from scipy.spatial.transform import Rotation
-
-    covariances, of_pair = np.empty((len(first), 6)), np.empty((2, len(first)))
-    _merge_all(blobs.means, blobs.covariances, blobs.mass, first, second, covariances, of_pair)
-    share, opacity = of_pair
-    variances, turns = np.linalg.eigh(covariances[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]])
-    turns[:, :, 0] *= np.sign(np.linalg.det(turns))[:, None]
+    covariances, (share, opacity) = merge_moments(blobs, first, second)
+    log_scale, rot = axes_of(covariances)
 
     def mean(planes: NDArray[np.float32]) -> NDArray[np.float32]:
         merged = empty((len(planes), len(first)), np.float32)
@@ -106,10 +105,36 @@ def merge_pairs(
         positions=mean(scene.positions),
         f_dc=mean(scene.f_dc),
         f_rest=mean(scene.f_rest),
-        opacity=np.log(np.maximum(opacity, _TINY) / (1 - opacity))[None].astype(np.float32),
-        log_scale=(0.5 * np.log(np.maximum(variances, _TINY))).T.astype(np.float32),
-        rot=Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]].T.astype(np.float32),
+        opacity=logits(opacity)[None],
+        log_scale=log_scale,
+        rot=rot,
     )
+
+
+def merge_moments(
+    blobs: Blobs, first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Covariances ``(M, 6)`` of merged pairs; ``(2, M)``: shares of `second`, and opacities."""
+    covariances, of_pair = np.empty((len(first), 6)), np.empty((2, len(first)))
+    _merge_all(blobs.means, blobs.covariances, blobs.mass, first, second, covariances, of_pair)
+    return covariances, of_pair
+
+
+def axes_of(
+    covariances: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Log-scales ``(3, N)`` and quaternions ``(4, N)`` of ``covariances (N, 6)``."""
+    from scipy.spatial.transform import Rotation
+
+    variances, turns = np.linalg.eigh(covariances[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]])
+    turns[:, :, 0] *= np.sign(np.linalg.det(turns))[:, None]
+    log_scale = (0.5 * np.log(np.maximum(variances, _TINY))).T.astype(np.float32)
+    return log_scale, Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]].T.astype(np.float32)
+
+
+def logits(opacity: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Logits of opacities below 1."""
+    return np.log(np.maximum(opacity, _TINY) / (1 - opacity)).astype(np.float32)
 
 
 def lone_errors(blobs: Blobs, colours: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -173,7 +198,7 @@ def _merge_two(means, covariances, mass, i, j, apart, merged):
             merged[k] = mean + between
     for axis in range(3):
         minors += _minor(merged, axis)[0]
-    return share, min(whole / np.sqrt(max(minors / 3.0, _TINY)), _OPAQUE)
+    return share, min(whole / np.sqrt(max(minors / 3.0, _TINY)), OPAQUE)
 
 
 @kernel

@@ -20,7 +20,10 @@ Parsed = TypeVar("Parsed")
 
 MAGIC = b"\x89EGS\r\n\x1a\n"
 VERSION = 1
-MINOR = 0
+
+#: Minor version of files without levels, and of those with them.
+MINOR, MINOR_LEVELS = 0, 1
+
 _START = "<8sHHI"
 _ENTRY = "<HHIQI"
 _OPTIONAL_FLAG = 1
@@ -51,6 +54,8 @@ class SectionId(IntEnum):
     GPCC = 17
     TOOL = 18
     CODER = 19
+    LEVEL = 20
+    ERRORS = 21
 
     @property
     def label(self) -> str:
@@ -73,6 +78,7 @@ def section_label(section_id: int) -> str:
 #: with them.
 DESCRIPTIONS = (
     SectionId.INDEX,
+    SectionId.ERRORS,
     SectionId.CHANNELS,
     SectionId.LATTICE,
     SectionId.TOOL,
@@ -80,7 +86,9 @@ DESCRIPTIONS = (
 )
 
 #: Sections of the whole scene; the others are of a block.
-SCENE_SECTIONS = frozenset({*DESCRIPTIONS, SectionId.COMMENTS, SectionId.EXTRA})
+SCENE_SECTIONS = frozenset(
+    {*DESCRIPTIONS, SectionId.COMMENTS, SectionId.EXTRA, SectionId.LEVEL},
+)
 
 #: Sections of a block that come after those of all blocks that are not listed, in this order.
 _LATER = (SectionId.SH1, SectionId.SH2, SectionId.SH3)
@@ -91,7 +99,7 @@ Wanted = Callable[[int, int], bool]
 
 @dataclass(frozen=True)
 class Section:
-    """Bytes of one section; `block` is 0 for those of the whole scene."""
+    """Bytes of one section; `block` is 0 for those of the whole scene, or the level's number."""
 
     id: SectionId
     block: int
@@ -180,17 +188,17 @@ def section_sizes(sized: Sequence[tuple[int, int]]) -> dict[str, int]:
 def in_file_order(sections: Iterable[Section]) -> list[Section]:
     """Sections in the order of a file, so that its start is useful without the rest.
 
-    Descriptions and comments; blocks without SH-AC, one after the other; SH-AC, band by band; extra
-    properties. Otherwise they keep their order.
+    Descriptions and comments; levels, the coarsest first; blocks without SH-AC, one after the
+    other; SH-AC, band by band; extra properties. Otherwise they keep their order.
     """
     return sorted(sections, key=lambda section: place_in_file(section.id, section.block))
 
 
 def place_in_file(section_id: SectionId, block: int) -> tuple[int, int]:
     """What `in_file_order` sorts a section by."""
-    scene = (*DESCRIPTIONS, SectionId.COMMENTS)
+    scene = (*DESCRIPTIONS, SectionId.COMMENTS, SectionId.LEVEL)
     if section_id in scene:
-        return scene.index(section_id) - len(scene), 0
+        return scene.index(section_id) - len(scene), -block
     if section_id in _LATER:
         return 1 + _LATER.index(section_id), block
     return (1 + len(_LATER) if section_id == SectionId.EXTRA else 0), block
@@ -237,7 +245,8 @@ class Listed(NamedTuple):
 
 def file_head(header: Header, table: Sequence[Listed]) -> bytes:
     """The start of a file, up to its first section; the table is in the order of the sections."""
-    head = bytearray(struct.pack(_START, MAGIC, VERSION, MINOR, _header_size(len(table))))
+    minor = MINOR_LEVELS if any(entry.id == SectionId.LEVEL for entry in table) else MINOR
+    head = bytearray(struct.pack(_START, MAGIC, VERSION, minor, _header_size(len(table))))
     head += pack_header(header) + struct.pack("<I", len(table))
     for entry in table:
         head += struct.pack(_ENTRY, entry.id, entry.flags, *entry[1:4])
@@ -315,7 +324,11 @@ def _locate(
             raise CorruptStream(f"{where}: a reserved flag is not 0")
         if section_id not in known and not flags & _OPTIONAL_FLAG:
             raise CorruptStream(f"{where}: unknown, and not optional")
-        blocks = 1 if section_id in SCENE_SECTIONS else header.block_count
+        if section_id == SectionId.LEVEL:
+            # Numbered from 1.
+            blocks = len(header.level_counts) + 1 if block else 0
+        else:
+            blocks = 1 if section_id in SCENE_SECTIONS else header.block_count
         if (section_id, block) in entries or (section_id in known and block >= blocks):
             raise CorruptStream(f"{where}: repeated, or of a block that does not exist")
         if size >= TOO_LARGE:
@@ -323,6 +336,9 @@ def _locate(
         entries[section_id, block] = Entry(position, size, checksum)
         position += _padded(size)
     _check_order([section_id for section_id, _ in entries])
+    found = [block for section_id, block in entries if section_id == SectionId.LEVEL]
+    if found and len(found) != len(header.level_counts):
+        raise CorruptStream(f"header: {len(found)} levels, expected {len(header.level_counts)}")
     return entries
 
 

@@ -12,6 +12,9 @@ from gs_codec.scene import SH_COEFFICIENTS, Scene, float_bytes
 
 MAX_BLOCK_SIZE = 1 << 16
 
+#: Blocks of a level that one of the next stands for, and Gaussians that one of it stands for.
+FANOUT = 4
+
 #: Layout of the fields, from the number of Gaussians to the size of a block.
 FIELDS = "QIHBBB3sI"
 
@@ -86,6 +89,16 @@ class Header:
     def block_count(self) -> int:
         """Number of independently decodable blocks."""
         return -(-self.count // self.block_size)
+
+    @property
+    def level_counts(self) -> list[int]:
+        """Number of Gaussians of level 1, 2, ..., where the file has levels."""
+        counts = []
+        count = self.count
+        while count > self.block_size:
+            count = -(-count // FANOUT)
+            counts.append(count)
+        return counts
 
     @property
     def float_bytes(self) -> int:

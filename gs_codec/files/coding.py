@@ -21,6 +21,7 @@ from gs_codec.formats.coordinates import CONVENTION
 from gs_codec.formats.ply import write_vertices
 from gs_codec.formats.registry import open_scene
 from gs_codec.guidance.planned import encode_by_plan, encode_camera_free
+from gs_codec.levels.encoding import add_levels, check_levels
 from gs_codec.report import ActionReport, EncodeReport, Progress, StageTimes
 from gs_codec.runtime.arrays import bounded
 from gs_codec.runtime.atomic import atomic_writer
@@ -118,6 +119,7 @@ def encode_file(
     config = config_for(target, config or Config())
     if max_memory is not None and (plan is not None or rate is not None):
         raise InvalidInput("max-memory: not with views, preparation, or a target to meet")
+    check_levels(config, rate, max_memory)
     if max_memory is not None and config.format != EGS:
         raise InvalidInput(f"max-memory: format '{config.format}', expected 'egs'")
     check_actions(actions, plan, max_memory is not None, plan is not None)
@@ -136,6 +138,7 @@ def encode_file(
             else:
                 data, report = encode_by_plan(scene, counted, config, plan, rate, progress)
                 parts = [data]
+            parts, report = add_levels(parts, report, config, progress)
         times.seconds |= report.seconds
         with times.stage("write"):
             write_parts(target, parts)

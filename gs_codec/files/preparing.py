@@ -11,6 +11,7 @@ from gs_codec.config import Config
 from gs_codec.files.scenes import check_target, read_scene, tell_lost, write_parts, write_scene
 from gs_codec.files.suffixes import PLAIN, config_for
 from gs_codec.guidance.planned import encode_planned
+from gs_codec.levels.encoding import add_levels
 from gs_codec.report import Progress
 from gs_codec.runtime.atomic import check_folder, check_writable, make_folder
 from gs_codec.runtime.mapped import located
@@ -93,7 +94,8 @@ def prepare_file(
             if report_folder is not None:
                 save_report(report_folder, prepared)
         if coded:
-            write_parts(target, [data])
+            parts, report = add_levels([data], report, config, progress)
+            write_parts(target, parts)
             tell_lost(target, report.lost)
         else:
             write_scene(target, scene, config)

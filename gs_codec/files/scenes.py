@@ -30,6 +30,7 @@ from gs_codec.formats.registry import SceneFile, open_scene
 from gs_codec.formats.sog_files import META
 from gs_codec.formats.usd import require_usd_core
 from gs_codec.guidance.planned import encode_camera_free
+from gs_codec.levels.encoding import add_levels
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import current
@@ -61,7 +62,8 @@ def write_scene(
         lost = _WRITERS[suffix](path, scene)
     else:
         with located(path):
-            parts, report = encode_camera_free(scene, config_for(path, config))
+            config = config_for(path, config)
+            parts, report = add_levels(*encode_camera_free(scene, config), config)
         write_parts(path, parts)
         lost = report.lost
     tell_lost(path, lost)

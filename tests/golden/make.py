@@ -19,9 +19,12 @@ sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
 from scenes import encode_by, made_up_guide, random_scene  # noqa: E402
 
-from gs_codec.codecs import decode_scene  # noqa: E402
+from gs_codec.codecs import decode_part, decode_scene, encode_parts  # noqa: E402
+from gs_codec.codecs.part import Part  # noqa: E402
 from gs_codec.config import Config  # noqa: E402
-from gs_codec.egs.file import VERSION  # noqa: E402
+from gs_codec.egs.file import VERSION, read_file  # noqa: E402
+from gs_codec.egs.levels import levels_of  # noqa: E402
+from gs_codec.levels.encoding import add_levels  # noqa: E402
 from gs_codec.scene import GROUPS, Scene  # noqa: E402
 
 #: What tells the encoder of what views see, by name. The error is that of `m` when files of version
@@ -73,8 +76,26 @@ def golden_scenes() -> dict[str, tuple[Scene, Config]]:
     }
 
 
+def golden_levels() -> bytes:
+    """A file with three levels of detail; how Gaussians merge may differ between machines."""
+    config = Config("m", lod=True)
+    object.__setattr__(config, "block_size", 16)
+    scene = random_scene(600, 1, seed=105)
+    return b"".join(add_levels(*encode_parts(scene, config), config)[0])
+
+
 def main() -> None:
     """Encode, decode, and store both."""
+    stem = HERE / f"v{VERSION}-levels"
+    if not stem.with_suffix(".egs").exists():
+        data = golden_levels()
+        stem.with_suffix(".egs").write_bytes(data)
+        planes = {group: getattr(decode_scene(data), group) for group in GROUPS}
+        for level in levels_of(read_file(data)):
+            scene = decode_part(data, Part(level=level))[0]
+            planes |= {f"level {level} {group}": getattr(scene, group) for group in GROUPS}
+        np.savez_compressed(stem.with_suffix(".npz"), **planes)
+        print(f"{stem.name}: {len(data)} bytes")
     for name, (scene, config) in golden_scenes().items():
         stem = HERE / f"v{VERSION}-{name}"
         if stem.with_suffix(".egs").exists():

@@ -74,8 +74,12 @@ class Arranged:
     classes: NDArray[np.uint8]
 
 
-def arrange_scene(scene: Scene, config: Config, asked: StepSizes | None) -> Arranged:
+def arrange_scene(
+    scene: Scene, config: Config, asked: StepSizes | None, block: int | None = None
+) -> Arranged:
     """Choose the lattices and the stream order of a scene; camera-free if `asked` is None.
+
+    With `block`, each so many Gaussians stay together, and are only sorted among themselves.
 
     Raises
     ------
@@ -95,7 +99,7 @@ def arrange_scene(scene: Scene, config: Config, asked: StepSizes | None) -> Arra
         steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
     lattice = _lattice(opacity, sampled, some, steps, _bounds(scene.positions))
     codes = _codes(scene, lattice.grid)
-    order = canonical_order(codes)
+    order = canonical_order(codes) if block is None else _order_within(codes, block)
     keep = current().keep
     classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
     codes, narrow = keep(codes[order]), order.astype(np.uint32)
@@ -135,6 +139,18 @@ def _blind_steps(count: int, scales: NDArray[np.float64], config: Config) -> Ste
 def _bounds(positions: NDArray[np.float32]) -> Bounds | None:
     """Lowest and highest coordinates ``(3,)``; None without Gaussians."""
     return (positions.min(axis=1), positions.max(axis=1)) if positions.size else None
+
+
+def _order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
+    """Permutation ``(N,)`` that sorts each `block` Gaussians by their codes."""
+    starts = range(0, len(codes), block)
+    order = np.empty(len(codes), np.int64)
+
+    def work(start: int) -> None:
+        order[start : start + block] = start + canonical_order(codes[start : start + block])
+
+    run_all(work, starts)
+    return order
 
 
 def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from gs_codec.config import SH_STREAMS, Config
 from gs_codec.egs.file import Section, SectionId
 from gs_codec.egs.header import Header
 from gs_codec.egs.index import index_section
+from gs_codec.egs.levels import errors_section
 from gs_codec.egs.sections import pack_scene
 from gs_codec.report import ChannelCost, EncodeReport, Progress, StageTimes, step_counter
 from gs_codec.runtime.threads import run_all
@@ -83,14 +85,44 @@ def encode_adaptive(
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None."""
     header, arranged = _arrange(scene, config, steps, times)
+    return _code(
+        header, arranged, _blocks(header, arranged, steps is None, times, progress), times, progress
+    )
+
+
+def encode_level(
+    scene: Scene,
+    config: Config,
+    header: Header,
+    errors: NDArray[np.float32],
+    progress: Progress | None = None,
+) -> list[bytes | memoryview]:
+    """Encode a coarser level of a scene, camera-free, to the pieces of a file.
+
+    Its blocks, as the header has them, stay as they are, with their `errors`; see FORMAT.md.
+    """
+    times = StageTimes()
+    arranged = arrange_scene(scene, config, None, header.block_size)
+    blocks = _blocks(header, arranged, True, times, progress)
+    beside = [errors_section(errors)]
+    return _code(header, arranged, blocks, times, progress, beside)[0]
+
+
+def _blocks(
+    header: Header,
+    arranged: Arranged,
+    diffusing: bool,
+    times: StageTimes,
+    progress: Progress | None,
+) -> list[Block]:
+    """All blocks, rounded."""
     advance = step_counter(progress, "quantise", header.block_count)
 
     def code(span: tuple[int, int]) -> Block:
-        return colour_block(arranged, shape_block(arranged, *span), steps is None).kept()
+        return colour_block(arranged, shape_block(arranged, *span), diffusing).kept()
 
     with times.stage("quantise"):
-        blocks = run_all(code, _spans(header), advance=advance)
-    return _code(header, arranged, blocks, times, progress)
+        return run_all(code, _spans(header), advance=advance)
 
 
 def shape_scene(
@@ -140,8 +172,9 @@ def _code(
     blocks: list[Block],
     times: StageTimes,
     progress: Progress | None,
+    beside: Sequence[Section] = (),
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """The file of blocks on their lattices."""
+    """The file of blocks on their lattices, with sections beside them."""
     listed = passes(len(arranged.source.f_rest) // 3)
     with times.stage("model"):
         models, tables, costs = choose_models(listed, count_tokens(listed, blocks))
@@ -154,7 +187,7 @@ def _code(
             enumerate(blocks),
             advance=advance,
         )
-    sections = index_section([block.extent for block in blocks])
+    sections = [*index_section([block.extent for block in blocks]), *beside]
     sections.append(Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models)))
     sections += [section for block in coded for section in block]
     rectified = sum(block.clamped for block in blocks)

@@ -1,0 +1,89 @@
+"""The sections of levels of detail: `level` and `errors`. FORMAT.md, section "Levels"."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.egs.file import DESCRIPTIONS, EgsFile, Section, SectionId, read_file
+from gs_codec.egs.header import FANOUT, Header
+from gs_codec.errors import CorruptStream, TruncatedStream, UnsupportedVersion
+
+_WHERE = "section 'errors'"
+
+
+def level_header(header: Header, level: int) -> Header:
+    """The header of a level of a file with this header."""
+    count = header.level_counts[level - 1]
+    return replace(header, count=count, has_normals=False)
+
+
+def errors_section(errors: NDArray[np.float32]) -> Section:
+    """The section of the errors of a level's blocks, ``(blocks,)``, scene units."""
+    return Section(SectionId.ERRORS, 0, errors.astype("<f4").tobytes())
+
+
+def levels_of(file: EgsFile) -> list[int]:
+    """Numbers of the levels that a file has beside its own Gaussians, ascending."""
+    return sorted(block for section, block in file.table if section == SectionId.LEVEL)
+
+
+def open_level(file: EgsFile, level: int) -> EgsFile:
+    """A level of a file, as a file of its own, of which the descriptions are read and checked.
+
+    Raises
+    ------
+    CorruptStream, TruncatedStream, UnsupportedVersion
+    """
+    with within(level):
+        position, size, _ = file.table[SectionId.LEVEL, level]
+        data = file.data[position : position + size]
+        found = read_file(data, lambda section, _: section in DESCRIPTIONS)
+        wanted = level_header(file.header, level)
+        if found.header != wanted or levels_of(found):
+            raise CorruptStream("header: is not that of a level of this file")
+        errors_of(found)
+    return found
+
+
+def errors_of(file: EgsFile) -> NDArray[np.float32]:
+    """Errors of the blocks of a level, ``(blocks,)``."""
+    blocks = file.header.block_count
+    return file.parsed(SectionId.ERRORS, lambda data: _read_errors(data, blocks))
+
+
+def _read_errors(data: memoryview, blocks: int) -> NDArray[np.float32]:
+    if len(data) != 4 * blocks:
+        raise CorruptStream(f"{_WHERE}: {len(data)} bytes, expected {4 * blocks}")
+    errors = np.frombuffer(data, "<f4").astype(np.float32)
+    if not (np.isfinite(errors) & (errors >= 0)).all():
+        raise CorruptStream(f"{_WHERE}: a value is not finite, or below 0")
+    return errors
+
+
+def check_errors(finer: NDArray[np.float32], coarser: NDArray[np.float32]) -> None:
+    """Check that no block has a lower error than those of the finer level that it stands for.
+
+    Raises
+    ------
+    CorruptStream
+    """
+    least = np.maximum.reduceat(finer, np.arange(0, len(finer), FANOUT))
+    if (coarser < least).any():
+        block = int(np.argmax(coarser < least))
+        raise CorruptStream(f"{_WHERE}: block {block} has less than one of the level below")
+
+
+@contextmanager
+def within(level: int) -> Iterator[None]:
+    """Say in errors of the block that they are of a level; of none if it is 0."""
+    try:
+        yield
+    except (CorruptStream, TruncatedStream, UnsupportedVersion) as error:
+        if not level:
+            raise
+        raise type(error)(f"level {level}: {error}") from error

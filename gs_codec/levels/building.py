@@ -1,0 +1,74 @@
+"""The coarser levels of a scene: the tree of blocks, and the error of each. FORMAT.md, "Levels"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.edit.pairs import blobs_of
+from gs_codec.levels.merging import Clusters, merge_group, spacing
+from gs_codec.report import Progress, step_counter
+from gs_codec.runtime.threads import run_all
+from gs_codec.scene import Scene, join_scenes
+
+#: Blocks that one of the next level stands for, and Gaussians that one stands for.
+FANOUT = 4
+
+#: Error of a block, in spreads of its clusters: where it is a pixel, views of bonsai and of part of
+#: a tiled room lose less than 35 dB (RESULTS.md, "Levels of detail").
+ERROR = 2.0
+
+#: The pixel that clusters and opacities are made for, as a share of the distance of neighbours:
+#: what rasterisers widen splats by makes many small ones hide more than one of their mass. If it is
+#: smaller, images drawn with compensation are better; if larger, those from afar without it.
+FOOTPRINT = 0.16
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level: Gaussians, block after block, and the error of each block in scene units."""
+
+    scene: Scene
+    errors: NDArray[np.float32]
+
+
+def build_levels(scene: Scene, block_size: int, progress: Progress | None = None) -> list[Level]:
+    """All levels above a scene's own, whose Gaussians are in stream order; none for one block."""
+    levels: list[Level] = []
+    current = Level(scene, np.zeros(-(-scene.count // block_size), np.float32))
+    counts = []
+    count = scene.count
+    while count > block_size:
+        count = -(-count // FANOUT)
+        counts.append(-(-count // block_size))
+    advance = step_counter(progress, "levels", sum(counts))
+    while len(current.errors) > 1:
+        current = _coarser(current, block_size, advance)
+        levels.append(current)
+    return levels
+
+
+def _coarser(level: Level, block_size: int, advance: Callable[[], None]) -> Level:
+    size = FANOUT * block_size
+
+    def work(start: int) -> tuple[Scene, float]:
+        group = level.scene.between(start, min(start + size, level.scene.count))
+        below = level.errors[start // block_size :][:FANOUT]
+        merged, spread = coarsen(group)
+        return merged, max(ERROR * spread, float(below.max()))
+
+    found = run_all(work, range(0, level.scene.count, size), advance=advance)
+    scenes, errors = zip(*found, strict=True)
+    return Level(join_scenes(scenes), np.array(errors, np.float32))
+
+
+def coarsen(group: Scene) -> tuple[Scene, float]:
+    """A quarter of a group's Gaussians, and their spread: root mean square, by mass."""
+    number = -(-group.count // FANOUT)
+    footprint = 0.0 if group.antialiased else FOOTPRINT * spacing(blobs_of(group))
+    clusters = Clusters(group, merge_group(group, number, footprint), number)
+    spread = np.sqrt(np.average(clusters.spread() ** 2, weights=clusters.weight()))
+    return clusters.merged(footprint), float(spread)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, random_scene
+from scenes import antialiased, edge_scenes, random_scene
 
 from gs_codec import encode_distributed
 from gs_codec.codecs.part import Part
@@ -26,6 +26,7 @@ from gs_codec.distributed.workers import Task, size_within
 from gs_codec.errors import CorruptStream, InvalidInput
 from gs_codec.files.coding import decode_file, encode_file
 from gs_codec.files.conversion import convert_file
+from gs_codec.files.scenes import inspect_file
 from gs_codec.formats.ply import write_ply
 from gs_codec.scene import Scene
 
@@ -90,6 +91,17 @@ def test_scenes_at_the_limits(tmp_path, name):
     config = Config("s", block_size=BLOCK)
     expected = whole(path, tmp_path / "whole.egs", config)
     assert in_tasks([path], tmp_path / "tasks.egs", config, 100) == expected
+
+
+@pytest.mark.parametrize("size", [100, 5000, 10**6])
+@pytest.mark.parametrize("blended", [False, True])
+def test_levels_are_the_same(tmp_path, blended, size):
+    scene = antialiased(replace(random_scene(18_000, 1, seed=11), has_normals=True), blended)
+    path = saved(tmp_path / "a.ply", scene)
+    config = Config("m", block_size=BLOCK, lod=True, coarseness=1.5)
+    expected = whole(path, tmp_path / "whole.egs", config)
+    assert inspect_file(tmp_path / "whole.egs").levels
+    assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
 
 
 @pytest.mark.parametrize("bad", [0.0, 0.1, 1.0])
@@ -261,6 +273,7 @@ def test_what_needs_the_whole_scene_is_refused(tmp_path, config, match):
         (["decode", "scene.egs", "-"], "-: a pipe, expected a file with --dask"),
         (["decode", "scene.egs", "b.ply", "--max-bytes", "9"], "--max-bytes has no effect"),
         (["decode", "scene.egs", "decoded.ply"], "decoded.ply: exists"),
+        (["decode", "scene.egs", "b.ply", "--level", "1"], "dask: not with a level or a view"),
     ],
 )
 def test_command_refuses_what_has_no_effect(folder, arguments, expected):

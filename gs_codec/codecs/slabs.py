@@ -66,9 +66,9 @@ class Slabs:
         scenes = self.scenes()
         if self.chosen.part.box is None:
             count = self.chosen.count
-        if self.chosen.part.view is not None and not count and self.chosen.file.header.count:
-            raise InvalidInput(f"{self.path}: no Gaussians in view")
-        return count, scenes
+            if self.chosen.part.view is not None and not count and self.chosen.file.header.count:
+                raise InvalidInput(f"{self.path}: no Gaussians in view")
+            return count, scenes
         found = list(scenes)
         count = sum(scene.count for scene in found)
         bounds = bounds_of(self.chosen.file)

@@ -24,9 +24,14 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Folder:
-    """Results by name: arrays, written once and whole."""
+    """Results by name: arrays, written once and whole. Stages of tasks there have a label."""
 
     path: Path
+    label: str = ""
+
+    def within(self, name: str) -> Folder:
+        """A folder in it."""
+        return Folder(make_folder(self.path / name), f"{name} ")
 
     def has(self, name: str) -> bool:
         """Whether a result is there."""

@@ -24,10 +24,9 @@ def save_run(folder: Folder, number: int, scene: Scene, grid: PositionGrid) -> N
     """Sort a span's Gaussians, and keep them and their Morton codes."""
     codes = grid_codes(scene.positions, grid)
     order = canonical_order(codes)
-    planes = [plane for group in GROUPS for plane in getattr(scene, group)]
     folder.save_mapped(f"codes-{number}", codes[order])
     # Rows are moved at once, planes would be float by float.
-    folder.save_mapped(_rows(number), np.take(to_rows(planes), order, axis=0))
+    folder.save_mapped(_rows(number), np.take(to_rows(planes_of(scene)), order, axis=0))
     folder.save(f"sort-{number}", {})
 
 
@@ -66,8 +65,18 @@ def load_chunk(
     codes = np.concatenate([folder.mapped(f"codes-{number}")[span] for number, span in slices])
     rows = np.concatenate([folder.mapped(_rows(number))[span] for number, span in slices])
     order = canonical_order(codes)
-    planes = to_planes(np.take(rows, order, axis=0), list(range(rows.shape[1])))
+    return scene_of_rows(np.take(rows, order, axis=0), head), codes[order]
+
+
+def planes_of(scene: Scene) -> list[NDArray[np.float32]]:
+    """The planes of a scene, group by group."""
+    return [plane for group in GROUPS for plane in getattr(scene, group)]
+
+
+def scene_of_rows(rows: NDArray[np.float32], head: Scene) -> Scene:
+    """The scene whose planes are the columns of ``rows (N, C)``; the rest is that of `head`."""
+    planes = to_planes(rows, list(range(rows.shape[1])))
     sizes = group_rows(len(head.f_rest) // 3)
-    ends_of = np.cumsum([sizes[group] for group in GROUPS])[:-1]
-    groups: dict[str, Any] = dict(zip(GROUPS, np.split(planes, ends_of), strict=True))
-    return replace(head, **groups), codes[order]
+    ends = np.cumsum([sizes[group] for group in GROUPS])[:-1]
+    groups: dict[str, Any] = dict(zip(GROUPS, np.split(planes, ends), strict=True))
+    return replace(head, **groups)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,9 +55,27 @@ class Span:
     first: int
 
 
+class Gaussians(Protocol):
+    """What is read span by span."""
+
+    @property
+    def head(self) -> Scene:
+        """The scene without Gaussians."""
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians."""
+
+    def read(self, span: Span) -> Scene:
+        """The Gaussians of a span."""
+
+    def pick(self, span: Span, index: NDArray[np.int64]) -> Scene:
+        """Those of a span that have these numbers of all."""
+
+
 @dataclass(frozen=True)
 class Sources:
-    """Files that are one scene: their Gaussians, in the order of the files.
+    """Files that are one scene: their Gaussians, in the order of the files; see `Gaussians`.
 
     Attributes
     ----------
@@ -99,7 +118,7 @@ class Sources:
             return self._fitted(span.source.read(span.start, span.stop, self.extra))
 
     def pick(self, span: Span, index: NDArray[np.int64]) -> Scene:
-        """Those of a span that have these numbers in all sources."""
+        """Those of a span that have these numbers of all."""
         with located(span.source.path):
             if span.source.block_size:
                 return self.read(span).take(index - span.first)

@@ -40,7 +40,9 @@ class Workers(Protocol):
 
 def do_all(workers: Workers, folder: Folder, stage: str, task: Task, count: int) -> None:
     """Do tasks from 0 to `count` that have no result yet: ``STAGE-NUMBER``."""
-    workers.run(stage, task, [k for k in range(count) if not folder.has(f"{stage}-{k}")])
+    workers.run(
+        f"{folder.label}{stage}", task, [k for k in range(count) if not folder.has(f"{stage}-{k}")]
+    )
 
 
 def size_within(max_memory: int | None, at_once: int, sh_degree: int, least: int) -> int:

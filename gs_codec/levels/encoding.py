@@ -90,12 +90,17 @@ def _encoded(
     """The sections of levels."""
     if not levels:
         return []
-    most = options_of(Config)["coarseness"].high
-    config = calibrated(levels[0].scene, replace(config, block_size=Config.block_size), progress)
-    config = replace(config, coarseness=min(COARSER * config.coarseness, most))
+    config = replace(config, block_size=Config.block_size)
+    config = config_of_levels(calibrated(levels[0].scene, config, progress))
     sections = []
     for number, level in enumerate(levels, 1):
         own = level_header(header, number)
         pieces = encode_level(level.scene, config, own, level.errors, progress)
         sections.append(Section(SectionId.LEVEL, number, b"".join(pieces), optional=True))
     return sections
+
+
+def config_of_levels(config: Config) -> Config:
+    """The configuration of all levels, from that of the finest as a scene of its own."""
+    most = options_of(Config)["coarseness"].high
+    return replace(config, coarseness=min(COARSER * config.coarseness, most))

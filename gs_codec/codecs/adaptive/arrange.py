@@ -99,7 +99,7 @@ def arrange_scene(
         steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
     lattice = _lattice(opacity, sampled, some, steps, _bounds(scene.positions))
     codes = _codes(scene, lattice.grid)
-    order = canonical_order(codes) if block is None else _order_within(codes, block)
+    order = canonical_order(codes) if block is None else order_within(codes, block)
     keep = current().keep
     classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
     codes, narrow = keep(codes[order]), order.astype(np.uint32)
@@ -141,7 +141,7 @@ def _bounds(positions: NDArray[np.float32]) -> Bounds | None:
     return (positions.min(axis=1), positions.max(axis=1)) if positions.size else None
 
 
-def _order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
+def order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
     """Permutation ``(N,)`` that sorts each `block` Gaussians by their codes."""
     starts = range(0, len(codes), block)
     order = np.empty(len(codes), np.int64)

@@ -41,6 +41,8 @@ _PUBLIC = {
     "gs_codec.api.viewing": ("compare", "render", "prepare"),
     "gs_codec.metrics.images": ("compare_images", "Quality", "View"),
     "gs_codec.files.coding": ("encode_file", "decode_file", "DecodeReport"),
+    "gs_codec.distributed.encoding": ("encode_distributed",),
+    "gs_codec.distributed.decoding": ("decode_distributed",),
     "gs_codec.files.preparing": ("prepare_file",),
     "gs_codec.files.conversion": ("convert_file", "ConvertReport"),
     "gs_codec.report": ("EncodeReport", "ChannelCost", "RateReport", "ActionReport"),

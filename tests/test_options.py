@@ -190,14 +190,15 @@ def _options(name: str, *, hidden: bool) -> set[str]:
 def test_encode_shows_at_most_16_options_and_batch_the_same():
     assert len(_options("encode", hidden=False)) <= 16
     assert _options("encode", hidden=False) <= _options("batch", hidden=False)
-    alone = {"--checkpoint"}  # One file for one scene.
+    # One file for one scene; shared by workers, unlike scenes.
+    alone = {"--checkpoint", "--dask"}
     assert _options("encode", hidden=True) - alone == _options("batch", hidden=True)
 
 
 #: Expert options of encode.
 EXPERT = (
     "--depth", "--block-size", "--keep-order", "--coarseness", "--geometry", "--tmc3",
-    "--no-verify", "--target-bpg", "--allow-prune", "--width", "--views", "--background",
+    "--no-verify", "--dask", "--target-bpg", "--allow-prune", "--width", "--views", "--background",
     "--checkpoint",
 )  # fmt: skip
 

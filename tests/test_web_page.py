@@ -371,8 +371,9 @@ def test_a_drag_there_and_back_changes_nothing_and_to_the_right_goes_right(files
     for name, steps in moves.items():
         job.steps += [("key", "r"), ("drawn",), *steps]
         job.shot(str(tmp_path / f"{name}.png"))
+    job.steps.append(("value", "document.querySelector('summary').textContent"))
     [told] = open_pages(job)
-    assert (told.state, told.errors) == ("ready", [])
+    assert (told.state, told.errors, told.values[-1]) == ("ready", [], "Scene")
     pictures = {name: seen(tmp_path / f"{name}.png") for name in moves}
     start = pictures["start"]
     for name in ("fast", "slow", "reset"):
@@ -390,6 +391,66 @@ def test_a_drag_there_and_back_changes_nothing_and_to_the_right_goes_right(files
     # What is nearer fills more.
     for name in ("near", "flown", "pinched"):
         assert (pictures[name].sum(axis=2) > 0.1).mean() > (start.sum(axis=2) > 0.1).mean(), name
+
+
+SLOW = """(() => {
+    const device = WebGL2RenderingContext.prototype;
+    const { fenceSync, clientWaitSync } = device;
+    window.widths = [];
+    let begun = 0;
+    device.fenceSync = function (...given) {
+        begun = performance.now();
+        window.widths.push(this.canvas.width);
+        return fenceSync.apply(this, given);
+    };
+    device.clientWaitSync = function (...given) {
+        const isSoon = performance.now() < begun + 120;
+        return isSoon ? this.TIMEOUT_EXPIRED : clientWaitSync.apply(this, given);
+    };
+})()"""
+
+
+@in_browser
+def test_slow_devices_draw_drafts_during_a_move_but_save_and_compare_in_full(
+    files, pages, tmp_path
+):
+    def turn(kind: str) -> tuple:
+        event = f"new KeyboardEvent('{kind}', {{code: 'ArrowLeft', bubbles: true}})"
+        return ("value", f"document.body.dispatchEvent({event})")
+
+    drafted = ("until", "window.widths.at(-1) < 300")
+    one = Job(pages["one"].as_uri(), [("drawn",), ("key", "n"), ("drawn",)], before=SLOW)
+    one.panel = True
+    one.steps += [("key", "r"), ("drawn",), turn("keydown"), drafted]
+    one.steps += [("saved", "#save", str(tmp_path / "saved.png")), drafted, turn("keyup")]
+    one.steps += [("drawn",), ("value", "window.widths.at(-1)"), ("key", "p"), ("key", "n")]
+    one.shot(str(tmp_path / "rested.png"))
+    two = Job(pages["two"].as_uri(), [("drawn",), ("key", "4"), ("drawn",)], before=SLOW)
+    two.steps += [("key", "3"), turn("keydown"), ("until", "window.widths.length > 9")]
+    two.steps += [turn("keyup"), ("value", "Math.min(...window.widths)")]
+    found = open_pages(one, two)
+    for told in found:
+        assert told.errors == []
+    assert WIDTH in found[0].values
+    assert seen(tmp_path / "saved.png").shape[:2] == (HEIGHT, WIDTH)
+    ours = drawn(files.a, files.cameras[1])
+    assert decibels(seen(tmp_path / "rested.png"), ours) > 45
+    assert found[1].values[-1] == WIDTH
+
+
+@in_browser
+def test_what_reaches_into_the_picture_from_outside_is_drawn(files, tmp_path):
+    """From so near that most centres are outside, or behind the camera."""
+    [camera] = [replace(files.cameras[0], position=files.cameras[0].position * 0.3)]
+    write_cameras(tmp_path / "cameras.json", [camera])
+    share([files.folder / "a.egs"], tmp_path / "page.html", tmp_path / "cameras.json")
+    job = Job((tmp_path / "page.html").as_uri(), [])
+    job.shot(str(tmp_path / "near.png"))
+    [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    ours = drawn(files.a, camera)
+    assert np.ptp(ours) > 0.3
+    assert decibels(seen(tmp_path / "near.png"), ours) > 45
 
 
 @in_browser

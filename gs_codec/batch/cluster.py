@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import platform
 import secrets
 import threading
@@ -12,23 +11,19 @@ from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from typing import Any
 
-import dask
 import distributed
-from distributed.system import MEMORY_LIMIT
 
-from gs_codec import __version__
+from gs_codec.batch.client import connected, threads_of_hosts
 from gs_codec.batch.ledger import Record
 from gs_codec.batch.memory import available_bytes
 from gs_codec.batch.pool import Watcher, throttled
-from gs_codec.batch.redaction import redacted, without_secrets
+from gs_codec.batch.redaction import without_secrets
 from gs_codec.batch.scenes import Options, Task
 from gs_codec.batch.work import encode_one
-from gs_codec.errors import InvalidInput, MissingTool, one_line
+from gs_codec.errors import InvalidInput, one_line
 
 #: Dask starts no tasks on a worker that uses more than this share of its memory limit.
 _SHARE = 0.7
-
-_HOST = "127.0.0.1"
 
 
 class Cluster:
@@ -60,10 +55,6 @@ class Cluster:
         self._futures: dict[Any, Task] = {}
         self._client: Any = None
         self._topic = f"gs-codec-{secrets.token_hex(8)}"
-        # Dask's messages about workers that come and go do not concern the user of a batch.
-        for name in ("distributed", *logging.getLogger("distributed").manager.loggerDict):
-            if name.startswith("distributed"):
-                logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def run(self, tasks: Sequence[Task]) -> Generator[tuple[Task, Record], None, None]:
         """Yield each task and its record when it is done.
@@ -74,8 +65,10 @@ class Cluster:
             If there is no scheduler at the address, or a worker has another version.
         """
         with ExitStack() as stack:
-            self._client = self._connect(stack)
-            hosts = self._hosts()
+            self._client = stack.enter_context(
+                connected(self._address, self._jobs, self._folder, self._name)
+            )
+            hosts = threads_of_hosts(self._client)
             names = {task.name: task for task in tasks}
             self._client.subscribe_topic(self._topic, lambda event: self._hear(names, event[1]))
             for task in tasks:
@@ -103,31 +96,6 @@ class Cluster:
         task = names[said["name"]]
         self._watcher.stage(task, said["stage"], said["done"], said["total"])
 
-    def _connect(self, stack: ExitStack) -> Any:
-        """A client of the scheduler; the stack closes it, and a cluster that is started here."""
-        try:
-            scheduler: Any = self._address
-            if scheduler == "local":
-                scheduler = stack.enter_context(start_cluster(self._jobs, self._folder))
-            return stack.enter_context(distributed.Client(scheduler, set_as_default=False))
-        except ImportError as error:
-            text = f"{self._name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
-            raise MissingTool(text) from error
-        except (OSError, ValueError, TimeoutError) as error:
-            cause = redacted(one_line(error), self._address)
-            raise InvalidInput(f"{self._name}: no scheduler there ({cause})") from error
-
-    def _hosts(self) -> Counter[str]:
-        """Number of scenes that each host encodes at once, by host name; checks versions."""
-        hosts = Counter[str]()
-        for worker, found in self._client.run(_introduced, on_error="return").items():
-            version, host, threads = found if isinstance(found, tuple) else (None, "", 0)
-            if version != __version__:
-                has = f"gs_codec {version}" if version else "no gs_codec"
-                raise InvalidInput(f"{worker}: {has}, expected gs_codec {__version__} on workers")
-            hosts[host] += threads
-        return hosts
-
     def _record(self, task: Task, future: Any) -> Record:
         if future.status == "finished":
             return future.result()
@@ -136,11 +104,6 @@ class Cluster:
         kind = "WorkerLost" if lost else type(error).__name__
         text = f"{task.shown[0]}: {one_line(error) or kind}"
         return Record(*task.shown, error={"kind": kind, "text": text})
-
-
-def _introduced(dask_worker: Any) -> tuple[str, str, int]:
-    """Version of gs_codec on a worker, name of its host, and number of its threads."""
-    return __version__, platform.node(), dask_worker.state.nthreads
 
 
 class _Gate:
@@ -197,47 +160,3 @@ def _encode_there(task: Task, options: Options, hosts: Counter[str], topic: str)
 
     with _GATE.passed(task.need, most):
         return encode_one(task, options, worker.local_directory, throttled(tell))
-
-
-class _Silent:
-    """Keeps a Dask node from serving web pages, which it does even without a dashboard."""
-
-    def start_http_server(self, *arguments: Any, **options: Any) -> None:
-        """Open no port."""
-
-
-class LocalScheduler(_Silent, distributed.Scheduler):
-    """A scheduler without web pages."""
-
-
-class LocalWorker(_Silent, distributed.Worker):
-    """A worker without web pages."""
-
-
-def start_cluster(jobs: int, folder: str) -> distributed.SpecCluster:
-    """Start a scheduler and `jobs` worker processes that keep their files in `folder`.
-
-    They and their client authenticate with a key that only this process has. Other users of the
-    machine can reach the ports, but cannot connect without the key.
-    """
-    security = distributed.Security.temporary()
-    common = {"host": _HOST, "protocol": "tls://", "security": security}
-    worker = {
-        "cls": distributed.Nanny,
-        "options": common
-        | {
-            "worker_class": LocalWorker,
-            "nthreads": 1,
-            "memory_limit": MEMORY_LIMIT // jobs,
-            "local_directory": folder,
-            "silence_logs": logging.CRITICAL,
-        },
-    }
-    # Dask imports modules from its folder first; its default folder may belong to another user.
-    with dask.config.set({"temporary-directory": folder}):
-        return distributed.SpecCluster(
-            workers=dict.fromkeys(range(jobs), worker),
-            scheduler={"cls": LocalScheduler, "options": common | {"port": 0, "dashboard": False}},
-            security=security,
-            silence_logs=logging.CRITICAL,
-        )

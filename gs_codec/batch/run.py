@@ -25,9 +25,10 @@ from gs_codec.batch.redaction import redacted, without_secrets
 from gs_codec.batch.remote import Storage, is_url, storage_of
 from gs_codec.batch.scenes import Options, Task, find_tasks
 from gs_codec.batch.work import encode_one, versions
-from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
+from gs_codec.errors import GsCodecError, InvalidInput
 from gs_codec.formats.usd import require_usd_core
 from gs_codec.report import Progress
+from gs_codec.runtime.lazy import from_extra
 from gs_codec.runtime.threads import available_threads
 
 if TYPE_CHECKING:
@@ -209,12 +210,8 @@ def _runner(
     if batch.dask is None:
         work = partial(_encode_in, options.with_share(jobs), scratch)
         return Pool(work, jobs, available_bytes(), watcher)
-    try:
-        from gs_codec.batch.cluster import Cluster
-    except ImportError as error:
-        text = f"--dask: needs {error.name}; pip install 'gs-codec[cluster]'"
-        raise MissingTool(text) from error
-    return Cluster(batch.dask, jobs, scratch, options, watcher)
+    cluster = from_extra("gs_codec.batch.cluster", "cluster", "--dask")
+    return cluster.Cluster(batch.dask, jobs, scratch, options, watcher)
 
 
 def _encode_in(options: Options, scratch: str, task: Task, progress: Progress) -> Record:

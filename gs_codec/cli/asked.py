@@ -90,6 +90,7 @@ def takes(
     *names: str,
     expert: Iterable[type] = (),
     without: Iterable[str] = (),
+    hidden: Sequence[str] = (),
     actions: Sequence[str] = (),
     actions_hidden: bool = False,
     **defaults: Any,
@@ -97,22 +98,24 @@ def takes(
     """Give a command options by name, and the expert ones of dataclasses.
 
     What was typed for them is the command's parameter `asked`; `defaults` are those that differ
-    from the library's, `without` are expert options that the command does not take. `actions` are
+    from the library's, `without` are expert options that the command does not take, `hidden` are
+    others that the help lists with the expert ones. `actions` are
     names of those that it takes, which `Asked.actions` has; its help may hide them.
     """
-    hidden = [
+    experts = [
         name
         for settings in expert
         for field, described in options_of(settings).items()
         if described.expert and (name := described.name or field) not in (*names, *without)
     ]
+    experts += hidden
 
     def decorate(command: Callable[..., None]) -> Any:
         own = inspect.signature(command, eval_str=True).parameters.values()
         kept = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p.name != "asked"]
         shared = [
-            _parameter(name, (DEFAULTS | defaults).get(name), name in hidden)
-            for name in (*names, *hidden)
+            _parameter(name, (DEFAULTS | defaults).get(name), name in experts)
+            for name in (*names, *experts)
         ]
 
         def called(ctx: typer.Context, **values: Any) -> None:
@@ -123,7 +126,7 @@ def takes(
         parameters = [_CONTEXT, *kept, *action_parameters(actions, actions_hidden), *shared]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
-        listed = _listed("Expert options:", _expert(hidden, DEFAULTS | defaults))
+        listed = _listed("Expert options:", _expert(experts, DEFAULTS | defaults))
         if actions_hidden:
             typed = [(f"--{n} {KINDS[n].metavar}".rstrip(), KINDS[n].help) for n in actions]
             listed += ["", *_listed("Actions, done first, in the order given:", typed)]

@@ -36,7 +36,15 @@ from gs_codec.errors import InvalidInput, printable
 from gs_codec.files.suffixes import PLAIN
 
 
-@takes(*CODING, "json", expert=EXPERT, without=["checkpoint"], actions=ACTIONS, actions_hidden=True)
+@takes(
+    *CODING,
+    "dask",
+    "json",
+    expert=EXPERT,
+    without=["checkpoint"],
+    actions=ACTIONS,
+    actions_hidden=True,
+)
 def command(
     source: Annotated[
         str,
@@ -66,10 +74,6 @@ def command(
     on_error: Annotated[
         str, typer.Option(help="After a scene that failed: continue or stop.")
     ] = "continue",
-    dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Use a Dask scheduler's workers, or local ones."),
-    ] = None,
 ) -> None:
     """Encode or convert a folder of scenes, each as `encode` or `convert` would.
 
@@ -95,7 +99,7 @@ def command(
         config, plan, rate, asked["max_bytes"], asked["max_memory"], tuple(asked.actions), plain
     )
     batch = Batch(
-        source, target, options, jobs, resume, report, on_error, dask, asked["overwrite"],  # type: ignore[arg-type]
+        source, target, options, jobs, resume, report, on_error, asked["dask"], asked["overwrite"],  # type: ignore[arg-type]
     )  # fmt: skip
     redact_process()
     with _watching("encode" if plain is None else "convert") as watcher:

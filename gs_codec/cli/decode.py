@@ -11,7 +11,7 @@ import typer
 
 from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import print_json, print_text, progress_bar, size_text
-from gs_codec.cli.streams import piped
+from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gs_codec.rendering.camera import Camera
 
 
-@takes("threads", "max_memory", "max_bytes", "tmc3", "overwrite", "json")
+@takes("threads", "max_memory", "max_bytes", "tmc3", "dask", "overwrite", "json")
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help="An .egs file; - is stdin.")],
     target: Annotated[
@@ -61,6 +61,18 @@ def command(
 
     camera = None if view is None else _camera_of(view)
     part = Part(box, sh_degree, level, camera, budget, tolerance)
+    if asked["dask"] is not None:
+        asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
+        check_no_pipes("--dask", source, target)
+        from gs_codec.distributed.decoding import decode_distributed
+
+        with progress_bar() as progress:
+            report = decode_distributed(
+                source, target, part, dask=asked["dask"], threads=asked["threads"],
+                progress=progress, max_memory=asked["max_memory"], overwrite=asked["overwrite"],
+            )  # fmt: skip
+        _tell(source, target, target, asked, report)
+        return
     with piped([source], target, ".ply") as ([file], out):
         with progress_bar() as progress:
             report = decode_file(
@@ -68,11 +80,16 @@ def command(
                 max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
                 overwrite=asked["overwrite"],
             )  # fmt: skip
-        named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
-        if asked["json"]:
-            print_json(named | asdict(report))
-        else:
-            _print_report(named, report)
+        _tell(source, target, out, asked, report)
+
+
+def _tell(source: Path, target: Path, out: Path, asked: Asked, report: DecodeReport) -> None:
+    """Print the report; `out` is the file that was written for the target."""
+    named = {"input": str(source), "output": str(target), "output_bytes": out.stat().st_size}
+    if asked["json"]:
+        print_json(named | asdict(report))
+    else:
+        _print_report(named, report)
 
 
 def _print_report(named: dict[str, Any], report: DecodeReport) -> None:

@@ -21,9 +21,10 @@ from gs_codec.cli.output import (
     size_text,
     smaller,
 )
-from gs_codec.cli.streams import piped
+from gs_codec.cli.streams import check_no_pipes, piped
 from gs_codec.config import ADAPTIVE_PROFILES, Config, RateTarget
 from gs_codec.edit.actions import KINDS
+from gs_codec.errors import InvalidInput
 from gs_codec.preparation.steps import Plan
 from gs_codec.report import EncodeReport, RateReport
 
@@ -38,7 +39,7 @@ EXPERT = (Config, RateTarget, Plan)
 ACTIONS = [name for name in KINDS if name != "gaussians"]
 
 
-@takes(*CODING, "json", expert=EXPERT, actions=ACTIONS, actions_hidden=True)
+@takes(*CODING, "json", expert=EXPERT, hidden=["dask"], actions=ACTIONS, actions_hidden=True)
 def command(
     source: Annotated[Path, typer.Argument(metavar="IN", help=SCENES_PIPED)],
     target: Annotated[
@@ -46,9 +47,19 @@ def command(
     ],
     asked: Asked,
 ) -> None:
-    """Encode a scene to an .egs file, or in a format that other programs read."""
+    """Encode a scene to an .egs file, or in a format that other programs read.
+
+    With --dask, the workers of a cluster share one giant scene: IN may be a folder of its tiles.
+    """
     config, rate = config_of(asked, target), target_of(asked)
     plan = plan_of(asked, config)
+    if asked["dask"] is not None:
+        if plan is not None or rate is not None or asked.actions:
+            raise InvalidInput("--dask: not with views, preparation, actions, or a target to meet")
+        asked.refuse(["max_bytes"], "has no effect with --dask")
+        check_no_pipes("--dask", source, target)
+        _tell(source, target, config, asked, _encode_distributed(source, target, config, asked))
+        return
     from gs_codec.files.coding import encode_file
 
     with piped([source], target, f".{config.format}") as ([file], out):
@@ -58,15 +69,34 @@ def command(
                 max_memory=asked["max_memory"], max_bytes=asked["max_bytes"],
                 overwrite=asked["overwrite"],
             )  # fmt: skip
-        _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
-        if asked["json"]:
-            print_json(
-                {"input": str(source), "output": str(target), "profile": config.profile}
-                | asdict(done)
-                | {"file_bytes": done.file_bytes}
-            )
-        else:
-            _print_report(target, done)
+        _tell(source, target, config, asked, done)
+
+
+def _encode_distributed(source: Path, target: Path, config: Config, asked: Asked) -> EncodeReport:
+    """Encode a scene, or the tiles of a folder or glob, by the workers of a cluster."""
+    from gs_codec.batch.local import LocalStorage
+    from gs_codec.distributed.encoding import encode_distributed
+
+    tiles = [location.path for _, location in LocalStorage(str(source)).find((".ply", ".egs"))]
+    if not tiles:
+        raise InvalidInput(f"{source}: no such file, no .ply or .egs in it")
+    with progress_bar() as progress:
+        return encode_distributed(
+            tiles, target, config, dask=asked["dask"], progress=progress,
+            max_memory=asked["max_memory"], overwrite=asked["overwrite"],
+        )  # fmt: skip
+
+
+def _tell(source: Path, target: Path, config: Config, asked: Asked, done: EncodeReport) -> None:
+    _say_what_changed(done, config.profile in ADAPTIVE_PROFILES)
+    if asked["json"]:
+        print_json(
+            {"input": str(source), "output": str(target), "profile": config.profile}
+            | asdict(done)
+            | {"file_bytes": done.file_bytes}
+        )
+    else:
+        _print_report(target, done)
 
 
 def _say_what_changed(report: EncodeReport, lattices: bool) -> None:

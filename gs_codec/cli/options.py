@@ -42,6 +42,9 @@ OPTIONS = {
         "entropygs: the paper's whole pipeline; --refine and -p paper-* change it.",
         values=tuple(PRESETS),
     ),
+    "dask": Option(
+        "Use the workers of a Dask scheduler, or local ones.", metavar="ADDRESS",
+    ),
     "overwrite": Option("Replace what exists; without it, that is an error.", bool),
     "json": Option("Print the report as JSON.", bool),
     "report": Option("Write report.json, ablation.md, labels.npy there.", Path, metavar="DIR"),

@@ -54,6 +54,13 @@ def piped(sources: Sequence[Path], target: Path, suffix: str) -> Iterator[tuple[
                 shutil.copyfileobj(written, stdout)
 
 
+def check_no_pipes(option: str, source: Path, target: Path) -> None:
+    """Refuse what other processes cannot open."""
+    for path in (source, target):
+        if _is_pipe(path) or is_stdout(path):
+            raise InvalidInput(f"{path}: a pipe, expected a file with {option}")
+
+
 def is_stdout(target: Path) -> bool:
     """Whether a file to write stands for stdout."""
     return str(target) in ("-", "/dev/stdout")

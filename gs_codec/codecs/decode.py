@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -118,8 +118,9 @@ def choose_part(
     part: Part,
     max_bytes: int | None = None,
     tmc3: str | Path | None = None,
+    among: Container[int] | None = None,
 ) -> ChosenPart:
-    """Read and check the sections that a part needs; see `decode_part`."""
+    """Read and check the sections that a part needs, of the blocks `among`; see `decode_part`."""
     file = read_file(data, lambda section, _: section in DESCRIPTIONS)
     header, limit = file.header, most_bytes(len(data), max_bytes)
     if header.float_bytes > limit:
@@ -145,10 +146,10 @@ def choose_part(
             raise InvalidInput(f"level {part.level}: the file has levels 0 to {known}")
         own = _opened(file, part.level)
         with within(part.level):
-            blocks = _in_box(own, part)
+            blocks = _in_box(own, part, among)
             chosen = _chosen(own, part, blocks, limit, tool)
         return replace(chosen, bytes_before=file.bytes_read)
-    return _chosen(file, part, _in_box(file, part), limit, tool)
+    return _chosen(file, part, _in_box(file, part, among), limit, tool)
 
 
 def _opened(file: EgsFile, level: int) -> EgsFile:
@@ -159,10 +160,11 @@ def _opened(file: EgsFile, level: int) -> EgsFile:
     return found
 
 
-def _in_box(file: EgsFile, part: Part) -> list[int]:
-    """Blocks of which a part may have Gaussians."""
+def _in_box(file: EgsFile, part: Part, among: Container[int] | None) -> list[int]:
+    """Blocks, of those `among`, of which a part may have Gaussians."""
     index = index_of(file)
-    return np.flatnonzero(part.meets(index[:, :3], index[:, 3:6])).tolist()
+    blocks = np.flatnonzero(part.meets(index[:, :3], index[:, 3:6])).tolist()
+    return blocks if among is None else [block for block in blocks if block in among]
 
 
 def _chosen(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,8 +102,9 @@ def opened_slabs(
     progress: Progress | None = None,
     tmc3: str | Path | None = None,
     max_memory: int | None = None,
+    among: Container[int] | None = None,
 ) -> Iterator[Slabs]:
-    """Open a file to decode it, or a part of it, slab by slab.
+    """Open a file to decode it, or a part of it, slab by slab; of the blocks `among` if given.
 
     Raises
     ------
@@ -124,7 +125,7 @@ def opened_slabs(
                 )
         with located(path):
             check_threads(threads)
-            chosen = choose_part(file.data, part, max_bytes, tmc3)
+            chosen = choose_part(file.data, part, max_bytes, tmc3, among)
         yield Slabs(Path(path), chosen, progress, time.perf_counter() - start)
 
 

@@ -174,11 +174,14 @@ class EgsFile:
         return replace(self, sections=sections)
 
 
-def section_sizes(sections: Sequence[Section]) -> dict[str, int]:
-    """Bytes of a file by section, with padding; ``header`` includes the section table."""
-    sizes = Counter({"header": _header_size(len(sections))})
-    for section in sections:
-        sizes[section.id.label] += _padded(len(section.data))
+def section_sizes(sized: Sequence[tuple[int, int]]) -> dict[str, int]:
+    """Bytes of a file by section, with padding, from the id and size of each section.
+
+    ``header`` includes the section table.
+    """
+    sizes = Counter({"header": _header_size(len(sized))})
+    for section_id, size in sized:
+        sizes[SectionId(section_id).label] += _padded(size)
     return dict(sizes)
 
 
@@ -188,16 +191,17 @@ def in_file_order(sections: Iterable[Section]) -> list[Section]:
     Descriptions and comments; levels, the coarsest first; blocks without SH-AC, one after the
     other; SH-AC, band by band; extra properties. Otherwise they keep their order.
     """
+    return sorted(sections, key=lambda section: place_in_file(section.id, section.block))
+
+
+def place_in_file(section_id: SectionId, block: int) -> tuple[int, int]:
+    """What `in_file_order` sorts a section by."""
     scene = (*DESCRIPTIONS, SectionId.COMMENTS, SectionId.LEVEL)
-
-    def place(section: Section) -> tuple[int, int]:
-        if section.id in scene:
-            return scene.index(section.id) - len(scene), -section.block
-        if section.id in _LATER:
-            return 1 + _LATER.index(section.id), section.block
-        return (1 + len(_LATER) if section.id == SectionId.EXTRA else 0), section.block
-
-    return sorted(sections, key=place)
+    if section_id in scene:
+        return scene.index(section_id) - len(scene), -block
+    if section_id in _LATER:
+        return 1 + _LATER.index(section_id), block
+    return (1 + len(_LATER) if section_id == SectionId.EXTRA else 0), block
 
 
 def _padded(size: int) -> int:
@@ -217,20 +221,42 @@ def write_file(header: Header, sections: Iterable[Section]) -> bytes:
 
 def file_parts(header: Header, sections: Sequence[Section]) -> list[bytes | memoryview]:
     """The consecutive pieces of a file: its header, then its sections in the order given."""
-    number = len(sections)
-    minor = MINOR_LEVELS if any(s.id == SectionId.LEVEL for s in sections) else MINOR
-    head = bytearray(struct.pack(_START, MAGIC, VERSION, minor, _header_size(number)))
-    head += pack_header(header) + struct.pack("<I", number)
+    parts: list[bytes | memoryview] = [file_head(header, [Listed.of(each) for each in sections])]
     for section in sections:
-        flags = _OPTIONAL_FLAG if section.optional else 0
-        size, checksum = len(section.data), crc32c(section.data)
-        head += struct.pack(_ENTRY, section.id, flags, section.block, size, checksum)
-    head += struct.pack("<I", crc32c(head))
-    parts: list[bytes | memoryview] = [bytes(head)]
-    for section in sections:
-        size = len(section.data)
-        parts += [section.data, bytes(_padded(size) - size)]
+        parts += padded_parts(section)
     return parts
+
+
+class Listed(NamedTuple):
+    """What the section table says of a section."""
+
+    id: int
+    block: int
+    size: int
+    checksum: int
+    flags: int = 0
+
+    @classmethod
+    def of(cls, section: Section) -> Listed:
+        """The entry of a section."""
+        flags = _OPTIONAL_FLAG if section.optional else 0
+        return cls(section.id, section.block, len(section.data), crc32c(section.data), flags)
+
+
+def file_head(header: Header, table: Sequence[Listed]) -> bytes:
+    """The start of a file, up to its first section; the table is in the order of the sections."""
+    minor = MINOR_LEVELS if any(entry.id == SectionId.LEVEL for entry in table) else MINOR
+    head = bytearray(struct.pack(_START, MAGIC, VERSION, minor, _header_size(len(table))))
+    head += pack_header(header) + struct.pack("<I", len(table))
+    for entry in table:
+        head += struct.pack(_ENTRY, entry.id, entry.flags, *entry[1:4])
+    return bytes(head + struct.pack("<I", crc32c(head)))
+
+
+def padded_parts(section: Section) -> list[bytes | memoryview]:
+    """A section's bytes, and those that fill it up to where the next one begins."""
+    size = len(section.data)
+    return [section.data, bytes(_padded(size) - size)]
 
 
 def read_file(data: bytes | memoryview, wanted: Wanted | None = None) -> EgsFile:

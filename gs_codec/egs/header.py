@@ -66,12 +66,16 @@ class Header:
     features: Feature = Feature.NONE
 
     @classmethod
-    def of(cls, scene: Scene, config: Config) -> Header:
-        """The header of a scene in the fewest blocks that `config` allows, filled evenly."""
-        blocks = max(-(-scene.count // config.block_size), 1)
-        size = max(-(-scene.count // blocks), 1)
+    def of(cls, scene: Scene, config: Config, count: int | None = None) -> Header:
+        """The header of a scene in the fewest blocks that `config` allows, filled evenly.
+
+        `count` is its number of Gaussians where `scene` has only what else the header says.
+        """
+        count = scene.count if count is None else count
+        blocks = max(-(-count // config.block_size), 1)
+        size = max(-(-count // blocks), 1)
         return cls(
-            scene.count,
+            count,
             scene.sh_degree,
             config.profile,
             size,

@@ -42,7 +42,7 @@ def pack_scene(
     return parts, EncodeReport(
         count=scene.count,
         raw_bytes=scene.float_bytes,
-        section_bytes=section_sizes(sections),
+        section_bytes=section_sizes([(each.id, len(each.data)) for each in sections]),
         costs=list(costs),
         rectified=rectified,
         seconds=times.seconds,

@@ -53,8 +53,13 @@ def read_ply(path: str | Path, extra: Extra = "error", max_bytes: int | None = N
         return scene_of(ply_of(path, data), extra, max_bytes)
 
 
-def scene_of(ply: Ply, extra: Extra = "error", max_bytes: int | None = None) -> Scene:
-    """The scene of an open PLY; see `read_ply`."""
+def scene_of(
+    ply: Ply,
+    extra: Extra = "error",
+    max_bytes: int | None = None,
+    index: slice | NDArray[np.int64] = slice(None),
+) -> Scene:
+    """The scene of an open PLY, or the Gaussians that `index` selects; see `read_ply`."""
     path = ply.path
     if ply.header.obj_info:
         log.warning("%s: %d obj_info lines not kept", path, ply.header.obj_info)
@@ -63,7 +68,7 @@ def scene_of(ply: Ply, extra: Extra = "error", max_bytes: int | None = None) -> 
         _check_elements(ply, PACKED_ELEMENTS if packed else ("vertex",), extra)
         if packed:
             return read_packed(ply, max_bytes)
-        data = ply.rows("vertex")
+        data = ply.rows("vertex")[index]
     groups, colours = _find_groups(path, data.dtype)
     wanted = [name for group in GROUPS for name in groups[group]]
     row = 4 * len(wanted)
@@ -177,18 +182,19 @@ def write_vertices(file: BinaryIO, count: int, slabs: Iterable[Scene]) -> None:
 
     def write(number: int, slab: Scene) -> None:
         if not number:
-            file.write(_header(slab, count).encode("ascii"))
+            file.write(ply_header(slab, count))
         for start in range(0, slab.count, _ROWS):
             file.write(vertex_rows(slab.between(start, start + _ROWS)).data)
 
     work_behind(write, slabs)
 
 
-def _header(scene: Scene, count: int) -> str:
+def ply_header(scene: Scene, count: int) -> bytes:
     """The header of a PLY of `count` Gaussians with the properties of the scene."""
     row = np.zeros((), vertex_rows(scene.between(0, 0)).dtype)
     element = plyfile.PlyElement.describe(np.broadcast_to(row, (count,)), "vertex")
-    return plyfile.PlyData([element], byte_order="<", comments=list(scene.comments)).header + "\n"
+    header = plyfile.PlyData([element], byte_order="<", comments=list(scene.comments)).header
+    return f"{header}\n".encode("ascii")
 
 
 def vertex_rows(scene: Scene) -> NDArray:

@@ -9,6 +9,7 @@ attributes. How large pixels are matters little: twice the width, 0.2 dB.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -32,7 +33,7 @@ from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
-from gs_codec.scene import GROUPS, Scene, sh_bands
+from gs_codec.scene import GROUPS, Scene, join_scenes, sh_bands
 
 #: Scenes of fewer Gaussians are left as they are: the look would take longer than all else.
 _LEAST = 5000
@@ -79,24 +80,81 @@ def calibrated(scene: Scene, config: Config, progress: Progress | None = None) -
     Profiles `l` and `s` change by the same factor. Scenes of fewer than 5,000 Gaussians, and those
     of which views do not show enough, leave it as it is.
     """
-    if scene.count < _LEAST:
-        return config
+    plain = replace(scene, extra={})
+    sample = plain.take(np.arange(0, scene.count, sample_stride(scene.count)))
+    windows = choose_windows(sample, scene.count)
+    shown = [plain.take(members) for members in find_shown(plain, windows)]
+    return calibrated_by(sample, windows, shown, config, progress)
+
+
+def sample_stride(count: int) -> int:
+    """Every so many Gaussians, of `count`, one is in the sample that tells where to look."""
+    return max(1, count // _SAMPLE)
+
+
+def choose_windows(sample: Scene, count: int) -> list[Camera]:
+    """Windows on a scene of `count` Gaussians; none if it is to be left as it is.
+
+    The sample is every `sample_stride`-th of them.
+    """
+    if count < _LEAST:
+        return []
     with np.errstate(all="ignore"):
-        octaves = _octaves(replace(scene, extra={}), progress)
+        seen = gather_evidence(_cleaned(sample), quick=True)
+        rng = np.random.default_rng(0)
+        return [] if seen is None else [_window(seen, count, rng) for _ in range(_WINDOWS)]
+
+
+def _cleaned(sample: Scene) -> Scene:
+    return clean_scene(sample, Config(nonfinite="drop"))[0]
+
+
+def find_shown(scene: Scene, windows: Sequence[Camera]) -> list[NDArray[np.int64]]:
+    """Indices of the Gaussians that each window shows: one too many, if there are too many."""
+    if not windows:
+        return []
+    reaches = _reaches(scene)
+    chunks = list(pairwise([*range(0, scene.count, _CHUNK), scene.count]))
+
+    def find(window: Camera) -> NDArray[np.int64]:
+        found = [
+            first
+            + np.flatnonzero(_inside(scene.positions[:, first:end], reaches[first:end], window))
+            for first, end in chunks
+        ]
+        return np.concatenate([np.empty(0, np.int64), *found])[: _MOST_SHOWN + 1]
+
+    return run_all(find, windows)
+
+
+def calibrated_by(
+    sample: Scene,
+    windows: Sequence[Camera],
+    shown: Sequence[Scene],
+    config: Config,
+    progress: Progress | None = None,
+) -> Config:
+    """See `calibrated`; `shown` are the Gaussians that each window shows."""
+    chosen = [
+        (window, own)
+        for window, own in zip(windows, shown, strict=True)
+        if 0 < own.count <= _MOST_SHOWN
+    ]
+    if not chosen:
+        return config
+    ends = np.cumsum([own.count for _, own in chosen]).tolist()
+    spans = zip([0, *ends], ends, strict=False)
+    parts = [_Part(window, *span) for (window, _), span in zip(chosen, spans, strict=True)]
+    with np.errstate(all="ignore"):
+        scene = join_scenes([own for _, own in chosen])
+        octaves = _octaves(scene, parts, _cleaned(sample), progress)
     coarseness, bounds = config.coarseness * 2.0**octaves, options_of(Config)["coarseness"]
     return replace(config, coarseness=min(max(coarseness, bounds.low), bounds.high))
 
 
-def _octaves(scene: Scene, progress: Progress | None) -> float:
+def _octaves(shown: Scene, parts: list[_Part], sample: Scene, progress: Progress | None) -> float:
     """Log2 of the coarseness that `m` needs."""
-    advance = step_counter(progress, "calibrate", 2 + _ROUNDS)
-    sample = scene.take(np.arange(0, scene.count, max(1, scene.count // _SAMPLE)))
-    sample, _ = clean_scene(sample, Config(nonfinite="drop"))
-    seen = gather_evidence(sample, quick=True)
-    if seen is None:
-        return 0.0
-    shown, parts = _look(scene, seen)
-    advance()
+    advance = step_counter(progress, "calibrate", 1 + _ROUNDS)
     drawn = zip(parts, _images(shown, parts), strict=True)
     telling = [(part, colour) for part, (colour, left) in drawn if left <= _MOST_LEFT]
     advance()
@@ -181,35 +239,11 @@ def _reaches(scene: Scene) -> NDArray[np.float32]:
 
     def work(start: int) -> None:
         part = slice(start, start + _CHUNK)
-        reaches[part] = 3 * np.exp(scene.log_scale[:, part].max(axis=0))
+        with np.errstate(all="ignore"):
+            reaches[part] = 3 * np.exp(scene.log_scale[:, part].max(axis=0))
 
     run_all(work, range(0, scene.count, _CHUNK))
     return reaches
-
-
-def _look(scene: Scene, seen: Evidence) -> tuple[Scene, list[_Part]]:
-    """Windows that show something, and their Gaussians, one window's after another's."""
-    rng = np.random.default_rng(0)
-    windows = [_window(seen, scene.count, rng) for _ in range(_WINDOWS)]
-    reaches = _reaches(scene)
-    chunks = list(pairwise([*range(0, scene.count, _CHUNK), scene.count]))
-
-    def find(window: Camera) -> NDArray[np.int64]:
-        found = [
-            first
-            + np.flatnonzero(_inside(scene.positions[:, first:end], reaches[first:end], window))
-            for first, end in chunks
-        ]
-        return np.concatenate(found)
-
-    found = run_all(find, windows)
-    index, parts, start = [], [], 0
-    for window, members in zip(windows, found, strict=True):
-        if 0 < len(members) <= _MOST_SHOWN:
-            index.append(members)
-            parts.append(_Part(window, start, start + len(members)))
-            start += len(members)
-    return scene.take(np.concatenate([np.empty(0, np.int64), *index])), parts
 
 
 def _images(scene: Scene, parts: list[_Part]) -> list[tuple[NDArray[np.float32], float]]:

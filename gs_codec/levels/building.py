@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.edit.pairs import blobs_of
+from gs_codec.egs.header import FANOUT
 from gs_codec.levels.merging import Clusters, merge_group, spacing
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, join_scenes
-
-#: Blocks that one of the next level stands for, and Gaussians that one stands for.
-FANOUT = 4
 
 #: Error of a block, in spreads of its clusters: where it is a pixel, views of bonsai and of part of
 #: a tiled room lose less than 35 dB (RESULTS.md, "Levels of detail").
@@ -46,18 +44,21 @@ def build_levels(scene: Scene, block_size: int, progress: Progress | None = None
         counts.append(-(-count // block_size))
     advance = step_counter(progress, "levels", sum(counts))
     while len(current.errors) > 1:
-        current = _coarser(current, block_size, advance)
+        current = coarser(current, block_size, scene.antialiased, advance)
         levels.append(current)
     return levels
 
 
-def _coarser(level: Level, block_size: int, advance: Callable[[], None]) -> Level:
+def coarser(
+    level: Level, block_size: int, antialiased: bool, advance: Callable[[], None] | None = None
+) -> Level:
+    """The next level, or the blocks of it that stand for those given."""
     size = FANOUT * block_size
 
     def work(start: int) -> tuple[Scene, float]:
         group = level.scene.between(start, min(start + size, level.scene.count))
         below = level.errors[start // block_size :][:FANOUT]
-        merged, spread = coarsen(group)
+        merged, spread = coarsen(group, antialiased)
         return merged, max(ERROR * spread, float(below.max()))
 
     found = run_all(work, range(0, level.scene.count, size), advance=advance)
@@ -65,10 +66,10 @@ def _coarser(level: Level, block_size: int, advance: Callable[[], None]) -> Leve
     return Level(join_scenes(scenes), np.array(errors, np.float32))
 
 
-def coarsen(group: Scene) -> tuple[Scene, float]:
+def coarsen(group: Scene, antialiased: bool) -> tuple[Scene, float]:
     """A quarter of a group's Gaussians, and their spread: root mean square, by mass."""
     number = -(-group.count // FANOUT)
-    footprint = 0.0 if group.antialiased else FOOTPRINT * spacing(blobs_of(group))
+    footprint = 0.0 if antialiased else FOOTPRINT * spacing(blobs_of(group))
     clusters = Clusters(group, merge_group(group, number, footprint), number)
     spread = np.sqrt(np.average(clusters.spread() ** 2, weights=clusters.weight()))
     return clusters.merged(footprint), float(spread)

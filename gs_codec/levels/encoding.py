@@ -77,7 +77,11 @@ def add_levels(
         sections = in_file_order(sections)
         parts = file_parts(file.header, sections)
     seconds = report.seconds | times.seconds
-    return parts, replace(report, section_bytes=section_sizes(sections), seconds=seconds)
+    return parts, replace(
+        report,
+        section_bytes=section_sizes([(each.id, len(each.data)) for each in sections]),
+        seconds=seconds,
+    )
 
 
 def _encoded(
@@ -86,12 +90,17 @@ def _encoded(
     """The sections of levels."""
     if not levels:
         return []
-    most = options_of(Config)["coarseness"].high
-    config = calibrated(levels[0].scene, replace(config, block_size=Config.block_size), progress)
-    config = replace(config, coarseness=min(COARSER * config.coarseness, most))
+    config = replace(config, block_size=Config.block_size)
+    config = config_of_levels(calibrated(levels[0].scene, config, progress))
     sections = []
     for number, level in enumerate(levels, 1):
         own = level_header(header, number)
         pieces = encode_level(level.scene, config, own, level.errors, progress)
         sections.append(Section(SectionId.LEVEL, number, b"".join(pieces), optional=True))
     return sections
+
+
+def config_of_levels(config: Config) -> Config:
+    """The configuration of all levels, from that of the finest as a scene of its own."""
+    most = options_of(Config)["coarseness"].high
+    return replace(config, coarseness=min(COARSER * config.coarseness, most))

@@ -1,10 +1,13 @@
-"""Public names of a package, each loaded when it is first used."""
+"""Names and modules that are loaded when they are first used."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
+from types import ModuleType
 from typing import Any
+
+from gs_codec.errors import MissingTool
 
 
 def lazy_names(
@@ -30,3 +33,18 @@ def lazy_names(
         return getattr(import_module(homes[name]), name)
 
     return list(homes), find
+
+
+def from_extra(module: str, extra: str, what: str) -> ModuleType:
+    """A module of ours that needs packages of an extra.
+
+    Raises
+    ------
+    MissingTool
+        If they are not installed; `what` says who needs them.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        text = f"{what}: needs {error.name}; pip install 'gs-codec[{extra}]'"
+        raise MissingTool(text) from error

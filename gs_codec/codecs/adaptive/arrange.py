@@ -35,6 +35,9 @@ from gs_codec.runtime.arrays import current
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene
 
+#: Lowest and highest x, y, z, each ``(3,)``.
+Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
+
 #: Log2 of the finest unit of fixed-point values.
 _FINEST = -18
 
@@ -83,20 +86,20 @@ def arrange_scene(
     ValueError
         If `asked` is of another number of Gaussians.
     """
-    some = slice(None, None, max(1, scene.count // _SAMPLE))
+    some = slice(None, None, sample_stride(scene.count))
+    opacity = scene.opacity[0, some]
     _, sampled, _ = sort_axes(scene.log_scale[:, some], scene.rot[:, some])
     steps = asked
     if steps is None:
-        none, fineness = np.zeros(scene.count, np.uint8), config.adaptive_profile().fineness
-        steps = StepSizes(none, none, blind_coefficients(sampled, fineness), (SH_RATIO,) * 3)
+        steps = _blind_steps(scene.count, sampled, config)
     elif len(steps.shape_class) != scene.count:
         raise ValueError(f"steps of {len(steps.shape_class)} Gaussians, expected {scene.count}")
-    known = features(scene.opacity[0, some], sampled)
     if config.depths and scene.count:
+        known = features(opacity, sampled)
         steps = as_deep(steps, some, known, mean_octaves(scene, config.asked_depths()))
-    lattice = _lattice(scene, some, known, steps)
+    lattice = _lattice(opacity, sampled, some, steps, _bounds(scene.positions))
     codes = _codes(scene, lattice.grid)
-    order = canonical_order(codes) if block is None else _order_within(codes, block)
+    order = canonical_order(codes) if block is None else order_within(codes, block)
     keep = current().keep
     classes = keep(np.stack([steps.shape_class[order], steps.colour_class[order]]))
     codes, narrow = keep(codes[order]), order.astype(np.uint32)
@@ -105,7 +108,40 @@ def arrange_scene(
     return Arranged(scene, narrow, lattice, codes, classes)
 
 
-def _order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
+def sample_stride(count: int) -> int:
+    """Every so many Gaussians, of `count`, one is in the sample that lattices are chosen from."""
+    return max(1, count // _SAMPLE)
+
+
+def blind_lattice(sample: Scene, bounds: Bounds, config: Config) -> Lattice:
+    """The lattices that `arrange_scene` chooses without cameras, for a scene that is not there.
+
+    Parameters
+    ----------
+    sample : Scene
+        Every `sample_stride`-th of its Gaussians.
+    bounds : tuple of two ndarray, shape (3,)
+        Lowest and highest x, y, z of its centres.
+    config : Config
+        Without depths.
+    """
+    _, scales, _ = sort_axes(sample.log_scale, sample.rot)
+    steps = _blind_steps(sample.count, scales, config)
+    return _lattice(sample.opacity[0], scales, slice(None), steps, bounds)
+
+
+def _blind_steps(count: int, scales: NDArray[np.float64], config: Config) -> StepSizes:
+    """Step sizes of `count` Gaussians without cameras, from sorted log-scales of some."""
+    none, fineness = np.zeros(count, np.uint8), config.adaptive_profile().fineness
+    return StepSizes(none, none, blind_coefficients(scales, fineness), (SH_RATIO,) * 3)
+
+
+def _bounds(positions: NDArray[np.float32]) -> Bounds | None:
+    """Lowest and highest coordinates ``(3,)``; None without Gaussians."""
+    return (positions.min(axis=1), positions.max(axis=1)) if positions.size else None
+
+
+def order_within(codes: NDArray[np.int64], block: int) -> NDArray[np.int64]:
     """Permutation ``(N,)`` that sorts each `block` Gaussians by their codes."""
     starts = range(0, len(codes), block)
     order = np.empty(len(codes), np.int64)
@@ -129,8 +165,15 @@ def _codes(scene: Scene, grid: PositionGrid) -> NDArray[np.int64]:
     return codes
 
 
-def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: StepSizes) -> Lattice:
-    """Choose the lattices from a sample of the Gaussians, whose features are `known`."""
+def _lattice(
+    opacity: NDArray[np.float32],
+    scales: NDArray[np.float64],
+    some: slice,
+    steps: StepSizes,
+    bounds: Bounds | None,
+) -> Lattice:
+    """Choose the lattices from opacities and sorted log-scales of `some` of the Gaussians."""
+    known = features(opacity, scales)
 
     def wanted(name: str) -> NDArray[np.float64]:
         octaves = steps.colour_class if name == "colour" else steps.shape_class
@@ -148,8 +191,8 @@ def _lattice(scene: Scene, some: slice, known: NDArray[np.float64], steps: StepS
     for band, ratio in enumerate(steps.sh_ratios, 1):
         largest = (1 << (_STEP_BITS - rules["colour"].limit)) - 1
         units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, _FINEST_SH), largest))
-    grid, rules["position"] = _grid(scene, steps, wanted("position"))
-    centres = (_median(scene.opacity[0, some]), _median(known[2]))
+    grid, rules["position"] = _grid(bounds, steps, wanted("position"))
+    centres = (_median(opacity), _median(known[2]))
     classes = (
         1 + int(steps.shape_class.max(initial=0)),
         1 + int(steps.colour_class.max(initial=0)),
@@ -163,13 +206,15 @@ def _median(values: NDArray) -> int:
 
 
 def _grid(
-    scene: Scene, steps: StepSizes, wanted: NDArray[np.float64]
+    bounds: Bounds | None,
+    steps: StepSizes,
+    wanted: NDArray[np.float64],
 ) -> tuple[PositionGrid, StepRule]:
     """The grid of positions, and the rule for how many low bits are dropped."""
-    if not scene.count:
+    if bounds is None:
         return PositionGrid((0.0, 0.0, 0.0), 1.0, (0, 0, 0)), make_rule(np.zeros(5), 0, 0)
-    low = scene.positions.min(axis=1).astype(np.float64)
-    extent = scene.positions.max(axis=1).astype(np.float64) - low
+    low = bounds[0].astype(np.float64)
+    extent = bounds[1].astype(np.float64) - low
     widest = math.frexp(max(float(extent.max()), 1e-30))[1]
     unit = finest_step(wanted, max(widest - _AXIS_BITS, -120), min(widest, 127))
     step = float(np.float32(2.0**unit))

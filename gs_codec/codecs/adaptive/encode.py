@@ -177,13 +177,15 @@ def _code(
     """The file of blocks on their lattices, with sections beside them."""
     listed = passes(len(arranged.source.f_rest) // 3)
     with times.stage("model"):
-        models, tables, costs = _models(listed, blocks)
+        models, tables, costs = choose_models(listed, count_tokens(listed, blocks))
     with times.stage("code"):
         packed = PassTables.pack(tables)
         rows = [models.rows(item) for item in listed]
         advance = step_counter(progress, "code", len(blocks))
         coded = run_all(
-            lambda item: _sections(*item, listed, rows, packed), enumerate(blocks), advance=advance
+            lambda item: block_sections(*item, listed, rows, packed),
+            enumerate(blocks),
+            advance=advance,
         )
     sections = [*index_section([block.extent for block in blocks]), *beside]
     sections.append(Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models)))
@@ -192,10 +194,8 @@ def _code(
     return pack_scene(arranged.source, header, sections, arranged.order, times, costs, rectified)
 
 
-def _models(
-    listed: list[Pass], blocks: list[Block]
-) -> tuple[PassModels, list[FrequencyTable], list[ChannelCost]]:
-    """Models, and their tables, for the passes of all blocks together; bits of each list."""
+def count_tokens(listed: list[Pass], blocks: list[Block]) -> list[NDArray[np.int64]]:
+    """How often each token occurs in each context of each list of passes, ``(contexts, A)``."""
 
     def count(number: int) -> list[NDArray[np.int64]]:
         lists = listed[number].lists
@@ -204,7 +204,13 @@ def _models(
             block.passes[number].count(counts)
         return np.split(counts, np.cumsum([item.contexts for item in lists])[:-1])
 
-    counted = [own for one in run_all(count, range(len(listed))) for own in one]
+    return [own for one in run_all(count, range(len(listed))) for own in one]
+
+
+def choose_models(
+    listed: list[Pass], counted: list[NDArray[np.int64]]
+) -> tuple[PassModels, list[FrequencyTable], list[ChannelCost]]:
+    """Models, their tables and the bits of each list, from `count_tokens` of all blocks."""
     lists = [item for one in listed for item in one.lists]
     rows: dict[str, NDArray[np.int64]] = {}
     weights: list[NDArray[np.int64]] = []
@@ -236,7 +242,7 @@ def _cost(
     return ChannelCost(item.name, item.stream, "table", bits, bits, entropy)
 
 
-def _sections(
+def block_sections(
     number: int,
     block: Block,
     listed: list[Pass],

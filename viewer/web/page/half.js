@@ -11,3 +11,9 @@ export function half(value) {
   if (magnitude < 0x38800000) return sign | Math.round(Math.abs(value) * 2 ** 24); // subnormal
   return sign | ((magnitude - 0x38000000 + 0xfff + ((magnitude >>> 13) & 1)) >>> 13);
 }
+
+/** A number from -1 to 1, as `unpackSnorm2x16` of shaders reads it. */
+export const fraction = (value) => Math.round(value * 32767) & 0xffff;
+
+/** Two numbers of 16 bits in one, the first in its lower half. */
+export const pair = (low, high) => (low | (high << 16)) >>> 0;

@@ -1,6 +1,7 @@
 // The page: one scene, or two to compare.
 import { control } from './controls.js';
 import { Loaded } from './loaded.js';
+import { REST, Pace } from './pace.js';
 import { Panel } from './panel.js';
 import { Pose, upOf } from './pose.js';
 import { Renderer } from './renderer.js';
@@ -14,6 +15,9 @@ class Viewer {
     this.up = upOf(views);
     this.canvas = document.getElementById('view');
     this.abort = new AbortController();
+    this.pace = new Pace();
+    this.shrink = null; // by what the sides of the last picture were divided
+    this.isSaving = false;
     this.failures = [];
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
     this.panel = new Panel(this, scenes);
@@ -54,7 +58,7 @@ class Viewer {
   }
 
   #arrived() {
-    this.panel.progress(this.scenes);
+    if (!this.isLoaded) this.panel.progress(this.scenes); // orders come later, too
     this.redraw();
   }
 
@@ -64,11 +68,12 @@ class Viewer {
     this.view = ((index % count) + count) % count;
     this.pose = Pose.of(this.views[this.view], this.middle);
     this.panel.chosen(this.view);
-    this.moved();
+    this.redraw();
   }
 
-  /** The camera has moved. */
+  /** The camera has moved, and may go on. */
   moved() {
+    this.pace.move();
     this.pose = this.pose.copy(); // scenes know by it which order they are in
     this.redraw();
   }
@@ -119,9 +124,16 @@ class Viewer {
     }
   }
 
-  #draw() {
-    const { canvas, renderer, scenes, pose, look } = this;
-    const dots = Math.min(globalThis.devicePixelRatio || 1, 2);
+  /** By what to divide the sides of the next picture: what is saved or compared is never a draft. */
+  get #shrink() {
+    const isCompared = this.look.show === 'wipe' || this.look.show === 'error';
+    return this.isSaving || isCompared ? 1 : this.pace.shrink;
+  }
+
+  /** Give the canvas its size. */
+  #resize() {
+    const { canvas } = this;
+    const dots = Math.min(globalThis.devicePixelRatio || 1, 2) / this.shrink;
     for (const [side, length] of [
       ['width', canvas.clientWidth],
       ['height', canvas.clientHeight],
@@ -129,19 +141,40 @@ class Viewer {
       const pixels = Math.max(1, Math.round(length * dots));
       if (canvas[side] !== pixels) canvas[side] = pixels; // to set it clears the picture
     }
+  }
+
+  #draw() {
+    const { renderer, scenes, pose, look } = this;
+    if (this.shrink === 1) this.pace.took(renderer.took);
+    this.shrink = this.#shrink;
+    this.#resize();
     renderer.draw(scenes, pose, this.#lens(), {
       degree: look.degree,
       background: BACKGROUNDS[look.background],
       split: { a: 1, b: 0, wipe: look.split, error: 1 }[look.show],
       errors: look.show === 'error',
     });
-    const inOrder = scenes.every((scene) => scene.isInOrder(pose));
+    if (this.shrink > 1) this.#sharpen();
+    else if (this.isSaving) this.#download();
+    const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
     const state = !inOrder ? 'drawing' : this.isLoaded ? 'ready' : 'loading';
     document.body.dataset.state = this.failures.length && state === 'ready' ? 'error' : state;
   }
 
-  /** Save what the canvas shows. */
+  /** Draw in full when the camera rests. */
+  #sharpen() {
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => this.redraw(), REST);
+  }
+
+  /** Save the picture, after it has been drawn in full. */
   save() {
+    this.isSaving = true;
+    this.redraw();
+  }
+
+  #download() {
+    this.isSaving = false;
     this.canvas.toBlob((blob) => {
       const link = document.createElement('a');
       link.href = URL.createObjectURL(blob);

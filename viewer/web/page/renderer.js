@@ -1,6 +1,7 @@
 // Draws scenes by WebGL 2.
-import { half } from './half.js';
-import { HARMONICS, ROW, SCREEN, SHAPE, SPLATS } from './shaders.js';
+import { fraction, half, pair } from './half.js';
+import { ROW } from './limits.js';
+import { HARMONICS, PROJECTION, SCREEN, SHAPE, SPLATS } from './shaders.js';
 
 /** The graphics card, or its driver, does not do what is needed. */
 export class DeviceError extends Error {}
@@ -16,7 +17,6 @@ function compile(gl, [vertex, fragment]) {
     gl.compileShader(shader);
     gl.attachShader(program, shader);
   }
-  gl.bindAttribLocation(program, 0, 'gaussian');
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader));
@@ -41,6 +41,18 @@ function texture(gl, format, width, height) {
   return made;
 }
 
+/** A framebuffer of textures. */
+function targetOf(gl, ...images) {
+  const target = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+  const places = images.map((_, k) => gl.COLOR_ATTACHMENT0 + k);
+  places.forEach((place, k) =>
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, place, gl.TEXTURE_2D, images[k], 0),
+  );
+  gl.drawBuffers(places);
+  return target;
+}
+
 /** A scene on the graphics card. */
 export class Splats {
   constructor(gl, scene) {
@@ -55,23 +67,19 @@ export class Splats {
         `${scene.count} Gaussians, of which this device draws ${limit} at most`,
       );
     }
-    this.shapes = texture(gl, gl.RGBA32F, ROW * SHAPE, this.rows);
+    this.shapes = texture(gl, gl.RGBA32UI, ROW * SHAPE, this.rows);
     this.harmonics = texture(
       gl,
       gl.RGBA32UI,
       ROW * Math.max(1, this.texels),
       this.texels ? this.rows : 1,
     );
+    this.order = texture(gl, gl.R32UI, ROW, this.rows);
+    this.projected = [0, 1].map(() => texture(gl, gl.RGBA32UI, ROW, this.rows));
+    this.target = targetOf(gl, ...this.projected);
     if (gl.getError() === gl.OUT_OF_MEMORY) {
       throw new DeviceError(`${scene.count} Gaussians: the graphics card has no memory for them`);
     }
-    this.order = gl.createBuffer();
-    this.array = gl.createVertexArray();
-    gl.bindVertexArray(this.array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(0, 1);
     this.drawn = 0;
   }
 
@@ -87,25 +95,28 @@ export class Splats {
     const { gl, scene } = this;
     const { count, positions, fDc, opacity, logScale, rotation } = scene;
     const [begin, end] = [from * ROW, Math.min(until * ROW, count)];
-    const values = new Float32Array((until - from) * ROW * SHAPE * 4);
+    const words = new Uint32Array((until - from) * ROW * SHAPE * 4);
+    const floats = new Float32Array(words.buffer);
+    const turn = [0, 0, 0, 0];
     for (let i = begin, at = 0; i < end; i++, at += 4 * SHAPE) {
-      let norm = 0;
-      for (let k = 0; k < 4; k++) norm += rotation[k * count + i] ** 2;
-      norm = Math.sqrt(norm);
       for (let k = 0; k < 3; k++) {
-        values[at + k] = positions[k * count + i];
-        values[at + 8 + k] = Math.exp(logScale[k * count + i]);
-        values[at + 12 + k] = fDc[k * count + i];
+        floats[at + k] = positions[k * count + i];
+        floats[at + 4 + k] = Math.exp(logScale[k * count + i]);
       }
-      values[at + 3] = 1 / (1 + Math.exp(-opacity[i]));
-      for (let k = 0; k < 4; k++) {
-        // A zero gives the identity.
-        values[at + 4 + k] = norm > 0 ? rotation[k * count + i] / norm : Number(k === 0);
-      }
+      floats[at + 3] = 1 / (1 + Math.exp(-opacity[i]));
+      words[at + 7] = pair(half(fDc[i]), half(fDc[count + i]));
+      let norm = 0;
+      for (let k = 0; k < 4; k++) norm += (turn[k] = rotation[k * count + i]) ** 2;
+      norm = Math.sqrt(norm);
+      // A zero gives the identity.
+      for (let k = 0; k < 4; k++) turn[k] = fraction(norm > 0 ? turn[k] / norm : Number(k === 0));
+      words[at + 8] = pair(turn[0], turn[1]);
+      words[at + 9] = pair(turn[2], turn[3]);
+      words[at + 10] = half(fDc[2 * count + i]);
     }
     gl.bindTexture(gl.TEXTURE_2D, this.shapes);
     const area = [0, from, ROW * SHAPE, until - from];
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, ...area, gl.RGBA, gl.FLOAT, values);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, ...area, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
   }
 
   #loadHarmonics(from, until) {
@@ -135,8 +146,17 @@ export class Splats {
   /** Take the order in which to draw: farthest first. */
   sort(order) {
     const { gl } = this;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+    gl.bindTexture(gl.TEXTURE_2D, this.order);
+    const rows = Math.floor(order.length / ROW);
+    for (const [from, width, height] of [
+      [0, ROW, rows],
+      [rows, order.length % ROW, 1],
+    ]) {
+      if (width * height === 0) continue;
+      const area = [0, from, width, height];
+      const place = from * ROW;
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, ...area, gl.RED_INTEGER, gl.UNSIGNED_INT, order, place);
+    }
     this.drawn = order.length;
   }
 }
@@ -151,9 +171,9 @@ export class Renderer {
     this.format = gl.getExtension('EXT_color_buffer_float') ? gl.RGBA16F : gl.RGBA8;
     this.canvas = canvas;
     this.gl = gl;
+    this.projection = compile(gl, PROJECTION);
     this.splats = compile(gl, SPLATS);
     this.screen = compile(gl, SCREEN);
-    this.nothing = gl.createVertexArray();
     this.pictures = [];
     this.size = [0, 0];
     this.fence = null; // of a picture that is being drawn
@@ -192,10 +212,7 @@ export class Renderer {
     this.size = size;
     this.pictures = [0, 1].map(() => {
       const image = texture(gl, this.format, ...size);
-      const target = gl.createFramebuffer();
-      gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, image, 0);
-      return { target, image };
+      return { image, target: targetOf(gl, image) };
     });
   }
 
@@ -224,60 +241,78 @@ export class Renderer {
           [0, line],
           [line, width],
         ];
-    gl.enable(gl.SCISSOR_TEST);
-    scenes.forEach((scene, k) => {
+    scenes.forEach(({ splats, axes }, k) => {
       const [from, until] = spans[k];
-      gl.scissor(from, 0, until - from, this.size[1]);
-      if (from < until) this.#drawScene(this.pictures[k].target, scene, pose, lens, look.degree);
+      if (from >= until) return;
+      if (splats?.drawn) this.#project(splats, pose.within(axes), lens, spans[k], look.degree);
+      this.#drawScene(this.pictures[k].target, splats, spans[k]);
     });
-    gl.disable(gl.SCISSOR_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, ...this.size);
     gl.disable(gl.BLEND);
     gl.useProgram(screen.program);
-    gl.bindVertexArray(this.nothing);
-    this.pictures.forEach(({ image }, k) => {
-      gl.activeTexture(gl.TEXTURE0 + k);
-      gl.bindTexture(gl.TEXTURE_2D, image);
-      gl.uniform1i([screen.uniforms.first, screen.uniforms.second][k], k);
-    });
+    const [first, second] = this.pictures.map(({ image }) => image);
+    this.#sample(screen.uniforms, { first, second });
     gl.uniform3fv(screen.uniforms.background, look.background);
     gl.uniform1f(screen.uniforms.split, line);
     gl.uniform1i(screen.uniforms.errors, look.errors);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.activeTexture(gl.TEXTURE0);
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
   }
 
-  #drawScene(target, { splats: scene, axes }, pose, { focal, centre }, degree) {
+  /** Bind textures to samplers of a program. */
+  #sample(uniforms, textures) {
     const { gl } = this;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    gl.viewport(0, 0, ...this.size);
-    gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT);
-    if (!scene?.drawn) return;
-    const { eye, turn } = pose.within(axes);
-    const { program, uniforms } = this.splats;
-    gl.useProgram(program);
-    gl.enable(gl.BLEND);
-    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    Object.entries(textures).forEach(([name, image], k) => {
+      gl.activeTexture(gl.TEXTURE0 + k);
+      gl.bindTexture(gl.TEXTURE_2D, image);
+      gl.uniform1i(uniforms[name], k);
+    });
     gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D, scene.shapes);
-    gl.activeTexture(gl.TEXTURE1);
-    gl.bindTexture(gl.TEXTURE_2D, scene.harmonics);
-    gl.uniform1i(uniforms.shapes, 0);
-    gl.uniform1i(uniforms.harmonics, 1);
+  }
+
+  /** Project a scene's Gaussians, each once, and colour what is seen from `from` to `until`. */
+  #project(splats, { eye, turn }, { focal, centre }, span, degree) {
+    const { gl } = this;
+    const { program, uniforms } = this.projection;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, splats.target);
+    gl.viewport(0, 0, ROW, splats.rows);
+    gl.disable(gl.BLEND);
+    gl.useProgram(program);
+    this.#sample(uniforms, { shapes: splats.shapes, harmonics: splats.harmonics });
     gl.uniformMatrix3fv(uniforms.turn, true, turn.flat());
     gl.uniform3fv(uniforms.eye, eye);
     gl.uniform2fv(uniforms.focal, focal);
     gl.uniform2fv(uniforms.centre, centre);
     gl.uniform2fv(uniforms.size, this.size);
-    gl.uniform1i(uniforms.degree, Math.min(degree, scene.scene.degree));
-    gl.uniform1i(uniforms.texels, scene.texels);
-    gl.uniform1i(uniforms.antialiased, scene.scene.antialiased);
-    gl.bindVertexArray(scene.array);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, scene.drawn);
-    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform2fv(uniforms.span, span);
+    gl.uniform1i(uniforms.degree, Math.min(degree, splats.scene.degree));
+    gl.uniform1i(uniforms.texels, splats.texels);
+    gl.uniform1i(uniforms.antialiased, splats.scene.antialiased);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  #drawScene(target, splats, [from, until]) {
+    const { gl, size } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.viewport(0, 0, ...size);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(from, 0, until - from, size[1]);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    if (splats?.drawn) this.#splat(splats);
+    gl.disable(gl.SCISSOR_TEST);
+  }
+
+  #splat({ order, projected: [places, lights], drawn }) {
+    const { gl } = this;
+    const { program, uniforms } = this.splats;
+    gl.useProgram(program);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    this.#sample(uniforms, { order, places, lights });
+    gl.uniform2fv(uniforms.size, this.size);
+    gl.drawArrays(gl.TRIANGLES, 0, 3 * drawn);
   }
 }

@@ -1,106 +1,119 @@
 // Shaders: splats as gs_codec's rasteriser draws them (EWA projection of 3DGS), and what the screen
 // shows of one or two pictures of them.
+import { NEAR, ROW } from './limits.js';
 
-/** Gaussians in a row of a texture. */
-export const ROW = 1024;
-
-/** Texels of a Gaussian: position and opacity; quaternion; axes; SH-DC. */
-export const SHAPE = 4;
+/**
+ * Texels of a Gaussian: position and opacity; deviations, and R and G of SH-DC as halves; two by two,
+ * its quaternion as fractions, and B.
+ */
+export const SHAPE = 3;
 
 /** Texels of a Gaussian's SH-AC by SH degree: eight halves each, coefficient by coefficient. */
 export const HARMONICS = [0, 2, 3, 6];
 
-const splatVertex = `#version 300 es
+/** One triangle that covers all of the target. */
+const wholeVertex = `#version 300 es
+void main() {
+  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}`;
+
+/** Shader text that fetches texels of SH-AC, and unpacks each into four pairs. */
+const fetched = (first, end) =>
+  Array.from({ length: end - first }, (_, k) => k + first)
+    .map((k) => {
+      const pairs = [0, 1, 2, 3].map((i) => `h${4 * k + i} = unpackHalf2x16(t${k}[${i}])`);
+      return `uvec4 t${k} = texel(${k}); vec2 ${pairs.join(', ')};`;
+    })
+    .join('\n');
+
+/** Shader text of a coefficient, a colour, of pairs that have been fetched. */
+const coefficient = (k) =>
+  `vec3(${[0, 1, 2].map((i) => `h${(3 * k + i) >> 1}.${'xy'[(3 * k + i) & 1]}`)})`;
+
+/** Each pixel is a Gaussian: where it is in the picture, and how it looks from there. */
+const projectionFragment = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
 
-uniform highp sampler2D shapes;
-uniform highp usampler2D harmonics;
+uniform usampler2D shapes;
+uniform usampler2D harmonics;
 uniform mat3 turn; // from the world to the camera: right, down, forward
 uniform vec3 eye;
 uniform vec2 focal;
 uniform vec2 centre; // of the picture, pixels from its upper left corner
 uniform vec2 size;
+uniform vec2 span; // of the picture that is seen: left and right end
 uniform int degree; // that is drawn
 uniform int texels; // of SH-AC, of a Gaussian
 uniform bool antialiased;
 
-in uint gaussian;
+// Of what is not seen, all is 0. Pixels: the centre; ends of two half-diameters of the ellipse of one
+// deviation, (z, 0) and (x of light, w).
+layout(location = 0) out uvec4 place;
+layout(location = 1) out uvec4 light; // then opacity; colour, in halves
 
-out vec2 place; // where alpha is opacity exp(-|place|^2 / 2)
-flat out vec4 light; // colour and opacity
-
-const float NEAR = 0.2;
 const float LOW_PASS = 0.3;
 
-int texel;
-uvec4 packed;
-int taken;
+uvec4 shape(int k) {
+  return texelFetch(shapes, ivec2(gl_FragCoord) * ivec2(${SHAPE}, 1) + ivec2(k, 0), 0);
+}
 
-vec3 coefficient() {
-  vec3 value;
-  for (int k = 0; k < 3; k++) {
-    if (taken == 8) {
-      packed = texelFetch(harmonics, ivec2(int(gaussian % ${ROW}u) * texels + texel, int(gaussian / ${ROW}u)), 0);
-      texel++;
-      taken = 0;
-    }
-    vec2 pair = unpackHalf2x16(packed[taken >> 1]);
-    value[k] = pair[taken & 1];
-    taken++;
-  }
-  return value;
+uvec4 texel(int k) {
+  return texelFetch(harmonics, ivec2(gl_FragCoord) * ivec2(texels, 1) + ivec2(k, 0), 0);
 }
 
 vec3 seen(vec3 base, vec3 d) {
   vec3 colour = 0.5 + 0.28209479177387814 * base;
-  texel = 0;
-  taken = 8;
-  float x = d.x, y = d.y, z = d.z;
+  float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
   if (degree >= 1) {
-    colour -= 0.4886025119029199 * y * coefficient();
-    colour += 0.4886025119029199 * z * coefficient();
-    colour -= 0.4886025119029199 * x * coefficient();
-  }
-  float xx = x * x, yy = y * y, zz = z * z;
-  if (degree >= 2) {
-    colour += 1.0925484305920792 * x * y * coefficient();
-    colour -= 1.0925484305920792 * y * z * coefficient();
-    colour += 0.31539156525252005 * (2.0 * zz - xx - yy) * coefficient();
-    colour -= 1.0925484305920792 * x * z * coefficient();
-    colour += 0.5462742152960396 * (xx - yy) * coefficient();
-  }
-  if (degree >= 3) {
-    colour -= 0.5900435899266435 * y * (3.0 * xx - yy) * coefficient();
-    colour += 2.890611442640554 * x * y * z * coefficient();
-    colour -= 0.4570457994644658 * y * (4.0 * zz - xx - yy) * coefficient();
-    colour += 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * coefficient();
-    colour -= 0.4570457994644658 * x * (4.0 * zz - xx - yy) * coefficient();
-    colour += 1.445305721320277 * z * (xx - yy) * coefficient();
-    colour -= 0.5900435899266435 * x * (xx - 3.0 * yy) * coefficient();
+    ${fetched(0, 2)}
+    colour += -0.4886025119029199 * y * ${coefficient(0)}
+      + 0.4886025119029199 * z * ${coefficient(1)}
+      - 0.4886025119029199 * x * ${coefficient(2)};
+    if (degree >= 2) {
+      ${fetched(2, 3)}
+      colour += 1.0925484305920792 * x * y * ${coefficient(3)}
+        - 1.0925484305920792 * y * z * ${coefficient(4)}
+        + 0.31539156525252005 * (2.0 * zz - xx - yy) * ${coefficient(5)}
+        - 1.0925484305920792 * x * z * ${coefficient(6)}
+        + 0.5462742152960396 * (xx - yy) * ${coefficient(7)};
+      if (degree >= 3) {
+        ${fetched(3, 6)}
+        colour += -0.5900435899266435 * y * (3.0 * xx - yy) * ${coefficient(8)}
+          + 2.890611442640554 * x * y * z * ${coefficient(9)}
+          - 0.4570457994644658 * y * (4.0 * zz - xx - yy) * ${coefficient(10)}
+          + 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * ${coefficient(11)}
+          - 0.4570457994644658 * x * (4.0 * zz - xx - yy) * ${coefficient(12)}
+          + 1.445305721320277 * z * (xx - yy) * ${coefficient(13)}
+          - 0.5900435899266435 * x * (xx - 3.0 * yy) * ${coefficient(14)};
+      }
+    }
   }
   return max(colour, 0.0);
 }
 
+mat3 rotation(vec4 q) { // w, x, y, z
+  return mat3(
+    1.0 - 2.0 * (q.z * q.z + q.w * q.w), 2.0 * (q.y * q.z + q.x * q.w), 2.0 * (q.y * q.w - q.x * q.z),
+    2.0 * (q.y * q.z - q.x * q.w), 1.0 - 2.0 * (q.y * q.y + q.w * q.w), 2.0 * (q.z * q.w + q.x * q.y),
+    2.0 * (q.y * q.w + q.x * q.z), 2.0 * (q.z * q.w - q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z));
+}
+
 void main() {
-  gl_Position = vec4(0.0, 0.0, 2.0, 1.0); // not seen
-  ivec2 at = ivec2(int(gaussian % ${ROW}u) * ${SHAPE}, int(gaussian / ${ROW}u));
-  vec4 point = texelFetch(shapes, at, 0);
+  place = light = uvec4(0);
+  vec4 point = uintBitsToFloat(shape(0));
   vec3 away = point.xyz - eye;
   vec3 c = turn * away;
-  if (!(c.z > NEAR)) return;
+  if (!(c.z > float(${NEAR}))) return;
   vec2 slope = c.xy / c.z;
   vec2 pixel = focal * slope + centre;
   // The Jacobian is that of a slope near the picture.
   vec2 margin = 0.15 * size / focal;
   vec2 near = clamp(slope, -centre / focal - margin, (size - centre) / focal + margin);
-  vec4 q = texelFetch(shapes, at + ivec2(1, 0), 0);
-  vec3 lengths = texelFetch(shapes, at + ivec2(2, 0), 0).xyz;
-  mat3 axes = turn * mat3(
-    1.0 - 2.0 * (q.z * q.z + q.w * q.w), 2.0 * (q.y * q.z + q.x * q.w), 2.0 * (q.y * q.w - q.x * q.z),
-    2.0 * (q.y * q.z - q.x * q.w), 1.0 - 2.0 * (q.y * q.y + q.w * q.w), 2.0 * (q.z * q.w + q.x * q.y),
-    2.0 * (q.y * q.w + q.x * q.z), 2.0 * (q.z * q.w - q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z));
+  uvec4 second = shape(1), third = shape(2);
+  vec3 lengths = uintBitsToFloat(second.xyz);
+  mat3 axes = turn * rotation(vec4(unpackSnorm2x16(third.x), unpackSnorm2x16(third.y)));
   vec2 scale = focal / c.z;
   vec2 a0 = scale * lengths.x * (axes[0].xy - near * axes[0].z);
   vec2 a1 = scale * lengths.y * (axes[1].xy - near * axes[1].z);
@@ -117,13 +130,48 @@ void main() {
   float alpha = point.w;
   if (antialiased) alpha *= sqrt(max(0.000025, sharp / determinant));
   if (!(alpha >= 1.0 / 255.0) || !(determinant > 0.0 && determinant < 1e37)) return;
-  float reach = sqrt(2.0 * log(alpha * 255.0));
-  place = reach * vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - reach;
-  float high = place.y * sqrt(yy);
-  float wide = (place.x + xy / sqrt(yy * determinant) * high) * sqrt(determinant / yy);
-  vec2 corner = (pixel + vec2(wide, high)) / size * 2.0 - 1.0;
-  vec3 base = texelFetch(shapes, at + ivec2(3, 0), 0).xyz;
-  light = vec4(seen(base, normalize(away)), alpha);
+  vec2 reach = sqrt(2.0 * log(alpha * 255.0) * vec2(xx, yy));
+  vec2 low = vec2(span.x, 0.0) - reach, high = vec2(span.y, size.y) + reach;
+  if (any(lessThan(pixel, low)) || any(greaterThan(pixel, high))) return;
+  vec3 base = vec3(unpackHalf2x16(second.w), unpackHalf2x16(third.z).x);
+  vec3 colour = seen(base, normalize(away));
+  float down = sqrt(yy);
+  place = floatBitsToUint(vec4(pixel, sqrt(determinant / yy), down));
+  light.xy = floatBitsToUint(vec2(xy / down, alpha));
+  light.zw = uvec2(packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
+}`;
+
+/** A triangle about each Gaussian that is seen, of which all but an ellipse stays empty. */
+const splatVertex = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+
+uniform usampler2D order;
+uniform usampler2D places;
+uniform usampler2D lights;
+uniform vec2 size;
+
+out vec2 place; // where alpha is opacity exp(-|place|^2 / 2)
+flat out vec4 light; // colour and opacity
+
+ivec2 texel(uint k) {
+  return ivec2(k % ${ROW}u, k / ${ROW}u);
+}
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0); // not seen
+  ivec2 at = texel(texelFetch(order, texel(uint(gl_VertexID / 3)), 0).r);
+  uvec4 second = texelFetch(lights, at, 0);
+  float alpha = uintBitsToFloat(second.y);
+  if (alpha == 0.0) return;
+  vec4 first = uintBitsToFloat(texelFetch(places, at, 0));
+  // The circle in it has the radius 1.
+  const vec2 CORNERS[3] = vec2[](vec2(-1.7320509, -1.0), vec2(1.7320509, -1.0), vec2(0.0, 2.0));
+  place = sqrt(2.0 * log(alpha * 255.0)) * CORNERS[gl_VertexID % 3];
+  light = vec4(unpackHalf2x16(second.z), unpackHalf2x16(second.w).x, alpha);
+  vec2 away = vec2(place.x * first.z + place.y * uintBitsToFloat(second.x), place.y * first.w);
+  vec2 corner = (first.xy + away) / size * 2.0 - 1.0;
   gl_Position = vec4(corner.x, -corner.y, 0.0, 1.0);
 }`;
 
@@ -136,11 +184,6 @@ void main() {
   float alpha = min(0.99, light.a * exp(-0.5 * dot(place, place)));
   if (alpha < 1.0 / 255.0) discard;
   colour = vec4(light.rgb * alpha, alpha);
-}`;
-
-const screenVertex = `#version 300 es
-void main() {
-  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
 }`;
 
 const screenFragment = `#version 300 es
@@ -172,5 +215,6 @@ void main() {
   colour = vec4(shown, 1.0);
 }`;
 
+export const PROJECTION = [wholeVertex, projectionFragment];
 export const SPLATS = [splatVertex, splatFragment];
-export const SCREEN = [screenVertex, screenFragment];
+export const SCREEN = [wholeVertex, screenFragment];

@@ -1,6 +1,5 @@
 // A worker that orders Gaussians by depth, farthest first.
-
-const NEAR = 0.2;
+import { NEAR } from './limits.js';
 
 let positions = new Float32Array(0); // x, y, z of each Gaussian
 let known = []; // [first, end] of what is decoded

@@ -1,0 +1,126 @@
+"""Workers of a Dask scheduler, or of one started on this machine."""
+
+from __future__ import annotations
+
+import logging
+import platform
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import dask
+import distributed
+from distributed.system import MEMORY_LIMIT
+
+from gs_codec import __version__
+from gs_codec.batch.redaction import redacted
+from gs_codec.errors import InvalidInput, MissingTool, one_line
+
+_HOST = "127.0.0.1"
+
+
+@contextmanager
+def connected(address: str, jobs: int, folder: str, name: str) -> Iterator[distributed.Client]:
+    """A client of the scheduler at an address, or of a local cluster of `jobs` processes.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, or ``local``.
+    jobs : int
+        Worker processes of a local cluster.
+    folder : str
+        Where a local cluster keeps its temporary files.
+    name : str
+        What errors call the cluster.
+
+    Raises
+    ------
+    InvalidInput, MissingTool
+        If there is no scheduler at the address, or a package that its address needs is missing.
+    """
+    # Dask's messages about workers that come and go do not concern the user.
+    for known in ("distributed", *logging.getLogger("distributed").manager.loggerDict):
+        if known.startswith("distributed"):
+            logging.getLogger(known).setLevel(logging.CRITICAL)
+    with ExitStack() as stack:
+        try:
+            scheduler: Any = address
+            if scheduler == "local":
+                scheduler = stack.enter_context(start_cluster(jobs, folder))
+            client = stack.enter_context(distributed.Client(scheduler, set_as_default=False))
+        except ImportError as error:
+            text = f"{name}: {one_line(error)}; pip install 'gs-codec[cluster]'"
+            raise MissingTool(text) from error
+        except (OSError, ValueError, TimeoutError) as error:
+            cause = redacted(one_line(error), address)
+            raise InvalidInput(f"{name}: no scheduler there ({cause})") from error
+        yield client
+
+
+def threads_of_hosts(client: distributed.Client) -> Counter[str]:
+    """Number of tasks that each host runs at once, by host name; checks versions.
+
+    Raises
+    ------
+    InvalidInput
+        If a worker has another version.
+    """
+    hosts = Counter[str]()
+    for worker, found in client.run(_introduced, on_error="return").items():
+        version, host, threads = found if isinstance(found, tuple) else (None, "", 0)
+        if version != __version__:
+            has = f"gs_codec {version}" if version else "no gs_codec"
+            raise InvalidInput(f"{worker}: {has}, expected gs_codec {__version__} on workers")
+        hosts[host] += threads
+    return hosts
+
+
+def _introduced(dask_worker: Any) -> tuple[str, str, int]:
+    """Version of gs_codec on a worker, name of its host, and number of its threads."""
+    return __version__, platform.node(), dask_worker.state.nthreads
+
+
+class _Silent:
+    """Keeps a Dask node from serving web pages, which it does even without a dashboard."""
+
+    def start_http_server(self, *arguments: Any, **options: Any) -> None:
+        """Open no port."""
+
+
+class LocalScheduler(_Silent, distributed.Scheduler):
+    """A scheduler without web pages."""
+
+
+class LocalWorker(_Silent, distributed.Worker):
+    """A worker without web pages."""
+
+
+def start_cluster(jobs: int, folder: str) -> distributed.SpecCluster:
+    """Start a scheduler and `jobs` worker processes that keep their files in `folder`.
+
+    They and their client authenticate with a key that only this process has. Other users of the
+    machine can reach the ports, but cannot connect without the key.
+    """
+    security = distributed.Security.temporary()
+    common = {"host": _HOST, "protocol": "tls://", "security": security}
+    worker = {
+        "cls": distributed.Nanny,
+        "options": common
+        | {
+            "worker_class": LocalWorker,
+            "nthreads": 1,
+            "memory_limit": MEMORY_LIMIT // jobs,
+            "local_directory": folder,
+            "silence_logs": logging.CRITICAL,
+        },
+    }
+    # Dask imports modules from its folder first; its default folder may belong to another user.
+    with dask.config.set({"temporary-directory": folder}):
+        return distributed.SpecCluster(
+            workers=dict.fromkeys(range(jobs), worker),
+            scheduler={"cls": LocalScheduler, "options": common | {"port": 0, "dashboard": False}},
+            security=security,
+            silence_logs=logging.CRITICAL,
+        )

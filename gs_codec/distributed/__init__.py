@@ -1,0 +1,1 @@
+"""One giant scene, encoded and decoded by several processes or machines."""

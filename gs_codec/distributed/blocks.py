@@ -1,0 +1,137 @@
+"""All blocks of a scene, or of a level of it: coded in chunks, and put together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.contexts import passes
+from gs_codec.codecs.adaptive.encode import choose_models
+from gs_codec.codecs.adaptive.lattice import Lattice
+from gs_codec.codecs.adaptive.section import write_lattice
+from gs_codec.distributed.chunks import coded_bytes, coded_table, save_coded
+from gs_codec.distributed.folder import Folder
+from gs_codec.distributed.workers import Workers, do_all
+from gs_codec.egs.file import Listed, Section, SectionId, file_head, in_file_order, padded_parts
+from gs_codec.egs.header import FANOUT, Header
+from gs_codec.egs.index import index_section
+from gs_codec.report import ChannelCost, StageTimes
+from gs_codec.runtime.atomic import atomic_writer
+from gs_codec.scene import SH_COEFFICIENTS
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """Blocks of a file in chunks of `each`, which are whole blocks of the next level."""
+
+    header: Header
+    each: int
+
+    @classmethod
+    def of(cls, header: Header, size: int) -> Chunks:
+        """Chunks of about `size` Gaussians."""
+        return cls(header, max(size // (FANOUT * header.block_size), 1) * FANOUT)
+
+    @property
+    def number(self) -> int:
+        """How many there are."""
+        return -(-self.header.block_count // self.each)
+
+    @property
+    def ranks(self) -> list[int]:
+        """The Gaussian that each chunk begins with, and where the last ends."""
+        step = self.each * self.header.block_size
+        return [*range(0, self.header.count, step), self.header.count]
+
+
+@dataclass(frozen=True)
+class CodedBlocks:
+    """What a file has beside its coded chunks, which are in the folder.
+
+    Attributes
+    ----------
+    folder : Folder
+    chunks : Chunks
+    sections : list of Section
+        Of the whole scene.
+    costs : list of ChannelCost
+        As `choose_models` gives them.
+    clamped : int
+        Number of values clamped to the largest.
+    """
+
+    folder: Folder
+    chunks: Chunks
+    sections: list[Section]
+    costs: list[ChannelCost]
+    clamped: int
+
+
+def code_blocks(
+    workers: Workers,
+    folder: Folder,
+    chunks: Chunks,
+    lattice: Lattice,
+    quantise: Callable[[int], None],
+    times: StageTimes,
+) -> CodedBlocks:
+    """Code all chunks; `quantise` is the task that does `save_quantised` for one."""
+    with times.stage("quantise"):
+        do_all(workers, folder, "quantise", quantise, chunks.number)
+    with times.stage("model"):
+        extents, clamped, counted = _counted(folder, chunks)
+        models, _, costs = choose_models(passes(_coefficients(chunks.header)), counted)
+        sections = index_section(extents)
+        described = write_lattice(lattice, models)
+        sections.append(Section(SectionId.LATTICE, 0, described))
+    with times.stage("code"):
+        task = partial(_code, folder, described, chunks)
+        do_all(workers, folder, "code", task, chunks.number)
+    return CodedBlocks(folder, chunks, sections, costs, clamped)
+
+
+def _coefficients(header: Header) -> int:
+    return SH_COEFFICIENTS[header.sh_degree]
+
+
+def _counted(
+    folder: Folder, chunks: Chunks
+) -> tuple[list[NDArray[np.float32]], int, list[NDArray[np.int64]]]:
+    """Extents of all blocks, number of clamped values, and what `count_tokens` gives of all."""
+    extents, clamped, counted = list[NDArray[np.float32]](), 0, list[NDArray[np.int64]]()
+    for number in range(chunks.number):
+        told = folder.load(f"quantise-{number}")
+        extents += list(told.pop("extents"))
+        clamped += int(told.pop("clamped"))
+        counted = counted or [np.zeros_like(counts) for counts in told.values()]
+        for total, counts in zip(counted, told.values(), strict=True):
+            total += counts
+    return extents, clamped, counted
+
+
+def _code(folder: Folder, described: bytes, chunks: Chunks, number: int) -> None:
+    first = number * chunks.each
+    save_coded(folder, number, first, described, _coefficients(chunks.header))
+
+
+def write_blocks(
+    target: Path, coded: CodedBlocks, beside: Sequence[Section] = ()
+) -> list[tuple[int, int]]:
+    """Write a file of coded blocks, with sections beside; the id and size of each section."""
+    header, sections = coded.chunks.header, in_file_order([*coded.sections, *beside])
+    pieces = [(p, k) for p in range(1 + header.sh_degree) for k in range(coded.chunks.number)]
+    table = [Listed.of(section) for section in sections]
+    for place, number in pieces:
+        table += coded_table(coded.folder, place, number)
+    with atomic_writer(target) as file:
+        file.write(file_head(header, table))
+        for section in sections:
+            file.writelines(padded_parts(section))
+        for place, number in pieces:
+            file.write(coded_bytes(coded.folder, place, number))
+    return [(entry.id, entry.size) for entry in table]

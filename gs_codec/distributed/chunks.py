@@ -1,0 +1,108 @@
+"""Chunks of consecutive blocks: quantised, then coded; what is between is kept in the folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.arrange import Arranged
+from gs_codec.codecs.adaptive.blocks import Block, PassData, colour_block, shape_block
+from gs_codec.codecs.adaptive.contexts import passes
+from gs_codec.codecs.adaptive.encode import block_sections, count_tokens
+from gs_codec.codecs.adaptive.lattice import Lattice
+from gs_codec.codecs.adaptive.section import read_lattice
+from gs_codec.coding.context_rans import PassTables
+from gs_codec.distributed.folder import Arrays, Folder
+from gs_codec.egs.file import Listed, Section, padded_parts, place_in_file
+from gs_codec.scene import Scene
+
+#: Arrays of a pass, by name.
+_PASS = tuple(field.name for field in fields(PassData))
+
+
+def save_quantised(
+    folder: Folder,
+    number: int,
+    scene: Scene,
+    codes: NDArray[np.int64],
+    lattice: Lattice,
+    block_size: int,
+) -> None:
+    """Quantise the Gaussians of a chunk, which are in stream order, without cameras."""
+    order = np.arange(scene.count, dtype=np.uint32)
+    classes = np.zeros((2, scene.count), np.uint8)
+    arranged = Arranged(scene, order, lattice, codes, classes)
+    blocks = []
+    for start in range(0, scene.count, block_size):
+        shaped = shape_block(arranged, start, min(start + block_size, scene.count))
+        blocks.append(colour_block(arranged, shaped, diffusing=True))
+    counted = count_tokens(passes(len(scene.f_rest) // 3), blocks)
+    folder.save(f"blocks-{number}", _packed(blocks))
+    extents = np.stack([block.extent for block in blocks])
+    clamped = np.array(sum(block.clamped for block in blocks))
+    counts = {f"count-{k}": counts for k, counts in enumerate(counted)}
+    folder.save(f"quantise-{number}", {"extents": extents, "clamped": clamped, **counts})
+
+
+def _packed(blocks: Sequence[Block]) -> Arrays:
+    """The arrays of blocks, one after another, and the length of each."""
+    columns: dict[str, list[NDArray[Any]]] = {
+        name: [np.frombuffer(getattr(block, name), np.uint8) for block in blocks]
+        for name in ("tree", "low_bits")
+    }
+    for k in range(len(blocks[0].passes)):
+        for name in _PASS:
+            columns[f"{k} {name}"] = [getattr(block.passes[k], name) for block in blocks]
+    packed = {name: np.concatenate(column) for name, column in columns.items()}
+    lengths = {f"{name} lengths": np.array([len(a) for a in c]) for name, c in columns.items()}
+    return packed | lengths
+
+
+def _unpacked(packed: Arrays, extents: NDArray[np.float32]) -> Iterator[Block]:
+    """The inverse of `_packed`."""
+    names = [name for name in packed if not name.endswith("lengths")]
+    columns = {
+        name: np.split(packed[name], np.cumsum(packed[f"{name} lengths"])[:-1]) for name in names
+    }
+    number = (len(names) - 2) // len(_PASS)
+    for k, extent in enumerate(extents):
+        own = [PassData(*(columns[f"{p} {name}"][k] for name in _PASS)) for p in range(number)]
+        tree, low_bits = columns["tree"][k].tobytes(), columns["low_bits"][k].tobytes()
+        yield Block(tree, low_bits, extent, own, 0)
+
+
+def save_coded(
+    folder: Folder, number: int, first_block: int, lattice_section: bytes, coefficients: int
+) -> None:
+    """Code the quantised blocks of a chunk, whose first is `first_block` of the file."""
+    _, models = read_lattice(memoryview(lattice_section), coefficients)
+    listed = passes(coefficients)
+    tables, rows = PassTables.pack(models.tables()), [models.rows(item) for item in listed]
+    (extents,) = folder.load(f"quantise-{number}", "extents").values()
+    blocks = _unpacked(folder.load(f"blocks-{number}"), extents)
+    placed: dict[int, list[Section]] = {}
+    for block, data in enumerate(blocks, first_block):
+        for section in block_sections(block, data, listed, rows, tables):
+            placed.setdefault(place_in_file(section.id, block)[0], []).append(section)
+    arrays = {}
+    for place, sections in placed.items():
+        content = b"".join(part for section in sections for part in padded_parts(section))
+        arrays[f"{place}"] = np.frombuffer(content, np.uint8)
+        arrays[f"{place} table"] = np.array([Listed.of(each) for each in sections], np.int64)
+    folder.save(f"code-{number}", arrays)
+
+
+def coded_table(folder: Folder, place: int, number: int) -> list[Listed]:
+    """What the section table says of the sections of a chunk that are at a place of the file."""
+    (rows,) = folder.load(f"code-{number}", f"{place} table").values()
+    return [Listed(*row) for row in rows.tolist()]
+
+
+def coded_bytes(folder: Folder, place: int, number: int) -> memoryview:
+    """The sections of a chunk that are at a place of the file, one after another."""
+    (data,) = folder.load(f"code-{number}", f"{place}").values()
+    return data.data

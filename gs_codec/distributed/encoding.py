@@ -1,0 +1,195 @@
+"""A giant scene encoded by many workers, none of which holds it.
+
+The file is that of `encode_file`, byte for byte, whatever the workers. All Gaussians are looked at
+(`looking`) and sorted (`sorting`); blocks are quantised and, with tables from the counts of all,
+coded (`blocks`); coarser levels are made from what they decode to (`levels`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec import __version__
+from gs_codec.codecs.adaptive.lattice import Lattice
+from gs_codec.codecs.encode import encode_parts
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
+from gs_codec.distributed.blocks import Chunks, code_blocks, write_blocks
+from gs_codec.distributed.chunks import save_quantised
+from gs_codec.distributed.folder import work_folder
+from gs_codec.distributed.levels import code_levels
+from gs_codec.distributed.looking import Job, choose_lattice, look
+from gs_codec.distributed.sorting import find_cuts, load_chunk, save_run
+from gs_codec.distributed.sources import Sources, open_sources
+from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
+from gs_codec.egs.file import Section, SectionId, section_sizes
+from gs_codec.egs.header import FANOUT, Header
+from gs_codec.egs.sections import carried_sections
+from gs_codec.errors import InvalidInput
+from gs_codec.files.scenes import check_target, write_parts
+from gs_codec.report import EncodeReport, Progress, StageTimes
+from gs_codec.runtime.mapped import opened
+from gs_codec.runtime.threads import using_threads
+
+
+def encode_distributed(
+    source: str | Path | Sequence[str | Path],
+    target: str | Path,
+    config: Config | None = None,
+    *,
+    dask: str = "local",
+    progress: Progress | None = None,
+    max_memory: int | None = None,
+    overwrite: bool = True,
+) -> EncodeReport:
+    """Encode one scene by the workers of a Dask scheduler; it is never in memory as a whole.
+
+    The file is that of `encode_file`, or of `convert_file` for several sources, byte for byte. What
+    is done is kept in the folder ``TARGET.parts`` until the target is whole: the same call goes on
+    with what a run before it left. Workers read the sources and use that folder, so they need a
+    storage that all machines share.
+
+    Parameters
+    ----------
+    source : path, or sequence of paths
+        Binary PLY files of floats, or `.egs` files; several are merged, see `gs_codec.edit.merge`.
+    target : str or Path
+        An ``.egs``.
+    config : Config, optional
+        Of profile ``l``, ``m`` or ``s``, without depths and extra properties; its threads are the
+        processes of a local cluster, by default one for each processor.
+    dask : str
+        Address of a scheduler, or ``local``.
+    progress, overwrite
+        As for `encode_file`.
+    max_memory : int, optional
+        Maximum memory of each worker, bytes: fewer Gaussians are then held at once.
+
+    Returns
+    -------
+    EncodeReport
+        As that of `encode_file`, but for its stages.
+
+    Raises
+    ------
+    InvalidInput, CorruptStream, TruncatedStream, UnsupportedVersion, MissingTool
+        As for `encode_file`; or if there is no scheduler, or workers are lost again and again.
+
+    Examples
+    --------
+    >>> report = gs_codec.encode_distributed("scene.ply", "scene.egs")
+    >>> report.count
+    2000
+    """
+    config = config or Config()
+    paths = [Path(source)] if isinstance(source, str | Path) else [Path(each) for each in source]
+    check_target(paths, target, (".egs",), overwrite)
+    _check(config)
+    sources = open_sources([path.absolute() for path in paths], config.extra)
+    least = max(FANOUT * config.block_size, *(each.block_size for each in sources.listed))
+    with using_threads(config.threads), workers_at(dask, progress) as workers:
+        size = size_within(max_memory, workers.at_once, sources.head.sh_degree, least)
+        return encode_with(workers, sources, Path(target).absolute(), config, size)
+
+
+def _check(config: Config) -> None:
+    """Refuse what looks at all Gaussians at once."""
+    if config.profile not in ADAPTIVE_PROFILES or config.format != EGS:
+        known = ", ".join(ADAPTIVE_PROFILES)
+        raise InvalidInput(f"dask: profile '{config.profile}', expected {known} of an .egs")
+    if config.depths:
+        raise InvalidInput("dask: not with depths, which need the whole scene")
+    if config.extra == "keep":
+        raise InvalidInput("dask: extra properties are not kept, expected --extra drop")
+
+
+def encode_with(
+    workers: Workers, sources: Sources, target: Path, config: Config, size: int
+) -> EncodeReport:
+    """Encode a scene in tasks of about `size` Gaussians; see `encode_distributed`."""
+    times = StageTimes()
+    if not sources.count:
+        return _encode_nothing(sources, target, config, 0)
+    with work_folder(target, _identity(sources, config, size)) as folder, ExitStack() as stack:
+        job = Job(folder, sources, sources.spans(size), config)
+        with times.stage("look"):
+            looked = look(workers, job)
+        count = sources.count - len(looked.dropped)
+        if not count:
+            return _encode_nothing(sources, target, looked.config, sources.count)
+        with times.stage("sort"):
+            lattice = choose_lattice(workers, job, looked)
+            chunks = Chunks.of(Header.of(sources.head, config, count), size)
+            cuts = _sort(workers, job, lattice, chunks)
+        task = partial(_quantise, job, lattice, chunks, cuts)
+        coded = code_blocks(workers, folder, chunks, lattice, task, times)
+        folder.remove_mapped()
+        beside = carried_sections(sources.head, np.empty(0, np.int64))
+        if config.lod:
+            with times.stage("levels"):
+                paths = code_levels(workers, coded, sources.head, config, size)
+            for number, path in enumerate(paths, 1):
+                data = stack.enter_context(opened(path))
+                beside.append(Section(SectionId.LEVEL, number, data, optional=True))
+        with times.stage("write"):
+            sized = write_blocks(target, coded, beside)
+    report = EncodeReport(
+        count=count,
+        raw_bytes=chunks.header.float_bytes,
+        section_bytes=section_sizes(sized),
+        costs=coded.costs,
+        rectified=coded.clamped,
+        zero_quaternions=looked.zero_quaternions,
+        dropped=len(looked.dropped),
+        seconds=times.seconds,
+        coarseness=looked.config.coarseness,
+    )
+    ratio = sources.ratio_bytes / report.file_bytes
+    return replace(report, input_bytes=sources.stored_bytes, ratio=ratio)
+
+
+def _identity(sources: Sources, config: Config, size: int) -> dict[str, Any]:
+    """What two runs have to agree in for one to go on with the results of the other."""
+    stamps = [
+        (s.path, os.stat(s.path).st_size, os.stat(s.path).st_mtime_ns) for s in sources.listed
+    ]
+    return {"version": __version__, "files": stamps, "config": asdict(config), "size": size}
+
+
+def _sort(workers: Workers, job: Job, lattice: Lattice, chunks: Chunks) -> NDArray[np.int64]:
+    """Sort spans, and find where chunks cut them; see `find_cuts`."""
+    folder, number = job.folder, len(job.spans)
+    do_all(workers, folder, "sort", partial(_sort_span, job, lattice), number)
+    if not folder.has("cuts"):
+        cuts = find_cuts(folder, number, chunks.ranks, lattice.grid.total_bits)
+        folder.save("cuts", {"cuts": cuts})
+    return folder.load("cuts")["cuts"]
+
+
+def _sort_span(job: Job, lattice: Lattice, number: int) -> None:
+    _, clean, _ = job.clean(number)
+    save_run(job.folder, number, clean, lattice.grid)
+
+
+def _quantise(
+    job: Job, lattice: Lattice, chunks: Chunks, cuts: NDArray[np.int64], number: int
+) -> None:
+    begins, ends = cuts[:, number], cuts[:, number + 1]
+    scene, codes = load_chunk(job.folder, begins, ends, job.gaussians.head)
+    save_quantised(job.folder, number, scene, codes, lattice, chunks.header.block_size)
+
+
+def _encode_nothing(sources: Sources, target: Path, config: Config, dropped: int) -> EncodeReport:
+    """Encode a scene without Gaussians."""
+    parts, report = encode_parts(sources.head, config)
+    write_parts(target, parts)
+    ratio = sources.ratio_bytes / report.file_bytes
+    return replace(report, dropped=dropped, input_bytes=sources.stored_bytes, ratio=ratio)

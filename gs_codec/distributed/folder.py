@@ -1,0 +1,123 @@
+"""The folder that workers share: what each has done is a file there, so a run can go on later."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.errors import InvalidInput, one_line
+from gs_codec.runtime.atomic import atomic_writer, make_folder, try_lock
+
+#: Arrays of a result by their names.
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Results by name: arrays, written once and whole. Stages of tasks there have a label."""
+
+    path: Path
+    label: str = ""
+
+    def within(self, name: str) -> Folder:
+        """A folder in it."""
+        return Folder(make_folder(self.path / name), f"{name} ")
+
+    def has(self, name: str) -> bool:
+        """Whether a result is there."""
+        return self._file(name).exists()
+
+    def save(self, name: str, arrays: Arrays) -> None:
+        """Write a result."""
+        with atomic_writer(self._file(name)) as file:
+            np.savez(file, allow_pickle=False, **arrays)
+
+    def load(self, name: str, *wanted: str) -> Arrays:
+        """The arrays of a result, or only the wanted ones.
+
+        Raises
+        ------
+        InvalidInput
+            If it is not there, or not a result.
+        """
+        try:
+            with np.load(self._file(name)) as found:
+                return {key: found[key] for key in wanted or found.files}
+        except (OSError, KeyError, ValueError) as error:
+            raise self._unreadable(name, error) from error
+
+    def save_mapped(self, name: str, array: NDArray) -> None:
+        """Write an array that is read in parts."""
+        with atomic_writer(self.path / f"{name}.npy") as file:
+            np.save(file, array, allow_pickle=False)
+
+    def mapped(self, name: str) -> NDArray:
+        """An array of `save_mapped`, of which only what is used is read."""
+        try:
+            return np.load(self.path / f"{name}.npy", mmap_mode="r")
+        except (OSError, ValueError) as error:
+            raise self._unreadable(name, error) from error
+
+    def remove_mapped(self) -> None:
+        """Remove all arrays of `save_mapped`."""
+        for file in self.path.glob("*.npy"):
+            file.unlink()
+
+    def _file(self, name: str) -> Path:
+        return self.path / f"{name}.npz"
+
+    def _unreadable(self, name: str, error: Exception) -> InvalidInput:
+        return InvalidInput(
+            f"{self.path}: no result '{name}' ({one_line(error)}), "
+            "expected a folder that all workers share"
+        )
+
+
+@contextmanager
+def work_folder(target: Path, identity: dict[str, Any]) -> Iterator[Folder]:
+    """The folder ``TARGET.parts`` beside an output, as a run of the same identity left it.
+
+    What runs of another identity left is removed, and the folder itself once the block succeeds.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot be made, or another run works there.
+    """
+    outer = make_folder(target.with_name(f"{target.name}.parts"))
+    text = json.dumps(identity, sort_keys=True, default=str)
+    # Workers of a run that was killed may still write: to a folder of their own.
+    own = outer / hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+    descriptor = _locked(outer)
+    try:
+        for entry in outer.iterdir():
+            if entry != own:
+                shutil.rmtree(entry, ignore_errors=True)
+        make_folder(own)
+        yield Folder(own)
+        shutil.rmtree(outer, ignore_errors=True)
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def _locked(folder: Path) -> int | None:
+    """A descriptor that locks the folder; None where folders have no locks."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return None
+    if not try_lock(descriptor):
+        os.close(descriptor)
+        raise InvalidInput(f"{folder}: another run works there, expected to wait for it")
+    return descriptor

@@ -1,0 +1,141 @@
+"""Coarser levels of detail, made and coded by many workers; see `gs_codec.levels`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.codecs.adaptive.arrange import order_within
+from gs_codec.codecs.adaptive.lattice import Lattice, grid_codes
+from gs_codec.codecs.part import Part
+from gs_codec.codecs.slabs import opened_slabs
+from gs_codec.config import Config
+from gs_codec.distributed.blocks import Chunks, CodedBlocks, code_blocks, write_blocks
+from gs_codec.distributed.chunks import save_quantised
+from gs_codec.distributed.folder import Folder
+from gs_codec.distributed.looking import Job, choose_lattice, look
+from gs_codec.distributed.sorting import planes_of, scene_of_rows
+from gs_codec.distributed.sources import Source, Span
+from gs_codec.distributed.workers import Workers, do_all
+from gs_codec.egs.header import FANOUT, Header
+from gs_codec.egs.levels import errors_section, level_header
+from gs_codec.formats.ply_body import to_rows
+from gs_codec.levels.building import Level, coarser
+from gs_codec.levels.encoding import config_of_levels
+from gs_codec.report import StageTimes
+from gs_codec.scene import Scene, join_scenes
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The Gaussians of a level, in pieces of `piece` each, the last fewer; see `Gaussians`."""
+
+    folder: Folder
+    head: Scene
+    count: int
+    piece: int
+
+    def spans(self, size: int) -> list[Span]:
+        """All Gaussians, in spans of at most `size`."""
+        source = Source(self.folder.path, self.count)
+        starts = range(0, self.count, size)
+        return [Span(source, start, min(start + size, self.count), start) for start in starts]
+
+    def read(self, span: Span) -> Scene:
+        """The Gaussians of a span."""
+        parts = []
+        for number in range(span.start // self.piece, -(-span.stop // self.piece)):
+            first = number * self.piece
+            inside = slice(max(span.start - first, 0), span.stop - first)
+            parts.append(self.folder.mapped(f"rows-{number}")[inside])
+        return scene_of_rows(np.concatenate(parts), self.head)
+
+    def pick(self, span: Span, index: NDArray[np.int64]) -> Scene:
+        """Those of a span that have these numbers."""
+        return self.read(span).take(index - span.first)
+
+
+#: Blocks of a level from a first up to another, the last not included.
+_Read = Callable[[int, int], Level]
+
+
+def code_levels(
+    workers: Workers, coded: CodedBlocks, head: Scene, config: Config, size: int
+) -> list[Path]:
+    """Files of the coarser levels of coded blocks, the finest first; see `add_levels`.
+
+    `config` is what was asked for the scene, without the coarseness that it needs.
+    """
+    chunks, head = coded.chunks, replace(head, comments=(), has_normals=False)
+    paths = list[Path]()
+    if chunks.header.level_counts:
+        write_blocks(coded.folder.path / "level-0.egs", coded)
+    read: _Read = partial(_decoded, coded.folder.path / "level-0.egs")
+    for number in range(1, len(chunks.header.level_counts) + 1):
+        header = level_header(chunks.header, number)
+        folder = coded.folder.within(f"level-{number}")
+        each = chunks.each // FANOUT
+        errors = _merge(workers, folder, header, each, read)
+        merged = Merged(folder, head, header.count, each * header.block_size)
+        job = Job(folder, merged, merged.spans(size), config)
+        looked = look(workers, job, calibrates=number == 1)
+        if number == 1:
+            config = config_of_levels(looked.config)
+        lattice = choose_lattice(workers, job, looked._replace(config=config))
+        own = Chunks(header, chunks.each)
+        task = partial(_quantise, merged, lattice, own)
+        level = code_blocks(workers, folder, own, lattice, task, StageTimes())
+        paths.append(folder.path / "level.egs")
+        write_blocks(paths[-1], level, [errors_section(errors)])
+        read = partial(_kept, merged, errors, header.block_size)
+    return paths
+
+
+def _decoded(path: Path, first: int, stop: int) -> Level:
+    """Blocks of the file that has the finest level."""
+    with opened_slabs(path, Part(), among=range(first, stop)) as slabs:
+        scene = join_scenes(list(slabs.scenes()))
+    return Level(replace(scene, extra={}, has_normals=False), np.zeros(stop - first, np.float32))
+
+
+def _kept(
+    merged: Merged, errors: NDArray[np.float32], block_size: int, first: int, stop: int
+) -> Level:
+    """Blocks of a level that is made."""
+    (whole,) = merged.spans(merged.count)
+    end = min(stop * block_size, merged.count)
+    span = replace(whole, start=first * block_size, stop=end, first=first * block_size)
+    return Level(merged.read(span), errors[first:stop])
+
+
+def _merge(
+    workers: Workers, folder: Folder, header: Header, each: int, read: _Read
+) -> NDArray[np.float32]:
+    """Make a level, `each` blocks at a time, from the one below; the errors of its blocks."""
+    number = -(-header.block_count // each)
+    do_all(workers, folder, "merge", partial(_merge_some, folder, header, each, read), number)
+    return np.concatenate([folder.load(f"merge-{k}")["errors"] for k in range(number)])
+
+
+def _merge_some(folder: Folder, header: Header, each: int, read: _Read, number: int) -> None:
+    first, stop = number * each, min((number + 1) * each, header.block_count)
+    below = read(FANOUT * first, FANOUT * stop)
+    made = coarser(below, header.block_size, header.antialiased)
+    folder.save_mapped(f"rows-{number}", to_rows(planes_of(made.scene)))
+    folder.save(f"merge-{number}", {"errors": made.errors})
+
+
+def _quantise(merged: Merged, lattice: Lattice, chunks: Chunks, number: int) -> None:
+    """Quantise a chunk, whose blocks stay as they are."""
+    start, stop = chunks.ranks[number : number + 2]
+    (whole,) = merged.spans(merged.count)
+    scene = merged.read(replace(whole, start=start, stop=stop, first=start))
+    codes = grid_codes(scene.positions, lattice.grid)
+    size = chunks.header.block_size
+    order = order_within(codes, size)
+    save_quantised(merged.folder, number, scene.take(order), codes[order], lattice, size)

@@ -1,0 +1,307 @@
+"""One scene done in tasks gives the file that it gives as a whole, whatever tasks and failures."""
+
+from __future__ import annotations
+
+import os
+import random
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import antialiased, edge_scenes, random_scene
+
+from gs_codec import encode_distributed
+from gs_codec.codecs.part import Part
+from gs_codec.config import Config
+from gs_codec.distributed.decoding import decode_with
+from gs_codec.distributed.encoding import encode_with
+from gs_codec.distributed.folder import Folder, work_folder
+from gs_codec.distributed.sorting import find_cuts
+from gs_codec.distributed.sources import open_sources
+from gs_codec.distributed.workers import Task, size_within
+from gs_codec.errors import CorruptStream, InvalidInput
+from gs_codec.files.coding import decode_file, encode_file
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.scenes import inspect_file
+from gs_codec.formats.ply import write_ply
+from gs_codec.scene import Scene
+
+BLOCK = 1024
+
+
+class Lost(Exception):
+    """A worker, or what it is to do."""
+
+
+class Here:
+    """Does tasks in this process, in any order; fails before a task, by its number of all."""
+
+    at_once = 1
+
+    def __init__(self, seed: int = 0, fails_at: int = -1) -> None:
+        self.random, self.left, self.done = random.Random(seed), fails_at, list[str]()
+
+    def run(self, stage: str, task: Task, numbers: Sequence[int]) -> None:
+        """See `Workers`."""
+        for number in self.random.sample(numbers, len(numbers)):
+            if not self.left:
+                raise Lost
+            self.left -= 1
+            task(number)
+            self.done.append(f"{stage}-{number}")
+
+
+def in_tasks(
+    paths: list[Path], target: Path, config: Config, size: int, here: Here | None = None
+) -> tuple[bytes, dict]:
+    """The file, and the report without times."""
+    report = encode_with(here or Here(), open_sources(paths, config.extra), target, config, size)
+    assert not target.with_name(f"{target.name}.parts").exists()
+    return target.read_bytes(), {**asdict(report), "seconds": None}
+
+
+def whole(path: Path, target: Path, config: Config) -> tuple[bytes, dict]:
+    """The same of `encode_file`."""
+    report = encode_file(path, target, config)
+    return target.read_bytes(), {**asdict(report), "seconds": None}
+
+
+def saved(path: Path, scene: Scene) -> Path:
+    write_ply(path, scene)
+    return path
+
+
+@pytest.mark.parametrize("size", [700, 3000, 10**6])
+@pytest.mark.parametrize(("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), (9000, 2)])
+def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
+    path = saved(tmp_path / "a.ply", random_scene(count, degree, seed=3))
+    config = Config("m", block_size=BLOCK)
+    expected = whole(path, tmp_path / "whole.egs", config)
+    assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
+
+
+@pytest.mark.parametrize("name", sorted(edge_scenes()))
+def test_scenes_at_the_limits(tmp_path, name):
+    scene = edge_scenes()[name]
+    path = saved(tmp_path / "a.ply", replace(scene, has_normals=True, comments=("a b", "c")))
+    config = Config("s", block_size=BLOCK)
+    expected = whole(path, tmp_path / "whole.egs", config)
+    assert in_tasks([path], tmp_path / "tasks.egs", config, 100) == expected
+
+
+@pytest.mark.parametrize("size", [100, 5000, 10**6])
+@pytest.mark.parametrize("blended", [False, True])
+def test_levels_are_the_same(tmp_path, blended, size):
+    scene = antialiased(replace(random_scene(18_000, 1, seed=11), has_normals=True), blended)
+    path = saved(tmp_path / "a.ply", scene)
+    config = Config("m", block_size=BLOCK, lod=True, coarseness=1.5)
+    expected = whole(path, tmp_path / "whole.egs", config)
+    assert inspect_file(tmp_path / "whole.egs").levels
+    assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
+
+
+@pytest.mark.parametrize("bad", [0.0, 0.1, 1.0])
+def test_what_is_cleaned_is_cleaned_in_every_task(tmp_path, bad):
+    rng = np.random.default_rng(1)
+    scene = random_scene(6000, 1, seed=4)
+    scene.f_rest[3, rng.random(6000) < bad] = np.nan
+    scene.rot[:, ::7] = 0
+    path = saved(tmp_path / "a.ply", scene)
+    config = Config("m", block_size=BLOCK, nonfinite="drop")
+    expected = whole(path, tmp_path / "whole.egs", config)
+    assert in_tasks([path], tmp_path / "tasks.egs", config, 999) == expected
+    if bad:
+        with pytest.raises(InvalidInput, match=r"a\.ply: values that are not finite: .* in f_rest"):
+            in_tasks([path], tmp_path / "b.egs", replace(config, nonfinite="error"), 999)
+
+
+def test_tiles_are_one_scene(tmp_path):
+    first, second, third = (random_scene(n, d, seed=n) for n, d in ((3000, 1), (1, 0), (4000, 3)))
+    paths = [
+        saved(tmp_path / "a.ply", replace(first, comments=("of a",))),
+        saved(tmp_path / "b.ply", replace(second, comments=("gs_codec coordinates RUB",))),
+    ]
+    encode_file(saved(tmp_path / "c.ply", third), tmp_path / "c.egs", Config("l", block_size=BLOCK))
+    paths.append(tmp_path / "c.egs")
+    config = Config("m", block_size=BLOCK)
+    convert_file(paths, tmp_path / "whole.egs", config)
+    data, report = in_tasks(paths, tmp_path / "tasks.egs", config, 1500)
+    assert data == (tmp_path / "whole.egs").read_bytes()
+    assert (report["count"], report["input_bytes"]) == (7001, sum(map(os.path.getsize, paths)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_cuts_are_where_the_sorted_whole_has_them(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    folder, bits = Folder(tmp_path), int(rng.integers(1, 63))
+    few = int(rng.integers(1, min(2**bits, 50) + 1))
+    values = rng.integers(0, 2**bits, few)
+    runs = [np.sort(rng.choice(values, rng.integers(0, 40))) for _ in range(5)]
+    for number, codes in enumerate(runs):
+        folder.save_mapped(f"codes-{number}", codes)
+    every = np.concatenate(runs)
+    of_run = np.repeat(np.arange(5), [len(codes) for codes in runs])
+    order = np.argsort(every, kind="stable")
+    ranks = [*range(0, len(every), 7), len(every)]
+    cuts = find_cuts(folder, 5, ranks, bits)
+    expected = [np.bincount(of_run[order[:rank]], minlength=5) for rank in ranks]
+    assert np.array_equal(cuts, np.stack(expected, axis=1))
+
+
+@pytest.mark.parametrize("degree", [None, 1])
+@pytest.mark.parametrize("box", [None, (-1.0, -1.0, -1.0, 0.5, 0.5, 0.5)])
+@pytest.mark.parametrize("profile", ["m", "lossless"])
+def test_decoding_in_tasks_gives_the_same_file(tmp_path, profile, box, degree):
+    scene = replace(random_scene(9000, 3, seed=5), has_normals=True, comments=("x",))
+    path = saved(tmp_path / "a.ply", scene)
+    encode_file(path, tmp_path / "a.egs", Config(profile, block_size=BLOCK))
+    part = Part(box, degree)
+    expected = decode_file(tmp_path / "a.egs", tmp_path / "whole.ply", part)
+    found = decode_with(Here(), tmp_path / "a.egs", tmp_path / "tasks.ply", part, 2048)
+    assert (tmp_path / "tasks.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert replace(found, seconds={}) == replace(expected, seconds={})
+    assert not (tmp_path / "tasks.ply.parts").exists()
+
+
+def test_empty_box_is_refused_and_nothing_is_left(tmp_path):
+    encode_file(saved(tmp_path / "a.ply", random_scene(10)), tmp_path / "a.egs")
+    kept = sorted(tmp_path.iterdir())
+    with pytest.raises(InvalidInput, match="no Gaussians in the box, bounds"):
+        decode_with(Here(), tmp_path / "a.egs", tmp_path / "b.ply", Part((9, 9, 9, 10, 10, 10)), 99)
+    assert sorted(tmp_path.iterdir()) == kept
+
+
+def test_damaged_file_is_refused_by_a_task(tmp_path):
+    encode_file(
+        saved(tmp_path / "a.ply", random_scene(5000)), tmp_path / "a.egs", Config(block_size=BLOCK)
+    )
+    data = bytearray((tmp_path / "a.egs").read_bytes())
+    data[-100] ^= 1
+    (tmp_path / "a.egs").write_bytes(data)
+    with pytest.raises(CorruptStream, match="checksum does not match"):
+        decode_with(Here(), tmp_path / "a.egs", tmp_path / "b.ply", Part(), BLOCK)
+    assert not (tmp_path / "b.ply").exists()
+
+
+@pytest.mark.rounds(3)
+def test_a_run_goes_on_where_one_before_it_ended(tmp_path, seed):
+    path = saved(tmp_path / "a.ply", random_scene(7000, 1, seed=6))
+    config, target = Config("m", block_size=BLOCK), tmp_path / "tasks.egs"
+    expected = whole(path, tmp_path / "whole.egs", config)
+    rng, done = random.Random(seed), list[str]()
+    found = None
+    while found is None:
+        here = Here(rng.randrange(99), rng.randrange(1, 12))
+        with suppress(Lost):
+            found = in_tasks([path], target, config, 1500, here)
+        assert target.exists() == (found is not None)
+        done += here.done
+    assert found == expected
+    assert len(done) == len(set(done))
+
+
+def test_what_another_run_left_does_not_count(tmp_path):
+    path, target = saved(tmp_path / "a.ply", random_scene(3000, 0)), tmp_path / "tasks.egs"
+    with pytest.raises(Lost):
+        in_tasks([path], target, Config("l"), 1000, Here(fails_at=8))
+    saved(path, random_scene(3000, 0, seed=9))
+    expected = whole(path, tmp_path / "whole.egs", Config("m"))
+    assert in_tasks([path], target, Config("m"), 1000) == expected
+
+
+def test_two_runs_do_not_work_in_one_folder(tmp_path):
+    where = tmp_path / "a.egs"
+    other = pytest.raises(InvalidInput, match=r"a\.egs\.parts: another run works there")
+    with work_folder(where, {}), other, work_folder(where, {}):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_not_shared_is_named(tmp_path):
+    folder = Folder(tmp_path)
+    for find in (lambda: folder.load("scan-3"), lambda: folder.mapped("codes-3")):
+        with pytest.raises(InvalidInput, match=r"no result '(scan|codes)-3' .* workers share"):
+            find()
+    (tmp_path / "scan-3.npz").write_bytes(b"no zip")
+    with pytest.raises(InvalidInput, match="no result 'scan-3'"):
+        folder.load("scan-3")
+
+
+def test_memory_of_a_worker_says_how_much_a_task_holds():
+    assert size_within(None, 4, 3, 10**6) == size_within(10**12, 1, 3, 10)
+    one, four = (size_within(10**9, at_once, 3, 1024) for at_once in (2, 8))
+    assert one == pytest.approx(4 * four, rel=0.01)
+    with pytest.raises(InvalidInput, match="max-memory: 300,000,000 bytes, expected at least"):
+        size_within(300_000_000, 1, 3, 1024)
+
+
+@pytest.mark.parametrize(
+    ("config", "match"),
+    [
+        (Config("paper-m"), "profile 'paper-m', expected l, m, s"),
+        (Config("lossless"), "profile 'lossless', expected l, m, s"),
+        (Config("m", format="spz"), "expected l, m, s of an .egs"),
+        (Config("m", depths={"opacity": 8}), "not with depths"),
+        (Config("m", extra="keep"), "extra properties are not kept"),
+    ],
+)
+def test_what_needs_the_whole_scene_is_refused(tmp_path, config, match):
+    path = saved(tmp_path / "a.ply", random_scene(10))
+    with pytest.raises(InvalidInput, match=match):
+        encode_distributed(path, tmp_path / "a.egs", config)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["encode", "-", "b.egs"], "-: a pipe, expected a file with --dask"),
+        (["encode", "scene.ply", "-"], "-: a pipe, expected a file with --dask"),
+        (["encode", "none", "b.egs"], "none: no such file, no .ply or .egs in it"),
+        (
+            ["encode", "cameras.json", "b.egs"],
+            "cameras.json: only .egs and binary PLY of floats are read in parts",
+        ),
+        (["encode", "scene.ply", "b.egs", "--cameras", "auto"], "--dask: not with views"),
+        (["encode", "scene.ply", "b.egs", "--target-size", "9kB"], "--dask: not with views"),
+        (["encode", "scene.ply", "b.egs", "--scale", "2"], "--dask: not with views"),
+        (["encode", "scene.ply", "b.egs", "--max-bytes", "9"], "--max-bytes has no effect"),
+        (["encode", "scene.ply", "scene.egs"], "scene.egs: exists"),
+        (["decode", "scene.egs", "-"], "-: a pipe, expected a file with --dask"),
+        (["decode", "scene.egs", "b.ply", "--max-bytes", "9"], "--max-bytes has no effect"),
+        (["decode", "scene.egs", "decoded.ply"], "decoded.ply: exists"),
+        (["decode", "scene.egs", "b.ply", "--level", "1"], "dask: not with a level or a view"),
+    ],
+)
+def test_command_refuses_what_has_no_effect(folder, arguments, expected):
+    status, out, err = folder.run(*arguments, "--dask", "local")
+    assert (status, out) == (2, "")
+    assert expected in err
+
+
+def test_dask_that_is_not_installed_is_named(folder):
+    for name in ("gs_codec.distributed.dask", "gs_codec.batch.client"):
+        folder.monkeypatch.delitem(sys.modules, name, raising=False)
+    folder.monkeypatch.setitem(sys.modules, "dask", None)
+    status, _, err = folder.run("encode", "scene.ply", "b.egs", "--dask", "local")
+    assert status == 2
+    assert err == "gs-codec: error: --dask: needs dask; pip install 'gs-codec[cluster]'\n"
+
+
+def test_workers_of_a_cluster_give_the_same_files(folder):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    folder.run("encode", "scene.ply", "whole.egs")
+    assert folder.run("encode", "scene.ply", "tasks.egs", "--dask", "local")[0] == 0
+    assert Path("tasks.egs").read_bytes() == Path("whole.egs").read_bytes()
+    folder.run("decode", "whole.egs", "whole.ply")
+    assert folder.run("decode", "whole.egs", "tasks.ply", "--dask", "local")[0] == 0
+    assert Path("tasks.ply").read_bytes() == Path("whole.ply").read_bytes()
+    data = bytearray(Path("whole.egs").read_bytes())
+    data[-50] ^= 1
+    Path("whole.egs").write_bytes(data)
+    status, _, err = folder.run("decode", "whole.egs", "b.ply", "--dask", "local")
+    assert status == 2
+    assert "checksum does not match" in err

@@ -57,35 +57,25 @@ def _packed(blocks: Sequence[Block]) -> Arrays:
     for k in range(len(blocks[0].passes)):
         for name in _PASS:
             columns[f"{k} {name}"] = [getattr(block.passes[k], name) for block in blocks]
-    packed = {name: _narrow(np.concatenate(column)) for name, column in columns.items()}
+    packed = {name: np.concatenate(column) for name, column in columns.items()}
+    # No symbol's number, or level, has more than 31 bits: a sixth of all bytes.
+    packed |= {n: a.astype(np.int32) for n, a in packed.items() if a.dtype == np.int64}
     lengths = {f"{name} lengths": np.array([len(a) for a in c]) for name, c in columns.items()}
     return packed | lengths
-
-
-def _narrow(integers: NDArray[Any]) -> NDArray[Any]:
-    """Integers of 64 bits in 32, where they fit: a sixth of what is kept."""
-    wide = integers.dtype == np.int64 and integers.size > 0
-    fits = wide and -(1 << 31) <= integers.min() and integers.max() < 1 << 31
-    return integers.astype(np.int32) if fits else integers
 
 
 def _unpacked(packed: Arrays, extents: NDArray[np.float32]) -> Iterator[Block]:
     """The inverse of `_packed`."""
     names = [name for name in packed if not name.endswith("lengths")]
-    columns = {
-        name: np.split(_wide(packed[name]), np.cumsum(packed[f"{name} lengths"])[:-1])
-        for name in names
-    }
+    columns = {}
+    for name in names:
+        wide = packed[name].astype(np.int64) if packed[name].dtype == np.int32 else packed[name]
+        columns[name] = np.split(wide, np.cumsum(packed[f"{name} lengths"])[:-1])
     number = (len(names) - 2) // len(_PASS)
     for k, extent in enumerate(extents):
         own = [PassData(*(columns[f"{p} {name}"][k] for name in _PASS)) for p in range(number)]
         tree, low_bits = columns["tree"][k].tobytes(), columns["low_bits"][k].tobytes()
         yield Block(tree, low_bits, extent, own, 0)
-
-
-def _wide(integers: NDArray[Any]) -> NDArray[Any]:
-    """The inverse of `_narrow`."""
-    return integers.astype(np.int64) if integers.dtype == np.int32 else integers
 
 
 def save_coded(

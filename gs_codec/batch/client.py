@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import platform
+import signal
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -94,7 +95,12 @@ class LocalScheduler(_Silent, distributed.Scheduler):
 
 
 class LocalWorker(_Silent, distributed.Worker):
-    """A worker without web pages."""
+    """A worker without web pages, in a process of its own."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        # Ctrl-C is for the process that started it, which ends it.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        super().__init__(*arguments, **options)
 
 
 def start_cluster(jobs: int, folder: str) -> distributed.SpecCluster:

@@ -32,8 +32,8 @@ from gs_codec.egs.file import Section, SectionId, read_file, write_file
 from gs_codec.egs.sections import write_extra
 from gs_codec.errors import CorruptStream, GsCodecError, TruncatedStream, UnsupportedVersion
 
-#: Flips under right checksums that each file gets in a round; twenty rounds are all.
-FLIPS = 750
+#: Flips under right checksums that each file gets in a round; ten rounds are all.
+FLIPS = 1500
 
 
 @pytest.fixture(scope="module", params=PROFILES)

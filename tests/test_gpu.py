@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -67,7 +68,10 @@ def folder(tmp_path_factory) -> Path:
         data = encode_by(few, Config("m"), GUIDES["guided"] if name == "pairs" else None)
         (folder / f"{name}.egs").write_bytes(data)
     (folder / "blocks.egs").write_bytes(sample("s", 70, 3, 33))
-    (folder / "tables.egs").write_bytes(sample("m", 300, 3, 150))
+    # Sums of SH-AC up to the highest contexts, and many tables.
+    scene = random_scene(150, 3, seed=60)
+    strong = replace(scene, f_rest=8 * scene.f_rest)
+    (folder / "strong.egs").write_bytes(encode_by(strong, Config("m")))
     for name in DAMAGED:
         (folder / f"{name}.egs").write_bytes(damaged(name))
     simulated = {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
@@ -104,7 +108,7 @@ def check_same(found, scene: Scene) -> None:
         )
 
 
-@pytest.mark.parametrize("name", [*GOLDEN, *EDGES, "blocks", "tables"])
+@pytest.mark.parametrize("name", [*GOLDEN, *EDGES, "blocks", "strong"])
 def test_a_device_decodes_to_the_same_bits(folder, name):
     with np.load(folder / f"{name}.npz") as found:
         check_same(found, decode_scene((folder / f"{name}.egs").read_bytes()))

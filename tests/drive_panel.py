@@ -209,7 +209,7 @@ def opens(driver: Driver) -> dict:
 
 def run(folder: Path) -> dict:
     request = Request(
-        folder / "a.ply", folder / "b.egs", str(folder / "cameras.json"), size=(1000, 700)
+        folder / "a.ply", folder / "b.egs", str(folder / "cameras.json"), size=(820, 620)
     )
     driver = Driver(folder, request=request)
     driver.rest()

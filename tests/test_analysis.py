@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import edge_scenes, random_scene
-from scipy.stats import entropy, laplace
 from test_cli import Folder, strict_json
 
+from gs_codec.analysis import plots
 from gs_codec.analysis.analyse import analyse_scene
 from gs_codec.analysis.entropy import bits_by_attribute, depths_by_group, entropy_by_group
 from gs_codec.analysis.fits import fits_of
@@ -104,6 +104,8 @@ def test_equal_channels_tell_everything():
 
 
 def test_information_is_that_of_the_table_of_both():
+    from scipy.stats import entropy
+
     rng = np.random.default_rng(3)
     first = rng.normal(size=4000)
     second = first + rng.normal(size=4000)
@@ -257,6 +259,8 @@ def test_a_known_mixture_is_recovered():
 
 
 def test_a_known_laplace_distribution_is_recovered():
+    from scipy.stats import laplace
+
     rng = np.random.default_rng(10)
     scene = random_scene(30000, 1)
     scene = replace(scene, f_rest=rng.laplace(0.2, 0.05, (9, 30000)).astype(np.float32))
@@ -282,6 +286,8 @@ def test_zeros_are_what_a_laplace_distribution_cannot_explain():
 
 
 def test_bars_and_entropies_are_those_of_the_values():
+    from scipy.stats import entropy
+
     scene = random_scene(3000, 1, seed=12)
     coded = coded_of(scene, Config("paper-m"))
     histograms = histograms_of(coded)
@@ -298,6 +304,8 @@ def test_bars_and_entropies_are_those_of_the_values():
 
 
 def test_the_entropy_table_is_that_of_the_symbols():
+    from scipy.stats import entropy
+
     scene = random_scene(3000, 2, seed=13)
     config = Config("paper-s")
     _, report = encode_scene(scene, config)
@@ -505,6 +513,12 @@ def folder(tmp_path, monkeypatch, capsys) -> Folder:
     return Folder(tmp_path, monkeypatch, capsys)
 
 
+@pytest.fixture
+def no_ink(monkeypatch):
+    """Figures are made, but become no pixels, which take longest: reports of all degrees do."""
+    monkeypatch.setattr(plots, "png_of", lambda _: b"\x89PNG")
+
+
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
     write_ply(folder.path / "scene.ply", random_scene(600, degree, seed=17))
@@ -544,6 +558,7 @@ def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
     assert ("SH degree 0: there are no SH-AC" in text) == (degree == 0)
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_command_prints_a_summary(folder):
     encoded, _ = encode_scene(random_scene(1500, 0, seed=18), Config("m"))
     (folder.path / "scene.egs").write_bytes(encoded)
@@ -562,6 +577,7 @@ def test_command_prints_a_summary(folder):
     assert first == second
 
 
+@pytest.mark.usefixtures("no_ink")
 def test_command_gives_errors_over_the_mean_and_either_bins(folder):
     write_ply(folder.path / "scene.ply", random_scene(600, 1, seed=23))
     given = ("analyze", "scene.ply", "--out", "report", "--cameras", "auto", "--width", "30")

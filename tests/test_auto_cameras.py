@@ -121,6 +121,7 @@ def test_up_is_where_cameras_were_if_the_floor_does_not_say(sign):
     assert sign * found.up[0] > 0.9
 
 
+@pytest.mark.usefixtures("few_tried")
 def test_auto_cameras_are_upright_by_the_axis_asked_for(table):
     up = np.array([0.0, 0.6, 0.8])
     found = estimate_views(table, 12, up)

@@ -12,6 +12,7 @@ import tempfile
 import zipfile
 from collections import OrderedDict
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -29,15 +30,10 @@ from gs_codec.formats.pickled import UNKNOWN, StoredTensor, parse_pickle, write_
 from gs_codec.formats.tensors import tensors_of
 from gs_codec.scene import GROUPS, SH_C0, Scene
 
-try:
-    import torch
-except ImportError:
-    torch = None
-
 #: Of the bytes of a scene as .pt and as .ckpt: the same on every machine.
 DIGESTS = ["534b0f52cb6333d9", "102bbd423f1d8983"]
 
-needs_torch = pytest.mark.skipif(torch is None, reason="torch is not installed")
+needs_torch = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
 
 
 def assert_same(first: Scene, second: Scene) -> None:
@@ -47,6 +43,8 @@ def assert_same(first: Scene, second: Scene) -> None:
 
 def trained(count: int = 30):
     """Parameters of gsplat's trainer; its SH are two views of one tensor."""
+    import torch
+
     generator = torch.Generator().manual_seed(1)
 
     def some(*shape: int):
@@ -126,6 +124,8 @@ def test_what_a_checkpoint_cannot_hold_is_said(tmp_path, caplog):
 @pytest.mark.parametrize("mapped", [False, True])
 @pytest.mark.parametrize("degree", range(4))
 def test_pytorch_reads_what_is_written(degree, mapped, tmp_path):
+    import torch
+
     scene = random_scene(40, degree)
     write_scene(tmp_path / "a.pt", scene, Config())
     loaded = torch.load(tmp_path / "a.pt", weights_only=True, mmap=mapped)
@@ -139,6 +139,8 @@ def test_pytorch_reads_what_is_written(degree, mapped, tmp_path):
 
 @needs_torch
 def test_splatfacto_loads_what_is_written(tmp_path):
+    import torch
+
     scene = random_scene(40, 3)
     write_scene(tmp_path / "step-000000000.ckpt", scene, Config())
     loaded = torch.load(tmp_path / "step-000000000.ckpt", weights_only=True)
@@ -166,6 +168,8 @@ def test_splatfacto_loads_what_is_written(tmp_path):
 
 @needs_torch
 def test_a_checkpoint_of_gsplat_is_read(tmp_path, caplog):
+    import torch
+
     splats = trained()
     path = tmp_path / "ckpt_6999_rank0.pt"
     state = {"step": 6999, "scene_id": "garden", "splats": splats.state_dict()}
@@ -183,6 +187,8 @@ def test_a_checkpoint_of_gsplat_is_read(tmp_path, caplog):
 @needs_torch
 @pytest.mark.parametrize("prefix", ["_model.gauss_params.", "_model.", "_model.module.gauss."])
 def test_a_checkpoint_of_splatfacto_is_read(prefix, tmp_path):
+    import torch
+
     splats = trained()
     sum(each.sum() for each in splats.values()).backward()
     optimizer = torch.optim.Adam(splats.values())
@@ -207,6 +213,8 @@ def test_a_checkpoint_of_splatfacto_is_read(prefix, tmp_path):
 @needs_torch
 @pytest.mark.parametrize("kind", ["float16", "bfloat16", "float64"])
 def test_other_floats_are_converted(kind, tmp_path):
+    import torch
+
     splats = {n: t.detach().to(getattr(torch, kind)) for n, t in trained().items()}
     torch.save({"splats": splats}, tmp_path / "a.pt")
     assert_trained(read_scene(tmp_path / "a.pt"), splats)
@@ -392,6 +400,8 @@ def test_tensors_there_and_back(degree, count, tmp_path):
 
 @needs_torch
 def test_parameters_of_a_trainer_are_taken_as_they_are():
+    import torch
+
     splats = trained()
     cloud = gs_codec.from_tensors(splats)
     assert_trained(from_cloud(cloud), splats)

@@ -107,8 +107,11 @@ def test_a_splat_is_drawn_to_ten_digits():
 def gradients(
     scene, camera: Camera, target: np.ndarray, background=(0.0, 0.0, 0.0)
 ) -> tuple[float, dict[str, np.ndarray]]:
-    """A view's squared error, and the loss's derivatives by each group of attributes."""
-    result = differentiate(scene, camera, target, background)
+    """A view's squared error, and the loss's derivatives by each group of attributes.
+
+    Of doubles, for which the kernels of differences are compiled anyway.
+    """
+    result = differentiate(precise(scene), camera, target, background)
     slopes = result.slopes(0, len(result.chosen))
     ends = np.cumsum([len(getattr(scene, group)) for group in GROUPS])
     found = {}

@@ -96,7 +96,7 @@ def test_functions_replace_unless_told_not_to(folder):
         "a.ply": lambda path, **keep: decode_file("scene.egs", path, **keep),
         "a.splat": lambda path, **keep: convert_file("scene.ply", path, **keep),
         "b.ply": lambda path, **keep: prepare_file(
-            "scene.ply", path, Plan(Steps(rectify=7.5), width=16), **keep
+            "scene.ply", path, Plan(Steps(rectify=7.5), "cameras.json", width=16), **keep
         ),
         "c.ply": lambda path, **keep: gs_codec.write(path, cloud, **keep),
     }
@@ -131,7 +131,7 @@ def test_dash_is_stdin_and_stdout(folder, trio):
     "command",
     [
         "convert - out.splat",
-        "prepare - out.ply --rectify 7 --width 16",
+        "prepare - out.ply --rectify 7 --cameras cameras.json --width 16",
         "verify -",
         "encode - out.egs",
     ],

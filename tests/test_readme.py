@@ -13,6 +13,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from gs_codec.analysis import plots
 from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
 from gs_codec.files import sharing
@@ -38,11 +39,13 @@ def folder(tmp_path, monkeypatch):
     write_ply(tmp_path / "scene.ply", generate(1100, 1, 80))
     monkeypatch.chdir(tmp_path)
     # Chosen views are smaller, and of fewer, which take the most of the time.
-    for name in ("WIDTH", "HEIGHT", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):
+    for name in ("WIDTH", "HEIGHT", "SMALL", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):
         monkeypatch.setattr(auto_cameras, name, getattr(auto_cameras, name) // 6)
     monkeypatch.setattr(auto_cameras, "_THUMB", (32, 21))
     # SOG takes minutes where its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")
+    # Pictures have no pixels, which tests of reports draw.
+    monkeypatch.setattr(plots, "png_of", lambda _: b"")
     # A page is written where none has been built, too.
     monkeypatch.setattr(sharing, "_template", lambda: "<!--title--><!--data-->")
     return tmp_path

@@ -16,6 +16,7 @@ from gs_codec.config import Config
 from gs_codec.egs.file import read_file
 from gs_codec.formats.cloud import to_cloud
 from gs_codec.formats.ply import write_ply
+from gs_codec.rendering import auto_cameras
 from viewer.pictures.centres import KINDS, centres
 from viewer.pictures.layers import UNKNOWN, block_colour, heat, reason_colour
 from viewer.pictures.picture import Shown
@@ -200,7 +201,10 @@ def test_a_file_that_has_changed_is_refused(files, tmp_path):
 
 
 @pytest.mark.parametrize("colouring", COLOURINGS)
-def test_screenshots_are_coloured_by_each(files, colouring):
+def test_screenshots_are_coloured_by_each(files, colouring, monkeypatch):
+    # Where one looks from is another matter.
+    monkeypatch.setattr(auto_cameras, "_OVERVIEWS", 8)
+    monkeypatch.setattr(auto_cameras, "_LEAST_TRIED", 24)
     request = Request(
         files / "guided.egs", files / "blocks.egs", layers=("centres",), colouring=colouring,
         size=(240, 120),

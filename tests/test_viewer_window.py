@@ -375,7 +375,7 @@ def keyed(display, folder) -> dict:
 
 
 def test_the_window_lives_through_many_sizes_and_keys(keyed):
-    assert (keyed["resized"], keyed["pressed"]) == (60, 136)
+    assert (keyed["resized"], keyed["pressed"]) == (20, 136)
 
 
 def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):

@@ -752,7 +752,8 @@ def test_memory_of_a_process_is_refused():
 
 
 def test_dask_that_is_not_installed_is_named_with_the_line_that_installs_it(folder):
-    folder.monkeypatch.delitem(sys.modules, "gs_codec.batch.cluster", raising=False)
+    for name in ("gs_codec.batch.cluster", "gs_codec.batch.client"):
+        folder.monkeypatch.delitem(sys.modules, name, raising=False)
     folder.monkeypatch.setitem(sys.modules, "dask", None)
     status, out, err = folder.run("batch", "in", "out", "--dask", "local")
     assert (status, out) == (2, "")

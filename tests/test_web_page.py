@@ -259,7 +259,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 
     def translate_path(self, path: str) -> str:
         if path.startswith("/project/"):
-            return str(ROOT / path.removeprefix("/project/"))
+            return str(ROOT / path.removeprefix("/project/").partition("?")[0])
         return super().translate_path(path.removeprefix("/files"))
 
     def log_message(self, *_: Any) -> None:

@@ -22,7 +22,7 @@ from gs_codec.cli.output import (
 from gs_codec.cli.streams import is_stdout, piped
 from gs_codec.config import Config
 from gs_codec.edit.actions import KINDS
-from gs_codec.files.suffixes import PLAIN, known_suffix
+from gs_codec.files.suffixes import PLAIN, STREAMED, known_suffix
 from gs_codec.preparation.steps import CAMERAS, Plan
 
 if TYPE_CHECKING:
@@ -39,7 +39,10 @@ def command(
         list[Path], typer.Argument(metavar="IN", help=f"{SCENES_PIPED} Several are merged.")
     ],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help=f"File to write: {WRITTEN_SHOWN}; - is stdout.")
+        Path,
+        typer.Argument(
+            metavar="OUT", help=f"File to write: {WRITTEN_SHOWN}; or {STREAMED}. - is stdout."
+        ),
     ],
     asked: Asked,
     coordinates: Annotated[

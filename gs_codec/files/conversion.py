@@ -18,7 +18,7 @@ from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
-from gs_codec.files.suffixes import IN_PARTS, UNBUNDLED
+from gs_codec.files.suffixes import IN_PARTS, STREAMED, UNBUNDLED
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
 from gs_codec.levels.encoding import check_levels
@@ -98,7 +98,8 @@ def convert_file(
         Scenes; several are merged, see `gs_codec.edit.merge`.
     target : str or Path
         Its suffix selects the format, one of `FORMATS`, ``.ply``, ``.pt`` (gsplat's checkpoint),
-        ``.ckpt`` (splatfacto's) or ``.csv`` (a table of attributes).
+        ``.ckpt`` (splatfacto's), ``.csv`` (a table of attributes) or ``lod-meta.json`` (streamed
+        SOG: with coarser levels, its files beside it).
     config : Config, optional
         How to encode the target. The last four use only its options for extra properties and NaN.
     coordinates : str
@@ -169,7 +170,7 @@ def convert_file(
             lost = write_scene(target, scene, config)
     after = own or system_of(scene)
     size = os.path.getsize(target)
-    if suffix == UNBUNDLED:
+    if suffix in (UNBUNDLED, STREAMED):
         with open_scene(target) as file:
             size = file.stored_bytes
     return ConvertReport(

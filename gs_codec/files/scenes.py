@@ -21,7 +21,7 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import PLAIN, UNBUNDLED, WRITTEN, config_for, suffix_of
+from gs_codec.files.suffixes import PLAIN, STREAMED, UNBUNDLED, WRITTEN, config_for, suffix_of
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.csv_table import write_csv
@@ -31,6 +31,7 @@ from gs_codec.formats.sog_files import META
 from gs_codec.formats.usd import require_usd_core
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.levels.encoding import add_levels
+from gs_codec.levels.streaming import stream_levels
 from gs_codec.metrics.attributes import Comparison, compare_scenes
 from gs_codec.report import Progress
 from gs_codec.runtime.arrays import current
@@ -44,7 +45,7 @@ log = logging.getLogger(__name__)
 def write_scene(
     path: str | Path, scene: Scene, config: Config, overwrite: bool = True
 ) -> tuple[str, ...]:
-    """Write a scene in a format of `PLAIN` or, encoded, in one of `FORMATS`.
+    """Write a scene in a format of `PLAIN`, encoded in one of `FORMATS`, or as streamed SOG.
 
     Returns
     -------
@@ -60,6 +61,10 @@ def write_scene(
     check_writable(path, overwrite)
     if suffix in PLAIN:
         lost = _WRITERS[suffix](path, scene)
+    elif suffix == STREAMED:
+        with located(path):
+            files, lost = stream_levels(scene, config_for(path, config, (STREAMED,)))
+        write_files(Path(path).parent, files)
     else:
         with located(path):
             config = config_for(path, config)

@@ -7,14 +7,18 @@ from pathlib import Path
 
 from gs_codec.config import EGS, FORMATS, Config
 from gs_codec.errors import InvalidInput
+from gs_codec.formats.streamed_sog import LOD_META
 
 #: The name of a SOG scene whose files are not in a zip.
 UNBUNDLED = "meta.json"
 
+#: The name of a scene as streamed SOG, which is made with coarser levels.
+STREAMED = LOD_META
+
 #: Of formats that scenes are encoded to, of those of plain floats, and of all that are written.
 ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)
 PLAIN = (".ply", ".pt", ".ckpt", ".csv")
-WRITTEN = (*ENCODED, *PLAIN)
+WRITTEN = (*ENCODED, STREAMED, *PLAIN)
 
 #: Of formats that are written part by part, below a memory limit.
 IN_PARTS = (".egs", ".ply", ".csv")
@@ -26,7 +30,7 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
     Raises
     ------
     InvalidInput
-        If it is none of `known`.
+        If it is none of `known`, or one that has to be the whole name and is not.
     """
     suffix = known_suffix(path)
     if suffix not in known:
@@ -34,6 +38,8 @@ def suffix_of(path: str | Path, known: tuple[str, ...] = WRITTEN) -> str:
         expected = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
         other = "; `convert` writes that" if suffix in WRITTEN else ""
         raise InvalidInput(f"{path}: suffix '{suffix}', expected {expected}{other}")
+    if suffix == STREAMED and Path(path).name != STREAMED:
+        raise InvalidInput(f"{path}: expected the name {STREAMED}, which viewers look for")
     return suffix
 
 
@@ -45,18 +51,18 @@ def known_suffix(path: str | Path) -> str:
 
 def format_of(suffix: str) -> str:
     """The format of a suffix from `suffix_of`."""
-    return "sog" if suffix == UNBUNDLED else suffix.removeprefix(".")
+    return "sog" if suffix in (UNBUNDLED, STREAMED) else suffix.removeprefix(".")
 
 
-def config_for(path: str | Path, config: Config) -> Config:
+def config_for(path: str | Path, config: Config, known: tuple[str, ...] = ENCODED) -> Config:
     """The configuration with the format of a file's suffix.
 
     Raises
     ------
     InvalidInput
-        If scenes are not encoded to it, or the configuration asks for another.
+        If it is none of `known`, or the configuration asks for another format.
     """
-    form = format_of(suffix_of(path, ENCODED))
+    form = format_of(suffix_of(path, known))
     if config.format not in (EGS, form):
         raise InvalidInput(f"{path}: format '{config.format}', expected .{config.format}")
     return replace(config, format=form)

@@ -24,6 +24,7 @@ from gs_codec.formats import (
     splat,
     spz,
     spz_file,
+    streamed_sog,
     usd,
 )
 from gs_codec.formats.ply import scene_of
@@ -32,9 +33,11 @@ from gs_codec.formats.zip_file import ZIP
 from gs_codec.runtime.mapped import opened
 from gs_codec.scene import Scene, float_bytes
 
-Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "usd", "ksplat", "pt"]
+Format = Literal["egs", "ply", "splat", "spz", "sog", "gltf", "usd", "ksplat", "pt", "streamed sog"]
 
-_BY_SUFFIX: dict[str, Format] = {f".{name}": name for name in get_args(Format)} | {
+_BY_SUFFIX: dict[str, Format] = {
+    f".{name}": name for name in get_args(Format) if name != "streamed sog"
+} | {
     ".json": "sog",
     ".glb": "gltf",
     ".ckpt": "pt",
@@ -84,6 +87,8 @@ class SceneFile:
     def format(self) -> Format:
         """The format, recognised by content, then by suffix; `InvalidInput` if by neither."""
         head, suffix = bytes(self.data[:16]), self.path.suffix.lower()
+        if head.startswith(b"{") and streamed_sog.is_streamed(self.path):
+            return "streamed sog"
         # Both .gltf and the meta.json of SOG are JSON.
         plain = suffix in (".splat", ".gltf")
         known = _BY_CONTENT if plain else _BY_CONTENT + _BY_LITTLE
@@ -115,6 +120,8 @@ class SceneFile:
     @property
     def stored_bytes(self) -> int:
         """Size of the scene, bytes: of this file, or of all files of a SOG scene."""
+        if self.format == "streamed sog":
+            return streamed_sog.streamed_bytes(self.path, self.data)
         return sog.sog_bytes(self.path, self.data) if self.format == "sog" else len(self.data)
 
     def ratio_bytes(self, raw_bytes: int) -> int:
@@ -126,6 +133,7 @@ class SceneFile:
         sizes = {
             "spz": spz_file.stated_size,
             "sog": sog.stated_size,
+            "streamed sog": streamed_sog.stated_size,
             "gltf": gltf.stated_size,
             "usd": usd.stated_size,
             "ksplat": ksplat.stated_size,
@@ -155,6 +163,7 @@ class SceneFile:
             "splat": splat.read_splat,
             "spz": spz.read_spz,
             "sog": sog.read_sog,
+            "streamed sog": streamed_sog.read_streamed,
             "gltf": gltf.read_gltf,
             "usd": usd.read_usd,
             "ksplat": ksplat.read_ksplat,
@@ -177,8 +186,8 @@ class Overview:
     Attributes
     ----------
     format : str
-        ``ply``, ``compressed ply``, ``splat``, ``spz``, ``sog``, ``gltf``, ``usd``, ``ksplat`` or
-        ``pt``.
+        ``ply``, ``compressed ply``, ``splat``, ``spz``, ``sog``, ``streamed sog``, ``gltf``,
+        ``usd``, ``ksplat`` or ``pt``.
     count, sh_degree : int
         Number of Gaussians, and their SH degree.
     bounds : tuple of two tuples of float, or None

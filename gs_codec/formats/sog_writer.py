@@ -56,10 +56,20 @@ def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, 
     InvalidInput
         If a value is not finite, or an image would have more pixels than WebP has.
     """
+    files, lost = sog_files_of(scene, steps)
+    archive = io.BytesIO()
+    write_zip(archive, files)
+    return archive.getvalue(), lost
+
+
+def sog_files_of(
+    scene: Scene, steps: AttributeSteps | None = None, in_order: bool = False
+) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """The files of a scene by name, `meta.json` first; as `pack_sog`, or in the scene's order."""
     check_finite(scene, ".sog")
     if scene.count > _LARGEST_SIDE**2:
         raise InvalidInput(f"{scene.count:,} Gaussians, .sog holds {_LARGEST_SIDE**2:,}")
-    order = spatial_order(scene.positions)
+    order = np.arange(scene.count) if in_order else spatial_order(scene.positions)
     turned, clipped = turn_axes(scene.take(order)), Clipped()
     f_rest = clipped.limited("SH", turned.f_rest, -_LARGEST_SH, _LARGEST_SH)
     turned = replace(turned, f_rest=f_rest)
@@ -76,10 +86,8 @@ def pack_sog(scene: Scene, steps: AttributeSteps | None = None) -> tuple[bytes, 
             images |= of_group
     written = run_all(write_webp, images.values())
     files = {META: json.dumps(meta).encode(), **dict(zip(images, written, strict=True))}
-    archive = io.BytesIO()
-    write_zip(archive, files)
     lost = "centres rounded to 16 bits, other values to 8, SH to rows of a palette"
-    return archive.getvalue(), (lost, *clipped.sentences(), *left_out(scene))
+    return files, (lost, *clipped.sentences(), *left_out(scene))
 
 
 def _image(channels: Sequence[NDArray[np.integer]]) -> NDArray[np.uint8]:
@@ -115,7 +123,7 @@ def _centres(scene: Scene, steps: AttributeSteps) -> _Group:
 def _scales(scene: Scene, steps: AttributeSteps) -> _Group:
     table = make_table(scene.log_scale.ravel(), steps.log_scale.ravel())
     levels = _levels(scene.log_scale, steps.log_scale, table)
-    return {"codebook": _numbers(table)}, {"scales.webp": _image(levels)}
+    return {"codebook": numbers(table)}, {"scales.webp": _image(levels)}
 
 
 def _rotations(scene: Scene, steps: AttributeSteps) -> _Group:
@@ -134,7 +142,7 @@ def _colours(scene: Scene, steps: AttributeSteps) -> _Group:
     share = sigmoid(scene.opacity[0].astype(np.float64))
     alpha = choose_levels(255 * share, 255 * share * (1 - share) * steps.opacity, _BYTES)
     colours = choose_colours(scene.f_dc.T[:, :, None], steps.f_dc[:, None], table)
-    return {"codebook": _numbers(table)}, {"sh0.webp": _image([*colours[:, :, 0].T, alpha])}
+    return {"codebook": numbers(table)}, {"sh0.webp": _image([*colours[:, :, 0].T, alpha])}
 
 
 def _sh(scene: Scene, steps: AttributeSteps) -> _Group:
@@ -148,7 +156,7 @@ def _sh(scene: Scene, steps: AttributeSteps) -> _Group:
         "shN_centroids.webp": pixels.reshape(height, -1, 4),
         "shN_labels.webp": _image([palette.labels & 255, palette.labels >> 8]),
     }
-    described = {"count": rows, "bands": scene.sh_degree, "codebook": _numbers(palette.table)}
+    described = {"count": rows, "bands": scene.sh_degree, "codebook": numbers(palette.table)}
     return described, images
 
 
@@ -158,7 +166,7 @@ def _levels(
     return run_all(lambda i: choose_levels(planes[i], steps[i], table), range(3))
 
 
-def _numbers(table: NDArray[np.float32]) -> list[float]:
+def numbers(table: NDArray[np.float32]) -> list[float]:
     """The shortest numbers that are these when rounded to float32."""
     return [float(str(value)) for value in table]
 

@@ -198,14 +198,15 @@ def _keep_name(folder: Path) -> None:
 
 
 def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
-    """Write files by name into a folder, which is made if it is missing.
+    """Write files by name into a folder; it and folders of their names are made if missing.
 
     Raises
     ------
     InvalidInput
-        If the folder cannot be made, or a file cannot be written; files written before it stay.
+        If a folder cannot be made, or a file cannot be written; files written before it stay.
     """
     target = make_folder(folder)
     for name, content in files.items():
+        make_folder((target / name).parent)
         with atomic_writer(target / name) as file:
             file.write(content)

@@ -1,0 +1,141 @@
+"""A scene and coarser levels of it as streamed SOG; see `formats.streamed_sog`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_steps
+from gs_codec.coding.clean import clean_scene
+from gs_codec.coding.extent import block_extent
+from gs_codec.coding.morton import spatial_order
+from gs_codec.config import Config
+from gs_codec.egs.header import FANOUT
+from gs_codec.errors import InvalidInput
+from gs_codec.formats.coordinates import turn_axes
+from gs_codec.formats.sog_files import META
+from gs_codec.formats.sog_writer import numbers, sog_files_of
+from gs_codec.formats.streamed_sog import LOD_META, Leaf, Run, describe_levels
+from gs_codec.guidance.calibrate import calibrated
+from gs_codec.levels.building import coarsen
+from gs_codec.levels.encoding import config_of_levels
+from gs_codec.runtime.threads import run_all, using_threads
+from gs_codec.scene import ANTIALIASED, Scene, join_scenes
+
+#: Most Gaussians of a leaf, and of a file unless a leaf alone has more.
+LEAF, FILE = 1 << 14, 1 << 18
+
+#: The boxes of leaves hold ellipsoids of one standard deviation, as those of other writers do:
+#: distances to larger ones would be 0 in too many places. `block_extent` takes three.
+_SMALLER = np.float32(np.log(3))
+
+
+def stream_levels(
+    scene: Scene, config: Config, leaf: int = LEAF, most: int = FILE
+) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """The files of a scene as streamed SOG, and what they cannot hold, in words.
+
+    Every leaf has all levels, made of its own Gaussians alone, so that viewers may choose a level
+    for each leaf and draw nothing twice.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : Config
+        Of profile ``l``, ``m`` or ``s``.
+    leaf, most : int
+        Most Gaussians of a leaf, and of a file.
+
+    Returns
+    -------
+    files : dict of str to bytes
+        By their names, which may have a folder; `lod-meta.json` comes last.
+    lost : tuple of str
+
+    Raises
+    ------
+    InvalidInput
+        If there are no Gaussians, or values are not finite and `config` does not say to drop them.
+    """
+    with using_threads(config.threads, scene.count):
+        scene = turn_axes(clean_scene(scene, config)[0])
+        if not scene.count:
+            raise InvalidInput(f"no Gaussians, {LOD_META} has at least one")
+        leaves = _leaves(scene.take(spatial_order(scene.positions)), leaf)
+        files: dict[str, bytes] = {}
+        runs: list[list[Run]] = []
+        told: list[str] = []
+        names: list[str] = []
+        chosen = config
+        for level, parts in enumerate(zip(*leaves, strict=True)):
+            whole = join_scenes(parts)
+            # Steps are chosen as for the levels of an .egs.
+            if level < 2:
+                chosen = calibrated(whole, config)
+                chosen = config_of_levels(chosen) if level else chosen
+            steps = wanted_steps(whole, camera_free_steps(whole, chosen.adaptive_profile()))
+            runs.append(_runs([part.count for part in parts], most, len(names)))
+            for number, (start, stop) in enumerate(_extents(runs[-1])):
+                own = steps.take(slice(start, stop))
+                contents, lost = sog_files_of(whole.between(start, stop), own, in_order=True)
+                files |= {f"{level}_{number}/{name}": data for name, data in contents.items()}
+                names.append(f"{level}_{number}/{META}")
+                told += lost
+        boxes = run_all(_box, leaves)
+    described = [
+        Leaf(*box, of_levels) for box, of_levels in zip(boxes, zip(*runs, strict=True), strict=True)
+    ]
+    return files | {LOD_META: describe_levels(described, names)}, tuple(dict.fromkeys(told))
+
+
+def _leaves(scene: Scene, most: int) -> list[list[Scene]]:
+    """Leaves of equal size of a scene in Morton order; of each, all levels, the finest first.
+
+    A level has a quarter of the Gaussians of the one before, until one leaf could hold them all.
+    """
+    number, depth, count = -(-scene.count // most), 0, scene.count
+    while count > most:
+        count, depth = -(-count // FANOUT), depth + 1
+    comments = (ANTIALIASED,) if scene.antialiased else ()
+
+    def levels(index: int) -> list[Scene]:
+        ends = (scene.count * i // number for i in (index, index + 1))
+        found = [scene.between(*ends)]
+        for _ in range(depth):
+            merged, _ = coarsen(found[-1], scene.antialiased)
+            merged = merged.take(spatial_order(merged.positions))
+            found.append(replace(merged, comments=comments))
+        return found
+
+    return run_all(levels, range(number))
+
+
+def _runs(counts: Sequence[int], most: int, first: int) -> list[Run]:
+    """Where the Gaussians of each leaf are, in consecutive files from number `first` on."""
+    runs, offset = [], 0
+    for count in counts:
+        if offset and offset + count > most:
+            first, offset = first + 1, 0
+        runs.append(Run(first, offset, count))
+        offset += count
+    return runs
+
+
+def _extents(runs: Sequence[Run]) -> list[tuple[int, int]]:
+    """Where the Gaussians of each file begin and end among those of a level."""
+    begins = [run.offset == 0 for run in runs]
+    ends = np.cumsum([run.count for run in runs]).tolist()
+    starts = [end - run.count for end, run, begin in zip(ends, runs, begins, strict=True) if begin]
+    return list(pairwise([*starts, ends[-1]]))
+
+
+def _box(levels: Sequence[Scene]) -> tuple[list[float], list[float]]:
+    """The box around the ellipsoids of all levels of a leaf."""
+    corners = [
+        block_extent(each.positions, each.log_scale - _SMALLER, each.rot)[6:] for each in levels
+    ]
+    low, high = np.min(corners, axis=0)[:3], np.max(corners, axis=0)[3:]
+    return numbers(low), numbers(high)

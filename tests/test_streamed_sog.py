@@ -1,0 +1,398 @@
+"""Streamed SOG: the tree and its files, what is refused, and that PlayCanvas draws it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from other_programs import PROGRAMS, check, stored_numbers
+from scenes import random_scene
+from test_web_page import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
+
+from gs_codec.coding.morton import spatial_order
+from gs_codec.config import Config
+from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
+from gs_codec.files.coding import encode_file
+from gs_codec.files.conversion import convert_file
+from gs_codec.files.preparing import prepare_file
+from gs_codec.files.scenes import read_scene
+from gs_codec.formats.coordinates import CONVENTION, state_system, turn_axes
+from gs_codec.formats.ply import write_ply
+from gs_codec.formats.registry import open_scene, overview_of
+from gs_codec.formats.streamed_sog import LOD_META
+from gs_codec.levels.streaming import stream_levels
+from gs_codec.preparation.steps import Plan, Steps
+from gs_codec.rendering.auto_cameras import auto_cameras
+from gs_codec.rendering.cameras import write_cameras
+from gs_codec.runtime.atomic import write_files
+from gs_codec.scene import ANTIALIASED, Scene
+from samples.generate import generate
+
+LEAF, FILE = 200, 450
+CONFIG = Config(format="sog")
+
+
+def streamed(folder: Path, scene: Scene, config: Config = CONFIG) -> dict[str, Any]:
+    """Write the files of a scene, in small leaves; its `lod-meta.json`."""
+    files, _ = stream_levels(scene, config, LEAF, FILE)
+    write_files(folder, files)
+    return json.loads(files[LOD_META])
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return random_scene(1150, 2, seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, scene) -> Path:
+    """Six leaves of three levels."""
+    folder = tmp_path_factory.mktemp("streamed")
+    streamed(folder, scene)
+    return folder
+
+
+@pytest.fixture
+def copy(folder, tmp_path) -> Path:
+    shutil.copytree(folder, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def leaves_of(node: dict[str, Any]) -> list[dict[str, Any]]:
+    """The leaves below a node; checks that its box is that around all boxes below it."""
+    if "lods" in node:
+        assert "children" not in node
+        return [node]
+    assert 1 <= len(node["children"]) <= 4
+    for end, of in (("min", min), ("max", max)):
+        ends = [child["bound"][end] for child in node["children"]]
+        assert node["bound"][end] == list(map(of, zip(*ends, strict=True)))
+    return [leaf for child in node["children"] for leaf in leaves_of(child)]
+
+
+def counts_of(leaf: dict[str, Any]) -> list[int]:
+    return [run["count"] for run in leaf["lods"].values()]
+
+
+def test_the_tree_is_as_viewers_expect(folder, scene):
+    meta = json.loads((folder / LOD_META).read_text())
+    assert (meta["version"], meta["asset"]) == (1, {"generator": "gs_codec"})
+    leaves = leaves_of(meta["tree"])
+    assert len(leaves) == 6
+    assert meta["lodLevels"] == 3
+    for level, count in enumerate(meta["counts"]):
+        runs = [leaf["lods"][str(level)] for leaf in leaves]
+        assert sum(run["count"] for run in runs) == count
+        assert abs(count - scene.count / 4**level) <= 2 * len(leaves)
+        assert all(run["count"] > 0 for run in runs)
+    assert meta["counts"][0] == scene.count
+    assert meta["count"] == sum(meta["counts"])
+    assert all(list(leaf["lods"]) == ["0", "1", "2"] for leaf in leaves)
+
+
+def test_each_gaussian_of_a_file_is_in_one_leaf_and_in_its_box(folder):
+    meta = json.loads((folder / LOD_META).read_text())
+    assert meta["filenames"] == [
+        *(f"0_{k}/meta.json" for k in range(3)),
+        "1_0/meta.json",
+        "2_0/meta.json",
+    ]
+    units = [read_scene(folder / name) for name in meta["filenames"]]
+    held = [np.zeros(unit.count, int) for unit in units]
+    for leaf in leaves_of(meta["tree"]):
+        low, high = (np.array(leaf["bound"][end])[:, None] for end in ("min", "max"))
+        for level, run in leaf["lods"].items():
+            assert meta["filenames"][run["file"]].startswith(f"{level}_")
+            some = slice(run["offset"], run["offset"] + run["count"])
+            held[run["file"]][some] += 1
+            centres = units[run["file"]].positions[:, some]
+            assert centres.shape[1] == run["count"]
+            near = 1e-3 * (1 + np.abs(centres))
+            assert ((centres >= low - near) & (centres <= high + near)).all()
+    assert all((count == 1).all() for count in held)
+    assert all(unit.count <= FILE for unit in units)
+    assert all(unit.sh_degree == 2 for unit in units)
+
+
+def test_the_finest_level_is_the_scene(folder, scene):
+    back = read_scene(folder / LOD_META)
+    assert back.count == scene.count
+    ordered = scene.take(spatial_order(scene.positions))
+    np.testing.assert_allclose(back.positions, ordered.positions, atol=0.02)
+    assert np.abs(back.f_dc - ordered.f_dc).mean() < 0.1
+
+
+def test_coarser_levels_have_the_colours_of_the_scene(folder, scene):
+    """SH-DC by what is seen of Gaussians: opacity by area."""
+
+    def mean(each: Scene) -> np.ndarray:
+        weights = np.exp(2 * each.log_scale.astype(float).mean(axis=0)) / (
+            1 + np.exp(-each.opacity[0])
+        )
+        return (each.f_dc * weights).sum(axis=1) / weights.sum()
+
+    for name in ("1_0", "2_0"):
+        assert np.abs(mean(read_scene(folder / name / "meta.json")) - mean(scene)).max() < 0.3
+
+
+@pytest.mark.parametrize("count", [1, 2, LEAF])
+def test_a_small_scene_is_one_leaf(count, tmp_path):
+    meta = streamed(tmp_path, random_scene(count, 0))
+    assert meta["counts"] == [count]
+    assert meta["filenames"] == ["0_0/meta.json"]
+    assert meta["tree"]["lods"] == {"0": {"file": 0, "offset": 0, "count": count}}
+
+
+@pytest.mark.parametrize("count", [LEAF + 1, 5 * LEAF])
+def test_leaves_are_of_equal_size(count, tmp_path):
+    leaves = leaves_of(streamed(tmp_path, random_scene(count, 0))["tree"])
+    sizes = [leaf["lods"]["0"]["count"] for leaf in leaves]
+    assert max(sizes) - min(sizes) <= 1
+    assert max(sizes) <= LEAF
+
+
+def test_equal_gaussians_are_no_matter(tmp_path):
+    scene = random_scene(1, 1).take(np.zeros(900, np.int64))
+    meta = streamed(tmp_path, scene)
+    assert meta["counts"][0] == 900
+    assert np.isfinite([*meta["tree"]["bound"]["min"], *meta["tree"]["bound"]["max"]]).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_threads_do_not_matter(threads, scene, folder):
+    files, _ = stream_levels(scene, replace(CONFIG, threads=threads), LEAF, FILE)
+    assert list(files)[-1] == LOD_META
+    for name, data in files.items():
+        assert (folder / name).read_bytes() == data, name
+
+
+def test_the_antialias_flag_and_the_coordinates_of_sog_hold_for_all_levels(tmp_path, scene):
+    given = replace(scene, comments=(ANTIALIASED, "by hand"))
+    turned = turn_axes(state_system(given, CONVENTION), "RUB")
+    files, lost = stream_levels(turned, CONFIG, LEAF, FILE)
+    write_files(tmp_path, files)
+    for name in ("0_0", "1_0", "2_0"):
+        assert json.loads(files[f"{name}/meta.json"])["model"] == "antialiased"
+    assert read_scene(tmp_path / LOD_META).antialiased
+    plain, _ = stream_levels(given, CONFIG, LEAF, FILE)
+    assert plain == files
+    assert [line for line in lost if "comments" in line]
+
+
+def test_profiles_choose_how_fine_all_levels_are(scene):
+    sizes = [
+        sum(map(len, stream_levels(scene, Config(profile, format="sog"), LEAF, FILE)[0].values()))
+        for profile in "lms"
+    ]
+    assert sizes[0] > sizes[1] > sizes[2]
+
+
+# Files
+
+
+def test_a_conversion_counts_all_files_of_all_levels(tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(300, 1))
+    (tmp_path / "out").mkdir()
+    done = convert_file(tmp_path / "scene.ply", tmp_path / "out" / LOD_META)
+    files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert len(files) == 9
+    assert done.file_bytes == sum(path.stat().st_size for path in files)
+    assert done.count == 300
+
+
+def test_other_commands_read_the_finest_level(folder, scene):
+    with open_scene(folder / LOD_META) as file:
+        assert file.format == "streamed sog"
+        assert file.stated_bytes() == scene.float_bytes
+    told = overview_of(folder / LOD_META)
+    assert (told.format, told.count, told.sh_degree) == ("streamed sog", scene.count, 2)
+    assert told.file_bytes == sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
+
+
+def test_an_environment_is_part_of_the_scene(copy, scene):
+    shutil.copytree(copy / "2_0", copy / "env")
+    meta = json.loads((copy / LOD_META).read_text())
+    (copy / LOD_META).write_text(json.dumps(meta | {"environment": "env/meta.json"}))
+    assert read_scene(copy / LOD_META).count == scene.count + meta["counts"][2]
+
+
+def test_what_is_not_whole_has_no_meta(tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(300, 1))
+    (tmp_path / "0_0").write_text("in the way")
+    with pytest.raises(InvalidInput, match="0_0"):
+        convert_file(tmp_path / "scene.ply", tmp_path / LOD_META)
+    assert not (tmp_path / LOD_META).exists()
+
+
+REFUSED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
+    "encode": (encode_file, "`convert` writes that"),
+    "prepare": (
+        lambda source, target: prepare_file(source, target, Plan(Steps(prune=9), width=16)),
+        "`convert` writes that",
+    ),
+    "max-memory": (
+        lambda source, target: convert_file(source, target, max_memory=10**9),
+        "max-memory",
+    ),
+    "lod": (lambda source, target: convert_file(source, target, Config(lod=True)), "lod"),
+    "profile": (
+        lambda source, target: convert_file(source, target, Config("lossless")),
+        "profile 'lossless'",
+    ),
+    "format": (
+        lambda source, target: convert_file(source, target, Config(format="spz")),
+        "format 'spz', expected",
+    ),
+    "block size": (
+        lambda source, target: convert_file(source, target, Config(block_size=1024)),
+        "block_size",
+    ),
+    "name": (
+        lambda source, target: convert_file(source, target.with_name(f"a-{LOD_META}")),
+        "expected the name lod-meta.json",
+    ),
+    "existing": (
+        lambda source, target: convert_file(
+            source, source.parent / "there" / LOD_META, overwrite=False
+        ),
+        "exists",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_it_does_not_go_with_is_refused(case, tmp_path):
+    write_ply(tmp_path / "scene.ply", random_scene(30, 1))
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / LOD_META).write_text("{}")
+    act, said = REFUSED[case]
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InvalidInput, match=said):
+        act(tmp_path / "scene.ply", tmp_path / LOD_META)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_no_gaussians_and_nan_are_refused():
+    with pytest.raises(InvalidInput, match=r"no Gaussians, lod-meta\.json has at least one"):
+        stream_levels(random_scene(0, 1), CONFIG)
+    scene = random_scene(30, 1)
+    scene.positions[1, 7] = np.nan
+    with pytest.raises(InvalidInput, match="not finite"):
+        stream_levels(scene, CONFIG)
+    files, _ = stream_levels(scene, replace(CONFIG, nonfinite="drop"))
+    assert json.loads(files[LOD_META])["counts"] == [29]
+
+
+# What is not sound
+
+
+def changed(**members: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda meta: meta | members
+
+
+def with_file(name: str) -> Callable[[dict[str, Any]], Any]:
+    """Another name of the first file."""
+    return lambda meta: meta | {"filenames": [name, *meta["filenames"][1:]]}
+
+
+DAMAGED: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "list": lambda meta: [meta],
+    "version": changed(version=2),
+    "no tree": changed(tree=None),
+    "no leaves": changed(tree={"children": []}),
+    "no files": changed(filenames=[]),
+    "files of numbers": changed(filenames=[1, 2, 3, 4, 5]),
+    "child": changed(tree={"children": [7]}),
+    "file": changed(tree={"lods": {"0": {"file": 9}}}),
+    "kind of file": changed(tree={"lods": {"0": {"file": "0"}}}),
+    "missing": with_file("0_0/none.json"),
+    "a folder": with_file("0_0"),
+    "above": with_file("../copy/0_0/meta.json"),
+    "root": with_file("/etc/passwd"),
+    "another host": with_file("https://host/meta.json"),
+    "the same twice": with_file("0_1/meta.json"),
+    "itself": with_file(LOD_META),
+    "environment": changed(environment=["env"]),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_a_damaged_meta_is_refused(case, copy):
+    path = copy / LOD_META
+    path.write_text(json.dumps(DAMAGED[case](json.loads(path.read_text()))))
+    with pytest.raises(GsCodecError, match=r"copy"):
+        read_scene(path)
+
+
+@pytest.mark.parametrize("text", ["{", "{}", '{"tree":' + '{"children":[' * 50_000])
+def test_other_json_is_refused(text, tmp_path):
+    (tmp_path / LOD_META).write_text(text)
+    with pytest.raises(InvalidInput, match=r"lod-meta\.json"):
+        read_scene(tmp_path / LOD_META)
+
+
+def test_more_floats_than_allowed_are_refused(folder, scene):
+    with pytest.raises(InvalidInput, match="max-bytes"):
+        read_scene(folder / LOD_META, max_bytes=scene.float_bytes - 1)
+    assert read_scene(folder / LOD_META, max_bytes=scene.float_bytes).count == scene.count
+
+
+# Other programs
+
+
+def test_splat_transform_reads_the_finest_level(folder):
+    program = PROGRAMS["splat-transform"]
+    try:
+        [theirs] = program.read([folder / LOD_META])
+    except MissingTool as error:
+        pytest.skip(f"splat-transform: not installed ('make peers'), {error}")
+    check(theirs, stored_numbers(folder / LOD_META), "sog", program.exact)
+
+
+#: Of each leaf: its box, and how many Gaussians each level has; and how many are drawn.
+SEEN = """[
+    resource.octree.nodes.map((node) => [
+        ...['getMin', 'getMax'].flatMap((end) => Object.values(node.bounds[end]())),
+        ...node.lods.map((lod) => lod.count),
+    ]),
+    app.stats.frame.gsplats,
+]"""
+
+
+@in_browser
+def test_playcanvas_draws_each_leaf_once_at_the_level_that_it_chooses(tmp_path):
+    scene = generate(6000, 1, 12)
+    files, _ = stream_levels(scene, CONFIG, 500, 3000)
+    write_files(tmp_path, files)
+    camera = auto_cameras(scene, 1)[0].resized(*SIZE)
+    write_cameras(tmp_path / "cameras.json", [camera])
+    asked = {"mixed": "splatBudget=2500", "coarse": "lodRangeMin=1&lodRangeMax=1"}
+    with serving(tmp_path) as url:
+        page = f"{url}project/tests/web/playcanvas.html?file={LOD_META}"
+        jobs = [Job(f"{page}&{more}", []) for more in asked.values()]
+        for name, job in zip(asked, jobs, strict=True):
+            job.shot(str(tmp_path / f"{name}.png"))
+            job.steps.append(("value", SEEN))
+        mixed, coarse = open_pages(*jobs)
+    levels = [
+        {request.split("/")[-2][0] for request in told.requests if "means_l" in request}
+        for told in (mixed, coarse)
+    ]
+    assert levels == [{"0", "1"}, {"1"}]
+    leaves = leaves_of(json.loads(files[LOD_META])["tree"])
+    expected = [[*leaf["bound"]["min"], *leaf["bound"]["max"], *counts_of(leaf)] for leaf in leaves]
+    for told in (mixed, coarse):
+        np.testing.assert_allclose(told.values[-1][0], expected, rtol=1e-5, atol=1e-5)
+    # Of twelve leaves, two of 500 Gaussians and ten of 125; then twelve of 125.
+    assert [told.values[-1][1] for told in (mixed, coarse)] == [2250, 1500]
+    ours, level = drawn(scene, camera), read_scene(tmp_path / "1_0" / "meta.json")
+    assert np.ptp(ours) > 0.3
+    assert decibels(seen(tmp_path / "mixed.png"), ours) > 30
+    assert decibels(seen(tmp_path / "coarse.png"), ours) > 28
+    assert decibels(seen(tmp_path / "coarse.png"), drawn(level, camera)) > 32

@@ -11,7 +11,7 @@ import { openParts } from './source.js';
 const AT_ONCE = 4;
 
 /** Bytes of the first sections of a level beside those of its blocks: more are asked for, if need be. */
-const BESIDE = 4096;
+const BESIDE = 512;
 
 /**
  * Open an .egs file, with or without levels of detail, to decode chosen blocks.
@@ -166,7 +166,7 @@ export class EgsFile {
       const blocks = Math.ceil(header.levelCounts[level - 1] / header.blockSize);
       // So many bytes as it should take are asked for at once.
       const perBlock = 20 * Math.ceil(header.sections.length / header.blocks) + 52;
-      const guess = blocks * perBlock + 2 * common.length + BESIDE;
+      const guess = blocks * perBlock + Math.ceil(1.25 * common.length) + BESIDE;
       const input = new Within(this, entry.at);
       await input.know(Math.min(entry.size, guess));
       check(entry.size >= 16, 'header', 'truncated');

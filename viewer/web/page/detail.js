@@ -55,6 +55,7 @@ export class Detail {
     this.needed = 0;
     this.drawn = 0; // Gaussians
     this.isStopped = false;
+    this.isPictured = false; // whether a first picture of it has been drawn
     this.rows = Math.ceil(file.levels[0].blockSize / ROW); // of a place
     this.top = file.levels.length - 1;
   }
@@ -85,6 +86,8 @@ export class Detail {
     this.#leaving = [];
     this.#free = [...Array(this.places).keys()].reverse();
     this.splats?.dispose();
+    this.splats = undefined; // if there is no memory
+    this.tell.sized(0);
     const { degree, antialiased } = file;
     const count = this.places * rows * ROW;
     this.splats = new Splats(gl, { count, degree, antialiased });
@@ -155,11 +158,15 @@ export class Detail {
     }
   }
 
-  /** Blocks of this view that are not there yet. */
+  /** Blocks of this view that are not there yet, and those that will be asked for again. */
   get missing() {
+    const now = performance.now();
+    const again = [...this.#failed.values()].filter(
+      (one) => one.again > now && one.again < Infinity,
+    );
     const isThere = (block) => this.#resident.has(keyOf(block));
     const wanted = this.#wanted.slice(0, this.needed);
-    return wanted.reduce((sum, block) => sum + !isThere(block), 0);
+    return wanted.reduce((sum, block) => sum + !isThere(block), again.length);
   }
 
   /** Whether all that this view needs is there, or nothing more comes. */
@@ -169,6 +176,7 @@ export class Detail {
 
   /** Ask for what is missing, the coarsest and the largest error first. */
   #fetch() {
+    if (this.isStopped || !this.isPictured) return;
     const coming = new Set();
     for (const { blocks } of this.#requests) for (const one of blocks) coming.add(keyOf(one));
     const isMissing = (one) => {
@@ -198,8 +206,7 @@ export class Detail {
       const { signal } = controller;
       const numbers = blocks.map(({ block }) => block);
       const { scene, parts } = await this.#decode(level, numbers, signal);
-      if (signal.aborted) return;
-      for (const part of parts) {
+      for (const part of signal.aborted ? [] : parts) {
         this.#failed.delete(keyOf(part));
         this.#waiting.set(keyOf(part), { ...part, scene });
       }
@@ -318,6 +325,13 @@ export class Detail {
     for (const one of this.#top) if (this.#resident.has(keyOf(one))) draw({ ...one, level: top });
     this.#asked = places;
     return found;
+  }
+
+  /** A picture has been drawn: the first comes before all else that is fetched. */
+  pictured() {
+    if (this.isPictured || this.#shown.size === 0) return;
+    this.isPictured = true;
+    this.#fetch();
   }
 
   /** The order of what `ranges` gave last is there. */

@@ -87,7 +87,7 @@ export class Loaded {
       progress: () => this.changed(this),
       put: (first, block) => this.sorter.postMessage({ first, block }, [block.buffer]),
       sized: (room) => {
-        this.splats = detail.splats;
+        this.splats = detail.splats ?? null;
         this.room = 3 * room;
         this.sorter.postMessage({ count: room });
       },

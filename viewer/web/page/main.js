@@ -153,14 +153,20 @@ class Viewer {
       scene.aim(this.pose, lens);
       scene.sort(this.pose);
     }
-    // While scenes load, a third of the time is for pictures.
-    const isTime = this.isLoaded || renderer.rested > 2 * renderer.took;
+    // While scenes load, or are refined for a camera at rest, a third of the time is for pictures.
+    const isBusy = !this.isLoaded || (this.pace.isResting && !this.#isThere);
+    const isTime = !isBusy || renderer.rested > 2 * renderer.took;
     if (renderer.isDone() && isTime && this.scenes.every((scene) => scene.isNearlyInOrder)) {
       this.asked = undefined;
       this.#draw();
     } else {
       this.asked = requestAnimationFrame(() => this.#drawIfDone());
     }
+  }
+
+  /** Whether all that the view needs is there. */
+  get #isThere() {
+    return this.isLoaded && this.scenes.every(({ isComplete }) => isComplete);
   }
 
   /** By what to divide the sides of the next picture: what is saved or compared is never a draft. */
@@ -196,11 +202,11 @@ class Viewer {
       split: { a: 1, b: 0, wipe: look.split, error: 1 }[look.show],
       errors: look.show === 'error',
     });
+    for (const { detail } of scenes) detail?.pictured();
     if (this.shrink > 1) this.#sharpen();
     else if (this.isSaving) this.#download();
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
-    const isThere = this.isLoaded && scenes.every(({ isComplete }) => isComplete);
-    const state = !inOrder ? 'drawing' : isThere ? 'ready' : 'loading';
+    const state = !inOrder ? 'drawing' : this.#isThere ? 'ready' : 'loading';
     document.body.dataset.state = this.failures.length && state === 'ready' ? 'error' : state;
   }
 

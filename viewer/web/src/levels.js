@@ -34,7 +34,7 @@ export async function open(source, options = {}) {
   signal?.addEventListener('abort', abort);
   if (signal?.aborted) abort();
   try {
-    return await file.until(file.begin());
+    return await Promise.race([file.begin(), file.closed]);
   } catch (error) {
     file.close(error);
     throw file.failure;
@@ -53,9 +53,9 @@ class Within {
     this.start = await this.read(0, size);
   }
 
-  async read(begin, end) {
+  async read(begin, end, signal) {
     if (end <= this.start.length) return this.start.subarray(begin, end);
-    return this.input.read(this.at + begin, this.at + end);
+    return this.input.read(this.at + begin, this.at + end, signal);
   }
 }
 
@@ -92,14 +92,8 @@ export class EgsFile {
     this.#options = options;
     this.fetched = 0;
     this.failure = null; // why it is closed
-    this.#calls.add((reason) => this.fail(reason));
-    this.failed = new Promise((_, reject) => (this.fail = reject));
-    this.failed.catch(() => {});
-  }
-
-  /** What a promise gives, unless the file is closed before. */
-  until(promise) {
-    return Promise.race([promise, this.failed]);
+    this.closed = new Promise((_, reject) => this.#calls.add(reject));
+    this.closed.catch(() => {}); // it may be that nobody waits for it
   }
 
   /** Read `[begin, end)`. */
@@ -118,9 +112,7 @@ export class EgsFile {
     this.#opened = [scene];
     const found = header.sections.filter(({ name }) => name === 'level');
     const levels = await Promise.all(found.map((entry) => this.#openLevel(scene, entry)));
-    for (const [opened, { block }] of levels.map((each, k) => [each, found[k]])) {
-      this.#opened[block] = opened;
-    }
+    levels.forEach((opened, k) => (this.#opened[found[k].block] = opened));
     for (let level = 1; level < this.#opened.length; level++) {
       const [finer, coarser] = [this.#opened[level - 1], this.#opened[level]];
       const before = finer.errors ?? new Float64Array(finer.header.blocks);
@@ -156,7 +148,7 @@ export class EgsFile {
     for (const entry of opened.rest) {
       if (names.has(entry.name)) opened.ofBlock[entry.block].push(entry);
     }
-    opened.at = 0;
+    opened.input = input;
     return opened;
   }
 
@@ -174,7 +166,6 @@ export class EgsFile {
       checkLevel(found, level, header);
       found.checkSize(entry.size, Infinity);
       const opened = await this.#describe(found, input, true);
-      opened.at = entry.at;
       return opened;
     });
   }
@@ -231,7 +222,7 @@ export class EgsFile {
     });
     stopped.catch(() => {});
     try {
-      const decoding = new Chosen(this, opened, level, blocks, shDegree, onBlock);
+      const decoding = new Chosen(opened, level, blocks, shDegree, onBlock);
       const run = () => decoding.run(this.#pool, this.#input.atOnce, controller.signal);
       return await Promise.race([within(level, run), stopped]);
     } catch (error) {
@@ -255,8 +246,8 @@ export class EgsFile {
 
 /** Blocks that are being decoded. */
 class Chosen {
-  constructor(file, opened, level, blocks, shDegree, onBlock) {
-    Object.assign(this, { file, opened, level, onBlock });
+  constructor(opened, level, blocks, shDegree, onBlock) {
+    Object.assign(this, { opened, level, onBlock });
     const { header } = opened;
     this.degree = Math.min(shDegree, header.degree);
     this.names = new Set(opened.parts.slice(0, this.degree + 1).flat());
@@ -271,7 +262,7 @@ class Chosen {
   }
 
   async run(pool, atOnce, signal) {
-    const { file, opened, blocks, names } = this;
+    const { opened, blocks, names } = this;
     const entries = [];
     for (const [block, waiting] of blocks) {
       const own = opened.ofBlock[block].filter(({ name }) => names.has(name));
@@ -284,7 +275,7 @@ class Chosen {
     const runs = runsOf(entries, atOnce);
     const readNext = async () => {
       for (let run; (run = runs.shift());) {
-        const data = await file.read(opened.at + run.begin, opened.at + run.end, signal);
+        const data = await opened.input.read(run.begin, run.end, signal);
         signal.throwIfAborted();
         takeRun(run, data, ({ name, block }, content) => {
           const waiting = blocks.get(block);

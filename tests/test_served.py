@@ -61,6 +61,30 @@ def test_it_answers_who_knows_the_address(page):
     assert answer(page, root, host="localhost:9000") == (200, b"page")  # by ssh -L
 
 
+@pytest.mark.parametrize(
+    ("asked", "status", "body", "told"),
+    [
+        ("bytes=0-1", 206, b"sc", "bytes 0-1/5"),
+        ("bytes=3-99", 206, b"ne", "bytes 3-4/5"),
+        ("bytes=2-", 206, b"ene", "bytes 2-4/5"),
+        ("bytes=5-9", 416, None, None),
+        ("bytes=3-1", 416, None, None),
+        ("bytes=-2", 200, b"scene", None),
+        ("bytes=0-1,3-4", 200, b"scene", None),
+        ("lines=0-1", 200, b"scene", None),
+    ],
+)
+def test_ranges_are_answered(page, asked, status, body, told):
+    connection = http.client.HTTPConnection("127.0.0.1", page.server_port, timeout=60)
+    path = urlsplit(page.url).path + "a%20b.egs"
+    connection.request("GET", path, headers={"Range": asked})
+    response = connection.getresponse()
+    content = response.read()
+    assert response.status == status
+    assert body is None or content == body
+    assert response.getheader("Content-Range") == told
+
+
 @pytest.mark.parametrize("path", ["/", "/index.html", "/a%20b.egs", "/x/", "/../a%20b.egs"])
 def test_without_it_there_is_nothing(page, path):
     assert answer(page, path)[0] == 404

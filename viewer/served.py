@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import sys
 import webbrowser
@@ -79,7 +80,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._head()
 
     def _head(self) -> bytes | None:
-        """Send what comes before a file, and return that."""
+        """Send what comes before a file, or a range of one, and return that."""
         # By another name than this machine's, a page of another host could ask.
         host = self.headers.get("Host", "").partition(":")[0]
         data = self.server.contents.get(self.path) if host in (_HOST, "localhost") else None
@@ -87,10 +88,20 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
             return None
         kind = "text/html; charset=utf-8" if self.path.endswith("/") else "application/octet-stream"
-        self.send_response(HTTPStatus.OK)
+        whole = len(data)
+        part = _range_of(self.headers.get("Range", ""), whole)
+        if part is not None:
+            data = data[part.start : part.stop]
+            if not data:
+                self.send_error(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE)
+                return None
+        self.send_response(HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT)
+        if part is not None:
+            self.send_header("Content-Range", f"bytes {part.start}-{part.stop - 1}/{whole}")
         for name, value in (
             ("Content-Type", kind),
             ("Content-Length", str(len(data))),
+            ("Accept-Ranges", "bytes"),
             ("Cache-Control", "no-store"),
             ("Referrer-Policy", "no-referrer"),
             ("X-Content-Type-Options", "nosniff"),
@@ -101,6 +112,15 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *arguments: object) -> None:
         """Say nothing of requests."""
+
+
+def _range_of(text: str, size: int) -> range | None:
+    """The bytes of a file that a request asks for; None: all of them, or ranges of another kind."""
+    asked = re.fullmatch(r"bytes=(\d{1,18})-(\d{0,18})", text)
+    if asked is None:
+        return None
+    first, last = int(asked[1]), int(asked[2] or size - 1)
+    return range(first, max(first, min(last + 1, size)))
 
 
 def serve(

@@ -46,11 +46,14 @@ class SharedScene:
         The `.egs` file that the page reads.
     encoded : bool
         Whether it was encoded for the page, as pages do not read the file itself.
+    levels : int
+        How many levels of detail it has beside the scene: then the page fetches what it shows.
     """
 
     name: str
     data: bytes
     encoded: bool
+    levels: int = 0
 
 
 def share(
@@ -127,7 +130,7 @@ def page_of(
     finite = first.positions[:, np.isfinite(first.positions).all(axis=0)].astype(np.float64)
     files, entries, blocks = {}, [], []
     for k, (one, name) in enumerate(zip(shared, _file_names(shared), strict=True)):
-        entry = {"name": one.name, "encoded": one.encoded}
+        entry = {"name": one.name, "encoded": one.encoded, "levels": bool(one.levels)}
         if alone:
             entries.append(entry | {"data": f"scene-{k}"})
             text = base64.b64encode(one.data).decode()
@@ -160,7 +163,8 @@ def _open(
         if file.format == EGS:
             info = inspect_bytes(file.data)
             if info.profile != LOSSLESS and not info.features:
-                return SharedScene(path.name, bytes(file.data), False), scene
+                levels = len(info.levels)
+                return SharedScene(path.name, bytes(file.data), False, levels), scene
         with located(path):
             parts, _ = encode_camera_free(scene, Config(_PROFILE, extra="drop"), progress)
         return SharedScene(path.name, b"".join(parts), True), scene

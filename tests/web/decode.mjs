@@ -4,7 +4,7 @@ import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { Worker } from 'node:worker_threads';
 
-import { decode } from '../../viewer/web/src/index.js';
+import { decode, open } from '../../viewer/web/src/index.js';
 import { frequencies } from '../../viewer/web/src/tables.js';
 
 const ARRAYS = ['positions', 'fDc', 'fRest', 'opacity', 'logScale', 'rotation'];
@@ -106,6 +106,55 @@ const CREATE = {
   },
 };
 
+/** SHA-256 of the floats of a scene. */
+function digest(scene) {
+  const hash = createHash('sha256');
+  for (const name of ARRAYS) hash.update(new Uint8Array(scene[name].buffer));
+  return hash.digest('hex');
+}
+
+/**
+ * What comes of opening a file, selecting blocks for `views`, and decoding those of `chosen`, all at
+ * once if `together`.
+ */
+async function opened(source, { views = [], chosen = [], together, closed, shDegree }, options) {
+  const file = await open(source, options);
+  try {
+    const found = { levels: file.levels.map(({ count, blocks }) => [count, blocks]) };
+    found.begun = file.fetched;
+    found.selected = views.map(({ view, ...given }) => file.select(view, given));
+    const decoded = [];
+    const one = async ([level, blocks], k) => {
+      const onBlock = (_, part) => options.onBlock(_, part);
+      const controller = new AbortController();
+      const given = { onBlock, signal: controller.signal, shDegree };
+      const decoding = file.decode(level, blocks, given);
+      if (closed === 'call') controller.abort(new Error('of the caller'));
+      if (closed === 'file') setTimeout(() => file.close(), 20);
+      decoded[k] = digest(await decoding);
+    };
+    if (together) await Promise.all(chosen.map(one));
+    else for (const [k, each] of chosen.entries()) await one(each, k);
+    return { ...found, decoded, fetched: file.fetched, size: file.size };
+  } finally {
+    file.close();
+  }
+}
+
+async function runOpened(data, { open: job, ...given }, options, told) {
+  const byServer = (answer) =>
+    served(data, answer, told.asked, (host) => opened(`${host}/scene.egs`, job, options));
+  const kinds = {
+    bytes: () => opened(data, job, options),
+    blob: () => opened(new Blob([data]), job, options),
+    stream: () => opened(streamed(data, given), job, options),
+    response: () => opened(new Response(data), job, options),
+    url: () => byServer(given.answer ?? 'ranges'),
+    unranged: () => byServer('whole'),
+  };
+  return { ...(await kinds[given.as ?? 'bytes']()), ...told, alive };
+}
+
 async function run(job) {
   if (job.weights) {
     return { frequencies: [...frequencies(job.weights, job.precision, 'table')] };
@@ -158,9 +207,8 @@ async function run(job) {
     number: () => decode(7, options),
   };
   try {
+    if (job.open) return await runOpened(data, job, options, told);
     const scene = await kinds[job.as ?? 'bytes']();
-    const hash = createHash('sha256');
-    for (const name of ARRAYS) hash.update(new Uint8Array(scene[name].buffer));
     const properties = createHash('sha256');
     for (const name of scene.properties) {
       const plane = scene.property(name);
@@ -168,7 +216,7 @@ async function run(job) {
     }
     const { count, degree, profile, coordinates, antialiased, comments } = scene;
     const facts = { count, degree, profile, coordinates, antialiased, comments };
-    const digests = { hash: hash.digest('hex'), properties: properties.digest('hex') };
+    const digests = { hash: digest(scene), properties: properties.digest('hex') };
     return { ...facts, ...told, ...digests, alive };
   } catch (error) {
     return { error: error.name, message: error.message, where: error.where, ...told, alive };

@@ -2,7 +2,8 @@
 import sorterText from 'text:./sorter.js';
 import workerText from 'text:../src/worker.js';
 
-import { decode } from '../src/index.js';
+import { decode, open } from '../src/index.js';
+import { Detail } from './detail.js';
 import { axesOf } from './pose.js';
 import { Splats } from './renderer.js';
 
@@ -34,34 +35,72 @@ function inPage(id) {
 export class Loaded {
   /**
    * @param {{name: string, url?: string, data?: string}} entry what the page says of the scene:
-   *   where it is, or the element that holds it
+   *   where it is, or the element that holds it; `levels`, if it has levels of detail
    * @param {(scene: Loaded) => void} changed called when more can be drawn
+   * @param {(error: Error) => void} failed called when a part cannot be had
    */
-  constructor(entry, changed) {
+  constructor(entry, changed, failed) {
     this.entry = entry;
     this.changed = changed;
+    this.failed = failed;
     this.splats = null; // until the first block is there
+    this.detail = null; // of a scene with levels
     this.share = 0; // of the file that has been read
     this.sorter = worker(sorterText);
     this.sorted = null; // the last that was sorted for
-    this.sorter.onmessage = ({ data }) => this.#take(data.order);
+    this.sorter.onmessage = ({ data }) => this.#take(data);
     this.busy = false;
     this.since = 0; // when the sorter was asked
     this.madeFor = 0; // when it was asked for the order that there is
   }
 
   /**
-   * Decode, and draw blocks as they come.
+   * Decode, and draw blocks as they come; of a scene with levels, until the coarsest is there.
    *
+   * @param {WebGL2RenderingContext} gl
+   * @param {AbortSignal} signal
+   * @param {() => number} budget most Gaussians of a scene with levels
    * @throws {Error} of the decoder
    */
-  async load(gl, signal) {
+  async load(gl, signal, budget) {
     if (this.entry.url && location.protocol === 'file:') {
       throw new Error(
         'pages on disk cannot read files beside them: serve it, or share one .html file',
       );
     }
     const source = this.entry.url ?? inPage(this.entry.data);
+    if (this.entry.levels) await this.#open(source, gl, signal, budget);
+    else await this.#decode(source, gl, signal);
+    this.changed(this);
+  }
+
+  async #open(source, gl, signal, budget) {
+    const file = await open(source, { signal, createWorker: () => worker(workerText) });
+    const [{ count }] = file.levels;
+    const { degree, profile, bytes } = file;
+    this.axes = axesOf(file.coordinates);
+    const detail = new Detail(file, gl, {
+      changed: () => {
+        this.sorted = null;
+        this.changed(this);
+      },
+      progress: () => this.changed(this),
+      put: (first, block) => this.sorter.postMessage({ first, block }, [block.buffer]),
+      sized: (room) => {
+        this.splats = detail.splats ?? null;
+        this.room = 3 * room;
+        this.sorter.postMessage({ count: room });
+      },
+      failed: this.failed,
+    });
+    this.detail = detail;
+    signal.addEventListener('abort', () => detail.stop());
+    await detail.begin(budget());
+    this.scene = { count, degree, profile, bytes };
+    this.share = 1; // what comes later is of the views
+  }
+
+  async #decode(source, gl, signal) {
     const scene = await decode(source, {
       signal,
       createWorker: () => worker(workerText),
@@ -71,14 +110,13 @@ export class Loaded {
       },
       onBlock: (found, { first, count, degree }) => {
         this.splats ??= this.#begin(gl, found);
-        this.splats.load(first, count, degree);
+        this.splats.load(found, first, first, count, degree);
         if (degree === 0) this.#addToSorter(found, first, count);
         this.changed(this);
       },
     });
     this.splats ??= this.#begin(gl, scene); // of an empty scene no block comes
     this.splats.complete();
-    this.changed(this);
   }
 
   #begin(gl, scene) {
@@ -103,6 +141,27 @@ export class Loaded {
     this.sorted = null;
   }
 
+  /** See to the blocks that a view needs, in the world's axes: `lens` is in pixels of the picture. */
+  aim(pose, { focal, centre, size }) {
+    if (!this.detail) return;
+    const { eye, turn } = pose.within(this.axes);
+    this.detail.aim({
+      width: size[0],
+      height: size[1],
+      fx: focal[0],
+      fy: focal[1],
+      cx: centre[0],
+      cy: centre[1],
+      rotation: turn,
+      position: eye,
+    });
+  }
+
+  /** Whether what the last view needs is there. */
+  get isComplete() {
+    return !this.detail || this.detail.isComplete;
+  }
+
   /** Whether it is in the order of a pose, and nothing more is on its way. */
   isInOrder(pose) {
     return !this.splats || (this.sorted === pose && !this.busy);
@@ -122,13 +181,15 @@ export class Loaded {
     this.busy = true;
     this.since = performance.now();
     this.sorted = pose;
-    this.sorter.postMessage({ eye, forward: turn[2] });
+    this.sorter.postMessage({ eye, forward: turn[2], ranges: this.detail?.ranges() });
   }
 
-  #take(order) {
+  #take({ order, size }) {
     this.busy = false;
+    if (this.detail && size !== this.room) return this.changed(this); // of a budget before
     this.madeFor = this.since;
     this.splats.sort(order);
+    this.detail?.ordered();
     this.changed(this);
   }
 }

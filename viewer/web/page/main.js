@@ -8,6 +8,12 @@ import { Renderer } from './renderer.js';
 
 const BACKGROUNDS = { black: [0, 0, 0], grey: [0.5, 0.5, 0.5], white: [1, 1, 1] };
 
+/** Gaussians of scenes with levels that this device holds at once, unless another number is given. */
+function defaultBudget() {
+  if (matchMedia('(pointer: coarse)').matches) return 1e6;
+  return (navigator.deviceMemory ?? 4) >= 8 ? 3e6 : 1.5e6;
+}
+
 class Viewer {
   constructor({ scenes, views, middle }) {
     this.views = views;
@@ -21,7 +27,15 @@ class Viewer {
     this.failures = [];
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
     this.panel = new Panel(this, scenes);
-    this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
+    this.scenes = scenes.map(
+      (entry) =>
+        new Loaded(
+          entry,
+          () => this.#arrived(),
+          (error) => this.#fail(error, entry.name),
+        ),
+    );
+    this.budget = defaultBudget();
     this.choose(0);
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
@@ -41,11 +55,13 @@ class Viewer {
     this.redraw();
     const { signal } = this.abort;
     const tasks = this.scenes.map((scene) =>
-      scene.load(this.renderer.gl, signal).catch((error) => {
-        if (signal.aborted) this.panel.tell('Stopped: what had come is shown.');
-        else this.#fail(error, scene.entry.name);
-      }),
+      scene
+        .load(this.renderer.gl, signal, () => this.#share)
+        .catch((error) => {
+          if (!signal.aborted) this.#fail(error, scene.entry.name);
+        }),
     );
+    signal.addEventListener('abort', () => this.panel.tell('Stopped: what had come is shown.'));
     await Promise.all(tasks);
     this.panel.loaded();
     this.isLoaded = true;
@@ -53,12 +69,30 @@ class Viewer {
   }
 
   #fail(error, name = '') {
-    this.failures.push(name ? `${name}: ${error.message}` : error.message);
+    const text = name ? `${name}: ${error.message}` : error.message;
+    if (!this.failures.includes(text)) this.failures.push(text);
     this.panel.tell(this.failures.join('\n'), true);
+  }
+
+  /** The share of the budget that a scene with levels has. */
+  get #share() {
+    return this.budget / this.scenes.filter(({ entry }) => entry.levels).length;
+  }
+
+  /** Hold so many Gaussians of scenes with levels on the graphics card. */
+  resize(budget) {
+    this.budget = budget;
+    try {
+      for (const { detail } of this.scenes) detail?.resize(this.#share);
+    } catch (error) {
+      this.#fail(error);
+    }
+    this.redraw();
   }
 
   #arrived() {
     if (!this.isLoaded) this.panel.progress(this.scenes); // orders come later, too
+    this.panel.detailed(this.scenes, this.abort.signal.aborted);
     this.redraw();
   }
 
@@ -87,19 +121,20 @@ class Viewer {
 
   /** Pixels of the page by which a thing as far away as it is large is seen. */
   get focal() {
-    return this.#lens().focal[1] / (this.canvas.width / this.canvas.clientWidth || 1);
+    const { width, height } = this.canvas;
+    return this.#lens(width, height).focal[1] / (this.canvas.width / this.canvas.clientWidth || 1);
   }
 
-  /** The lens of the view, whose frame is all in the canvas, unless that is of quite another shape. */
-  #lens() {
+  /** The lens of the view, whose frame is all in w x h pixels, unless these are of quite another shape. */
+  #lens(w, h) {
     const { width, height, fx, fy, cx, cy } = this.views[this.view];
-    const { width: w, height: h } = this.canvas;
     const [fit, fill] = [w / width, h / height].sort((a, b) => a - b);
     const scale = Math.max(fit, fill / 2);
     const aside = [(w - scale * width) / 2, (h - scale * height) / 2];
     return {
       focal: [scale * fx, scale * fy],
       centre: [aside[0] + scale * cx, aside[1] + scale * cy],
+      size: [w, h],
     };
   }
 
@@ -113,9 +148,14 @@ class Viewer {
   /** Draw unless the last picture is not done: on slow devices many would wait. */
   #drawIfDone() {
     const { renderer } = this;
-    for (const scene of this.scenes) scene.sort(this.pose);
-    // While scenes load, a third of the time is for pictures.
-    const isTime = this.isLoaded || renderer.rested > 2 * renderer.took;
+    const lens = this.#lens(...this.#size(1));
+    for (const scene of this.scenes) {
+      scene.aim(this.pose, lens);
+      scene.sort(this.pose);
+    }
+    // While scenes load, or are refined for a camera at rest, a third of the time is for pictures.
+    const isBusy = !this.isLoaded || (this.pace.isResting && !this.#isThere);
+    const isTime = !isBusy || renderer.rested > 2 * renderer.took;
     if (renderer.isDone() && isTime && this.scenes.every((scene) => scene.isNearlyInOrder)) {
       this.asked = undefined;
       this.#draw();
@@ -124,23 +164,31 @@ class Viewer {
     }
   }
 
+  /** Whether all that the view needs is there. */
+  get #isThere() {
+    return this.isLoaded && this.scenes.every(({ isComplete }) => isComplete);
+  }
+
   /** By what to divide the sides of the next picture: what is saved or compared is never a draft. */
   get #shrink() {
     const isCompared = this.look.show === 'wipe' || this.look.show === 'error';
     return this.isSaving || isCompared ? 1 : this.pace.shrink;
   }
 
+  /** Pixels of a picture, by what its sides are divided. */
+  #size(shrink) {
+    const dots = Math.min(globalThis.devicePixelRatio || 1, 2) / shrink;
+    const { clientWidth, clientHeight } = this.canvas;
+    return [clientWidth, clientHeight].map((side) => Math.max(1, Math.round(side * dots)));
+  }
+
   /** Give the canvas its size. */
   #resize() {
     const { canvas } = this;
-    const dots = Math.min(globalThis.devicePixelRatio || 1, 2) / this.shrink;
-    for (const [side, length] of [
-      ['width', canvas.clientWidth],
-      ['height', canvas.clientHeight],
-    ]) {
-      const pixels = Math.max(1, Math.round(length * dots));
-      if (canvas[side] !== pixels) canvas[side] = pixels; // to set it clears the picture
-    }
+    const [width, height] = this.#size(this.shrink);
+    // To set it clears the picture.
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
   }
 
   #draw() {
@@ -148,16 +196,17 @@ class Viewer {
     if (this.shrink === 1) this.pace.took(renderer.took);
     this.shrink = this.#shrink;
     this.#resize();
-    renderer.draw(scenes, pose, this.#lens(), {
+    renderer.draw(scenes, pose, this.#lens(this.canvas.width, this.canvas.height), {
       degree: look.degree,
       background: BACKGROUNDS[look.background],
       split: { a: 1, b: 0, wipe: look.split, error: 1 }[look.show],
       errors: look.show === 'error',
     });
+    for (const { detail } of scenes) detail?.pictured();
     if (this.shrink > 1) this.#sharpen();
     else if (this.isSaving) this.#download();
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
-    const state = !inOrder ? 'drawing' : this.isLoaded ? 'ready' : 'loading';
+    const state = !inOrder ? 'drawing' : this.#isThere ? 'ready' : 'loading';
     document.body.dataset.state = this.failures.length && state === 'ready' ? 'error' : state;
   }
 

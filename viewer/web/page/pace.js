@@ -26,9 +26,14 @@ export class Pace {
     this.#times = [...this.#times, time].slice(-LAST);
   }
 
+  /** Whether the camera has not moved for a while. */
+  get isResting() {
+    return performance.now() - this.#movedAt >= REST;
+  }
+
   /** By what to divide the sides of the next picture. */
   get shrink() {
-    if (performance.now() - this.#movedAt >= REST || this.#times.length < LAST) return 1;
+    if (this.isResting || this.#times.length < LAST) return 1;
     const time = Math.min(...this.#times);
     return Math.min(Math.max(Math.ceil(Math.sqrt(time / BUDGET)), 1), COARSEST);
   }

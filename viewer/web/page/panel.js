@@ -9,6 +9,7 @@ const ATTRIBUTES = {
   opacity: ['opacity'],
   scaling: ['scaling', 'classes'],
   rotation: ['rotation'],
+  levels: ['level'],
 };
 
 const number = (value, digits) =>
@@ -31,11 +32,14 @@ export class Panel {
       const told = element('small', '', item);
       const bar = element('progress', '', item);
       bar.setAttribute('aria-label', `${name}, loaded`);
-      return { told, bar };
+      const detail = element('small', '', item);
+      detail.className = 'detail';
+      return { told, bar, detail };
     });
     viewer.views.forEach(({ img_name: name }, k) => $('views').add(new Option(`${k}: ${name}`, k)));
     $('shows').hidden = !this.two;
     $('stop').hidden = false;
+    $('budget').parentElement.hidden = !entries.some(({ levels }) => levels);
     this.#listen();
     this.shown(viewer.look);
   }
@@ -51,6 +55,9 @@ export class Panel {
     $('background').addEventListener('change', ({ target }) =>
       viewer.set({ background: target.value }),
     );
+    $('budget').addEventListener('change', ({ target }) => {
+      if (target.value > 0) viewer.resize(1e6 * target.value);
+    });
     $('shows').addEventListener('change', ({ target }) => viewer.set({ show: target.value }));
     this.#listenToWipe();
     document.addEventListener('keydown', (event) => this.#key(event));
@@ -75,7 +82,8 @@ export class Panel {
 
   #key(event) {
     const { viewer, two } = this;
-    if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === 'SELECT') return;
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.target.tagName === 'SELECT' || event.target.id === 'budget') return;
     const show = (name) => two && viewer.set({ show: name });
     const actions = {
       n: () => viewer.choose(viewer.view + 1),
@@ -134,6 +142,27 @@ export class Panel {
     });
   }
 
+  /** What there is of scenes with levels, for the present view. */
+  detailed(scenes, isStopped) {
+    const refined = scenes.filter(({ detail }) => detail?.splats);
+    if (refined.length === 0) return;
+    scenes.forEach(({ detail, isComplete }, k) => {
+      if (!detail?.splats) return;
+      const { file, drawn, missing, needed } = detail;
+      this.rows[k].bar.value = needed > 0 ? 1 - missing / needed : 0;
+      this.rows[k].bar.hidden = isComplete;
+      const fetched = `${number(file.fetched / 1e6, 2)} MB fetched`;
+      this.rows[k].detail.textContent = `${fetched}, ${number(drawn, 0)} Gaussians drawn`;
+    });
+    const missing = refined.reduce((sum, { detail }) => sum + detail.missing, 0);
+    if (scenes.every(({ share }) => share === 1)) this.#title(missing ? 'Refining' : 'Scene');
+    $('stop').hidden = isStopped || scenes.every(({ isComplete }) => isComplete);
+    $('refined').textContent =
+      missing === 0
+        ? ''
+        : `${missing} blocks of this view are missing: it is drawn, compared and saved coarser there.`;
+  }
+
   /** List bits by attribute, and the degrees that there are. */
   #list(scenes) {
     const known = scenes.map(({ scene }) => scene).filter(Boolean);
@@ -149,6 +178,7 @@ export class Panel {
     if (this.two) for (const name of ['', 'A', 'B']) element('th', name, title).scope = 'col';
     const columns = scenes.map(({ scene }) => bitsOf(scene));
     for (const name of [...Object.keys(ATTRIBUTES), 'other', 'file']) {
+      if (name === 'levels' && !columns.some((bits) => bits?.levels)) continue;
       const row = element('tr', '', body);
       element('th', name, row).scope = 'row';
       for (const bits of columns) element('td', bits ? number(bits[name], 1) : '', row);

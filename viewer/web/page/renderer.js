@@ -83,18 +83,23 @@ export class Splats {
     this.drawn = 0;
   }
 
-  /** Take what has been decoded of `count` Gaussians, from `first` on, up to a degree. */
-  load(first, count, degree) {
+  /**
+   * Take what a scene has of `count` Gaussians, from `begin` on, up to a degree, as those from
+   * `first` on.
+   */
+  load(scene, begin, first, count, degree) {
     const [from, until] = [Math.floor(first / ROW), Math.ceil((first + count) / ROW)];
-    // Rows at once: those at both ends are of other blocks too, which are loaded once more.
-    if (degree === 0) this.#loadShapes(from, until);
-    else this.#loadHarmonics(from, until);
+    // Rows at once: what there is before and after is of other blocks, which are loaded once more, or
+    // is not drawn.
+    const shift = begin - first;
+    const span = [from * ROW + shift, Math.min(until * ROW + shift, scene.count)];
+    if (degree === 0) this.#loadShapes(scene, span, from, until);
+    else this.#loadHarmonics(scene, span, from, until);
   }
 
-  #loadShapes(from, until) {
-    const { gl, scene } = this;
+  #loadShapes(scene, [begin, end], from, until) {
+    const { gl } = this;
     const { count, positions, fDc, opacity, logScale, rotation } = scene;
-    const [begin, end] = [from * ROW, Math.min(until * ROW, count)];
     const words = new Uint32Array((until - from) * ROW * SHAPE * 4);
     const floats = new Float32Array(words.buffer);
     const turn = [0, 0, 0, 0];
@@ -119,10 +124,9 @@ export class Splats {
     gl.texSubImage2D(gl.TEXTURE_2D, 0, ...area, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
   }
 
-  #loadHarmonics(from, until) {
-    const { gl, scene, texels } = this;
+  #loadHarmonics(scene, [begin, end], from, until) {
+    const { gl, texels } = this;
     const { count, coefficients, fRest } = scene;
-    const [begin, end] = [from * ROW, Math.min(until * ROW, count)];
     const values = new Uint16Array((until - from) * ROW * texels * 8);
     for (let k = 0; k < coefficients; k++) {
       for (let colour = 0; colour < 3; colour++) {
@@ -141,6 +145,13 @@ export class Splats {
   complete() {
     const { count, degree, antialiased } = this.scene;
     this.scene = { count, degree, antialiased };
+  }
+
+  /** Free the memory of the graphics card. */
+  dispose() {
+    const { gl, shapes, harmonics, order, projected, target } = this;
+    gl.deleteFramebuffer(target);
+    for (const image of [shapes, harmonics, order, ...projected]) gl.deleteTexture(image);
   }
 
   /** Take the order in which to draw: farthest first. */

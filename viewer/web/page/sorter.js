@@ -2,7 +2,7 @@
 import { NEAR } from './limits.js';
 
 let positions = new Float32Array(0); // x, y, z of each Gaussian
-let known = []; // [first, end] of what is decoded
+let known = []; // [first, end] of what is decoded, or is to be drawn
 
 self.onmessage = ({ data }) => {
   if (data.count !== undefined) positions = new Float32Array(3 * data.count);
@@ -11,8 +11,9 @@ self.onmessage = ({ data }) => {
     known.push([data.first, data.first + data.block.length / 3]);
   }
   if (data.eye) {
+    known = data.ranges ?? known;
     const order = ordered(data.eye, data.forward);
-    self.postMessage({ order }, [order.buffer]);
+    self.postMessage({ order, size: positions.length }, [order.buffer]);
   }
 };
 

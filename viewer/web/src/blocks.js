@@ -34,4 +34,31 @@ export class Blocks {
     if (part === this.wanted) this.open.delete(block);
     return part === 0 ? found.base(sections) : found.band(part - 1, sections[`sh${part}`]);
   }
+  /**
+   * Decode all of a block, up to an SH degree.
+   *
+   * @param {object} job `{count, degree, sections}`
+   * @returns {Float32Array[]} planes of each of its parts
+   */
+  whole({ count, degree, sections }) {
+    const found = new this.Block(this.common, count, this.degree);
+    const parts = [found.base(sections)];
+    for (let band = 0; band < degree; band++)
+      parts.push(found.band(band, sections[`sh${band + 1}`]));
+    return parts;
+  }
+}
+
+/** Decodes blocks of several files, such as the levels of one, each by its own setup. */
+export class Files {
+  constructor(setups) {
+    this.setups = setups;
+    this.files = [];
+  }
+
+  /** Decode what a job asks for, of its file: a part of a block, or, without `part`, all of it. */
+  decode(job) {
+    const blocks = (this.files[job.file] ??= new Blocks(this.setups[job.file]));
+    return job.part === undefined ? blocks.whole(job) : blocks.decode(job);
+  }
 }

@@ -9,12 +9,16 @@ const COEFFICIENTS = [0, 3, 8, 15];
 /** Names of sections by id. */
 const NAMES = (
   ' channels geometry sh-dc states opacity scaling rotation sh1 sh2 sh3 comments extra lattice ' +
-  'classes low-bits index gpcc tool coder'
+  'classes low-bits index gpcc tool coder level errors'
 ).split(' ');
 
-const OF_SCENE = ['channels', 'comments', 'extra', 'lattice', 'index', 'tool', 'coder'];
 /** Sections that a file has first, in this order. */
-export const FIRST = ['index', 'channels', 'lattice', 'tool', 'coder'];
+export const FIRST = ['index', 'errors', 'channels', 'lattice', 'tool', 'coder'];
+
+const OF_SCENE = [...FIRST, 'comments', 'extra'];
+
+/** Blocks of a level that one of the next stands for, and Gaussians that one of it stands for. */
+export const FANOUT = 4;
 
 /** Bytes that a reader needs to learn the size of the header. */
 export const PREFIX = 16;
@@ -40,7 +44,8 @@ export function headerSize(prefix) {
  * The header of a file.
  *
  * Attributes beside those of the format: `profile` is a name, `coordinates` three letters or null,
- * `coefficients` the number of SH-AC of a colour, `blocks` the number of blocks, `sections` a list
+ * `coefficients` the number of SH-AC of a colour, `blocks` the number of blocks, `levelCounts` the
+ * numbers of Gaussians of level 1, 2, ... if the file has levels, `sections` a list
  * of `{name, block, at, size, checksum}` in the order of the file, `end` the size of the file, `bytes`
  * that of each stream, by name.
  */
@@ -54,7 +59,7 @@ export class Header {
     reader.take(4);
     this.count = reader.u64();
     this.features = reader.u32();
-    const flags = reader.u16();
+    const flags = (this.flags = reader.u16());
     this.coordinates = coordinatesOf(reader.u8());
     const profile = reader.u8();
     this.degree = reader.u8();
@@ -84,6 +89,10 @@ export class Header {
     check(fits, 'header', `block size ${this.blockSize}`);
     this.coefficients = COEFFICIENTS[this.degree];
     this.blocks = Math.ceil(this.count / this.blockSize);
+    this.levelCounts = [];
+    for (let { count } = this; count > this.blockSize;) {
+      this.levelCounts.push((count = Math.ceil(count / FANOUT)));
+    }
     this.end = size;
     this.bytes = { header: size };
     this.sections = Array.from({ length: sections }, () => this.#entry(table));
@@ -104,8 +113,12 @@ export class Header {
     this.end += paddedSize({ size });
     this.bytes[name] = (this.bytes[name] ?? 0) + this.end - at;
     check(Number.isSafeInteger(this.end), where, 'size');
-    const blocks = OF_SCENE.includes(name) ? 1 : this.blocks;
-    check(!name || block < blocks, where, 'there is no such block');
+    const levels = this.levelCounts.length;
+    const isThere =
+      name === 'level'
+        ? block >= 1 && block <= levels
+        : block < (OF_SCENE.includes(name) ? 1 : this.blocks);
+    check(!name || isThere, where, 'there is no such block');
     return { id, name, block, at, size, checksum };
   }
 
@@ -142,20 +155,26 @@ export class Header {
   }
 
   /**
-   * Check that exactly these sections are there, beside comments and extra.
+   * Check that exactly these sections are there, beside comments, extra and levels.
    *
    * @param {string[]} ofScene
    * @param {string[]} ofBlocks
+   * @param {boolean} isLevel whether it is of a level, which has errors and nothing free
    */
-  checkPresence(ofScene, ofBlocks) {
-    const scene = this.count > 0 ? [...ofScene, 'index'] : ofScene;
-    const free = ['', 'comments', 'extra'];
+  checkPresence(ofScene, ofBlocks, isLevel) {
+    const scene = [...ofScene];
+    if (this.count > 0) scene.push('index');
+    if (isLevel) scene.push('errors');
+    const free = isLevel ? [''] : ['', 'comments', 'extra'];
     const counts = new Map();
     for (const { name } of this.sections) {
       if (!free.includes(name)) counts.set(name, (counts.get(name) ?? 0) + 1);
     }
     const expected = new Map(scene.map((name) => [name, 1]));
     if (this.blocks > 0) for (const name of ofBlocks) expected.set(name, this.blocks);
+    // All of them, or none.
+    const mayHaveLevels = !isLevel && 'lms'.includes(this.profile);
+    if (mayHaveLevels && counts.has('level')) expected.set('level', this.levelCounts.length);
     for (const name of new Set([...counts.keys(), ...expected.keys()])) {
       const [found, wanted] = [counts.get(name) ?? 0, expected.get(name) ?? 0];
       check(found === wanted, `section ${name}`, `${found} of them, expected ${wanted}`);
@@ -207,6 +226,37 @@ export function readIndex(content, blocks) {
     check(finite && nested, 'index', `boxes of block ${block}`);
     return { centres: [low, high], reach: [lowest, highest] };
   });
+}
+
+/** Errors of the blocks of a level, scene units. */
+export function readErrors(content, blocks) {
+  check(content.length === 4 * blocks, 'errors', `${content.length} bytes for ${blocks} blocks`);
+  const reader = new Reader(content, 'errors');
+  return Float64Array.from({ length: blocks }, (_, block) => {
+    const error = reader.f32();
+    check(Number.isFinite(error) && error >= 0, 'errors', `${error} of block ${block}`);
+    return error;
+  });
+}
+
+/** Check that no block has a lower error than those of the finer level that it stands for. */
+export function checkErrors(finer, coarser) {
+  finer.forEach((error, block) => {
+    const above = Math.floor(block / FANOUT);
+    check(error <= coarser[above], 'errors', `block ${above} has less than one of the level below`);
+  });
+}
+
+/** Check that a header is that of a level of a file. */
+export function checkLevel(header, level, file) {
+  const same = ['features', 'coordinates', 'profile', 'degree', 'blockSize'];
+  const isSame = same.every((name) => header[name] === file[name]);
+  const isLevel = isSame && header.count === file.levelCounts[level - 1];
+  check(
+    isLevel && header.flags === (file.flags & ~1),
+    'header',
+    'not that of a level of this file',
+  );
 }
 
 /** Check that the box of a block is that of its centres, planes x, y, z of `count` values. */

@@ -1,28 +1,14 @@
 // Decoder of .egs files (gs_codec), written from FORMAT.md.
-import {
-  FIRST,
-  Header,
-  PREFIX,
-  checkBox,
-  checkSupport,
-  checked,
-  headerSize,
-  paddedSize,
-  readComments,
-  readIndex,
-} from './container.js';
-import { CorruptError, check } from './errors.js';
-import { Here, WorkerPool } from './pool.js';
+import { checkBox, checkSupport, readComments } from './container.js';
+import { CorruptError } from './errors.js';
+import { Opened, readHeader, runsOf, takeRun } from './opened.js';
+import { createPool } from './pool.js';
 import { Scene } from './scene.js';
 import { openSource } from './source.js';
 
 export * from './errors.js';
+export { open } from './levels.js';
 export { Scene };
-
-/** Sections of a block that its first part needs. */
-const BASE = 'geometry sh-dc states opacity scaling rotation classes low-bits'.split(' ');
-
-const BANDS = ['sh1', 'sh2', 'sh3'];
 
 /**
  * Decode an .egs file.
@@ -81,11 +67,6 @@ function checkOptions({ shDegree, box, maxBytes }) {
   }
 }
 
-const defaultWorkers = () =>
-  typeof Worker === 'function' ? Math.min(globalThis.navigator?.hardwareConcurrency ?? 1, 4) : 0;
-
-const defaultWorker = () => new Worker(new URL('./worker.js', import.meta.url), { type: 'module' });
-
 class Decoding {
   constructor(input, options) {
     this.input = input;
@@ -109,24 +90,17 @@ class Decoding {
   }
 
   async run() {
-    const header = (this.header = await this.#readHeader());
     const { input, options } = this;
+    const header = (this.header = await readHeader(input));
     checkSupport(header);
     header.checkSize(input.size, options.maxBytes);
     this.degree = Math.min(options.shDegree ?? 3, header.degree);
-    this.commonName = header.profile.startsWith('paper') ? 'channels' : 'lattice';
-    const { sections } = header;
-    const leading = sections.findIndex(({ name }) => !FIRST.includes(name));
-    const split = leading < 0 ? sections.length : leading;
+    const opened = new Opened(header);
     let comments = [];
-    await this.#read(sections.slice(0, split), (entry, content) => {
-      if (entry.name === 'index') this.boxes = readIndex(content, header.blocks);
-      // A copy, as workers are sent the memory that bytes are in: that may be the whole file.
-      if (entry.name === this.commonName) this.common = content.slice();
-    });
-    this.#begin();
+    await this.#read(opened.first, (entry, content) => opened.take(entry, content));
+    this.#begin(opened);
     await this.#read(
-      sections.slice(split).filter((entry) => this.#wants(entry)),
+      opened.rest.filter((entry) => this.#wants(entry)),
       (entry, content) => {
         if (entry.name === 'comments') comments = readComments(content);
         else this.#take(entry, content);
@@ -141,51 +115,24 @@ class Decoding {
     return this.scene;
   }
 
-  async #readHeader() {
-    const { input } = this;
-    const prefix = await input.read(0, PREFIX);
-    const rest = await input.read(PREFIX, headerSize(prefix));
-    const data = new Uint8Array(PREFIX + rest.length);
-    data.set(prefix);
-    data.set(rest, PREFIX);
-    return new Header(data);
-  }
-
   /** Read sections, neighbours together, and hand them on. */
   async #read(entries, take) {
     const { input, options, header } = this;
-    for (let k = 0; k < entries.length;) {
-      const begin = entries[k].at;
-      let end = begin;
-      let next = k;
-      do end += paddedSize(entries[next++]);
-      while (entries[next]?.at === end && end - begin < input.atOnce);
-      const data = await input.read(begin, end);
+    for (const run of runsOf(entries, input.atOnce)) {
+      const data = await input.read(run.begin, run.end);
       if (this.failure) throw this.failure;
-      for (; k < next; k++) {
-        const entry = entries[k];
-        take(entry, checked(entry, data.subarray(entry.at - begin)));
-      }
-      options.onProgress?.(end, header.end);
+      takeRun(run, data, take);
+      options.onProgress?.(run.end, header.end);
       if (this.failure) throw this.failure;
     }
   }
 
   /** Learn from the first sections which blocks there are and what they have. */
-  #begin() {
+  #begin(opened) {
     const { header, options, degree } = this;
-    const name = this.commonName;
-    const isPaper = name === 'channels';
-    const bands = BANDS.slice(0, header.degree);
-    check(this.common !== undefined, `section ${name}`, 'missing');
-    const setup = { content: this.common, degree: header.degree, wanted: degree, isPaper };
-    const here = new Here(setup);
-    const names = isPaper ? here.sections : [...BASE, ...bands];
-    header.checkPresence([name], names);
-    // What each part of a block needs.
-    const wanted = [names.filter((each) => !BANDS.includes(each))];
-    for (const band of bands.slice(0, degree)) wanted.push(names.filter((each) => each === band));
-    this.parts = wanted;
+    opened.begin(degree);
+    this.boxes = opened.boxes;
+    this.parts = opened.parts;
     let first = 0;
     for (let block = 0; block < header.blocks; block++) {
       if (!meets(this.boxes[block].centres, options.box)) continue;
@@ -193,11 +140,9 @@ class Decoding {
       first += header.blockCount(block);
     }
     this.scene = new Scene(header, first, degree);
-    const workers = Math.min(options.workers ?? defaultWorkers(), this.blocks.size);
-    const create = options.createWorker ?? defaultWorker;
-    this.pool = workers > 0 ? new WorkerPool(setup, workers, create) : here;
+    this.pool = createPool([opened.setup], this.blocks.size, options);
     // Values of blocks without sections are constant.
-    if (wanted[0].length === 0) for (const block of this.blocks.keys()) this.#advance(block);
+    if (this.parts[0].length === 0) for (const block of this.blocks.keys()) this.#advance(block);
   }
 
   #wants({ name, block }) {
@@ -231,7 +176,7 @@ class Decoding {
     const { header, scene, options } = this;
     const { first } = this.blocks.get(block);
     const count = header.blockCount(block);
-    const planes = await this.pool.decode({ block, count, part, sections });
+    const planes = await this.pool.decode({ file: 0, block, count, part, sections });
     if (this.failure) throw this.failure;
     if (part === 0) checkBox(this.boxes[block].centres, planes, count, block);
     scene.put(part, planes, first, count);

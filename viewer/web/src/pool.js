@@ -1,37 +1,33 @@
 // Who decodes blocks: this thread, or workers beside it.
-import { Blocks } from './blocks.js';
+import { Files } from './blocks.js';
 import * as errors from './errors.js';
 
 /** Decodes on this thread, and lets others have it between two parts. */
 export class Here {
-  constructor(setup) {
-    this.blocks = new Blocks(setup);
-  }
-
-  get sections() {
-    return this.blocks.sections;
+  constructor(setups) {
+    this.files = new Files(setups);
   }
 
   async decode(job) {
     await new Promise((resolve) => setTimeout(resolve));
-    if (!this.blocks) throw new errors.EgsError('closed');
-    return this.blocks.decode(job);
+    if (!this.files) throw new errors.EgsError('closed');
+    return this.files.decode(job);
   }
 
   /** Decode nothing more. */
   close() {
-    this.blocks = null;
+    this.files = null;
   }
 }
 
 /** Decodes in workers, each block always in the same. */
 export class WorkerPool {
   /**
-   * @param {object} setup as for `Blocks`
+   * @param {object[]} setups of files, each as for `Blocks`
    * @param {number} size
    * @param {() => Worker} create
    */
-  constructor(setup, size, create) {
+  constructor(setups, size, create) {
     this.waiting = new Map();
     this.sent = 0;
     this.failure = null; // after which workers do not answer
@@ -39,7 +35,7 @@ export class WorkerPool {
     try {
       while (this.workers.length < size) {
         this.workers.push(create());
-        this.#start(this.workers[this.workers.length - 1], setup);
+        this.#start(this.workers[this.workers.length - 1], setups);
       }
     } catch (error) {
       this.close();
@@ -47,15 +43,15 @@ export class WorkerPool {
     }
   }
 
-  #start(worker, setup) {
+  #start(worker, setups) {
     worker.onmessage = ({ data }) => this.#answer(data);
     worker.onmessageerror = () => this.#fail(new errors.WorkerError('a message was lost'));
     worker.onerror = (event) =>
       this.#fail(new errors.WorkerError(event.message || 'worker.js could not be loaded'));
-    worker.postMessage({ setup });
+    worker.postMessage({ setups });
   }
 
-  /** Decode a part of a block; the memory of its sections goes to the worker. */
+  /** Do a job as for `Files`; the memory of its sections goes to the worker. */
   decode(job) {
     if (this.failure) return Promise.reject(this.failure);
     const id = this.sent++;
@@ -90,6 +86,18 @@ export class WorkerPool {
   }
 
   close() {
+    this.#fail(new errors.EgsError('closed'));
     for (const worker of this.workers) worker.terminate();
   }
+}
+
+const defaultWorkers = () =>
+  typeof Worker === 'function' ? Math.min(globalThis.navigator?.hardwareConcurrency ?? 1, 4) : 0;
+
+const defaultWorker = () => new Worker(new URL('./worker.js', import.meta.url), { type: 'module' });
+
+/** What does so many jobs at most, as the options of `decode` say. */
+export function createPool(setups, jobs, { workers = defaultWorkers(), createWorker }) {
+  const size = Math.min(workers, jobs);
+  return size > 0 ? new WorkerPool(setups, size, createWorker ?? defaultWorker) : new Here(setups);
 }

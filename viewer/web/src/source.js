@@ -17,10 +17,25 @@ export async function openSource(source, ranged, signal) {
   if (source instanceof ReadableStream) return new StreamSource(source);
   if (source instanceof Blob) return new StreamSource(source.stream(), source.size);
   if (typeof source === 'string' || source instanceof URL) {
-    if (ranged) return new RangeSource(source, signal);
+    if (ranged) return new RangeSource(source, (response) => ofResponse(response, source), signal);
     return ofResponse(await request(source, { signal }), source);
   }
   throw new TypeError('expected an ArrayBuffer, a view of one, a Blob, Response, stream or URL');
+}
+
+/**
+ * A source of which any part can be read at any time, also several at once.
+ *
+ * Of a stream, or a server that does not know ranges, all that has come is kept.
+ */
+export async function openParts(source, signal) {
+  if (source instanceof Blob) return new BlobSource(source);
+  if (typeof source === 'string' || source instanceof URL) {
+    const kept = (response) => new KeptSource(ofResponse(response, source));
+    return new RangeSource(source, kept, signal);
+  }
+  const opened = await openSource(source, false, signal);
+  return opened instanceof StreamSource ? new KeptSource(opened) : opened;
 }
 
 async function request(url, options) {
@@ -89,6 +104,56 @@ class MemorySource {
   close() {}
 }
 
+class BlobSource {
+  constructor(blob) {
+    this.blob = blob;
+    this.size = blob.size;
+    this.atOnce = AT_ONCE;
+  }
+
+  async read(begin, end) {
+    if (end > this.size) throw cutOff(end);
+    return new Uint8Array(await this.blob.slice(begin, end).arrayBuffer());
+  }
+
+  close() {}
+}
+
+/** Keeps what a stream has given. */
+class KeptSource {
+  constructor(stream) {
+    this.stream = stream;
+    this.size = stream.size;
+    this.atOnce = AT_ONCE;
+    this.bytes = new Uint8Array(0);
+    this.length = 0; // of what has come
+    this.coming = null;
+  }
+
+  async read(begin, end) {
+    while (this.length < end) {
+      this.coming ??= this.#next();
+      if (!(await this.coming)) throw cutOff(end);
+    }
+    return this.bytes.subarray(begin, end);
+  }
+
+  async #next() {
+    const isMore = await this.stream.next();
+    const { chunk } = this.stream;
+    const length = this.length + chunk.length;
+    if (length > this.bytes.length) this.bytes = grown(this.bytes, Math.max(2 * length, 2 ** 16));
+    this.bytes.set(chunk, this.length);
+    this.length = length;
+    if (isMore) this.coming = null; // after the end it stays, as after an error
+    return isMore;
+  }
+
+  close() {
+    this.stream.close();
+  }
+}
+
 /** Reads forward only. */
 class StreamSource {
   constructor(stream, size, begin = 0) {
@@ -141,25 +206,27 @@ class StreamSource {
   }
 }
 
-/** Asks a server for ranges; if it sends all instead, reads that. */
+/** Asks a server for ranges; if it sends all instead, reads that, as a source that `ofAll` makes. */
 class RangeSource {
-  constructor(url, signal) {
+  constructor(url, ofAll, signal) {
     this.url = url;
+    this.ofAll = ofAll;
     this.signal = signal;
     this.atOnce = AT_ONCE;
     this.whole = null;
   }
 
-  async read(begin, end) {
+  async read(begin, end, signal = this.signal) {
     if (this.whole) return this.whole.read(begin, end);
     const headers = { Range: `bytes=${begin}-${end - 1}` };
-    const response = await request(this.url, { headers, signal: this.signal });
+    const response = await request(this.url, { headers, signal });
     if (response.status === 416) {
       release(response);
       throw cutOff(end);
     }
     if (response.status !== 206) {
-      this.whole = ofResponse(response, this.url);
+      if (this.whole) release(response);
+      else this.whole = this.ofAll(response);
       this.size = this.whole.size;
       return this.whole.read(begin, end);
     }

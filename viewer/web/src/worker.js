@@ -1,16 +1,19 @@
 // A worker that decodes blocks for `WorkerPool`.
-import { Blocks } from './blocks.js';
+import { Files } from './blocks.js';
 
-let blocks = null;
+let files = null;
 
 self.onmessage = ({ data }) => {
   try {
-    if (data.setup) {
-      blocks = new Blocks(data.setup);
+    if (data.setups) {
+      files = new Files(data.setups);
       return;
     }
-    const planes = blocks.decode(data);
-    self.postMessage({ id: data.id, planes }, [planes.buffer]);
+    const planes = files.decode(data);
+    self.postMessage(
+      { id: data.id, planes },
+      [planes].flat().map(({ buffer }) => buffer),
+    );
   } catch (error) {
     const { name, message, where } = error;
     self.postMessage({ id: data.id, error: { name, message, where } });

@@ -1,0 +1,355 @@
+"""The page of scenes with levels of detail, in Chromium: what is fetched, kept and drawn."""
+
+from __future__ import annotations
+
+import http.server
+import re
+import shutil
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import test_web_page as web_page
+from damage import flipped
+from test_web_levels import city
+from test_web_page import Job, built, decibels, drawn, in_browser, open_pages, seen
+
+from gs_codec.codecs import decode_part
+from gs_codec.codecs.part import Part
+from gs_codec.egs.file import Section, SectionId, read_file, write_file
+from gs_codec.egs.levels import levels_of, open_level
+from gs_codec.files.sharing import share
+from gs_codec.rendering.camera import Camera, facing
+from gs_codec.rendering.cameras import write_cameras
+from gs_codec.scene import Scene
+
+pytestmark = [built, in_browser]
+
+SIZE = WIDTH, HEIGHT = 300, 200
+
+
+def camera(name: str, place: tuple, target: tuple, focal: float = 250.0) -> Camera:
+    position = np.array(place, np.float64)
+    turn = facing(np.array(target) - position, np.array([0.0, -1.0, 0.0]))
+    return Camera(name, WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, turn, position)
+
+
+@dataclass
+class Site:
+    """A page of a scene with levels."""
+
+    folder: Path
+    scene: Scene
+    cameras: list[Camera]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Site:
+    folder = tmp_path_factory.mktemp("detail")
+    data = city()
+    (folder / "city.egs").write_bytes(data)
+    scene = decode_part(data, Part())[0]
+    low, high = (np.quantile(scene.positions, q, axis=1) for q in (0.02, 0.98))
+    middle, span = (low + high) / 2, high - low
+    far = middle + span * (0.2, -2.0, -3.0)
+    near = low + span * (0.1, 0.3, 0.1)
+    other = low + span * (0.9, 0.3, 0.9)
+    cameras = [
+        camera("far", far, middle),
+        camera("near", near, middle),
+        camera("other", other, middle),
+    ]
+    write_cameras(folder / "cameras.json", cameras)
+    share([folder / "city.egs"], folder / "site", folder / "cameras.json")
+    return Site(folder, scene, cameras)
+
+
+@dataclass
+class Asked:
+    """What a server was asked for."""
+
+    ranges: list[tuple[int, int]] = field(default_factory=list)
+    given: int = 0  # bytes of the scene
+    over: threading.Event = field(default_factory=threading.Event)
+
+
+class serving:  # noqa: N801
+    """A server of a folder, with ranges.
+
+    Those of a scene for which `stalls(begin, end)` are not answered; for which `fails(begin, end)`
+    are refused when they are asked for first.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        stalls: Callable[[int, int], bool] = lambda begin, end: False,
+        fails: Callable[[int, int], bool] = lambda begin, end: False,
+    ) -> None:
+        asked = self.asked = Asked()
+
+        class Handler(http.server.SimpleHTTPRequestHandler):
+            def __init__(self, *given: Any) -> None:
+                super().__init__(*given, directory=str(folder))
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+            def do_GET(self) -> None:
+                found = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+                if found is None:
+                    super().do_GET()
+                    return
+                begin, end = int(found[1]), int(found[2]) + 1
+                asked.ranges.append((begin, end))
+                if stalls(begin, end):
+                    asked.over.wait(300)
+                    return
+                if fails(begin, end) and asked.ranges.count((begin, end)) == 1:
+                    self.send_error(503)
+                    return
+                data = Path(self.translate_path(self.path)).read_bytes()
+                part = data[begin:end]
+                asked.given += len(part)
+                self.send_response(206)
+                self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{len(data)}")
+                self.send_header("Content-Length", str(len(part)))
+                self.end_headers()
+                self.wfile.write(part)
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+
+    def __enter__(self) -> tuple[str, Asked]:
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        return f"http://127.0.0.1:{self.server.server_port}/", self.asked
+
+    def __exit__(self, *_: object) -> None:
+        self.asked.over.set()
+        self.server.shutdown()
+        self.server.server_close()
+
+
+DETAIL = "document.querySelector('.detail').textContent"
+MISSING = "document.getElementById('refined').textContent"
+
+
+def gaussians_of(text: str) -> int:
+    """How many are drawn, as the panel says."""
+    return int(text.split("fetched, ")[1].split(maxsplit=1)[0].replace(",", ""))
+
+
+def first_block() -> int:
+    """Where the blocks of the scene itself begin in its file."""
+    return read_file(city()).table[SectionId.GEOMETRY, 0].position
+
+
+def test_it_is_sharp_wherever_one_goes_and_nothing_else_is_fetched(site, tmp_path):
+    assert (site.folder / "site" / "city.egs").read_bytes() == city()
+    job = Job("", [], panel=True)
+    for k in range(3):
+        job.shot(str(tmp_path / f"{k}.png"))
+        job.steps += [("value", DETAIL), ("key", "n")]
+    job.shot(str(tmp_path / "again.png"))
+    job.steps.append(("value", MISSING))
+    with serving(site.folder / "site") as (url, asked):
+        job.url = url
+        [told] = open_pages(job)
+    assert (told.state, told.status, told.errors, told.values[-1]) == ("ready", "", [], "")
+    for k, one in enumerate(site.cameras):
+        ours = drawn(site.scene, one)
+        assert np.ptp(ours) > 0.3
+        assert decibels(seen(tmp_path / f"{k}.png"), ours) > 35
+    assert decibels(seen(tmp_path / "again.png"), seen(tmp_path / "0.png")) > 45
+    told_of = [text for text in told.values if isinstance(text, str) and "drawn" in text]
+    assert len(told_of) == 3
+    assert all(0 < gaussians_of(text) < site.scene.count for text in told_of)
+    # What was fetched is kept: nothing is asked for twice.
+    assert len(set(asked.ranges)) == len(asked.ranges)
+    assert asked.given < 0.8 * len(city())
+
+
+def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
+    """Of everything, while all but the coarsest level stalls; and one may move, and stop."""
+    file = read_file(city())
+    starts = [file.table[SectionId.LEVEL, level].position for level in levels_of(file)]
+    coarsest = file.table[SectionId.LEVEL, len(starts)]
+    end = coarsest.position + coarsest.size
+
+    def stalls(begin: int, _: int) -> bool:
+        return begin >= end and begin not in starts
+
+    with serving(site.folder / "site", stalls) as (url, asked):
+        job = Job(url, [], panel=True)
+        job.steps += [("until", f"{DETAIL}.includes(' drawn') && !{DETAIL}.includes(' 0 ')")]
+        job.steps += [("until", f"{MISSING} !== ''"), ("value", "document.body.dataset.state")]
+        job.steps += [
+            ("key", "n"),
+            ("hold", "w", 200),
+            ("key", "r"),
+            ("key", "p"),
+            ("click", "#stop"),
+        ]
+        job.shot(str(tmp_path / "first.png"))
+        job.steps += [("value", DETAIL), ("value", MISSING)]
+        [told] = open_pages(job)
+    assert (told.state, told.errors) == ("ready", [])
+    assert told.status == "Stopped: what had come is shown."
+    assert "ready" not in told.values
+    assert "blocks of this view are missing" in told.values[-1]
+    assert asked.given < 0.1 * len(city())
+    assert decibels(seen(tmp_path / "first.png"), drawn(site.scene, site.cameras[0])) > 20
+
+
+def test_what_stalls_is_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
+    """Requests for blocks of the scene itself are never answered; those of past views are ended."""
+    begins = first_block()
+    with serving(site.folder / "site", lambda begin, _: begin >= begins) as (url, _):
+        job = Job(url, [("key", "n"), ("until", f"{MISSING} !== ''")], panel=True)
+        for _ in range(4):
+            job.steps += [("key", "n"), ("key", "p")]
+        job.steps += [("until", f"{DETAIL}.includes(' drawn')")]
+        job.steps += [("until", "document.body.dataset.state === 'loading'"), ("key", "p")]
+        job.shot(str(tmp_path / "far.png"))
+        [told] = open_pages(job)
+    # From afar, level 0 is hardly needed.
+    assert told.errors == []
+    assert decibels(seen(tmp_path / "far.png"), drawn(site.scene, site.cameras[0])) > 35
+
+
+def test_what_a_connection_lost_is_asked_for_again(site, tmp_path):
+    """First all blocks of the scene itself, but not for ever."""
+    begins = first_block()
+    with serving(site.folder / "site", fails=lambda begin, _: begin >= begins) as (url, asked):
+        job = Job(url, [("drawn",), ("key", "n")])
+        job.shot(str(tmp_path / "near.png"))
+        [told] = open_pages(job)
+    assert (told.state, told.status) == ("ready", "")
+    assert max(asked.ranges.count(each) for each in asked.ranges) > 1
+    assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
+
+
+def test_fast_there_and_back_ends_in_the_same_picture(site, tmp_path):
+    with serving(site.folder / "site") as (url, _):
+        job = Job(url, [])
+        job.shot(str(tmp_path / "before.png"))
+        for _ in range(3):
+            job.steps += [
+                ("key", "n"),
+                ("drag", [[150, 100], [190, 110], [150, 100]], 2),
+                ("key", "n"),
+            ]
+            job.steps += [("key", "p"), ("key", "p")]
+        job.shot(str(tmp_path / "after.png"))
+        job.steps.append(("key", "n"))
+        job.shot(str(tmp_path / "near.png"))
+        [told] = open_pages(job)
+    assert (told.state, told.status, told.errors) == ("ready", "", [])
+    assert decibels(seen(tmp_path / "after.png"), seen(tmp_path / "before.png")) > 45
+    assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
+
+
+ROWS = """(() => {
+    const device = WebGL2RenderingContext.prototype;
+    const { texStorage2D } = device;
+    window.rows = [];
+    device.texStorage2D = function (...given) {
+        if (given[3] === 1024) window.rows.push(given[4]);
+        return texStorage2D.apply(this, given);
+    };
+})()"""
+
+
+def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
+    """15 blocks of 511 Gaussians, each of which takes a row of 1,024."""
+    budget = """((value) => {
+        const input = document.getElementById('budget');
+        input.value = value;
+        input.dispatchEvent(new Event('change', {bubbles: true}));
+    })"""
+    job = Job("", [("drawn",), ("value", f"{budget}(0.0154)")], before=ROWS)
+    for k in range(3):
+        job.steps += [("key", "n"), ("drawn",), ("value", DETAIL)]
+        job.shot(str(tmp_path / f"{k}.png"))
+    # Wherever one has been, and whatever had to go for it: the same view is the same picture.
+    for _ in range(4):
+        job.steps += [("drag", [[150, 100], [250, 120], [20, 80], [150, 100]], 4), ("key", "n")]
+        job.steps += [("hold", "Shift+w", 300), ("hold", "ArrowLeft", 300)]
+    job.steps += [("key", "r"), ("drawn",)]
+    job.shot(str(tmp_path / "back.png"))
+    job.steps += [("value", "window.rows.at(-1)"), ("value", f"{budget}(1)"), ("key", "n")]
+    job.shot(str(tmp_path / "more.png"))
+    with serving(site.folder / "site") as (url, _):
+        job.url = url
+        [told] = open_pages(job)
+    assert (told.state, told.status, told.errors) == ("ready", "", [])
+    assert 15 in told.values
+    texts = [value for value in told.values if isinstance(value, str)]
+    assert len(texts) == 3
+    assert all(511 < gaussians_of(text) <= 15 * 511 for text in texts)
+    for k in range(3):  # coarse, but all of it
+        ours = drawn(site.scene, site.cameras[(k + 1) % 3])
+        assert decibels(seen(tmp_path / f"{k}.png"), ours) > 18
+    assert decibels(seen(tmp_path / "back.png"), seen(tmp_path / "0.png")) > 45
+    assert decibels(seen(tmp_path / "more.png"), drawn(site.scene, site.cameras[2])) > 35
+
+
+def test_damaged_levels_are_told_and_coarser_ones_are_drawn(site, tmp_path):
+    data = city()
+    file = read_file(data)
+    place = file.table[SectionId.LEVEL, 1].position
+    own = open_level(file, 1).table
+    damaged = data
+    for block in range(open_level(file, 1).header.block_count):
+        damaged = bytes(flipped(damaged, 8 * (place + own[SectionId.OPACITY, block].position)))
+    header = bytes(flipped(data, 8 * (file.table[SectionId.LEVEL, 2].position + 20)))
+    jobs = []
+    for name, content in (("block", damaged), ("header", header)):
+        shutil.copytree(site.folder / "site", tmp_path / name)
+        (tmp_path / name / "city.egs").write_bytes(content)
+    with serving(tmp_path) as (url, _):
+        for name in ("block", "header"):
+            jobs.append(Job(f"{url}{name}/index.html", [("drawn",), ("key", "n")]))
+            jobs[-1].shot(str(tmp_path / f"{name}.png"))
+        block, header = open_pages(*jobs)
+    assert (block.state, header.state) == ("error", "error")
+    assert block.status.startswith("city.egs: level 1: section opacity")
+    assert header.status == "city.egs: level 2: header: checksum"
+    ours = drawn(site.scene, site.cameras[1])
+    assert decibels(seen(tmp_path / "block.png"), ours) > 20
+
+
+def test_without_ranges_and_in_one_file_it_is_the_same(site, tmp_path):
+    """Of a server that sends all; of a page that holds the scene; beside one without levels."""
+    plain = tmp_path / "plain.egs"
+    plain.write_bytes(without_levels(city()))
+    share([site.folder / "city.egs"], tmp_path / "one.html", site.folder / "cameras.json")
+    sources = [site.folder / "city.egs", plain]
+    share(sources, tmp_path / "two", site.folder / "cameras.json")
+    one = Job((tmp_path / "one.html").as_uri(), [])
+    with web_page.serving(tmp_path / "two") as url:
+        two = Job(url, [("key", "3")])
+        for job, name in ((one, "one"), (two, "wipe")):
+            job.steps.append(("key", "n"))
+            job.shot(str(tmp_path / f"{name}.png"))
+        two.steps.append(("key", "4"))
+        two.shot(str(tmp_path / "error.png"))
+        found = open_pages(one, two)
+    ours = drawn(site.scene, site.cameras[1])
+    for told in found:
+        assert (told.state, told.status, told.errors) == ("ready", "", [])
+    for name in ("one", "wipe"):
+        assert decibels(seen(tmp_path / f"{name}.png"), ours) > 35
+
+
+def without_levels(data: bytes) -> bytes:
+    file = read_file(data)
+    kept = [
+        Section(SectionId(number), block, content)
+        for (number, block), content in file.sections.items()
+        if number != SectionId.LEVEL
+    ]
+    return write_file(file.header, kept)

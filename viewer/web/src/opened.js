@@ -1,0 +1,100 @@
+// A file whose header and first sections have been read: what they say of its blocks.
+import { Blocks } from './blocks.js';
+import {
+  FIRST,
+  Header,
+  PREFIX,
+  checked,
+  headerSize,
+  paddedSize,
+  readErrors,
+  readIndex,
+} from './container.js';
+import { check } from './errors.js';
+
+/** Sections of a block of profile l, m or s that its first part needs. */
+const BASE = 'geometry sh-dc states opacity scaling rotation classes low-bits'.split(' ');
+
+const BANDS = ['sh1', 'sh2', 'sh3'];
+
+/** Read the header of a file from a source. */
+export async function readHeader(input) {
+  const prefix = await input.read(0, PREFIX);
+  const rest = await input.read(PREFIX, headerSize(prefix));
+  const data = new Uint8Array(PREFIX + rest.length);
+  data.set(prefix);
+  data.set(rest, PREFIX);
+  return new Header(data);
+}
+
+/**
+ * Sections, in the order of a file, that are read together: neighbours, until they have `atOnce`
+ * bytes.
+ *
+ * @returns {{begin: number, end: number, entries: object[]}[]}
+ */
+export function runsOf(sections, atOnce) {
+  const runs = [];
+  for (const entry of sections) {
+    const last = runs[runs.length - 1];
+    if (last?.end === entry.at && last.end - last.begin < atOnce) last.entries.push(entry);
+    else runs.push({ begin: entry.at, entries: [entry] });
+    runs[runs.length - 1].end = entry.at + paddedSize(entry);
+  }
+  return runs;
+}
+
+/** Give `take` the sections of a run, from its bytes, after checks. */
+export function takeRun({ begin, entries }, data, take) {
+  for (const entry of entries) take(entry, checked(entry, data.subarray(entry.at - begin)));
+}
+
+/**
+ * What the first sections say.
+ *
+ * Attributes: `header`; `boxes` of the blocks; `errors`, of a level.
+ */
+export class Opened {
+  /**
+   * @param {Header} header
+   * @param {boolean} isLevel whether it is that of a level
+   */
+  constructor(header, isLevel = false) {
+    this.header = header;
+    this.isLevel = isLevel;
+    this.isPaper = header.profile.startsWith('paper');
+    this.commonName = this.isPaper ? 'channels' : 'lattice';
+    const { sections } = header;
+    const leading = sections.findIndex(({ name }) => !FIRST.includes(name));
+    const split = leading < 0 ? sections.length : leading;
+    /** Entries of the first sections, and of the others. */
+    [this.first, this.rest] = [sections.slice(0, split), sections.slice(split)];
+    this.boxes = [];
+  }
+
+  /** Take one of the first sections. */
+  take({ name }, content) {
+    const { blocks } = this.header;
+    if (name === 'index') this.boxes = readIndex(content, blocks);
+    if (name === 'errors') this.errors = readErrors(content, blocks);
+    // A copy, as workers are sent the memory that bytes are in: that may be the whole file.
+    if (name === this.commonName) this.common = content.slice();
+  }
+
+  /** Learn, after the first sections, what blocks have; `wanted` is the SH degree to decode. */
+  begin(wanted) {
+    const { header, commonName, isPaper } = this;
+    const bands = BANDS.slice(0, header.degree);
+    check(this.common !== undefined, `section ${commonName}`, 'missing');
+    /** What decodes blocks; see `Blocks`. */
+    this.setup = { content: this.common, degree: header.degree, wanted, isPaper };
+    const blocks = new Blocks(this.setup); // which checks it
+    const names = isPaper ? blocks.sections : [...BASE, ...bands];
+    header.checkPresence([commonName], names, this.isLevel);
+    /** Names of the sections that each part of a block needs, up to the wanted degree. */
+    this.parts = [names.filter((each) => !BANDS.includes(each))];
+    for (const band of bands.slice(0, wanted)) {
+      this.parts.push(names.filter((each) => each === band));
+    }
+  }
+}

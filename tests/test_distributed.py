@@ -213,6 +213,17 @@ def test_what_another_run_left_does_not_count(tmp_path):
     assert in_tasks([path], target, Config("m"), 1000) == expected
 
 
+def test_files_of_others_in_the_folder_stay(tmp_path):
+    path, target = saved(tmp_path / "a.ply", random_scene(3000, 0)), tmp_path / "a.egs"
+    (tmp_path / "a.egs.parts/mine").mkdir(parents=True)
+    (tmp_path / "a.egs.parts/mine/notes").touch()
+    with pytest.raises(Lost):
+        in_tasks([path], target, Config("l"), 1000, Here(fails_at=3))
+    encode_with(Here(), open_sources([path], "error"), target, Config("m"), 1000)
+    found = sorted((tmp_path / "a.egs.parts").rglob("*"))
+    assert [entry.name for entry in found] == ["mine", "notes"]
+
+
 def test_two_runs_do_not_work_in_one_folder(tmp_path):
     where = tmp_path / "a.egs"
     other = pytest.raises(InvalidInput, match=r"a\.egs\.parts: another run works there")

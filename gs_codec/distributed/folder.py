@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.runtime.atomic import atomic_writer, make_folder, try_lock
+
+#: How the folders of runs begin.
+_RUN = "run-"
 
 #: Arrays of a result by their names.
 Arrays = dict[str, NDArray[Any]]
@@ -87,7 +90,8 @@ class Folder:
 def work_folder(target: Path, identity: dict[str, Any]) -> Iterator[Folder]:
     """The folder ``TARGET.parts`` beside an output, as a run of the same identity left it.
 
-    What runs of another identity left is removed, and the folder itself once the block succeeds.
+    What runs of another identity left is removed, and all of this one once the block succeeds; other
+    files there stay.
 
     Raises
     ------
@@ -97,15 +101,18 @@ def work_folder(target: Path, identity: dict[str, Any]) -> Iterator[Folder]:
     outer = make_folder(target.with_name(f"{target.name}.parts"))
     text = json.dumps(identity, sort_keys=True, default=str)
     # Workers of a run that was killed may still write: to a folder of their own.
-    own = outer / hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+    digest = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
+    own = outer / f"{_RUN}{digest[:16]}"
     descriptor = _locked(outer)
     try:
-        for entry in outer.iterdir():
+        for entry in outer.glob(f"{_RUN}*"):
             if entry != own:
                 shutil.rmtree(entry, ignore_errors=True)
         make_folder(own)
         yield Folder(own)
-        shutil.rmtree(outer, ignore_errors=True)
+        shutil.rmtree(own, ignore_errors=True)
+        with suppress(OSError):  # not empty
+            outer.rmdir()
     finally:
         if descriptor is not None:
             os.close(descriptor)

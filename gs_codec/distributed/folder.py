@@ -90,8 +90,8 @@ class Folder:
 def work_folder(target: Path, identity: dict[str, Any]) -> Iterator[Folder]:
     """The folder ``TARGET.parts`` beside an output, as a run of the same identity left it.
 
-    What runs of another identity left is removed, and all of this one once the block succeeds; other
-    files there stay.
+    What runs of another identity left is removed, and all of this one once the block succeeds.
+    Other files there stay.
 
     Raises
     ------

@@ -7,13 +7,12 @@ from pathlib import Path
 
 from gs_codec.config import EGS, FORMATS, Config
 from gs_codec.errors import InvalidInput
-from gs_codec.formats.streamed_sog import LOD_META
 
 #: The name of a SOG scene whose files are not in a zip.
 UNBUNDLED = "meta.json"
 
 #: The name of a scene as streamed SOG, which is made with coarser levels.
-STREAMED = LOD_META
+STREAMED = "lod-meta.json"
 
 #: Of formats that scenes are encoded to, of those of plain floats, and of all that are written.
 ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)

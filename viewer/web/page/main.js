@@ -26,6 +26,7 @@ class Viewer {
     this.isSaving = false;
     this.failures = [];
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
+    this.budget = defaultBudget();
     this.panel = new Panel(this, scenes);
     this.scenes = scenes.map(
       (entry) =>
@@ -35,7 +36,6 @@ class Viewer {
           (error) => this.#fail(error, entry.name),
         ),
     );
-    this.budget = defaultBudget();
     this.choose(0);
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);

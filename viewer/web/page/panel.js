@@ -40,6 +40,7 @@ export class Panel {
     $('shows').hidden = !this.two;
     $('stop').hidden = false;
     $('budget').parentElement.hidden = !entries.some(({ levels }) => levels);
+    $('budget').value = viewer.budget / 1e6;
     this.#listen();
     this.shown(viewer.look);
   }

@@ -35,12 +35,8 @@ class Cluster:
 
     Parameters
     ----------
-    address : str
-        Address of the scheduler, or ``local``.
-    jobs : int
-        Worker processes of a local cluster.
-    folder : str
-        Where a local cluster keeps its temporary files.
+    address, jobs, folder
+        As for `connected`.
     options : Options
     watcher : Watcher
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gs_codec import __version__
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
 from gs_codec.coding.extent import box_text
-from gs_codec.distributed.folder import Folder, work_folder
+from gs_codec.distributed.folder import Folder, identity_of, work_folder
 from gs_codec.distributed.workers import Workers, do_all, size_within, workers_at
 from gs_codec.egs.index import bounds_of, index_of
 from gs_codec.errors import InvalidInput
@@ -90,10 +89,7 @@ def decode_with(
         bounds = bounds_of(file)
     each = max(size // file.header.block_size, 1)
     chunks = [blocks[start : start + each] for start in range(0, len(blocks), each)]
-    status = os.stat(source)
-    stamp = (source, status.st_size, status.st_mtime_ns)
-    identity = {"version": __version__, "file": stamp, "part": part, "size": size}
-    with work_folder(target, identity) as folder:
+    with work_folder(target, identity_of([source], part=part, size=size)) as folder:
         with times.stage("decode"):
             task = partial(_decode, folder, source, part, chunks)
             do_all(workers, folder, "decode", task, len(chunks))
@@ -108,7 +104,7 @@ def decode_with(
     if bounds is not None and not count:
         raise InvalidInput(f"{source}: no Gaussians in the box, {box_text(bounds)}")
     read = described + sum(int(each["bytes_read"]) - described for each in told)
-    return DecodeReport(count, degree, read, status.st_size, times.seconds)
+    return DecodeReport(count, degree, read, os.path.getsize(source), times.seconds)
 
 
 def _decode(

@@ -7,24 +7,21 @@ coded (`blocks`); coarser levels are made from what they decode to (`levels`).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec import __version__
 from gs_codec.codecs.adaptive.lattice import Lattice
 from gs_codec.codecs.encode import encode_parts
 from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
 from gs_codec.distributed.blocks import Chunks, code_blocks, write_blocks
 from gs_codec.distributed.chunks import save_quantised
-from gs_codec.distributed.folder import work_folder
+from gs_codec.distributed.folder import identity_of, work_folder
 from gs_codec.distributed.levels import code_levels
 from gs_codec.distributed.looking import Job, choose_lattice, look
 from gs_codec.distributed.sorting import find_cuts, load_chunk, save_run
@@ -118,7 +115,9 @@ def encode_with(
     times = StageTimes()
     if not sources.count:
         return _encode_nothing(sources, target, config, 0)
-    with work_folder(target, _identity(sources, config, size)) as folder, ExitStack() as stack:
+    paths = [source.path for source in sources.listed]
+    identity = identity_of(paths, config=asdict(config), size=size)
+    with work_folder(target, identity) as folder, ExitStack() as stack:
         job = Job(folder, sources, sources.spans(size), config)
         with times.stage("look"):
             looked = look(workers, job)
@@ -135,8 +134,8 @@ def encode_with(
         beside = carried_sections(sources.head, np.empty(0, np.int64))
         if config.lod:
             with times.stage("levels"):
-                paths = code_levels(workers, coded, sources.head, config, size)
-            for number, path in enumerate(paths, 1):
+                levels = code_levels(workers, coded, sources.head, config, size)
+            for number, path in enumerate(levels, 1):
                 data = stack.enter_context(opened(path))
                 beside.append(Section(SectionId.LEVEL, number, data, optional=True))
         with times.stage("write"):
@@ -154,14 +153,6 @@ def encode_with(
     )
     ratio = sources.ratio_bytes / report.file_bytes
     return replace(report, input_bytes=sources.stored_bytes, ratio=ratio)
-
-
-def _identity(sources: Sources, config: Config, size: int) -> dict[str, Any]:
-    """What two runs have to agree in for one to go on with the results of the other."""
-    stamps = [
-        (s.path, os.stat(s.path).st_size, os.stat(s.path).st_mtime_ns) for s in sources.listed
-    ]
-    return {"version": __version__, "files": stamps, "config": asdict(config), "size": size}
 
 
 def _sort(workers: Workers, job: Job, lattice: Lattice, chunks: Chunks) -> NDArray[np.int64]:

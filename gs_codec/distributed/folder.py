@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec import __version__
 from gs_codec.errors import InvalidInput, one_line
 from gs_codec.runtime.atomic import atomic_writer, make_folder, try_lock
 
@@ -84,6 +85,13 @@ class Folder:
             f"{self.path}: no result '{name}' ({one_line(error)}), "
             "expected a folder that all workers share"
         )
+
+
+def identity_of(paths: Iterable[Path], **settings: Any) -> dict[str, Any]:
+    """What two runs on files have to agree in for one to go on with the results of the other."""
+    found = [(path, os.stat(path)) for path in paths]
+    stamps = [(path, status.st_size, status.st_mtime_ns) for path, status in found]
+    return {"version": __version__, "files": stamps, **settings}
 
 
 @contextmanager

@@ -48,10 +48,14 @@ class Merged:
 
     def read(self, span: Span) -> Scene:
         """The Gaussians of a span."""
+        return self.between(span.start, span.stop)
+
+    def between(self, start: int, stop: int) -> Scene:
+        """Gaussians `start` to `stop`, the last not included."""
         parts = []
-        for number in range(span.start // self.piece, -(-span.stop // self.piece)):
+        for number in range(start // self.piece, -(-stop // self.piece)):
             first = number * self.piece
-            inside = slice(max(span.start - first, 0), span.stop - first)
+            inside = slice(max(start - first, 0), stop - first)
             parts.append(self.folder.mapped(f"rows-{number}")[inside])
         return scene_of_rows(np.concatenate(parts), self.head)
 
@@ -107,10 +111,8 @@ def _kept(
     merged: Merged, errors: NDArray[np.float32], block_size: int, first: int, stop: int
 ) -> Level:
     """Blocks of a level that is made."""
-    (whole,) = merged.spans(merged.count)
     end = min(stop * block_size, merged.count)
-    span = replace(whole, start=first * block_size, stop=end, first=first * block_size)
-    return Level(merged.read(span), errors[first:stop])
+    return Level(merged.between(first * block_size, end), errors[first:stop])
 
 
 def _merge(
@@ -132,9 +134,7 @@ def _merge_some(folder: Folder, header: Header, each: int, read: _Read, number: 
 
 def _quantise(merged: Merged, lattice: Lattice, chunks: Chunks, number: int) -> None:
     """Quantise a chunk, whose blocks stay as they are."""
-    start, stop = chunks.ranks[number : number + 2]
-    (whole,) = merged.spans(merged.count)
-    scene = merged.read(replace(whole, start=start, stop=stop, first=start))
+    scene = merged.between(*chunks.ranks[number : number + 2])
     codes = grid_codes(scene.positions, lattice.grid)
     size = chunks.header.block_size
     order = order_within(codes, size)

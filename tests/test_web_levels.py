@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from damage import flipped, with_section
 from scenes import random_scene
-from test_levels import encoded, errors_changed, in_level, sample
+from test_levels import NO_LEVELS, encoded, errors_changed, in_level, sample
 from test_web_decoder import NODE, blocks, digest, run, upto
 
 from gs_codec.codecs import decode_part, decode_scene
@@ -150,17 +150,8 @@ def test_a_first_view_takes_a_tenth_of_a_file():
 
 
 BAD_LEVELS = [
-    lambda level: level[:-4],
-    lambda level: level + bytes(4),
-    lambda level: level[:50],
+    *NO_LEVELS,
     lambda level: level[:7],
-    lambda level: b"",
-    lambda level: with_section(level, SectionId.ERRORS, lambda _: None),
-    lambda level: with_section(level, SectionId.ERRORS, lambda content: content[4:]),
-    lambda level: with_section(level, SectionId.COMMENTS, lambda _: b"a line"),
-    lambda level: with_section(level, SectionId.LEVEL, lambda _: level, 1),
-    lambda level: sample(299),
-    lambda level: encoded(random_scene(300, 1, seed=330), lod=False),
     errors_changed(float("nan")),
     errors_changed(float("inf")),
     errors_changed(-1.0),

@@ -14,6 +14,8 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from gs_codec.analysis import plots
+from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
+from gs_codec.bench.suite.results import Results, bd_rate
 from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
 from gs_codec.files import sharing
@@ -68,9 +70,39 @@ def test_commands_run_in_the_order_given(folder, text, least):
     assert (folder / "decoded.ply").exists()
 
 
-def test_the_table_is_that_of_the_committed_run():
+def measured() -> Results:
+    """The committed run of the suite."""
     lines = (ROOT / "gs_codec" / "bench" / "suite.jsonl").read_text().splitlines()
-    assert "\n".join(headline([json.loads(line) for line in lines])) in README
+    return Results([json.loads(line) for line in lines])
+
+
+def test_the_table_is_that_of_the_committed_run():
+    assert "\n".join(headline(measured().lines)) in README
+
+
+def test_the_other_figures_are_those_of_the_committed_run():
+    results, first_screen = measured(), " ".join(README.partition("## Install")[0].split())
+    lines = results.of("beside")
+
+    def span(numbers):
+        low, high = f"{min(numbers):.0f}", f"{max(numbers):.0f}"
+        return low if low == high else f"{low} to {high}"
+
+    for codec, how in (("m", " smaller in a second"), ("m, camera-guided", " in half a minute")):
+        ratios = [line["ratio"] for line in lines if line["codec"] == codec]
+        assert f"{span(ratios)} times{how}" in first_screen
+    # Those of the table.
+    targets = {int(x["codec"][3:].split("x")[0]) for x in lines if "x refined" in x["codec"]} - {35}
+    assert f"{span(targets)} times in minutes of refinement" in first_screen
+    (before,) = {f"{x['truth']['psnr']:.2f}" for x in lines if x.get("truth")}
+    assert f"({before} dB before coding)" in first_screen
+    rates = {}
+    for curve in (FREE, CAMERA_GUIDED):
+        pairs = [(results.curve(x, PAPER), results.curve(x, curve)) for x in results.scenes]
+        rates[curve] = [-bd_rate(*pair).percent for pair in pairs]
+    (bonsai, *free), (seen, *guided) = rates[FREE], rates[CAMERA_GUIDED]
+    assert f"bonsai takes {bonsai:.0f} % fewer bits than EntropyGS, {seen:.0f} % " in first_screen
+    assert f"the still lifes {span(free)} % and {span(guided)} %" in first_screen
 
 
 def test_every_command_has_an_example():

@@ -33,7 +33,7 @@ GUIDED = ", camera-guided"
 REFINED, BY_RENDERS = "x refined", "x refined, renders"
 
 #: Precedes the format, if it is not our own, and the profile.
-_OURS_AS = "ours as "
+OURS_AS = "ours as "
 
 #: Iterations of refinement.
 _ITERATIONS = 2000
@@ -89,7 +89,7 @@ def _name_of(config: Config) -> str:
     if config.format == EGS:
         return config.profile
     version = f" v{config.spz_version}" if config.format == "spz" else ""
-    return f"{_OURS_AS}{config.format}{version}, {config.profile}"
+    return f"{OURS_AS}{config.format}{version}, {config.profile}"
 
 
 def guided(config: Config, plan: Plan, percent: float = 0.0) -> Peer:

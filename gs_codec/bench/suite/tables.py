@@ -4,36 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gs_codec.bench.beside import BY_RENDERS, GUIDED, REFINED, is_ours
+from gs_codec.bench.beside import BY_RENDERS, GUIDED, OURS_AS, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
-from gs_codec.codecs.entropygs import paper
 from gs_codec.config import LOSSLESS
 
 _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 
-#: Codecs that the README leaves out, and those it has of scenes after the first.
-_LEFT_OUT = {"l", "s", "paper-l", "paper-s", "splat-transform, spz", "zstd, PLY"}
-_SHORT = ("m", f"m{GUIDED}", f"m, 60{REFINED}", f"m, 60{BY_RENDERS}")
+#: Ours that the README has, by effort, and those of others that it leaves out.
+_SHOWN = (
+    "m",
+    *(f"{profile}{GUIDED}" for profile in ("m", "s")),
+    *(f"m, 60{how}" for how in (BY_RENDERS, REFINED)),
+    f"m, 100{REFINED}",
+    LOSSLESS,
+    "paper-m",
+    *(f"{OURS_AS}{name}, m{GUIDED}" for name in ("spz v4", "sog")),
+)
+_LEFT_OUT = {"splat-transform, spz", "zstd, PLY"}
 
 
 def headline(lines: Sequence[Line]) -> list[str]:
-    """Lines of the README's table: the first scene with photographs in full, others in short.
+    """Lines of the README's table: codecs by effort, and for each scene how small and how good.
 
-    Quality is delta-PSNR, or PSNR against the scene's own views, which the cell says.
+    Quality is delta-PSNR, or PSNR against the scene's own views; times are those of the first
+    scene that has a codec.
     """
     results = Results(lines)
-    photographs = any(results.has_photographs(scene) for scene in results.scenes)
-    quality = "delta-PSNR" if photographs else "PSNR"
-    columns = ["scene (Gaussians, SH degree)", "codec", "times smaller", "bits / Gaussian", quality]
+    scenes = {scene: {x["codec"]: x for x in in_order(results, scene)} for scene in results.scenes}
+    found = dict.fromkeys(codec for known in scenes.values() for codec in known)
+    others = [
+        codec
+        for codec in found
+        if codec not in _LEFT_OUT and not (is_ours(codec) or codec.startswith(OURS_AS))
+    ]
     rows = []
-    for number, scene in enumerate(results.scenes):
-        shown = [x for x in in_order(results, scene) if _is_shown(x["codec"], in_full=not number)]
-        for place, line in enumerate(shown):
-            name = "" if place else scene_title(results, scene)
-            cells = [*_size(line), _quality(line, photographs), *_times(line)]
-            rows.append([name, *cells, *_ours(results, line)])
-    return markdown([*columns, "encode", "decode", *_OURS], [*rows, _paper_row(photographs)])
+    for codec in [*(codec for codec in _SHOWN if codec in found), *others]:
+        measured = {scene: known[codec] for scene, known in scenes.items() if codec in known}
+        cells = [_ratio_and_quality(results, measured.get(scene)) for scene in scenes]
+        first = next(iter(measured.values()))
+        rows.append([_name(first), *cells, *_times(first)])
+    titles = [scene_title(results, scene) for scene in scenes]
+    return markdown(["codec", *titles, "encode", "decode"], rows)
 
 
 def codec_table(results: Results, scene: str) -> tuple[list[str], list[list[str]]]:
@@ -129,27 +141,33 @@ def escaped(text: str) -> str:
     return "".join(f"\\{letter}" if letter in "\\|`*_[]" else letter for letter in plain)
 
 
-def _is_shown(codec: str, in_full: bool) -> bool:
-    return codec not in _LEFT_OUT if in_full else codec in _SHORT
-
-
 def _size(line: Line) -> list[str]:
-    """Codec, ratio and bits; a codec whose times are those of a program has a ``*``."""
-    codec, ratio = line["codec"], line["ratio"]
-    profile, comma, how = codec.partition(",")
-    name = f"`{profile}`{comma}{how}" if is_ours(codec) else escaped(codec)
-    name += ": EntropyGS" * codec.startswith("paper-") + r" \*" * bool(line.get("own_process"))
-    shown = f"{ratio:.1f}x" if ratio >= 10 else f"{ratio:.2f}x"
-    return [name, shown, f"{line['bits_per_gaussian']:.1f}"]
+    return [_name(line), _ratio(line), f"{line['bits_per_gaussian']:.1f}"]
 
 
-def _quality(line: Line, photographs: bool) -> str:
+def _name(line: Line) -> str:
+    """A codec; one whose times are those of a program has a ``*``."""
+    profile, comma, how = line["codec"].partition(",")
+    name = f"`{profile}`{comma}{how}" if is_ours(profile) else escaped(line["codec"])
+    return (
+        name + ": EntropyGS" * profile.startswith("paper-") + r" \*" * bool(line.get("own_process"))
+    )
+
+
+def _ratio(line: Line) -> str:
+    return f"{line['ratio']:.1f}x" if line["ratio"] >= 10 else f"{line['ratio']:.2f}x"
+
+
+def _ratio_and_quality(results: Results, line: Line | None) -> str:
+    """Times smaller, and the quality that is known; empty for a codec that was not measured."""
+    if line is None:
+        return ""
     delta, psnr = delta_of(line), psnr_of(line)
     if is_exact(line):
-        return "0" if photographs else "equal"
-    if photographs and delta is not None:
-        return f"{round(delta, 2) or 0.0:+.2f} dB".replace("+0.00", "0.00")
-    return "" if psnr is None else f"{psnr:.1f} dB" + " PSNR" * photographs
+        return f"{_ratio(line)}, equal"
+    if delta is not None:
+        return f"{_ratio(line)}, {round(delta, 2) or 0.0:+.2f} dB".replace("+0.00", "0.00")
+    return _ratio(line) + ("" if psnr is None else f", {psnr:.1f} dB")
 
 
 def _times(line: Line) -> list[str]:
@@ -161,15 +179,6 @@ def _ours(results: Results, line: Line) -> list[str]:
     if exact := results.lossless_bits(line):
         return [exact, ""]
     return [results.bits_at_quality(line, curve) for curve in (FREE, CAMERA_GUIDED)]
-
-
-def _paper_row(photographs: bool) -> list[str]:
-    known, million = paper.SECONDS["CPU"], paper.MEAN_GAUSSIANS / 1e6
-    loss = paper.ABLATION["quantisation"][0] - paper.ABLATION["optimisation"][0]
-    cells = [f"the paper, its mean scene ({million:.2f} M), CPU", "", "", ""]
-    cells += [f"{loss:+.2f} dB" if photographs else ""]
-    cells += [f"{known[way]:g} s" for way in ("encode", "decode")]
-    return [f"*{cell}*" if cell else "" for cell in [*cells, "", ""]]
 
 
 def _seconds(value: float) -> str:

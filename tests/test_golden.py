@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,12 @@ FILES = sorted(FOLDER.glob("*.egs"))
 def test_there_are_golden_files_of_this_version():
     names = {path.stem for path in FILES}
     assert names >= {f"v{VERSION}-{name}" for name in golden_scenes()}
+
+
+def test_golden_files_never_change():
+    listed = [line.split() for line in (FOLDER / "SHA256SUMS").read_text().splitlines()]
+    found = {path.name: sha256(path.read_bytes()).hexdigest() for path in FOLDER.glob("v1-*")}
+    assert {name: digest for digest, name in listed} == found
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

@@ -13,7 +13,7 @@ MIN_ALPHA, MAX_ALPHA, STOP = 1 / 255, 0.99, 1e-4
 
 
 def rasterization(
-    *, means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane, eps2d,
+    *, means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane, eps2d,  # noqa: N803
     sh_degree, packed, backgrounds, render_mode, rasterize_mode,
 ):  # fmt: skip
     """Images (1, H, W, 3 or 4), alphas (1, H, W, 1), and what is asked of the rest."""

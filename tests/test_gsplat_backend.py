@@ -18,7 +18,7 @@ from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.preparation import optimise as module
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
-from gs_codec.rendering import gsplat_backend, gradients
+from gs_codec.rendering import gradients, gsplat_backend
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.image_loss import differentiate_loss, differentiate_loss_tensor
 from gs_codec.rendering.renderer import render

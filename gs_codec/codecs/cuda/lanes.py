@@ -66,6 +66,8 @@ if SIMULATED:
         """A product that is rounded before it is added to anything."""
         return first * second
 
+    rounded_single = rounded
+
 else:
     from numba.cuda import libdevice
 
@@ -124,6 +126,11 @@ else:
     def rounded(first, second):
         """A product that is rounded before it is added to anything: never a fused operation."""
         return libdevice.dmul_rn(first, second)
+
+    @device
+    def rounded_single(first, second):
+        """The same of float32."""
+        return libdevice.fmul_rn(first, second)
 
 
 @device

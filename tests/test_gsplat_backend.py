@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -14,6 +15,10 @@ from scenes import random_scene
 from test_optimise import CAMERAS, SCENE, garden, noise, psnr, refit, views
 from test_render import TEAL, crowd, turned
 
+from gs_codec.bench import device
+from gs_codec.bench.sources import MeasuredScene
+from gs_codec.bench.suite.results import Results
+from gs_codec.bench.suite.tables import device_table
 from gs_codec.errors import InvalidInput, MissingTool
 from gs_codec.preparation import optimise as module
 from gs_codec.preparation.pipeline import prepare_scene
@@ -52,13 +57,13 @@ def stand_in(monkeypatch):
 
 
 @pytest.mark.parametrize("sh_degree", range(4))
-@pytest.mark.parametrize("device", ["auto", "cuda"])
-def test_gsplat_is_given_the_same_scene_and_camera(stand_in, sh_degree, device):
+@pytest.mark.parametrize("asked", ["auto", "cuda"])
+def test_gsplat_is_given_the_same_scene_and_camera(stand_in, sh_degree, asked):
     scene = faint(random_scene(300, sh_degree, seed=97))
     scene.rot[:, 5] = 0
     options = {"background": (0.2, 0.5, 0.9), "antialiased": True}
     expected = render(scene, view(), device="cpu", **options)
-    drawn = render(scene, view(), device=device, **options)
+    drawn = render(scene, view(), device=asked, **options)
     np.testing.assert_allclose(drawn.colour, expected.colour, atol=1e-4)
     np.testing.assert_allclose(drawn.alpha, expected.alpha, atol=1e-4)
     np.testing.assert_allclose(drawn.depth, expected.depth, atol=1e-3)
@@ -188,3 +193,26 @@ def test_extreme_gaussians_stay_finite(refined):
     for group in GROUPS:
         assert np.isfinite(getattr(fitted, group)).all(), group
     np.testing.assert_array_equal(fitted.rot[:, 8], 0)
+
+
+# The bench
+
+
+def test_a_device_is_measured(stand_in, monkeypatch):
+    monkeypatch.setattr(device, "WIDTH", 24)
+    monkeypatch.setattr(device, "ITERATIONS", 6)
+    monkeypatch.setattr(device, "BLOCK_SIZES", (1024,))
+    scene = garden(3)
+    measured = MeasuredScene(Path("a.ply"), "a", scene, [], CAMERAS, None)
+    coding, more, refining, last = device.measure_device(measured, (100,), 1, "cpu")
+    for line, size in ((coding, 60), (more, 100)):
+        assert (line["kind"], line["scene"], line["gaussians"]) == ("device", "a", size)
+        assert line["same_bytes"]
+        assert line["same_tensors"]
+        assert min(line["encode_seconds"], line["decode_seconds"]) > 0
+    for line, size in ((refining, 60), (last, 100)):
+        assert (line["work"], line["gaussians"], line["iterations"]) == ("refining", size, 6)
+        assert line["iterations_per_second"] > 0
+    columns, rows = device_table(Results([coding, more, refining, last]))
+    assert all(len(row) == len(columns) for row in rows)
+    assert [row[5] for row in rows] == ["yes", "yes", "", ""]

@@ -101,7 +101,7 @@ def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
         shapes = splats.means, splats.quats, splats.scales
         gsplat.rasterization(*shapes, splats.opacities, splats.sh, views, lenses, 800, 532)
     """
-    _require(device)
+    require_device(device)
     if isinstance(source, bytes):
         return _decode(choose_part(source, Part()), device)
     with opened_slabs(source, Part()) as slabs, located(Path(source)):
@@ -147,7 +147,7 @@ def encode_tensors(splats: Splats, config: Config | None = None, device: str = "
     if config.format != EGS or config.lod:
         name = "lod" if config.lod else f"format '{config.format}'"
         raise InvalidInput(f"{name}: not from tensors, expected .egs without coarser levels")
-    _require(device)
+    require_device(device)
     tensors = {
         "means": splats.means, "quats": splats.quats, "scales": splats.log_scales,
         "opacities": splats.logits, "sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:],
@@ -156,7 +156,7 @@ def encode_tensors(splats: Splats, config: Config | None = None, device: str = "
     return b"".join(encode_camera_free(scene, config, device=device)[0])
 
 
-def _require(device: str) -> None:
+def require_device(device: str) -> None:
     """Check that there are a device and what is needed to work on it."""
     kind, _, number = device.partition(":")
     if kind not in ("cpu", "cuda") or (number and not (kind == "cuda" and number.isdecimal())):

@@ -43,14 +43,19 @@ def faint(scene: Scene) -> Scene:
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    pytest.importorskip("torch")
+    torch = pytest.importorskip("torch")
     from gsplat_stand_in import rasterization
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # more wait for each other in images so small
 
     module = ModuleType("gsplat")
     module.rasterization = rasterization
     monkeypatch.setitem(sys.modules, "gsplat", module)
     monkeypatch.setattr(gsplat_backend, "is_available", lambda: True)
     monkeypatch.setattr(gsplat_backend, "_DEVICE", "cpu")
+    yield
+    torch.set_num_threads(threads)
 
 
 # Views

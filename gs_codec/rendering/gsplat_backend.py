@@ -1,9 +1,10 @@
 """Views of a scene and their gradients with gsplat on a CUDA device, if both are available.
 
-gsplat's rule is ours but for this: it bounds a splat by its opacity and at 3.33 sigma instead of at
-3, some releases cut alpha at 0.999 instead of 0.99, opacity compensation has no least value, and it
-works in float32: images agree with ours within 40 dB or better. Sums of gradients are added in any
-order, so that two runs differ in the last digits.
+gsplat's rule is ours but for this: since 1.5 it bounds a splat at 3.33 sigma instead of 3, up to
+1.5.3 it cuts alpha at 0.999 instead of 0.99, opacity compensation has no least value, and it works
+in float32: images agree with ours within 40 dB or better. Like ours, it leaves out alpha below
+1/255 and stops where less than 1e-4 of the light is left. Gradients are added up in any order, so
+that two runs differ in the last digits.
 """
 
 from __future__ import annotations

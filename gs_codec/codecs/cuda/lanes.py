@@ -169,6 +169,19 @@ def pack_tables(tables: PassTables) -> tuple[NDArray[np.uint32], NDArray[np.uint
 
 
 @device
+def part_of(begins, ends, reached, block, stream):
+    """Where a block's words and raw bits of a stream begin, end after that, and are read up to.
+
+    Raw bits are counted from item ``raw_at`` of those 32 each.
+    """
+    words_at, raw_at = begins[block, stream, 0], begins[block, stream, 1] >> 5
+    end = np.int32(ends[block, stream, 0] - words_at)
+    limit = np.int32(ends[block, stream, 1] - (raw_at << 5))
+    position, used = np.int32(reached[block, stream, 0]), np.int32(reached[block, stream, 1])
+    return words_at, raw_at, end, limit, position, used
+
+
+@device
 def pull(runs, spans, row, state):
     """Decode a token under a table; returns it and the state, which lacks a word if it is low."""
     wide = np.int64(state)

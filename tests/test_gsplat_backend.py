@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from functools import partial
@@ -14,17 +15,21 @@ from scenes import antialiased as compensated
 from scenes import random_scene
 from test_optimise import CAMERAS, SCENE, garden, noise, psnr, refit, views
 from test_render import TEAL, crowd, turned
+from typer.testing import CliRunner
 
 from gs_codec.bench import device
 from gs_codec.bench.sources import MeasuredScene
 from gs_codec.bench.suite.results import Results
 from gs_codec.bench.suite.tables import device_table
+from gs_codec.cli.main import app
 from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.formats.ply import write_ply
 from gs_codec.preparation import optimise as module
 from gs_codec.preparation.pipeline import prepare_scene
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering import gradients, gsplat_backend
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.cameras import write_cameras
 from gs_codec.rendering.image_loss import differentiate_loss, differentiate_loss_tensor
 from gs_codec.rendering.renderer import render
 from gs_codec.scene import GROUPS, Scene
@@ -189,6 +194,19 @@ def test_what_fits_already_stays(stand_in):
     refined, report = prepare_scene(scene, plan)
     assert report.steps[-1].details["iterations"] == 0
     np.testing.assert_array_equal(refined.f_dc, scene.f_dc)
+
+
+def test_the_command_refines_on_a_device(stand_in, tmp_path):
+    scene, cameras, out = tmp_path / "a.ply", tmp_path / "c.json", tmp_path / "b.egs"
+    write_ply(scene, replace(garden(3), extra={}))
+    write_cameras(cameras, CAMERAS)
+    known = ["encode", str(scene), str(out), "--cameras", str(cameras), "--device", "cuda"]
+    refused = CliRunner().invoke(app, known)
+    assert "--device needs --refine" in str(refused.exception or refused.output)
+    done = CliRunner().invoke(app, [*known, "--refine", "4", "--prune", "20", "--json"])
+    assert done.exit_code == 0, done.output
+    steps = json.loads(done.stdout)["prepared"]["steps"]
+    assert steps[-2]["details"]["iterations"] == 4
 
 
 def test_extreme_gaussians_stay_finite(refined):

@@ -36,7 +36,7 @@ _PUBLIC = {
     ),
     "gs_codec.api.coding": ("read", "write", "encode", "decode", "inspect"),
     "gs_codec.api.octree": ("to_octree",),
-    "gs_codec.api.splats": ("decode_tensors", "Splats"),
+    "gs_codec.api.splats": ("decode_tensors", "encode_tensors", "Splats"),
     "gs_codec.api.tensors": ("from_tensors", "to_tensors"),
     "gs_codec.api.viewing": ("compare", "render", "prepare"),
     "gs_codec.metrics.images": ("compare_images", "Quality", "View"),

@@ -1,6 +1,7 @@
-"""Decodes files on a device, for tests: `python device_work.py FOLDER`, in numba's simulator.
+"""Works on a device, for tests: `python device_work.py FOLDER`, in numba's simulator.
 
-Beside each `.egs` of the folder it writes its tensors, `.npz`, or the kind of its error, `.txt`.
+Beside each `.egs` of the folder it writes its tensors, `.npz`, or the kind of its error, `.txt`;
+and what it makes of tensors, `.splats`, to the file `.made`.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import torch
 from numba.cuda.simulator import kernel
 
-from gs_codec.api.splats import decode_tensors
+from gs_codec.api.splats import Splats, decode_tensors, encode_tensors
+from gs_codec.config import Config
 from gs_codec.errors import GsCodecError
 
 FIELDS = ("means", "quats", "log_scales", "logits", "sh")
@@ -34,3 +37,10 @@ for path in sorted(Path(sys.argv[1]).glob("*.egs")):
         path.with_suffix(".txt").write_text(type(error).__name__)
     else:
         np.savez(path.with_suffix(".npz"), **{name: getattr(splats, name) for name in FIELDS})
+for path in sorted(Path(sys.argv[1]).glob("*.splats")):
+    with np.load(path) as given:
+        splats = Splats(*(torch.from_numpy(given[name]) for name in FIELDS))
+        config = Config(str(given["profile"]))
+        # Smaller blocks than may be asked for.
+        object.__setattr__(config, "block_size", int(given["block_size"]))
+    path.with_suffix(".made").write_bytes(encode_tensors(splats, config))

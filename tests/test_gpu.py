@@ -1,4 +1,4 @@
-"""Files decoded on a device have the numbers and errors that the CPU's decoder gives.
+"""Files decoded and encoded on a device have the numbers, bytes and errors that the CPU gives.
 
 The device is numba's simulator, in a process of its own, where nothing else is compiled.
 """
@@ -26,14 +26,24 @@ from gs_codec.coding.frequency_table import normalise
 from gs_codec.config import Config
 from gs_codec.egs.file import SectionId, read_file
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
+from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.scene import Scene
 
 pytestmark = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
 
 HERE = Path(__file__).parent
 GOLDEN = [f"v1-{name}" for name in ("l", "s", "guided", "carried-m", "empty-m", "paper-m")]
-EDGES = sorted(edge_scenes())
+EDGES = edge_scenes()
+STRONG = random_scene(150, 3, seed=60)
 DAMAGED = [f"damaged {name} {seed}" for name in SectionId if name > 1 for seed in range(2)]
+
+
+#: What is encoded: scenes, profiles and block sizes. Of the last, sums and levels are large.
+ENCODED: dict[str, tuple[Scene, str, int]] = {
+    **{f"edge {n}": (s.take(np.arange(min(s.count, 24))), "m", 64) for n, s in EDGES.items()},
+    **{f"degree {d}": (random_scene(40 + d, d, seed=61 + d), "lsml"[d], 33) for d in range(4)},
+    "strong": (replace(STRONG, f_rest=30 * STRONG.f_rest, f_dc=40 * STRONG.f_dc), "m", 100),
+}
 
 
 def damaged(name: str) -> bytes:
@@ -63,17 +73,19 @@ def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("device")
     for name in GOLDEN:
         (folder / f"{name}.egs").write_bytes((HERE / "golden" / f"{name}.egs").read_bytes())
-    for name, scene in edge_scenes().items():
+    for name, scene in EDGES.items():
         few = scene.take(np.arange(min(scene.count, 24)))
         data = encode_by(few, Config("m"), GUIDES["guided"] if name == "pairs" else None)
         (folder / f"{name}.egs").write_bytes(data)
     (folder / "blocks.egs").write_bytes(sample("s", 70, 3, 33))
     # Sums of SH-AC up to the highest contexts, and many tables.
-    scene = random_scene(150, 3, seed=60)
-    strong = replace(scene, f_rest=8 * scene.f_rest)
+    strong = replace(STRONG, f_rest=8 * STRONG.f_rest)
     (folder / "strong.egs").write_bytes(encode_by(strong, Config("m")))
     for name in DAMAGED:
         (folder / f"{name}.egs").write_bytes(damaged(name))
+    for name, (scene, profile, block_size) in ENCODED.items():
+        with open(folder / f"{name}.splats", "wb") as file:
+            np.savez(file, **tensors_of(scene), profile=profile, block_size=block_size)
     simulated = {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
     paths = os.pathsep.join([str(HERE), str(HERE.parent)])
     done = subprocess.run(
@@ -128,6 +140,16 @@ def test_a_device_refuses_what_the_cpu_refuses(folder, name):
         assert (folder / f"{name}.txt").read_text() == refused
 
 
+@pytest.mark.parametrize("name", ENCODED)
+def test_a_device_encodes_to_the_same_bytes(folder, name):
+    scene, profile, block_size = ENCODED[name]
+    config = Config(profile)
+    object.__setattr__(config, "block_size", block_size)
+    bare = replace(scene, comments=(), extra={}, has_normals=False)
+    expected = b"".join(encode_camera_free(bare, config)[0])
+    assert (folder / f"{name}.made").read_bytes() == expected
+
+
 @pytest.mark.parametrize("profile", ["m", "paper-s", "lossless"])
 def test_tensors_of_the_cpu_are_the_scene(tmp_path, profile):
     data = encode_by(random_scene(40, 2, seed=98), Config(profile))
@@ -137,6 +159,9 @@ def test_tensors_of_the_cpu_are_the_scene(tmp_path, profile):
         check_same(vars(splats), decode_scene(data))
         np.testing.assert_array_equal(splats.scales, splats.log_scales.exp())
         np.testing.assert_array_equal(splats.opacities, splats.logits.sigmoid())
+    assert gs_codec.encode_tensors(splats, Config("lossless"), "cpu") == encode_by(
+        decode_scene(data), Config("lossless")
+    )
 
 
 def test_devices_that_are_not_there_are_refused(monkeypatch):
@@ -153,6 +178,15 @@ def test_devices_that_are_not_there_are_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingTool, match="torch: not installed"):
         gs_codec.decode_tensors(data, "cpu")
+
+
+def test_what_tensors_are_not_encoded_to_is_refused():
+    splats = gs_codec.decode_tensors(sample("m"), "cpu")
+    for config, name in ((Config(lod=True), "lod"), (Config(format="spz"), "format 'spz'")):
+        with pytest.raises(InvalidInput, match=f"{name}: not from tensors, expected .egs"):
+            gs_codec.encode_tensors(splats, config, "cpu")
+    with pytest.raises(InvalidInput, match="tensor 'quats': shape"):
+        gs_codec.encode_tensors(replace(splats, quats=splats.quats[:, :3]), device="cpu")
 
 
 def test_packed_tables_have_the_token_of_every_slot():

@@ -18,6 +18,7 @@ from gs_codec.bench.peers import AbsentPeer
 from gs_codec.bench.sources import open_beside
 from gs_codec.bench.suite import run
 from gs_codec.bench.suite.run import GROUPS, Options, run_suite, scene_line
+from gs_codec.bench.suite.tables import escaped
 from gs_codec.cli import main
 from gs_codec.cli.main import app
 from gs_codec.config import PROFILE_CHOICES, Config
@@ -101,7 +102,7 @@ def of(lines: list[dict], kind: str, scene: str | None = None) -> list[dict]:
 def test_every_kind_of_line_is_there_and_says_its_scene(suite):
     lines, _, _ = suite
     common = {"scene", "memory", "beside", "point", "geometry"}
-    for scene, others in (("shot", set()), ("plain", {"scaling"})):
+    for scene, others in (("shot", set()), ("plain", {"scaling", "device"})):
         assert {line["kind"] for line in lines if line.get("scene") == scene} == common | others
     assert [line["kind"] for line in lines if "scene" not in line] == ["machine"]
 
@@ -188,6 +189,20 @@ def test_curves_reach_each_other_or_end(suite):
             assert max(curves["paper"].values()) >= max(named) or (
                 "paper-l + 2 bits" in curves["paper"]
             )
+
+
+def test_what_a_device_would_do_is_absent_without_one(suite):
+    found = of(suite[0], "device")
+    if any("absent" not in line for line in found):
+        pytest.skip("a device is here")
+    assert [(line["scene"], line["work"]) for line in found] == [
+        ("plain", "coding"),
+        ("plain", "refining"),
+    ]
+    report = (suite[2] / "report.md").read_text()
+    for line in found:
+        assert line["absent"].startswith(f"{line['work']} on a device: ")
+        assert escaped(line["absent"]) in report
 
 
 def test_costs_grow_over_the_largest_scene_tiled(suite):

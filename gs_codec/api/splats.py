@@ -1,4 +1,4 @@
-"""Tensors on a device, ready to be drawn, of an `.egs` file."""
+"""Tensors on a device, ready to be drawn, from an `.egs` stream and to one."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from numba import config
 from gs_codec.codecs.decode import ChosenPart, carried, choose_part
 from gs_codec.codecs.part import Part
 from gs_codec.codecs.slabs import opened_slabs
-from gs_codec.config import ADAPTIVE_PROFILES
+from gs_codec.config import ADAPTIVE_PROFILES, EGS, Config
 from gs_codec.errors import InvalidInput, MissingTool
+from gs_codec.formats.tensors import scene_of_tensors
+from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.runtime.mapped import located
 from gs_codec.scene import SH_COEFFICIENTS
 
@@ -99,15 +101,63 @@ def decode_tensors(source: bytes | str | Path, device: str = "cuda") -> Splats:
         shapes = splats.means, splats.quats, splats.scales
         gsplat.rasterization(*shapes, splats.opacities, splats.sh, views, lenses, 800, 532)
     """
-    _require(device)
+    require_device(device)
     if isinstance(source, bytes):
         return _decode(choose_part(source, Part()), device)
     with opened_slabs(source, Part()) as slabs, located(Path(source)):
         return _decode(slabs.chosen, device)
 
 
-def _require(device: str) -> None:
-    """Check that there are a device and what is needed to decode on it."""
+def encode_tensors(splats: Splats, config: Config | None = None, device: str = "cuda") -> bytes:
+    """Encode Gaussians as an `.egs` stream with the help of a CUDA device.
+
+    Of profiles ``l``, ``m`` and ``s``, the device rounds colours, counts tokens and codes them; the
+    CPU does the rest, and all of the other profiles. `decode_tensors` is the way back.
+
+    Parameters
+    ----------
+    splats : Splats
+        Of torch, on any device; a trainer's are `log_scales` and `logits` before activation.
+    config : Config, optional
+        By default profile ``m``.
+    device : str
+        ``cuda``, ``cuda:1``..., or ``cpu``.
+
+    Returns
+    -------
+    bytes
+        The stream that `encode` gives without a plan, byte for byte.
+
+    Raises
+    ------
+    InvalidInput
+        If a tensor has another shape than `Splats` says, or there is no such kind of device; if
+        the configuration is of another format or has coarser levels; or as for `encode`.
+    MissingTool, ToolFailed
+        If torch, or for ``cuda`` numba-cuda or a device, is missing; or as for `encode`.
+
+    Examples
+    --------
+    >>> splats = gs_codec.decode_tensors("scene.egs", device="cpu")
+    >>> data = gs_codec.encode_tensors(splats, device="cpu")
+    >>> gs_codec.inspect(data).count
+    2000
+    """
+    config = config or Config()
+    if config.format != EGS or config.lod:
+        name = "lod" if config.lod else f"format '{config.format}'"
+        raise InvalidInput(f"{name}: not from tensors, expected .egs without coarser levels")
+    require_device(device)
+    tensors = {
+        "means": splats.means, "quats": splats.quats, "scales": splats.log_scales,
+        "opacities": splats.logits, "sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:],
+    }  # fmt: skip
+    scene = scene_of_tensors({name: each.detach().cpu().numpy() for name, each in tensors.items()})
+    return b"".join(encode_camera_free(scene, config, device=device)[0])
+
+
+def require_device(device: str) -> None:
+    """Check that there are a device and what is needed to work on it."""
     kind, _, number = device.partition(":")
     if kind not in ("cpu", "cuda") or (number and not (kind == "cuda" and number.isdecimal())):
         raise InvalidInput(f"device '{device}': expected cpu, cuda, cuda:1...")

@@ -68,8 +68,8 @@ def measure_suite(
         list[str] | None,
         typer.Option(
             metavar="GROUP",
-            help="Leave out, repeatedly: codecs, curves, memory, geometry, scaling, peers, guided, "
-            "pruned, refined.",
+            help="Leave out, repeatedly: codecs, curves, memory, geometry, scaling, device, peers, "
+            "guided, pruned, refined.",
         ),
     ] = None,
 ) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from gs_codec.metrics.images import Quality, View
 
 
-@takes(*_OF_VIEWS, "max_bytes", "overwrite", "json", split="held-out")
+@takes(*_OF_VIEWS, "max_bytes", "overwrite", "json", split="held-out", device="auto")
 def command(
     first: Annotated[Path, typer.Argument(metavar="A", help=SCENES)],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another version of it.")],

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 @takes(
     "extra", "nonfinite", "profile", "format", "threads", "max_memory", "max_bytes",
-    "overwrite", "json", expert=(Config, Plan), without=("cameras", "gt_images", "checkpoint"),
-    actions=tuple(KINDS), extra="keep", format="ply",
+    "overwrite", "json", expert=(Config, Plan), actions=tuple(KINDS),
+    without=("cameras", "gt_images", "checkpoint", "device"), extra="keep", format="ply",
 )  # fmt: skip
 def command(
     sources: Annotated[

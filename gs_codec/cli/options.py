@@ -51,10 +51,6 @@ OPTIONS = {
     "split": Option(
         "Cameras to use: all, test, train, or held-out (test where they are marked, else all)."
     ),
-    "device": Option(
-        "Draw on cpu, on cuda with gsplat, or auto: cuda where possible.",
-        values={name: name for name in ("auto", "cpu", "cuda")},
-    ),
     "error_scale": Option(
         "Errors of sensitivities in standard deviations of the channel, or as the paper: mean "
         "square over the attribute's mean.",
@@ -64,7 +60,6 @@ OPTIONS = {
 DEFAULTS: dict[str, Any] = {
     "overwrite": False,
     "json": False,
-    "device": "auto",
     "error_scale": "deviation",
 }
 

@@ -14,7 +14,9 @@ from gs_codec.preparation.steps import CAMERAS
 from gs_codec.runtime.atomic import check_folder, check_writable
 
 
-@takes("width", "split", "background", "device", "max_bytes", "overwrite", split="all")
+@takes(
+    "width", "split", "background", "device", "max_bytes", "overwrite", split="all", device="auto"
+)
 def command(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help=SCENES)],
     cameras: Annotated[str, typer.Option(metavar="C", help=CAMERAS)],

@@ -62,8 +62,12 @@ def encode_parts(
     config: Config | None = None,
     progress: Progress | None = None,
     steps: StepSizes | None = None,
+    device: str = "cpu",
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
-    """Encode a scene to the consecutive pieces of a file; see `encode_scene`."""
+    """Encode a scene to the consecutive pieces of a file; see `encode_scene`.
+
+    A CUDA `device` has a part in profiles ``l``, ``m`` and ``s`` without step sizes.
+    """
     config = config or Config()
     times = StageTimes()
     with using_threads(config.threads, scene.count):
@@ -72,6 +76,10 @@ def encode_parts(
             scene, changed = clean_scene(scene, config)
         if config.format != EGS:
             parts, report = encode_interchange(scene, config, steps, times)
+        elif config.profile in ADAPTIVE_PROFILES and device != "cpu" and scene.count:
+            from gs_codec.codecs.cuda.encode import encode_on_device
+
+            parts, report = encode_on_device(scene, config, device, times, progress)
         elif config.profile in ADAPTIVE_PROFILES:
             parts, report = encode_adaptive(scene, config, steps, times, progress)
         elif config.profile == LOSSLESS:

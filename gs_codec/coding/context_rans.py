@@ -126,12 +126,17 @@ def encode_passes(
         _push_all(*coded_by, tables.spans, states, words, begins)
         of_stream = item.cycle[item.raw_symbols % len(item.cycle)]
         for number in reversed(range(len(ends))):
-            bits = BitWriter()
-            bits.add(item.raw_levels, item.raw_widths * (of_stream == number))
             packed = words[begins[number] : ends[number]].astype("<u2").tobytes()
-            data = struct.pack("<I", len(packed)) + packed + bits.finish()
-            sections[item.streams[number]] = data
+            widths = item.raw_widths * (of_stream == number)
+            sections[item.streams[number]] = stream_bytes(packed, item.raw_levels, widths)
     return states.astype("<u4").tobytes(), dict(reversed(sections.items()))
+
+
+def stream_bytes(words: bytes, levels: NDArray[np.int64], widths: NDArray[np.uint8]) -> bytes:
+    """A stream of a block: the size of its words, these, and the raw bits of some levels."""
+    bits = BitWriter()
+    bits.add(levels, widths)
+    return struct.pack("<I", len(words)) + words + bits.finish()
 
 
 class PassReader:

@@ -42,9 +42,10 @@ class ByteReader:
 @kernel
 def _write_raw(values, widths, position, bits):
     for i in range(len(values)):
-        if widths[i]:
-            code_raw(bits, position, widths[i], abs(values[i]), True)
-            position += widths[i]
+        width = np.int64(widths[i])
+        if width:
+            code_raw(bits, position, width, abs(values[i]), True)
+            position += width
     return position
 
 

@@ -150,9 +150,11 @@ def _camera_free(
 
 
 def encode_camera_free(
-    scene: Scene, config: Config, progress: Progress | None = None
+    scene: Scene, config: Config, progress: Progress | None = None, device: str = "cpu"
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene to the consecutive pieces of a file, as coarsely as it needs.
+
+    A CUDA `device` may have a part in it.
 
     Raises
     ------
@@ -165,5 +167,5 @@ def encode_camera_free(
 
         with times.stage("calibrate"), using_threads(config.threads, scene.count):
             config = calibrated(scene, config, progress)
-    parts, report = encode_parts(scene, config, progress)
+    parts, report = encode_parts(scene, config, progress, device=device)
     return parts, replace(report, seconds=times.seconds | report.seconds)

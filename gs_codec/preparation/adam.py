@@ -12,11 +12,11 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.runtime.kernels import kernel
 from gs_codec.scene import GROUPS, Scene
 
-_BETA_1, _BETA_2 = 0.9, 0.999
-_EPSILON = np.float32(1e-15)
+BETA_1, BETA_2 = 0.9, 0.999
+EPSILON = np.float32(1e-15)
 
 #: Larger derivatives count as 0: float32 cannot hold their squares.
-_LARGEST = np.float32(1e15)
+LARGEST = np.float32(1e15)
 
 #: Smaller means become 0: processors are slow with denormal floats.
 _SMALLEST = np.float32(1e-30)
@@ -81,10 +81,10 @@ def adam_step(values, first, second, step, rates, slopes, chosen, start, stop):
     ``chosen (M,)``, ascending; those of the others are 0. A value that would become infinite or NaN
     is not changed.
     """
-    root = np.float32(1.0 / (1.0 - _BETA_2**step))
-    old_1, new_1 = np.float32(_BETA_1), np.float32(1.0 - _BETA_1)
-    old_2, new_2 = np.float32(_BETA_2), np.float32(1.0 - _BETA_2)
-    scaled = (rates / (1.0 - _BETA_1**step)).astype(np.float32)
+    root = np.float32(1.0 / (1.0 - BETA_2**step))
+    old_1, new_1 = np.float32(BETA_1), np.float32(1.0 - BETA_1)
+    old_2, new_2 = np.float32(BETA_2), np.float32(1.0 - BETA_2)
+    scaled = (rates / (1.0 - BETA_1**step)).astype(np.float32)
     none, number = np.zeros(values.shape[1], np.float32), 0
     for i in range(start, stop):
         seen = number < len(chosen) and chosen[number] == i
@@ -92,11 +92,11 @@ def adam_step(values, first, second, step, rates, slopes, chosen, start, stop):
         number += seen
         value, mean, square = values[i], first[i], second[i]
         for c in range(len(none)):
-            by = slope[c] if abs(slope[c]) < _LARGEST else np.float32(0.0)
+            by = slope[c] if abs(slope[c]) < LARGEST else np.float32(0.0)
             m = old_1 * mean[c] + new_1 * by
             m = m if abs(m) > _SMALLEST else np.float32(0.0)
             v = old_2 * square[c] + new_2 * (by * by)
             mean[c] = m
             square[c] = v
-            after = value[c] - scaled[c] * m / (np.sqrt(v * root) + _EPSILON)
+            after = value[c] - scaled[c] * m / (np.sqrt(v * root) + EPSILON)
             value[c] = after if abs(after) < np.inf else value[c]

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.adam import LAST, RATES, AdamState, adam_step, new_state, step_sizes
 from gs_codec.preparation.checkpoint import Checkpoint, digest_of, read_checkpoint, write_checkpoint
-from gs_codec.preparation.reference_views import ReferenceViews, draw_reference_views
+from gs_codec.preparation.reference_views import ReferenceViews, draw_targets
+from gs_codec.preparation.steps import Device
+from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.gradients import Differentiated, differentiate
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.atomic import check_writable
@@ -47,10 +49,11 @@ def optimise(
     iterations: int,
     checkpoint: str | Path | None = None,
     progress: Progress | None = None,
+    device: Device = "cpu",
 ) -> tuple[Scene, dict[str, Any]]:
     """Fit the attributes of a scene's Gaussians to images, one view an iteration.
 
-    Views come in random order, each once before any comes again. The result is the same
+    Views come in random order, each once before any comes again. On the CPU, the result is the same
     however often it was interrupted and taken up from `checkpoint`. There are no iterations if the
     views show the scene as their images do.
 
@@ -64,6 +67,8 @@ def optimise(
     checkpoint : path, optional
         Written every 500 iterations and at the end. If it exists, the run resumes from it.
     progress : callable, optional
+    device : {"auto", "cpu", "cuda"}
+        Where gsplat does the work, on ``cuda``; see `render`.
 
     Returns
     -------
@@ -77,7 +82,10 @@ def optimise(
     InvalidInput
         If an image is not finite, or the checkpoint is damaged, belongs to other inputs, or cannot
         be written.
+    MissingTool
+        If ``cuda`` is asked for but not available.
     """
+    on_device = gsplat_backend.is_chosen(device)
     for camera, image in zip(views.cameras, views.images, strict=True):
         if not np.isfinite(image).all():
             raise InvalidInput(f"image of '{camera.name}': not finite")
@@ -90,23 +98,26 @@ def optimise(
         digest = digest_of(_inputs(values, views, repr(settings)))
         run = read_checkpoint(Path(checkpoint), digest, run.state) or run
         save = partial(write_checkpoint, Path(checkpoint), digest)
-    fitted = with_values(scene, run.state.values.T)
     sizes = step_sizes(scene, views.cameras)
-    share = _rates(scene, values, views.evenly(_VIEWS), sizes)
+    share = _rates(scene, values, views.evenly(_VIEWS), sizes, device)
     sizes *= share
     iterations = iterations if share > 0 else 0
 
-    def look(view: int) -> Differentiated:
-        return differentiate(fitted, views.cameras[view], views.images[view], views.background)
+    if on_device and iterations:
+        from gs_codec.preparation.on_device import DeviceSteps
+
+        steps: Any = DeviceSteps(run.state, views, scene.antialiased)
+    else:
+        steps = _Steps(scene, run.state, views)
 
     def step(start: int, stop: int) -> list[float]:
-        seen = run_all(look, [view_of(i, len(views.cameras)) for i in range(start, stop)])
+        order = [view_of(i, len(views.cameras)) for i in range(start, stop)]
         decayed = [sizes * LAST ** (i / iterations) for i in range(start, stop)]
-        take_steps(run.state, seen, start + 1, decayed)
-        return [each.squared_error for each in seen]
+        return steps.take(order, start + 1, decayed)
 
-    run = _iterate(run, iterations, step, save, step_counter(progress, "optimise", iterations))
-    return fitted, {
+    advance = step_counter(progress, "optimise", iterations)
+    run = _iterate(run, iterations, step, steps.state, save, advance)
+    return with_values(scene, run.state.values.T), {
         "iterations": iterations,
         "updated": int(run.state.second.any(axis=1).sum()),
         "seconds": float(run.seconds[-1]) if iterations else 0.0,
@@ -114,8 +125,36 @@ def optimise(
     }
 
 
+class _Steps:
+    """Steps of Adam on the CPU, some views at once; those of `DeviceSteps`."""
+
+    def __init__(self, scene: Scene, state: AdamState, views: ReferenceViews) -> None:
+        self._state, self._views = state, views
+        self._fitted = with_values(scene, state.values.T)
+
+    def take(
+        self, order: Sequence[int], step: int, sizes: Sequence[NDArray[np.float64]]
+    ) -> list[float]:
+        """Step by views of these indices, the first with number `step`; their squared errors."""
+        seen = run_all(self._look, order)
+        take_steps(self._state, seen, step, sizes)
+        return [each.squared_error for each in seen]
+
+    def _look(self, view: int) -> Differentiated:
+        camera, image = self._views.cameras[view], self._views.images[view]
+        return differentiate(self._fitted, camera, image, self._views.background)
+
+    def state(self) -> AdamState:
+        """What there is now, which the next step changes."""
+        return self._state
+
+
 def _rates(
-    scene: Scene, values: NDArray[np.float32], views: ReferenceViews, sizes: NDArray[np.float64]
+    scene: Scene,
+    values: NDArray[np.float32],
+    views: ReferenceViews,
+    sizes: NDArray[np.float64],
+    device: Device,
 ) -> float:
     """Factor on all step sizes, at most 1.
 
@@ -125,8 +164,8 @@ def _rates(
     with np.errstate(over="ignore"):
         moved = values + sizes.astype(np.float32)[:, None] * (2 * signs - 1)
     behind = views.background
-    own = draw_reference_views(scene, views.cameras, behind, fast=True)
-    other = draw_reference_views(with_values(scene, moved), views.cameras, behind, fast=True)
+    own = draw_targets(scene, views.cameras, behind, device)
+    other = draw_targets(with_values(scene, moved), views.cameras, behind, device)
     wanted, changed = (_apart(own.images, images) for images in (views.images, other.images))
     return min(1.0, _SHARE * math.sqrt(wanted / changed)) if changed > 0 else 1.0
 
@@ -141,6 +180,7 @@ def _iterate(
     run: Checkpoint,
     iterations: int,
     step: Callable[[int, int], list[float]],
+    state: Callable[[], AdamState],
     save: Callable[[Checkpoint], None] | None,
     advance: Callable[[], None],
 ) -> Checkpoint:
@@ -155,10 +195,10 @@ def _iterate(
         errors += found
         seconds += [time.perf_counter() - start] * len(found)
         if save is not None and (len(errors) % _CHECKPOINT_EVERY == 0 or len(errors) == iterations):
-            save(Checkpoint(run.state, np.array(errors), np.array(seconds)))
+            save(Checkpoint(state(), np.array(errors), np.array(seconds)))
         for _ in found:
             advance()
-    return Checkpoint(run.state, np.array(errors), np.array(seconds))
+    return Checkpoint(state(), np.array(errors), np.array(seconds))
 
 
 def _inputs(

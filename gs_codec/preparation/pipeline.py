@@ -29,6 +29,7 @@ from gs_codec.preparation.reference_views import (
     ReferenceViews,
     ViewSplit,
     draw_reference_views,
+    draw_targets,
     evenly,
     photographed,
     read_photographs,
@@ -40,6 +41,7 @@ from gs_codec.rendering.auto_cameras import guiding_cameras
 from gs_codec.rendering.between import cameras_between
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import find_cameras
+from gs_codec.rendering.gsplat_backend import is_chosen
 from gs_codec.report import Progress
 from gs_codec.scene import Scene
 
@@ -84,7 +86,11 @@ def prepare_scene(
     ------
     InvalidInput
         If there are no cameras, no Gaussian would be left, or an image is broken.
+    MissingTool
+        If a device is to refine, and there is none.
     """
+    if plan.steps.refine:
+        is_chosen(plan.device)
     views = choose_views(scene, plan, progress)
     context = _Context(plan, views, progress, steps_of or profile_steps(Config()))
     kept = np.arange(scene.count)
@@ -151,7 +157,7 @@ def _targets(
     its other cameras keep a third of the loss away.
     """
     if photographs is None:
-        return draw_reference_views(scene, cameras, plan.background, progress, fast=True)
+        return draw_targets(scene, cameras, plan.background, plan.device, progress)
     taken = {camera.name: camera for camera in photographs.cameras}
     scale = max(taken[c.name].width / c.width for c in cameras if c.name in taken)
     others = [
@@ -159,7 +165,7 @@ def _targets(
         for c in cameras
         if c.name not in taken
     ]
-    renders = draw_reference_views(scene, others, plan.background, progress, fast=True)
+    renders = draw_targets(scene, others, plan.background, plan.device, progress)
     return replace(
         photographs,
         cameras=photographs.cameras + renders.cameras,
@@ -274,7 +280,9 @@ def _prune_loo(scene: Scene, context: _Context) -> _Outcome:
 def _optimise(scene: Scene, context: _Context) -> _Outcome:
     plan, targets = context.plan, context.views.targets
     assert targets is not None
-    fitted, details = optimise(scene, targets, plan.steps.refine, plan.checkpoint, context.progress)
+    fitted, details = optimise(
+        scene, targets, plan.steps.refine, plan.checkpoint, context.progress, plan.device
+    )
     against = _against(scene, fitted, context) if details["iterations"] else "nothing is to win"
     if against:
         log.warning("refine: %s, so it is left out", against)

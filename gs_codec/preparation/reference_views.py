@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from gs_codec.errors import InvalidInput
 from gs_codec.metrics.images import Quality, compare_images, mean_quality
+from gs_codec.preparation.steps import Device
+from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.rendering.images import seek_image
@@ -159,16 +161,40 @@ def draw_reference_views(
     cameras: Sequence[Camera],
     background: tuple[float, float, float],
     progress: Progress | None = None,
-    fast: bool = False,
 ) -> ReferenceViews:
-    """Render a scene's own views; with `fast`, in float32, to fit them but not to measure by."""
+    """Render a scene's own views."""
 
     def draw(camera: Camera) -> NDArray[np.float32]:
-        if fast:
-            return make_frame(scene, camera).draw_rows(background)[0]
         return render(scene, camera, background, device="cpu").colour
 
     images = run_all(draw, cameras, advance=step_counter(progress, "draw", len(cameras)))
+    return ReferenceViews(tuple(cameras), tuple(images), False, background, scene)
+
+
+def draw_targets(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    background: tuple[float, float, float],
+    device: Device,
+    progress: Progress | None = None,
+) -> ReferenceViews:
+    """Render a scene's own views to fit them, in float32, where they will be; not to measure by.
+
+    Raises
+    ------
+    MissingTool
+        If the device is asked for but not available.
+    """
+    on_device = gsplat_backend.is_chosen(device)
+    values = gsplat_backend.upload(scene) if on_device else None
+
+    def draw(camera: Camera) -> NDArray[np.float32]:
+        if values is not None:
+            return gsplat_backend.draw(values, camera, background, scene.antialiased)[0]
+        return make_frame(scene, camera).draw_rows(background)[0]
+
+    advance, threads = step_counter(progress, "draw", len(cameras)), 1 if on_device else None
+    images = run_all(draw, cameras, threads, advance)
     return ReferenceViews(tuple(cameras), tuple(images), False, background, scene)
 
 

@@ -23,6 +23,9 @@ _PERCENT = {
     "expected": "0 to below 100 percent",
 }
 
+#: Where views are drawn and refined.
+Device = Literal["auto", "cpu", "cuda"]
+
 #: What geometry pruning counts from.
 GeometryRule = Literal["median", "largest"]
 
@@ -181,6 +184,9 @@ class Plan:
         RGB behind the scene, 0-1.
     checkpoint : path, optional
         File to which `refine` saves its state, and from which it resumes.
+    device : {"auto", "cpu", "cuda"}
+        Where `refine` works: ``cuda`` does so with gsplat, ``auto`` if it can. Results differ by
+        what two runs on a device do; the other steps work on the CPU.
 
     Raises
     ------
@@ -222,6 +228,11 @@ class Plan:
         "File that keeps the state of --refine, which goes on from there.",
         kind=Path, metavar="FILE",
     )  # fmt: skip
+    device: Device = option(
+        "cpu",
+        "Draw or refine on cpu, on cuda with gsplat, or auto: cuda where possible.",
+        values=get_args(Device),
+    )
 
     def __post_init__(self) -> None:
         if self.gt_images is not None and self.width is not None:

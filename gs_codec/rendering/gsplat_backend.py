@@ -1,22 +1,31 @@
-"""Drawing with gsplat on a CUDA device, if both are available.
+"""Views of a scene and their gradients with gsplat on a CUDA device, if both are available.
 
-gsplat bounds a splat's extent by its opacity instead of by 3 sigma, cuts alpha at 0.999 instead of
-0.99 in recent releases, and works in float32: images agree with ours within 40 dB or better.
+gsplat's rule is ours but for this: since 1.5 it bounds a splat at 3.33 sigma instead of 3, up to
+1.5.3 it cuts alpha at 0.999 instead of 0.99, opacity compensation has no least value, and it works
+in float32: images agree with ours within 40 dB or better. Like ours, it leaves out alpha below
+1/255 and stops where less than 1e-4 of the light is left. Gradients are added up in any order, so
+that two runs differ in the last digits.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.errors import MissingTool
 from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.image_loss import differentiate_loss_tensor
 from gs_codec.rendering.project import LOW_PASS, NEAR
-from gs_codec.scene import Scene
+from gs_codec.scene import GROUPS, SH_COEFFICIENTS, Scene, group_rows
+
+if TYPE_CHECKING:
+    import torch
 
 _DEVICE = "cuda"
 
@@ -31,40 +40,99 @@ def is_available() -> bool:
     return torch.cuda.is_available()
 
 
+def is_chosen(device: Literal["auto", "cpu", "cuda"]) -> bool:
+    """Whether gsplat does the work where `device` is asked for.
+
+    Raises
+    ------
+    MissingTool
+        If it is to, and cannot.
+    """
+    if device == "cuda" and not is_available():
+        raise MissingTool("device 'cuda': needs gsplat, and a CUDA device that torch sees")
+    return device != "cpu" and is_available()
+
+
+def to_device(array: NDArray) -> torch.Tensor:
+    """A tensor on the device, float32."""
+    import torch
+
+    return torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(_DEVICE)
+
+
+def upload(scene: Scene) -> torch.Tensor:
+    """All channels of a scene, ``(N, C)``, in the order of `GROUPS`."""
+    return to_device(np.concatenate([getattr(scene, group) for group in GROUPS])).T.contiguous()
+
+
 def draw(
-    scene: Scene, camera: Camera, background: Sequence[float], antialiased: bool
+    values: torch.Tensor, camera: Camera, background: Sequence[float], antialiased: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], int]:
-    """Colour ``(H, W, 3)``, alpha and depth ``(H, W)``, and the number of splat-tile pairs."""
+    """Colour ``(H, W, 3)``, alpha and depth ``(H, W)``, and the number of splat-tile pairs.
+
+    `values` are what `upload` gives.
+    """
+    import torch
+
+    with torch.no_grad():
+        images, alphas, meta = _rasterise(values, camera, background, antialiased, "RGB+ED")
+    image, alpha = images[0].cpu().numpy(), alphas[0, ..., 0].cpu().numpy()
+    pairs = int(meta["flatten_ids"].numel())
+    return image[..., :3].copy(), alpha, image[..., 3].copy(), pairs
+
+
+def differentiate(
+    values: torch.Tensor,
+    camera: Camera,
+    target: torch.Tensor,
+    background: Sequence[float],
+    antialiased: bool,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Derivatives of the loss of a view by ``values (N, C)``, and its mean squared error.
+
+    It is `gradients.differentiate` on the device; a Gaussian that is not seen has zeros.
+    """
+    import torch
+
+    values = values.detach().requires_grad_()
+    images, _, _ = _rasterise(values, camera, background, antialiased, "RGB")
+    by_image, squared_error = differentiate_loss_tensor(images[0].detach(), target)
+    (slopes,) = torch.autograd.grad(images, values, by_image[None])
+    return slopes, squared_error
+
+
+def _rasterise(
+    values: torch.Tensor, camera: Camera, background: Sequence[float], antialiased: bool, mode: str
+) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
+    """What gsplat draws, as it returns it; derivatives go back to `values`."""
     import gsplat
     import torch
 
-    def tensor(array: NDArray) -> Any:
-        return torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(_DEVICE)
-
-    sh = np.concatenate([scene.f_dc[:, None], scene.f_rest.reshape(3, -1, scene.count)], axis=1)
-    rot = np.where(scene.rot.any(axis=0), scene.rot, np.array([[1], [0], [0], [0]], np.float32))
+    sh_degree = math.isqrt((values.shape[1] - 11) // 3) - 1
+    coefficients = SH_COEFFICIENTS[sh_degree]
+    rows = list(group_rows(coefficients).values())
+    means, f_dc, f_rest, opacity, log_scale, rot = values.split(rows, dim=1)
+    rest = f_rest.reshape(len(values), 3, coefficients).transpose(1, 2)
+    identity = to_device(np.array([1, 0, 0, 0]))
     pose = np.eye(4)
     pose[:3, :3] = camera.rotation
     pose[:3, 3] = -camera.rotation @ camera.position
     lens = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    with torch.no_grad():
-        images, alphas, meta = gsplat.rasterization(
-            means=tensor(scene.positions.T),
-            quats=tensor(rot.T),
-            scales=tensor(scene.log_scale.T).exp(),
-            opacities=tensor(scene.opacity[0]).sigmoid(),
-            colors=tensor(sh.transpose(2, 1, 0)),
-            viewmats=tensor(pose)[None],
-            Ks=tensor(lens)[None],
-            width=camera.width,
-            height=camera.height,
-            near_plane=NEAR,
-            eps2d=LOW_PASS,
-            sh_degree=scene.sh_degree,
-            backgrounds=tensor(np.array([background])),
-            render_mode="RGB+ED",
-            rasterize_mode="antialiased" if antialiased else "classic",
-        )
-    image, alpha = images[0].cpu().numpy(), alphas[0, ..., 0].cpu().numpy()
-    pairs = int(meta["flatten_ids"].numel())
-    return image[..., :3].copy(), alpha, image[..., 3].copy(), pairs
+    return gsplat.rasterization(
+        means=means,
+        quats=torch.where(rot.any(1, keepdim=True), rot, identity),
+        scales=log_scale.exp(),
+        opacities=opacity[:, 0].sigmoid(),
+        colors=torch.cat([f_dc[:, None], rest], dim=1),
+        viewmats=to_device(pose)[None],
+        Ks=to_device(lens)[None],
+        width=camera.width,
+        height=camera.height,
+        near_plane=NEAR,
+        eps2d=LOW_PASS,
+        sh_degree=sh_degree,
+        packed=False,
+        backgrounds=to_device(np.array([background])),
+        render_mode=mode,
+        rasterize_mode="antialiased" if antialiased else "classic",
+    )

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
+
+if TYPE_CHECKING:
+    import torch
 
 #: Weights of the mean absolute error and of 1 - SSIM in the loss.
 _ABSOLUTE, _SSIM = 0.8, 0.2
@@ -44,6 +49,31 @@ def differentiate_loss(colour: NDArray, target: NDArray) -> tuple[NDArray[np.flo
         lambda band: _differentiate(image, target, slopes, factor, *band, by_image, errors), bands
     )
     return by_image.reshape(colour.shape), float(errors.sum() / image.size)
+
+
+def differentiate_loss_tensor(
+    colour: torch.Tensor, target: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """As `differentiate_loss`, of tensors and to tensors, in their precision."""
+    import torch
+    from torch.nn.functional import conv2d
+
+    taps = [*_WINDOW, *reversed(_WINDOW[:-1])]
+    window = torch.tensor(taps, dtype=colour.dtype, device=colour.device).expand(15, 1, 1, -1)
+    # cuDNN may round to ten bits, of which the differences below would leave nothing.
+    with torch.enable_grad(), torch.backends.cudnn.flags(enabled=False):
+        image = colour.detach().permute(2, 0, 1).requires_grad_()
+        wanted = target.permute(2, 0, 1)
+        planes = torch.cat([image, wanted, image * image, wanted * wanted, image * wanted])[None]
+        across = conv2d(planes, window, padding=(0, _HALF), groups=15)
+        blurred = conv2d(across, window.mT, padding=(_HALF, 0), groups=15)
+        x, t, xx, tt, xt = blurred[0].split(3)
+        top = (2 * x * t + _C1) * (2 * (xt - x * t) + _C2)
+        ssim = top / ((x * x + t * t + _C1) * (xx - x * x + tt - t * t + _C2))
+        error = image - wanted
+        loss = _ABSOLUTE * error.abs().mean() - _SSIM * ssim.mean()
+        (by_image,) = torch.autograd.grad(loss, image)
+    return by_image.permute(1, 2, 0), (error.detach() ** 2).mean()
 
 
 @inlined

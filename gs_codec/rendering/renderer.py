@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.errors import MissingTool
 from gs_codec.rendering import gsplat_backend
 from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
@@ -101,10 +100,9 @@ def render(
     """
     if antialiased is None:
         antialiased = scene.antialiased
-    if device == "cuda" and not gsplat_backend.is_available():
-        raise MissingTool("device 'cuda': needs gsplat, and a CUDA device that torch sees")
-    if device != "cpu" and not accumulate and gsplat_backend.is_available():
-        colour, alpha, depth, pairs = gsplat_backend.draw(scene, camera, background, antialiased)
+    if gsplat_backend.is_chosen(device) and not accumulate:
+        values = gsplat_backend.upload(scene)
+        colour, alpha, depth, pairs = gsplat_backend.draw(values, camera, background, antialiased)
         return Rendering(colour, alpha, depth, None, pairs)
     frame = make_frame(scene, camera, antialiased)
     sums = np.zeros((frame.pairs if accumulate else 0, 4))

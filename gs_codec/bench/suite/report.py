@@ -33,6 +33,11 @@ _POSITIONS = (
 
 _GROWTH = "The largest scene, tiled; every measurement is a process of its own, its start included."
 
+_DEVICE = (
+    "Profile `m`, medians: floats to stream, and stream to tensors on the device, all that the CPU "
+    "does included; and refinement with gsplat. The largest scene, and it tiled."
+)
+
 
 def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
     """Write ``report.md``, its plots as PNG files, and ``headline.md`` into a folder.
@@ -68,6 +73,9 @@ def write_report(lines: Sequence[dict[str, Any]], folder: Path) -> None:
         if results.of("scaling"):
             picture = draw("scaling", plots.plot_scaling(results), "Time and memory by Gaussians")
             parts += ["## Scaling", _GROWTH, picture]
+    if results.of("device"):
+        table = tables.markdown(*tables.device_table(results))
+        parts += ["## On a CUDA device", _DEVICE, "\n".join(table)]
     parts += _circumstances(results)
     headline = "\n".join(tables.headline(lines)) + "\n"
     text = "\n\n".join(part for part in parts if part) + "\n"

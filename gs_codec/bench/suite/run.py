@@ -12,6 +12,7 @@ from typing import Any
 
 from gs_codec.bench.apart import measure_scaling
 from gs_codec.bench.beside import measure_beside, our_codecs
+from gs_codec.bench.device import measure_device
 from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import machine
 from gs_codec.bench.measure import measure_memory
@@ -31,6 +32,9 @@ REFINED = (35.0, 60.0, 100.0)
 
 #: Gaussians of the tiled scenes of the scaling.
 SIZES = (100_000, 300_000, 1_000_000, 3_000_000)
+
+#: The same on a device: the paper's mean scene, and a large one.
+DEVICE_SIZES = (1_120_000, 5_000_000)
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ def _measure(
     found: list[dict[str, Any]] = []
     for measured in scenes:
         for group, (title, measure) in STAGES.items():
-            if group in options.skip or (group == "scaling" and measured is not largest):
+            if group in options.skip or (group in ONCE and measured is not largest):
                 continue
             tell(f"{measured.name}: {title}")
             for line in measure(measured, options, found):
@@ -162,7 +166,11 @@ def _scaling(measured: MeasuredScene, options: Options, _: Sequence[dict[str, An
     return measure_scaling(measured.scene, measured.name, SIZES, profiles, options.threads)
 
 
-#: What is measured of each scene, of the largest alone for scaling, by the group it is skipped by.
+def _device(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any]]) -> Lines:
+    return measure_device(measured, DEVICE_SIZES, options.repeats)
+
+
+#: What is measured of each scene, or of the largest alone (`ONCE`), by the group it is skipped by.
 #: Memory comes after what compiles kernels, which takes memory too.
 STAGES = {
     "codecs": ("codecs beside each other", _codecs),
@@ -170,7 +178,9 @@ STAGES = {
     "memory": ("memory of each profile", _memory),
     "geometry": ("positions beside Open3D's octree", _geometry),
     "scaling": ("growing scenes", _scaling),
+    "device": ("a CUDA device", _device),
 }
+ONCE = ("scaling", "device")
 
 #: What can be left out: stages; and of codecs, others', camera-guided ones, pruned scenes, refined
 #: ones, which take minutes.

@@ -83,6 +83,21 @@ def geometry_table(results: Results) -> tuple[list[str], list[list[str]]]:
     return columns, rows
 
 
+def device_table(results: Results) -> tuple[list[str], list[list[str]]]:
+    """Columns and rows of what a CUDA device did, and whether its results are the CPU's."""
+    columns = ["device", "Gaussians", "block", "encode", "decode", "as the CPU", "iterations / s"]
+    rows = []
+    for line in results.of("device"):
+        cells = [escaped(line["device"]), f"{line['gaussians']:,}", str(line.get("block_size", ""))]
+        for way in ("encode", "decode"):
+            seconds = line.get(f"{way}_seconds")
+            cells.append("" if seconds is None else _seconds(seconds))
+        same = line.get("same_bytes", True) and line.get("same_tensors", True)
+        cells.append("" if "same_bytes" not in line else "yes" if same else "no")
+        rows.append([*cells, _number(line.get("iterations_per_second"), ".0f")])
+    return columns, rows
+
+
 def rates(results: Results, scene: str) -> str:
     """A sentence on the BD-rate of our curves over the paper's profiles; empty without any."""
     told = []

@@ -91,6 +91,10 @@ class ShapedBlock:
             turned_quaternions(to_float(self.shape.turns), self.shape.poles),
         )
 
+    def extent(self, grid: PositionGrid) -> NDArray[np.float32]:
+        """Where its decoded Gaussians are."""
+        return block_extent(*self.decoded(grid))
+
 
 @dataclass(frozen=True)
 class Block:
@@ -159,5 +163,5 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
         by_colour = levels.reshape(3, coefficients, -1)
         coded = code_bands(by_colour, two_nearest(nearest), shaped.shifts)
         listed += [PassData.of(values, contexts) for values, contexts, _ in coded]
-    extent = block_extent(*shaped.decoded(arranged.lattice.grid))
+    extent = shaped.extent(arranged.lattice.grid)
     return Block(shaped.tree, shaped.low_bits, extent, listed, clamped)

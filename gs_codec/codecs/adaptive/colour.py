@@ -22,7 +22,7 @@ from gs_codec.coding.nearest import NEIGHBOURS, WINDOW, Nearest
 from gs_codec.runtime.kernels import kernel
 
 #: Share of the neighbours' errors that a Gaussian takes over.
-_SHARE = 0.6
+SHARE = 0.6
 
 #: Gaussians whose values are moved together, so that planes are read a cache line at a time.
 _CHUNK = 64
@@ -152,5 +152,5 @@ def _diffuse(near, distances, values, share, levels):
 def round_diffusing(nearest: Nearest, values: NDArray[np.float32]) -> NDArray[np.int32]:
     """Round values ``(C, n)``, in steps, of Gaussians in stream order to levels ``(C, n)``."""
     levels = np.empty(values.shape, np.int32)
-    _diffuse(*nearest, values, _SHARE, levels)
+    _diffuse(*nearest, values, SHARE, levels)
     return levels

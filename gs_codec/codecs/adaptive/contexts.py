@@ -104,13 +104,13 @@ def before_bucket(attribute, total):
 
 #: Least sums of the buckets from 1 up; and the bucket of each sum that is not larger than the last.
 _LEAST_SUMS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192])
-_SUM_BUCKETS = np.searchsorted(_LEAST_SUMS, np.arange(193), side="right").astype(np.uint8)
+SUM_BUCKETS = np.searchsorted(_LEAST_SUMS, np.arange(193), side="right").astype(np.uint8)
 
 
 @inlined
 def sum_bucket(total):
     """Bucket of a sum of magnitudes: twice its log2 rounded down, plus its second bit."""
-    return np.int64(_SUM_BUCKETS[np.uint64(min(total, len(_SUM_BUCKETS) - 1))])
+    return np.int64(SUM_BUCKETS[np.uint64(min(total, len(SUM_BUCKETS) - 1))])
 
 
 def passes(coefficients: int) -> list[Pass]:

@@ -84,7 +84,7 @@ def encode_adaptive(
     progress: Progress | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None."""
-    header, arranged = _arrange(scene, config, steps, times)
+    header, arranged = arrange(scene, config, steps, times)
     return _code(
         header, arranged, _blocks(header, arranged, steps is None, times, progress), times, progress
     )
@@ -122,7 +122,7 @@ def _blocks(
         return colour_block(arranged, shape_block(arranged, *span), diffusing).kept()
 
     with times.stage("quantise"):
-        return run_all(code, _spans(header), advance=advance)
+        return run_all(code, block_spans(header), advance=advance)
 
 
 def shape_scene(
@@ -133,10 +133,12 @@ def shape_scene(
     progress: Progress | None = None,
 ) -> ShapedScene:
     """Round everything but the colours of a cleaned scene, with finished step sizes."""
-    header, arranged = _arrange(scene, config, steps, times)
+    header, arranged = arrange(scene, config, steps, times)
     advance = step_counter(progress, "quantise", header.block_count)
     with times.stage("quantise"):
-        blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header), advance=advance)
+        blocks = run_all(
+            lambda span: shape_block(arranged, *span), block_spans(header), advance=advance
+        )
     return ShapedScene(header, arranged, blocks)
 
 
@@ -155,14 +157,16 @@ def encode_shaped(
     return _code(header, arranged, blocks, times, progress)
 
 
-def _arrange(
+def arrange(
     scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
 ) -> tuple[Header, Arranged]:
+    """The header of a cleaned scene, and the scene in the order of the stream."""
     with times.stage("order"):
         return Header.of(scene, config), arrange_scene(scene, config, steps)
 
 
-def _spans(header: Header) -> list[tuple[int, int]]:
+def block_spans(header: Header) -> list[tuple[int, int]]:
+    """First and end Gaussian of each block."""
     return [header.block_range(block) for block in range(header.block_count)]
 
 
@@ -187,10 +191,25 @@ def _code(
             enumerate(blocks),
             advance=advance,
         )
-    sections = [*index_section([block.extent for block in blocks]), *beside]
+    extents, rectified = [block.extent for block in blocks], sum(block.clamped for block in blocks)
+    return assemble(header, arranged, extents, models, costs, coded, rectified, times, beside)
+
+
+def assemble(
+    header: Header,
+    arranged: Arranged,
+    extents: Sequence[NDArray[np.float32]],
+    models: PassModels,
+    costs: Sequence[ChannelCost],
+    coded: Sequence[Sequence[Section]],
+    rectified: int,
+    times: StageTimes,
+    beside: Sequence[Section] = (),
+) -> tuple[list[bytes | memoryview], EncodeReport]:
+    """The file of coded blocks, with sections beside them."""
+    sections = [*index_section(extents), *beside]
     sections.append(Section(SectionId.LATTICE, 0, write_lattice(arranged.lattice, models)))
     sections += [section for block in coded for section in block]
-    rectified = sum(block.clamped for block in blocks)
     return pack_scene(arranged.source, header, sections, arranged.order, times, costs, rectified)
 
 

@@ -14,20 +14,20 @@ from gs_codec.coding.context_rans import PRECISION, RUN_BITS, SPAN_BITS
 from gs_codec.coding.rans import LANES, pull
 from gs_codec.runtime.kernels import inlined, kernel
 
-_DIRECT = 16
-_DIRECT_BITS = 4
-_KEPT_BITS = 2
+DIRECT = 16
+DIRECT_BITS = 4
+KEPT_BITS = 2
 
 #: Magnitudes have at most this many bits.
 MAX_BITS = 30
 
 #: Number of tokens.
-ALPHABET = 2 * (_DIRECT + ((MAX_BITS - _DIRECT_BITS) << _KEPT_BITS))
+ALPHABET = 2 * (DIRECT + ((MAX_BITS - DIRECT_BITS) << KEPT_BITS))
 
 #: Number of raw bits that complete each token.
 RAW_WIDTHS = np.array(
     [
-        0 if size < _DIRECT else ((size - _DIRECT) >> _KEPT_BITS) + _DIRECT_BITS - _KEPT_BITS
+        0 if size < DIRECT else ((size - DIRECT) >> KEPT_BITS) + DIRECT_BITS - KEPT_BITS
         for size in np.arange(ALPHABET) // 2
     ]
 )
@@ -37,10 +37,10 @@ RAW_WIDTHS = np.array(
 def token_of(value):
     """Token of an integer: twice that of its magnitude, plus 1 if it is negative."""
     size = abs(value)
-    if size >= _DIRECT:
+    if size >= DIRECT:
         length = bit_length(size)
-        rest = length - 1 - _KEPT_BITS
-        size = _DIRECT + ((length - 1 - _DIRECT_BITS) << _KEPT_BITS) + ((size >> rest) & 3)
+        rest = length - 1 - KEPT_BITS
+        size = DIRECT + ((length - 1 - DIRECT_BITS) << KEPT_BITS) + ((size >> rest) & 3)
     return 2 * size + (1 if value < 0 else 0)
 
 
@@ -68,10 +68,10 @@ def read_token(words, position, states, symbol, spans, slots, row, bits, used, r
     window = np.int64(bits[np.uint64(at)]) << 32 | np.int64(bits[np.uint64(at + 1)]) << 24
     window |= np.int64(bits[np.uint64(at + 2)]) << 16 | np.int64(bits[np.uint64(at + 3)]) << 8
     window |= np.int64(bits[np.uint64(at + 4)])
-    if not rarely or size >= _DIRECT:
-        beyond = size - _DIRECT
+    if not rarely or size >= DIRECT:
+        beyond = size - DIRECT
         large = ~(beyond >> 63)
-        width = ((beyond >> _KEPT_BITS) + _DIRECT_BITS - _KEPT_BITS) & large
+        width = ((beyond >> KEPT_BITS) + DIRECT_BITS - KEPT_BITS) & large
         rest = (window >> (40 - (used & 7) - width)) & ((1 << width) - 1)
         size = (size & ~large) | (((4 + (beyond & 3)) << width) & large) | rest
         used += width

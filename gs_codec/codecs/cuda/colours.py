@@ -22,6 +22,7 @@ from gs_codec.codecs.cuda.lanes import (
     lanes_before,
     launched,
     ones,
+    part_of,
     pull,
     raw_width,
     settle,
@@ -46,10 +47,7 @@ def read_colours(
     """Decode ``values (3 N,)``, fixed-point numbers; of neighbours as `surround` gives them."""
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])
-    words_at, raw_at = begins[block, stream, 0], begins[block, stream, 1] >> 5
-    end = np.int32(ends[block, stream, 0] - words_at)
-    limit = np.int32(ends[block, stream, 1] - (raw_at << 5))
-    position, used = np.int32(reached[block, stream, 0]), np.int32(reached[block, stream, 1])
+    words_at, raw_at, end, limit, position, used = part_of(begins, ends, reached, block, stream)
     state = cuda.shared.array(LANES, np.uint32)
     seen = cuda.shared.array((WINDOW, _CHANNELS), np.int32)
     fault = cuda.shared.array(1, np.int32)

@@ -6,12 +6,10 @@ the tree of its positions meanwhile. What the device finds is checked before any
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numba import cuda
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.contexts import passes
@@ -19,8 +17,9 @@ from gs_codec.codecs.adaptive.lattice import Lattice, cell_widths, packed_rules
 from gs_codec.codecs.adaptive.rotation import TURN_RULES
 from gs_codec.codecs.adaptive.section import lattice_of
 from gs_codec.codecs.cuda.colours import read_colours
-from gs_codec.codecs.cuda.floats import THREADS, fill_colours, fill_shapes
-from gs_codec.codecs.cuda.lanes import SIMULATED, WIDTH, pack_tables
+from gs_codec.codecs.cuda.floats import fill_colours, fill_shapes
+from gs_codec.codecs.cuda.lanes import WIDTH, pack_tables
+from gs_codec.codecs.cuda.launch import argument, for_each, staging, unsigned, upload, working_on
 from gs_codec.codecs.cuda.levels import read_levels
 from gs_codec.codecs.cuda.places import find_widths, place, surround
 from gs_codec.codecs.cuda.shapes import STREAMS, read_shapes
@@ -46,36 +45,13 @@ def decode_blocks(file: EgsFile, device: str) -> dict[str, torch.Tensor]:
     ------
     TruncatedStream, CorruptStream
     """
-    place = torch.device("cpu" if SIMULATED else device)
     count, coefficients = file.header.count, SH_COEFFICIENTS[file.header.sh_degree]
-    if count == 0:
-        shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logits": ()}
-        shapes["sh"] = (1 + coefficients, 3)
-        return {name: torch.zeros((0, *shape), device=place) for name, shape in shapes.items()}
-    with warnings.catch_warnings():
-        # A file of few blocks keeps few processors busy, which numba warns of.
-        warnings.filterwarnings("ignore", ".*Grid size")
-        if SIMULATED:
+    with working_on(device) as place:
+        if count:
             return _Decoder(file, place).decode()
-        # numba's stream is the default one.
-        stream = torch.cuda.default_stream(place)
-        with torch.cuda.stream(stream), cuda.gpus[stream.device.index]:
-            return _Decoder(file, place).decode()
-
-
-def _argument(tensor: torch.Tensor) -> Any:
-    """What a kernel takes of a tensor: the same memory."""
-    return tensor.numpy() if SIMULATED else cuda.as_cuda_array(tensor, sync=False)
-
-
-def _unsigned(tensor: torch.Tensor) -> Any:
-    """What a kernel takes of a tensor of 32-bit integers that are not negative."""
-    return _argument(tensor.view(-1)).view(np.uint32).reshape(tensor.shape)
-
-
-def _staging(count: int, kind: torch.dtype) -> torch.Tensor:
-    """Memory of the CPU that is copied to a device while both go on."""
-    return torch.empty(count, dtype=kind, pin_memory=not SIMULATED)
+    shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logits": ()}
+    shapes["sh"] = (1 + coefficients, 3)
+    return {name: torch.zeros((0, *shape), device=place) for name, shape in shapes.items()}
 
 
 class _Tables(NamedTuple):
@@ -99,28 +75,28 @@ class _Decoder:
         listed = passes(self.coefficients)
         tables = pack_tables(PassTables.pack(models.tables()))
         names = [name for item in listed for name in item.streams]
-        staged = _staging(len(file.data) + PADDING, torch.uint8)
+        staged = staging(len(file.data) + PADDING, torch.uint8)
         self.streams = Streams.of(file, names, staged.numpy())
         blocks = np.arange(self.header.block_count + 1) * self.header.block_size
         data = staged.to(self.device, non_blocking=True)
         bits = data.view(-1, 4).flip(1).contiguous().view(torch.int32).view(-1)
-        self.bytes = _argument(data)
+        self.bytes = argument(data)
         self.tables = _Tables(
-            _argument(data.view(torch.int16)).view(np.uint16),
-            _unsigned(bits),
-            *(_unsigned(self._upload(table.view(np.int32))) for table in tables),
+            argument(data.view(torch.int16)).view(np.uint16),
+            unsigned(bits),
+            *(unsigned(self._upload(table.view(np.int32))) for table in tables),
         )
-        self.rows = [_argument(self._upload(models.rows(i).astype(np.int32))) for i in listed]
+        self.rows = [argument(self._upload(models.rows(i).astype(np.int32))) for i in listed]
         self.reached = self._upload(self.streams.reached)
         self.states = self._upload(self.streams.states.astype(np.uint32).view(np.int32))
         self.faults = self._new((self.header.block_count, 1 + len(names)), torch.int64)
         self.coders = self._new((self.header.block_count, 5), torch.int64)
         self.chains = (
-            _argument(self.reached),
-            _argument(self._upload(self.streams.begins)),
-            _argument(self._upload(self.streams.ends)),
-            _argument(self._upload(np.minimum(blocks, self.header.count))),
-            _unsigned(self.states),
+            argument(self.reached),
+            argument(self._upload(self.streams.begins)),
+            argument(self._upload(self.streams.ends)),
+            argument(self._upload(np.minimum(blocks, self.header.count))),
+            unsigned(self.states),
         )
 
     def decode(self) -> dict[str, torch.Tensor]:
@@ -141,25 +117,22 @@ class _Decoder:
         return found
 
     def _upload(self, array: NDArray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device, non_blocking=True)
+        return upload(array, self.device)
 
     def _new(self, shape: tuple[int, ...], kind: torch.dtype) -> torch.Tensor:
         return torch.zeros(shape, dtype=kind, device=self.device)
 
     def _each(self, kernel: Any, *arguments: Any) -> None:
         """Run a kernel that has a thread for each Gaussian."""
-        # In the simulator one thread goes through all.
-        grid = 1 if SIMULATED else -(-self.header.count // THREADS)
-        given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
-        kernel[grid, THREADS](*given)
+        for_each(kernel, self.header.count, *arguments)
 
     def _chain(self, kernel: Any, number: int, stream: int | None, *arguments: Any) -> None:
         """Run a kernel that has a warp for each block, the pass of a number."""
-        given = [_argument(x) if isinstance(x, torch.Tensor) else x for x in arguments]
+        given = map(argument, arguments)
         first = [] if stream is None else [stream]
         # The first pass has a second warp, for the tree.
         kernel[self.header.block_count * (2 if number == 0 else 1), WIDTH](
-            *self.tables, self.rows[number], *self.chains, *first, *given, _argument(self.faults)
+            *self.tables, self.rows[number], *self.chains, *first, *given, argument(self.faults)
         )
 
     def _rules(self, *names: str) -> list[torch.Tensor]:

@@ -66,6 +66,8 @@ if SIMULATED:
         """A product that is rounded before it is added to anything."""
         return first * second
 
+    rounded_single = rounded
+
 else:
     from numba.cuda import libdevice
 
@@ -125,6 +127,11 @@ else:
         """A product that is rounded before it is added to anything: never a fused operation."""
         return libdevice.dmul_rn(first, second)
 
+    @device
+    def rounded_single(first, second):
+        """The same of float32."""
+        return libdevice.fmul_rn(first, second)
+
 
 @device
 def lanes_before(mask, lane):
@@ -159,6 +166,19 @@ def pack_tables(tables: PassTables) -> tuple[NDArray[np.uint32], NDArray[np.uint
 
 # 32-bit integers where they are enough, as a device has no others: numba computes in 64 bits unless
 # each result is converted. Only signed ones are mixed.
+
+
+@device
+def part_of(begins, ends, reached, block, stream):
+    """Where a block's words and raw bits of a stream begin, end after that, and are read up to.
+
+    Raw bits are counted from item ``raw_at`` of those 32 each.
+    """
+    words_at, raw_at = begins[block, stream, 0], begins[block, stream, 1] >> 5
+    end = np.int32(ends[block, stream, 0] - words_at)
+    limit = np.int32(ends[block, stream, 1] - (raw_at << 5))
+    position, used = np.int32(reached[block, stream, 0]), np.int32(reached[block, stream, 1])
+    return words_at, raw_at, end, limit, position, used
 
 
 @device

@@ -19,6 +19,7 @@ from gs_codec.codecs.cuda.lanes import (
     lanes_before,
     launched,
     ones,
+    part_of,
     pull,
     raw_width,
     settle,
@@ -49,10 +50,7 @@ def read_levels(
     """
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, total = starts[block], starts[cuda.gridDim.x]
-    words_at, raw_at = begins[block, stream, 0], begins[block, stream, 1] >> 5
-    end = np.int32(ends[block, stream, 0] - words_at)
-    limit = np.int32(ends[block, stream, 1] - (raw_at << 5))
-    position, used = np.int32(reached[block, stream, 0]), np.int32(reached[block, stream, 1])
+    words_at, raw_at, end, limit, position, used = part_of(begins, ends, reached, block, stream)
     symbol, lives = np.int32(reached[block, stream, 2]), np.int32(reached[block, stream, 3])
     fault = np.int32(0)
     state = cuda.local.array(OWN, np.uint32)

@@ -23,6 +23,7 @@ from gs_codec.codecs.cuda.lanes import (
     lanes_before,
     launched,
     ones,
+    part_of,
     pull,
     raw_width,
     settle,
@@ -65,10 +66,7 @@ def read_sums(
     """Decode the sums of magnitudes of all bands, first of the first band's pass."""
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])
-    words_at, raw_at = begins[block, stream, 0], begins[block, stream, 1] >> 5
-    end = np.int32(ends[block, stream, 0] - words_at)
-    limit = np.int32(ends[block, stream, 1] - (raw_at << 5))
-    position, used = np.int32(reached[block, stream, 0]), np.int32(reached[block, stream, 1])
+    words_at, raw_at, end, limit, position, used = part_of(begins, ends, reached, block, stream)
     state = cuda.local.array(OWN, np.uint32)
     after = cuda.local.array(OWN, np.uint32)
     tokens = cuda.local.array(OWN, np.int32)
@@ -158,10 +156,7 @@ def read_shares(
     """
     block, thread = cuda.blockIdx.x, np.int32(cuda.threadIdx.x)
     start, count = starts[block], np.int32(starts[block + 1] - starts[block])
-    words_at, raw_at = begins[block, stream, 0], begins[block, stream, 1] >> 5
-    end = np.int32(ends[block, stream, 0] - words_at)
-    limit = np.int32(ends[block, stream, 1] - (raw_at << 5))
-    position, used = np.int32(reached[block, stream, 0]), np.int32(reached[block, stream, 1])
+    words_at, raw_at, end, limit, position, used = part_of(begins, ends, reached, block, stream)
     symbol, lives = np.int32(reached[block, stream, 2]), np.int32(0)
     flags = cuda.local.array(OWN, np.int32)
     for base in range(0, count, LANES):

@@ -1,0 +1,114 @@
+"""Decoding, encoding and refining on a CUDA device, which says that it is absent where it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from gs_codec.api.splats import decode_tensors, require_device
+from gs_codec.bench.sources import MeasuredScene, tile_scene
+from gs_codec.config import Config
+from gs_codec.errors import MissingTool
+from gs_codec.guidance.planned import encode_camera_free
+from gs_codec.preparation.optimise import optimise
+from gs_codec.preparation.reference_views import draw_targets, evenly
+from gs_codec.preparation.steps import BACKGROUNDS
+from gs_codec.rendering.gsplat_backend import is_chosen
+from gs_codec.scene import Scene
+
+#: Gaussians of blocks: the usual number, and one for more blocks than processors.
+BLOCK_SIZES = (16384, 4096)
+
+#: Views that are refined to, their width in pixels, and the iterations.
+VIEWS, WIDTH, ITERATIONS = 32, 800, 500
+
+Lines = Iterator[dict[str, Any]]
+
+
+def measure_device(
+    measured: MeasuredScene, sizes: Sequence[int], repeats: int, device: str = "cuda"
+) -> Lines:
+    """Result lines of a scene, and of it tiled to `sizes`: medians of seconds, by the clock.
+
+    Streams and tensors are compared with those of the CPU. What needs a tool that is missing has
+    one line that says so.
+    """
+    works: tuple[tuple[str, Callable[[], object], Any], ...] = (
+        ("coding", partial(require_device, device), _coding),
+        ("refining", partial(is_chosen, "cuda"), _refining),
+    )
+    for work, check, measure in works:
+        about = {"kind": "device", "scene": measured.name, "work": work}
+        try:
+            check()
+        except MissingTool as error:
+            yield about | {"absent": f"{work} on a device: {error}"}
+            continue
+        about["device"] = _name(device)
+        for size in (measured.scene.count, *sizes):
+            whole = size == measured.scene.count
+            scene = measured.scene if whole else tile_scene(measured.scene, size)
+            for line in measure(measured, scene, repeats, device):
+                yield about | {"gaussians": scene.count, **line}
+
+
+def _name(device: str) -> str:
+    import torch
+
+    return torch.cuda.get_device_name(device) if device.startswith("cuda") else device
+
+
+def _coding(_: MeasuredScene, scene: Scene, repeats: int, device: str) -> Lines:
+    """Profile `m`, from the floats of the CPU to a stream, and from it to tensors."""
+    import torch
+
+    for block_size in BLOCK_SIZES:
+        config = Config("m", block_size=block_size)
+        expected = b"".join(encode_camera_free(scene, config)[0])
+        encode = partial(encode_camera_free, scene, config, device=device)
+        (parts, report), encoding = _timed(encode, repeats)
+        splats, decoding = _timed(partial(decode_tensors, expected, device), repeats)
+        known = vars(decode_tensors(expected, "cpu"))
+        yield {
+            "block_size": block_size,
+            "file_bytes": len(expected),
+            "encode_seconds": encoding,
+            "encode_stages": report.seconds,
+            "decode_seconds": decoding,
+            "same_bytes": b"".join(parts) == expected,
+            "same_tensors": all(torch.equal(known[k], v.cpu()) for k, v in vars(splats).items()),
+        }
+
+
+def _refining(measured: MeasuredScene, scene: Scene, _repeats: int, device: str) -> Lines:
+    """Iterations that fit nine tenths of a scene to its own views."""
+    chosen = [*evenly(measured.guides, VIEWS)]
+    cameras = [c.resized(WIDTH, max(1, round(WIDTH * c.height / c.width))) for c in chosen]
+    views = draw_targets(scene, cameras, BACKGROUNDS["black"], "cuda")
+    fewer = scene.take(np.flatnonzero(np.arange(scene.count) % 10))
+    curve = optimise(fewer, views, ITERATIONS, device="cuda")[1]["curve"]
+    # The first point has what is loaded and compiled.
+    first, last = curve[0], curve[-1]
+    rate = (last["iteration"] - first["iteration"]) / (last["seconds"] - first["seconds"])
+    yield {
+        "width": WIDTH,
+        "height": cameras[0].height,
+        "iterations": last["iteration"],
+        "iterations_per_second": rate,
+        "psnr": [first["psnr"], last["psnr"]],
+    }
+
+
+def _timed(function: Callable[[], Any], repeats: int) -> tuple[Any, float]:
+    """What a function returns, and the median of seconds after a first run that compiles."""
+    seconds, found = [], function()
+    for _ in range(repeats):
+        start = time.perf_counter()
+        found = function()
+        seconds.append(time.perf_counter() - start)
+    return found, median(seconds)

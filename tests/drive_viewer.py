@@ -85,7 +85,8 @@ class Driver:
         for _ in range(count):
             if redraw:
                 self.viewer.window.post_redraw()
-            self.app.run_one_tick()
+            if not self.app.run_one_tick():
+                give_up("the window has closed")  # what is done with it now would crash
             time.sleep(pause)
 
     def rest(self) -> np.ndarray:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import faulthandler
 import os
+import subprocess
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
-from drive_viewer import Driver, tell
+from drive_viewer import Driver, resident, tell
 from open3d.visualization import gui
 
 from viewer.window.dialogs import inside
@@ -24,12 +25,6 @@ _PRESSED = [(k.code, k.control) for k in KEYS if k.code is not None and k.name !
 
 #: Widgets of the panel that are clicked at random, without those that are text.
 _CLICKED = (gui.Checkbox, gui.Button, gui.Slider, gui.ListView, gui.Combobox)
-
-
-def resident() -> float:
-    """Resident memory, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 class Monkey:
@@ -138,13 +133,15 @@ def closes(driver: Driver) -> bool:
     """Whether the window closes when it is asked to, edits that are not saved being dropped."""
     driver.viewer.window.close()
     for _ in range(100):
-        dialog = driver.viewer.modal.dialog
         if not driver.app.run_one_tick():
             return True
+        dialog = driver.viewer.modal.dialog  # not before, as the tick may have freed it
         buttons = [w for w in inside(dialog) if isinstance(w, gui.Button)] if dialog else []
         for button in buttons:
             if button.text.startswith("Discard"):
-                driver.click(button)
+                driver.move(button.frame.x + 10, button.frame.y + 10)
+                driver.xdotool("mousedown", 1)
+                subprocess.run(["xdotool", "mouseup", "1"], check=True)
     return False
 
 

@@ -35,6 +35,12 @@ def grab(window: gui.Window) -> np.ndarray:
     return np.asarray(ImageGrab.grab(box).convert("RGB"), np.int16)
 
 
+def resident() -> float:
+    """Resident memory, MB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
 def tell(found: dict) -> NoReturn:
     """Print what came of it and end, as Open3D has no orderly end outside Application.run."""
     print("RESULT " + json.dumps(found), flush=True)
@@ -85,7 +91,8 @@ class Driver:
         for _ in range(count):
             if redraw:
                 self.viewer.window.post_redraw()
-            self.app.run_one_tick()
+            if not self.app.run_one_tick():
+                give_up("the window has closed")  # what is done with it now would crash
             time.sleep(pause)
 
     def rest(self) -> np.ndarray:
@@ -343,6 +350,28 @@ def appearances(driver: Driver, before: np.ndarray) -> dict:
     return found
 
 
+def pictures(driver: Driver) -> dict:
+    """What panes show after one was updated and the other got its first picture; MB left by many.
+
+    Each of 24 pictures of other sizes, after 8, takes 6 MB.
+    """
+    stage = driver.viewer.stage
+    first, other = (np.full((64, 64, 3), colour, np.float32) for colour in ((1, 0, 0), (0, 1, 0)))
+    for number, picture in ((0, first), (0, other), (1, first)):
+        stage.panes[number].show_picture(picture)
+    screen, frames = driver.rest(), [pane.widget.frame for pane in stage.panes]
+    shown = [screen[f.y + f.height // 2, f.x + f.width // 2].tolist() for f in frames]
+    before = 0.0
+    for k in range(32):
+        if k == 8:  # the driver has what it needs
+            before = resident()
+        stage.panes[0].show_picture(np.full((600 + k, 600, 3), 0.5, np.float32))
+        driver.tick(redraw=True)
+    stage.restyle()
+    driver.rest()
+    return {"shown": shown, "left": resident() - before}
+
+
 def views(driver: Driver, found: dict) -> None:
     """Go through views, and flip two scenes."""
     viewer = driver.viewer
@@ -399,6 +428,7 @@ def run(folder: Path) -> dict:
     found["outlined"] = outlined(driver, first)
     found["layers"] = layers(driver, first)
     found["appearances"] = appearances(driver, first)
+    found["pictures"] = pictures(driver)
     found["at_first"] = driver.models()
     driver.drag(viewer.stage.panes[0], back=False)
     moved = driver.rest()

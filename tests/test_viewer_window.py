@@ -134,6 +134,13 @@ def test_appearances_and_hidden_gaussians_change_the_panes_but_no_numbers(found)
     assert changed["apart"] <= 4
 
 
+def test_panes_share_no_pictures_and_leave_none_in_memory(found):
+    first, second = np.array(found["pictures"]["shown"])
+    assert first.argmax() == 1
+    assert second.argmax() == 0
+    assert found["pictures"]["left"] < 70  # of 144
+
+
 def test_the_depth_of_the_octree_follows_the_slider(found):
     depths = found["octree"]["depths"]
     assert min(depths) == 1

@@ -35,11 +35,20 @@ _ALIGNMENT = 64
 #: Pages are released above this share of the limit; seconds between two checks.
 _HIGH, _PERIOD = 0.7, 0.004
 
+#: glibc's option for the size above which memory is the system's own; its size before it adapts.
+_M_MMAP_THRESHOLD, _MAPPED = -3, 1 << 17
+
 
 def release_freed() -> None:
     """Give memory that was freed back to the system, where the C library keeps it (glibc)."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
+
+
+def release_large_when_freed() -> None:
+    """From now on, give memory of large arrays back to the system as they are freed (glibc)."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _MAPPED)
 
 
 class Memory:

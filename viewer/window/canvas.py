@@ -8,8 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 from open3d.visualization import gui, rendering
 
-from viewer.pictures.picture import BACKGROUND
-from viewer.window.pane import picture_of
+from viewer.window.backdrop import Backdrop
 
 
 class Canvas:
@@ -40,6 +39,7 @@ class Canvas:
         self.widget.scene = rendering.Open3DScene(window.renderer)
         self.widget.scene.show_skybox(False)
         self.widget.scene.view.set_post_processing(False)
+        self._backdrop = Backdrop(window, self.widget)
         self.widget.set_on_mouse(self._mouse)
         self._size = (0, 0)
         window.add_child(self.widget)
@@ -58,8 +58,7 @@ class Canvas:
     def redraw(self) -> None:
         """Draw the picture anew."""
         if min(self._size) > 0:
-            image = picture_of(self._draw(*self._size))
-            self.widget.scene.set_background((*BACKGROUND, 1.0), image)
+            self._backdrop.show(self._draw(*self._size))
 
     def _mouse(self, event: Any) -> Any:
         self._report(event)

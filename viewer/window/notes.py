@@ -6,7 +6,7 @@ import numpy as np
 from open3d.visualization import gui
 from PIL import Image
 
-from viewer.window.pane import picture_of
+from viewer.window.backdrop import picture_of
 
 #: Open3D's flag of windows that stay before others.
 _TOPMOST = 2

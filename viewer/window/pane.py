@@ -24,6 +24,7 @@ from viewer.scenes.appearance import Look, which_drawn
 from viewer.scenes.choice import Appearance
 from viewer.scenes.opened import Opened
 from viewer.scenes.pose import Pose, of_camera
+from viewer.window.backdrop import Backdrop
 from viewer.window.lines import line_mesh
 
 #: Near and far plane, relative to the farthest depth of the scene.
@@ -76,6 +77,7 @@ class Pane:
         # Off: colours stay unchanged, and frames take half the time.
         view.set_post_processing(False)
         view.set_antialiasing(False)
+        self._backdrop = Backdrop(window, self.widget)
         self._picture: NDArray[np.float32] | None = None
         self._background = Appearance().background
         self._splats: Look | None = None
@@ -158,7 +160,7 @@ class Pane:
         if picture is None:
             # Open3D takes a colour as sRGB, but shows pictures as they are.
             picture = np.full((1, 1, 3), self._background, np.float32)
-        self.widget.scene.set_background((0.0, 0.0, 0.0, 1.0), picture_of(picture))
+        self._backdrop.show(picture)
 
     def show_points(self, name: str, points: Points | None) -> None:
         """Show points under a name, replacing those with the same name."""
@@ -222,11 +224,6 @@ class Pane:
             scene.remove_geometry(name)
         if geometry is not None:
             scene.add_geometry(name, geometry, material)
-
-
-def picture_of(image: NDArray) -> o3d.geometry.Image:
-    """Open3D's image of an array ``(H, W, 3)``, float32 or uint8."""
-    return o3d.geometry.Image(np.ascontiguousarray(image))  # type: ignore[call-overload]
 
 
 def point_geometry(

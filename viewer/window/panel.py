@@ -10,9 +10,9 @@ from open3d.visualization import gui
 
 from viewer.pictures.centres import KINDS
 from viewer.pictures.layers import Legend
+from viewer.window.backdrop import picture_of
 from viewer.window.dialogs import folded
 from viewer.window.edit_tab import EditTab
-from viewer.window.pane import picture_of
 from viewer.window.pick_tab import PickTab
 from viewer.window.rate_tab import RateTab
 from viewer.window.scene_tab import SceneTab

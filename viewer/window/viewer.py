@@ -11,6 +11,7 @@ from typing import Any, Literal
 from open3d.visualization import gui, rendering
 
 import gs_codec
+from gs_codec.runtime.arrays import release_large_when_freed
 from viewer.pictures.screenshot import compose, save_picture
 from viewer.scenes.choice import COLOURINGS, MODES, SCALES, Choice
 from viewer.scenes.request import Request
@@ -77,6 +78,8 @@ class Viewer:
         if request.scale is not None:
             self.choice.scales[request.colouring] = request.scale
         self.message: tuple[str, str] | None = None
+        # Else pictures of ever other sizes leave gaps in the process's memory.
+        release_large_when_freed()
         font = monospace()
         self.window = gui.Application.instance.create_window("gs-viewer", *request.size)
         self.modal = dialogs.Modal(self.window)

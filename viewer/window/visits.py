@@ -11,7 +11,8 @@ import gs_codec
 from gs_codec.rendering.images import find_image
 from gs_codec.rendering.photographs import read_photograph
 from viewer.scenes.viewpoints import Viewpoint, Views, choose_views, find_viewpoints
-from viewer.window.pane import HIDDEN, picture_of
+from viewer.window.backdrop import picture_of
+from viewer.window.pane import HIDDEN
 from viewer.window.worker import Stale
 
 

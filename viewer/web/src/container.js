@@ -140,18 +140,14 @@ export class Header {
   }
 
   /**
-   * Refuse a file of another size, and a scene whose floats take more than `maxBytes`.
+   * Refuse a file of another size.
    *
-   * @param {number | undefined} size of the file; undefined where it is not known
+   * @param {number | undefined} size undefined where it is not known
    */
-  checkSize(size, maxBytes = Math.max(2 ** 30, 1000 * (size ?? 0))) {
-    if (size !== undefined) {
-      check(size >= this.end, 'file', `cut off before byte ${this.end}`);
-      check(size === this.end, 'file', 'bytes after the last section');
-    }
-    const floats = 4 * this.count * (14 + 3 * this.coefficients);
-    if (floats > maxBytes)
-      throw new TooLargeError(`${floats} bytes of floats, at most ${maxBytes}`);
+  checkSize(size) {
+    if (size === undefined) return;
+    check(size >= this.end, 'file', `cut off before byte ${this.end}`);
+    check(size === this.end, 'file', 'bytes after the last section');
   }
 
   /**

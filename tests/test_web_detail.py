@@ -289,7 +289,9 @@ def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_pat
         [told] = open_pages(job)
     assert (told.state, told.status, told.errors) == ("ready", "", [])
     first, *later = [value for value in told.values if value is not None]
-    assert "nothing has come for 20 seconds: asking again" in first
+    assert first.startswith(f"{'plain' if which == 'whole' else 'city'}.egs: ")
+    assert first.endswith("nothing has come for 20 seconds: asking again")
+    assert first.count(".egs") == 1
     if later:
         assert later[0].endswith("nothing has come for 20 seconds")
         assert later[1] == (which == "blocks")  # what there is, is drawn meanwhile
@@ -407,8 +409,8 @@ def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
         found = dict(zip(files, open_pages(*jobs), strict=True))
     assert [one.state for one in found.values()] == ["error"] * 3
     assert found["block"].status.startswith("city.egs: level 1: section opacity")
-    assert found["header"].status == "city.egs: level 2: header: checksum"
-    assert found["top"].status == f"city.egs: level {top}: section opacity of block 0: checksum"
+    assert found["header"].status == "city.egs: level 2: header: wrong checksum"
+    assert found["top"].status == f"city.egs: level {top}: section opacity of block 0: wrong checksum"
     ours = drawn(site.scene, site.cameras[1])
     for name, least in {"block": 20, "header": 35, "top": 35}.items():
         assert decibels(seen(tmp_path / f"{name}.png"), ours) > least

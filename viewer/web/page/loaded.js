@@ -111,6 +111,12 @@ export class Loaded {
     return [...this.failures, ...(this.detail?.errors ?? [])];
   }
 
+  /** An error in words. */
+  told({ message }) {
+    const { name, url } = this.entry;
+    return `${name}: ${message.replace(`${url}: `, '')}`; // that it is of this file is said once
+  }
+
   /** What was lost and is asked for again, if anything. */
   get lost() {
     return this.trouble ?? this.detail?.lost;

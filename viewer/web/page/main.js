@@ -75,10 +75,10 @@ class Viewer {
     this.#tell();
   }
 
-  /** What could not be had, and whether all of it is drawn. */
+  /** What could not be had, and what to say of it. */
   get #errors() {
-    const ofScenes = this.scenes.flatMap(({ entry, errors }) =>
-      errors.map((error) => ({ text: `${entry.name}: ${error.message}`, error })),
+    const ofScenes = this.scenes.flatMap((scene) =>
+      scene.errors.map((error) => ({ text: scene.told(error), error })),
     );
     return [...this.failures.map((error) => ({ text: error.message, error })), ...ofScenes];
   }
@@ -90,7 +90,7 @@ class Viewer {
     const lost = this.scenes.find((scene) => scene.lost);
     let text = [...new Set(errors.map((one) => one.text))].join('\n');
     if (!text && isStopped) text = 'Stopped: what had come is shown.';
-    else if (!text && lost) text = `${lost.entry.name}: ${lost.lost.message}: asking again`;
+    else if (!text && lost) text = `${lost.told(lost.lost)}: asking again`;
     const mayRetry = !isStopped && errors.some(({ error }) => error instanceof SourceError);
     this.panel.tell(text, errors.length > 0, mayRetry);
   }

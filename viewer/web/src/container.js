@@ -71,7 +71,7 @@ export class Header {
     if (sections >= 2 ** 24) throw new TooLargeError(`${sections} sections`);
     const table = new Reader(reader.take(20 * sections), 'section table');
     const checksum = crc32c(data.subarray(0, reader.at));
-    check(reader.u32() === checksum, 'header', 'checksum');
+    check(reader.u32() === checksum, 'header', 'wrong checksum');
     if (this.features > 3) throw new UnsupportedError(`features ${this.features}`, 'header');
     check(flags < 8, 'header', `flags ${flags}`);
     this.antialiased = (flags & 4) !== 0;
@@ -194,7 +194,7 @@ export function checked(entry, bytes) {
   const where = `section ${entry.name} of block ${entry.block}`;
   const content = bytes.subarray(0, entry.size);
   check(content.length === entry.size, where, 'truncated');
-  check(crc32c(content) === entry.checksum, where, 'checksum');
+  check(crc32c(content) === entry.checksum, where, 'wrong checksum');
   const padding = bytes.subarray(entry.size, paddedSize(entry));
   check(
     padding.every((byte) => byte === 0),

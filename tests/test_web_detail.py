@@ -82,8 +82,8 @@ class serving:  # noqa: N801
     """A server of a folder, with ranges.
 
     Those of a scene for which `stalls(begin, end)` are not answered, unless `mended` is asked for;
-    for which `fails(begin, end)` are refused when they are asked for first. Of a scene that is asked for whole, half comes, and
-    all of it when it is asked for again.
+    for which `fails(begin, end)` are refused when they are asked for first. Of a scene that is
+    asked for whole, half comes, and all of it when it is asked for again.
     """
 
     def __init__(
@@ -266,7 +266,7 @@ MAY_RETRY = "!document.getElementById('retry').hidden"
 
 @pytest.mark.parametrize("which", ["first", "blocks", "whole"])
 def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_path, which):
-    """In the first bytes, in blocks of the scene itself, in the middle of a scene without levels."""
+    """In the first bytes, in blocks of the scene itself, in a scene without levels."""
     begins = first_block()
 
     def stalls(begin: int, _: int) -> bool:
@@ -410,7 +410,8 @@ def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
     assert [one.state for one in found.values()] == ["error"] * 3
     assert found["block"].status.startswith("city.egs: level 1: section opacity")
     assert found["header"].status == "city.egs: level 2: header: wrong checksum"
-    assert found["top"].status == f"city.egs: level {top}: section opacity of block 0: wrong checksum"
+    told = f"city.egs: level {top}: section opacity of block 0: wrong checksum"
+    assert found["top"].status == told
     ours = drawn(site.scene, site.cameras[1])
     for name, least in {"block": 20, "header": 35, "top": 35}.items():
         assert decibels(seen(tmp_path / f"{name}.png"), ours) > least

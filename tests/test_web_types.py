@@ -58,5 +58,6 @@ def test_they_name_what_there_is():
 
 def members(text: str, name: str) -> set[str]:
     """What a class or interface declares."""
-    [body] = re.findall(rf"^export (?:class|interface) {name}\b[^{{]*{{\n(.*?)^}}", text, re.M | re.S)
+    head = rf"^export (?:class|interface) {name}\b"
+    [body] = re.findall(rf"{head}[^{{]*{{\n(.*?)^}}", text, re.M | re.S)
     return set(re.findall(r"^  (?:readonly )?(\w+)\??[:(]", body, re.M)) - {"constructor"}

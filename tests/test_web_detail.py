@@ -75,13 +75,15 @@ class Asked:
     ranges: list[tuple[int, int]] = field(default_factory=list)
     given: int = 0  # bytes of the scene
     over: threading.Event = field(default_factory=threading.Event)
+    mended: bool = False
 
 
 class serving:  # noqa: N801
     """A server of a folder, with ranges.
 
-    Those of a scene for which `stalls(begin, end)` are not answered; for which `fails(begin, end)`
-    are refused when they are asked for first.
+    Those of a scene for which `stalls(begin, end)` are not answered, unless `mended` is asked for;
+    for which `fails(begin, end)` are refused when they are asked for first. Of a scene that is
+    asked for whole, half comes, and all of it when it is asked for again.
     """
 
     def __init__(
@@ -102,13 +104,22 @@ class serving:  # noqa: N801
             def do_GET(self) -> None:
                 found = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
                 if found is None:
-                    super().do_GET()
+                    if self.path == "/mended":
+                        asked.mended = True
+                        asked.over.set()
+                        self.send_response(204)
+                        self.end_headers()
+                    elif self.path.endswith(".egs"):
+                        self.send_whole()
+                    else:
+                        super().do_GET()
                     return
                 begin, end = int(found[1]), int(found[2]) + 1
                 asked.ranges.append((begin, end))
                 if stalls(begin, end):
                     asked.over.wait(300)
-                    return
+                    if not asked.mended:
+                        return
                 if fails(begin, end) and asked.ranges.count((begin, end)) == 1:
                     self.send_error(503)
                     return
@@ -120,6 +131,18 @@ class serving:  # noqa: N801
                 self.send_header("Content-Length", str(len(part)))
                 self.end_headers()
                 self.wfile.write(part)
+
+            def send_whole(self) -> None:
+                data = Path(self.translate_path(self.path)).read_bytes()
+                asked.ranges.append((0, len(data)))
+                self.send_response(200)
+                self.send_header("Content-Length", str(len(data)))
+                self.end_headers()
+                self.wfile.write(data[: len(data) // 2])
+                if asked.ranges.count((0, len(data))) == 1:
+                    asked.over.wait(300)
+                else:
+                    self.wfile.write(data[len(data) // 2 :])
 
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
 
@@ -232,6 +255,49 @@ def test_what_a_connection_lost_is_asked_for_again(site, tmp_path):
     assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
 
 
+#: Twenty seconds pass at once.
+HASTY = """(() => {
+    const { setTimeout } = window;
+    window.setTimeout = (work, time) => setTimeout(work, time === 20000 ? 200 : time);
+})()"""
+STATUS = "document.getElementById('status').textContent"
+MAY_RETRY = "!document.getElementById('retry').hidden"
+
+
+@pytest.mark.parametrize("which", ["first", "blocks", "whole"])
+def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_path, which):
+    """In the first bytes, in blocks of the scene itself, in a scene without levels."""
+    begins = first_block()
+
+    def stalls(begin: int, _: int) -> bool:
+        return which != "whole" and (begin == 0 if which == "first" else begin >= begins)
+
+    folder = site.folder / "site"
+    if which == "whole":
+        (tmp_path / "plain.egs").write_bytes(without_levels(city()))
+        folder = tmp_path / "plain"
+        share([tmp_path / "plain.egs"], folder, site.folder / "cameras.json")
+    job = Job("", [("key", "n"), ("until", f"{STATUS}.endsWith('asking again')")], before=HASTY)
+    job.steps.append(("value", STATUS))
+    if which != "whole":
+        job.steps += [("until", MAY_RETRY), ("value", STATUS)]
+        job.steps.append(("value", f"{DETAIL}.includes('drawn')"))
+        job.steps += [("value", "fetch('/mended').then(() => null)"), ("click", "#retry")]
+        job.steps.append(("until", f"{STATUS} === ''"))
+    job.shot(str(tmp_path / "near.png"))
+    with serving(folder, stalls) as (job.url, _):
+        [told] = open_pages(job)
+    assert (told.state, told.status, told.errors) == ("ready", "", [])
+    first, *later = [value for value in told.values if value is not None]
+    assert first.startswith(f"{'plain' if which == 'whole' else 'city'}.egs: ")
+    assert first.endswith("nothing has come for 20 seconds: asking again")
+    assert first.count(".egs") == 1
+    if later:
+        assert later[0].endswith("nothing has come for 20 seconds")
+        assert later[1] == (which == "blocks")  # what there is, is drawn meanwhile
+    assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
+
+
 def test_fast_there_and_back_ends_in_the_same_picture(site, tmp_path):
     with serving(site.folder / "site") as (url, _):
         job = Job(url, [])
@@ -263,15 +329,32 @@ ROWS = """(() => {
 })()"""
 
 
+BUDGET = """((value) => {
+    const input = document.getElementById('budget');
+    input.value = value;
+    input.dispatchEvent(new Event('change', {bubbles: true}));
+})"""
+
+
+def test_what_fits_into_another_budget_is_kept(site, tmp_path):
+    """In other places, when there are less of them; it is not asked for again."""
+    job = Job("", [("drawn",), ("key", "n")])
+    job.shot(str(tmp_path / "before.png"))
+    for k, value in enumerate((0.05, 1)):
+        job.steps.append(("value", f"{BUDGET}({value})"))
+        job.shot(str(tmp_path / f"{k}.png"))
+    with serving(site.folder / "site") as (job.url, asked):
+        [told] = open_pages(job)
+    assert (told.state, told.status, told.errors) == ("ready", "", [])
+    assert len(set(asked.ranges)) == len(asked.ranges)
+    for k in range(2):
+        assert decibels(seen(tmp_path / f"{k}.png"), seen(tmp_path / "before.png")) > 50
+
+
 def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
     """15 blocks of 511 Gaussians, each of which takes a row of 1,024."""
-    budget = """((value) => {
-        const input = document.getElementById('budget');
-        input.value = value;
-        input.dispatchEvent(new Event('change', {bubbles: true}));
-    })"""
     shown = ("value", "Number(document.getElementById('budget').value)")
-    job = Job("", [("drawn",), shown, ("value", f"{budget}(0.0154)")], before=ROWS)
+    job = Job("", [("drawn",), shown, ("value", f"{BUDGET}(0.0154)")], before=ROWS)
     for k in range(3):
         job.steps += [("key", "n"), ("drawn",), ("value", DETAIL)]
         job.shot(str(tmp_path / f"{k}.png"))
@@ -281,7 +364,7 @@ def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
         job.steps += [("hold", "Shift+w", 300), ("hold", "ArrowLeft", 300)]
     job.steps += [("key", "r"), ("drawn",)]
     job.shot(str(tmp_path / "back.png"))
-    job.steps += [("value", "window.rows.at(-1)"), ("value", f"{budget}(1)"), ("key", "n")]
+    job.steps += [("value", "window.rows.at(-1)"), ("value", f"{BUDGET}(1)"), ("key", "n")]
     job.shot(str(tmp_path / "more.png"))
     with serving(site.folder / "site") as (url, _):
         job.url = url
@@ -300,7 +383,8 @@ def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
     assert decibels(seen(tmp_path / "more.png"), drawn(site.scene, site.cameras[2])) > 35
 
 
-def test_damaged_levels_are_told_and_coarser_ones_are_drawn(site, tmp_path):
+def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
+    """All blocks of a level, that of the coarsest; without a header, the scene is drawn whole."""
     data = city()
     file = read_file(data)
     place = file.table[SectionId.LEVEL, 1].position
@@ -309,20 +393,29 @@ def test_damaged_levels_are_told_and_coarser_ones_are_drawn(site, tmp_path):
     for block in range(open_level(file, 1).header.block_count):
         damaged = bytes(flipped(damaged, 8 * (place + own[SectionId.OPACITY, block].position)))
     header = bytes(flipped(data, 8 * (file.table[SectionId.LEVEL, 2].position + 20)))
+    top = max(levels_of(file))
+    place = file.table[SectionId.LEVEL, top].position
+    place += open_level(file, top).table[SectionId.OPACITY, 0].position
+    files = {"block": damaged, "header": header, "top": bytes(flipped(data, 8 * place))}
     jobs = []
-    for name, content in (("block", damaged), ("header", header)):
+    for name, content in files.items():
         shutil.copytree(site.folder / "site", tmp_path / name)
         (tmp_path / name / "city.egs").write_bytes(content)
-    with serving(tmp_path) as (url, _):
-        for name in ("block", "header"):
+    with serving(tmp_path) as (url, asked):
+        asked.ranges.append((0, len(data)))  # the whole file is sent at once
+        for name in files:
             jobs.append(Job(f"{url}{name}/index.html", [("drawn",), ("key", "n")]))
             jobs[-1].shot(str(tmp_path / f"{name}.png"))
-        block, header = open_pages(*jobs)
-    assert (block.state, header.state) == ("error", "error")
-    assert block.status.startswith("city.egs: level 1: section opacity")
-    assert header.status == "city.egs: level 2: header: checksum"
+        found = dict(zip(files, open_pages(*jobs), strict=True))
+    assert [one.state for one in found.values()] == ["error"] * 3
+    assert found["block"].status.startswith("city.egs: level 1: section opacity")
+    assert found["header"].status == "city.egs: level 2: header: wrong checksum"
+    told = f"city.egs: level {top}: section opacity of block 0: wrong checksum"
+    assert found["top"].status == told
     ours = drawn(site.scene, site.cameras[1])
-    assert decibels(seen(tmp_path / "block.png"), ours) > 20
+    for name, least in {"block": 20, "header": 35, "top": 35}.items():
+        assert decibels(seen(tmp_path / f"{name}.png"), ours) > least
+    assert max(asked.ranges.count(each) for each in asked.ranges[1:]) <= len(jobs)
 
 
 def test_without_ranges_and_in_one_file_it_is_the_same(site, tmp_path):

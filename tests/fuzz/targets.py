@@ -15,13 +15,14 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import browser
 import foreign
 import numpy as np
 from damage import ENTRY, HEADER, SECTIONS, with_checksums
 from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.batch.ledger import Record, open_ledger
-from gs_codec.codecs import decode_part, encode_scene
+from gs_codec.codecs import decode_part, encode_parts, encode_scene
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.codecs.part import Part
 from gs_codec.config import PROFILE_CHOICES, Config
@@ -31,6 +32,7 @@ from gs_codec.formats.gltf import pack_gltf
 from gs_codec.formats.pickled import parse_pickle
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.sog_files import parse_meta, read_pixels
+from gs_codec.levels.encoding import add_levels
 from gs_codec.preparation.adam import AdamState, new_state
 from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from gs_codec.rendering.cameras import read_cameras
@@ -132,6 +134,22 @@ def _streams() -> list[bytes]:
             streams.append(encode_scene(scene, Config(profile, extra="keep", block_size=1024))[0])
     streams.append(encode_by(random_scene(_COUNT, 2), Config("m"), made_up_guide()))
     return [bytes([first]) + stream for stream in streams for first in (9, 11, 13)]
+
+
+def _browser_streams() -> list[bytes]:
+    profiles = [profile for profile in PROFILE_CHOICES if profile != "lossless"]
+    streams = [
+        encode_scene(random_scene(_COUNT, 2, seed=7), Config(profile))[0] for profile in profiles
+    ]
+    levels = Config("m", lod=True)
+    object.__setattr__(levels, "block_size", 16)  # smaller than an encoder may be asked for
+    parts = encode_parts(random_scene(_COUNT, 1, seed=8), levels)
+    streams.append(b"".join(add_levels(*parts, levels)[0]))
+    return [bytes([first]) + stream for stream in streams for first in (0, 1)] + [
+        b"\1" + path.read_bytes()
+        for path in sorted((Path(__file__).parents[1] / "golden").glob("*.egs"))
+        if "lossless" not in path.name and path.stat().st_size < 7_000
+    ]
 
 
 def _scene_file(suffix: str) -> Callable[[bytes], object]:
@@ -335,6 +353,7 @@ def _in_folder(read: Callable[[Path, bytes], object], data: bytes) -> object:
 
 TARGETS = {
     "decode": Target(_decode, _streams),
+    **({"browser": Target(browser.compare, _browser_streams)} if browser.NODE else {}),
     "ply": Target(_scene_file(".ply"), _plys),
     "packed-ply": Target(_scene_file(".ply"), _packed_plys),
     "splat": Target(_scene_file(".splat"), _splats),

@@ -3,7 +3,7 @@
 //
 // A block is kept only while that which stands for it is kept, too. So wherever finer blocks are not
 // there, or not all of those in view, there is a coarser one to draw in their place.
-import { SourceError } from '../src/index.js';
+import { CorruptError, SourceError } from '../src/index.js';
 import { childrenOf, inView, look, refine } from '../src/selection.js';
 import { ROW } from './limits.js';
 import { Splats } from './renderer.js';
@@ -18,7 +18,7 @@ const REQUESTS = 4;
 const MOST_WAITING = 16;
 
 /** Milliseconds after which blocks that a connection lost are asked for again, one time after another. */
-const AGAIN = [1000, 2000, 4000];
+export const AGAIN = [1000, 3000];
 
 /** Levels of a file are fewer. */
 const LEVELS = 64;
@@ -30,8 +30,8 @@ export class Detail {
   #resident = new Map(); // blocks with a place, by key: {level, block, place, used}
   #waiting = new Map(); // decoded blocks without one, by key: {level, block, scene, first}
   #requests = new Set(); // {blocks, controller}
-  #failed = new Map(); // blocks that did not come, by key: how often, and when to ask again
-  #free = []; // places
+  #failed = new Map(); // blocks that did not come, by key: {times, again, error}, again at a time
+  #free; // places
   #leaving = []; // places that are to be free, once they are in no order
   #wanted = []; // blocks, in the order in which they are fetched; the first `needed` for this view
   #wantedKeys = new Map(); // and their place in it
@@ -41,14 +41,14 @@ export class Detail {
   #asked = new Set(); // of that which is made
   #aim = '';
   #moment = 0;
-  #top; // decoded, as it is always needed
+  #top; // decoded, as it is always needed; without `scene` if it is damaged
 
   /**
    * @param {EgsFile} file with levels
    * @param {WebGL2RenderingContext} gl
    * @param {object} tell `changed()` if others are to be drawn, `progress()`, `put(first, positions)`
-   *   of x, y, z of Gaussians that are new, `sized(count)` if there is room for so many,
-   *   `failed(error)`
+   *   of x, y, z of Gaussians that are new, `sized(count, moves, size)` if there is room for so many, of which `size` went from
+   *   one place to another by each of `moves`
    */
   constructor(file, gl, tell) {
     Object.assign(this, { file, gl, tell });
@@ -62,9 +62,15 @@ export class Detail {
 
   /** Fetch what everything is drawn by at first. */
   async begin(budget) {
-    const blocks = [...Array(this.file.levels[this.top].blocks).keys()];
-    const { scene, parts } = await this.#decode(this.top, blocks);
-    this.#top = parts.map((part) => ({ ...part, scene }));
+    try {
+      const { scene, parts } = await this.#decode(this.top, [0]);
+      this.#top = { ...parts[0], scene };
+    } catch (error) {
+      if (!(error instanceof CorruptError) || this.top === 0) throw error;
+      this.#top = { level: this.top, block: 0 };
+      this.#failed.set(keyOf(this.#top), { times: 1, again: Infinity, error });
+      this.isPictured = true; // as far as it can be
+    }
     this.resize(budget);
   }
 
@@ -74,28 +80,49 @@ export class Detail {
     return { scene: await this.file.decode(level, blocks, { onBlock, signal }), parts };
   }
 
-  /** Hold so many Gaussians at most, or those of the coarsest level. */
+  /** Hold so many Gaussians at most, or those of the coarsest level; what has a place keeps one. */
   resize(budget) {
-    const { file, gl, rows, top } = this;
+    const { file, gl, rows, splats: before } = this;
     const blocks = file.levels.reduce((sum, level) => sum + level.blocks, 0);
     const most = Math.floor(gl.getParameter(gl.MAX_TEXTURE_SIZE) / rows);
-    const wanted = Math.max(Math.floor(budget / (rows * ROW)), file.levels[top].blocks);
-    this.places = Math.min(wanted, blocks, most);
-    for (const { controller } of this.#requests) controller.abort();
-    for (const kept of [this.#resident, this.#waiting, this.#shown, this.#asked]) kept.clear();
-    this.#leaving = [];
-    this.#free = [...Array(this.places).keys()].reverse();
-    this.splats?.dispose();
-    this.splats = undefined; // if there is no memory
-    this.tell.sized(0);
+    const places = Math.min(Math.max(Math.floor(budget / (rows * ROW)), 1), blocks, most);
+    if (before && places === this.places) return;
     const { degree, antialiased } = file;
-    const count = this.places * rows * ROW;
-    this.splats = new Splats(gl, { count, degree, antialiased });
-    this.tell.sized(count);
+    const count = places * rows * ROW;
+    const splats = new Splats(gl, { count, degree, antialiased });
+    this.splats = splats;
+    this.places = places;
+    const moves = this.#move().map((pair) => pair.map((place) => place * rows * ROW));
+    if (before) splats.copy(before, moves, rows);
+    before?.dispose();
+    this.tell.sized(count, moves, rows * ROW);
     this.#aim = '';
-    this.#want(this.#top, []);
-    for (const part of this.#top) this.#waiting.set(keyOf(part), part);
+    if (!before) {
+      this.#want([this.#top], []);
+      (this.#top.scene ? this.#waiting : this.#resident).set(keyOf(this.#top), this.#top);
+    }
     this.#place();
+  }
+
+  /** Give blocks places among others than before, the last used first: where from and to. */
+  #move() {
+    const { places } = this;
+    this.#shown.clear();
+    this.#asked.clear();
+    this.#leaving = [];
+    const before = [...this.#resident.values()];
+    before.sort((a, b) => b.used - a.used || b.level - a.level);
+    const kept = before.slice(0, places);
+    for (const one of before.slice(places)) this.#resident.delete(keyOf(one));
+    const taken = new Set(kept.map(({ place }) => place));
+    this.#free = [...Array(places).keys()].reverse().filter((place) => !taken.has(place));
+    return kept
+      .filter(({ place }) => place !== undefined)
+      .map((one) => {
+        const from = one.place;
+        if (from >= places) one.place = this.#free.pop();
+        return [from, one.place];
+      });
   }
 
   /** See to what a view needs; see `EgsFile.select`. */
@@ -117,16 +144,18 @@ export class Detail {
       const { level, block } = parentOf({ level: key % LEVELS, block: Math.floor(key / LEVELS) });
       if (again > performance.now() && level <= top) seen[level].errors[block] = 0;
     }
-    let places = file.levels[top].blocks;
+    if (!this.#top.scene) seen[top].errors[0] = Infinity;
+    let places = 1;
     const fits = (_, children) => (places += children.length) <= this.places;
     const { refined } = refine(seen, inView(seen[top]), TOLERANCE, fits);
-    const needed = refined.flatMap(({ children }) => children);
+    const isLost = (one) => this.#failed.get(keyOf(one))?.again > performance.now();
+    const needed = refined.flatMap(({ children }) => children.filter((one) => !isLost(one)));
     // Neighbours just out of view, but of the finest level: a turn would show coarser blocks instead.
     const beside = refined.flatMap(({ parent: { level, block } }) =>
       level > 1 ? childrenOf(level, block, file.levels[level - 1].blocks) : [],
     );
     this.#refined = new Set(refined.map(({ parent }) => keyOf(parent)));
-    this.#want([...this.#top, ...needed], beside);
+    this.#want([this.#top, ...needed], beside);
     for (const request of this.#requests) {
       const isPast = !request.blocks.some((block) => this.#wantedKeys.has(keyOf(block)));
       if (isPast) request.controller.abort();
@@ -167,6 +196,28 @@ export class Detail {
     const isThere = (block) => this.#resident.has(keyOf(block));
     const wanted = this.#wanted.slice(0, this.needed);
     return wanted.reduce((sum, block) => sum + !isThere(block), again.length);
+  }
+
+  /** Why blocks are given up. */
+  get errors() {
+    const given = [...this.#failed.values()].filter(({ again }) => again === Infinity);
+    return given.map(({ error }) => error);
+  }
+
+  /** What a connection has lost that will be asked for again, if anything. */
+  get lost() {
+    const now = performance.now();
+    const isAwaited = ([key, { again }]) =>
+      again < Infinity && (again > now || this.#wantedKeys.has(key));
+    return [...this.#failed].find(isAwaited)?.[1].error;
+  }
+
+  /** Ask once more for what connections have lost. */
+  retry() {
+    for (const [key, { error }] of this.#failed) {
+      if (error instanceof SourceError) this.#failed.delete(key);
+    }
+    this.#aim = '';
   }
 
   /** Whether all that this view needs is there, or nothing more comes. */
@@ -226,18 +277,14 @@ export class Detail {
     const times = this.#failed.get(keyOf(blocks[0]))?.times ?? 0;
     const wait = error instanceof SourceError ? AGAIN[times] : undefined;
     const again = performance.now() + (wait ?? Infinity);
-    for (const block of blocks) this.#failed.set(keyOf(block), { times: times + 1, again });
-    // Then others are needed.
+    for (const block of blocks) this.#failed.set(keyOf(block), { times: times + 1, again, error });
+    // Others are needed now, and then these.
     const aimAgain = () => {
       this.#aim = '';
       this.tell.progress();
     };
-    if (wait !== undefined) {
-      setTimeout(aimAgain, wait + 1);
-    } else {
-      this.#aim = '';
-      this.tell.failed(error);
-    }
+    aimAgain();
+    if (wait !== undefined) setTimeout(aimAgain, wait + 1);
   }
 
   /** Fetch nothing more. */
@@ -300,21 +347,23 @@ export class Detail {
 
   /** Blocks to draw: `[first, end]` of their Gaussians, for an order that will be made. */
   ranges() {
-    const { file, rows, top } = this;
+    const { file, rows } = this;
     const found = [];
     const places = new Set();
     this.drawn = 0;
     const draw = (one) => {
       const resident = this.#resident.get(keyOf(one));
+      const isDamaged = resident.place === undefined;
       if (this.#refined.has(keyOf(one))) {
         const children = childrenOf(one.level, one.block, file.levels[one.level - 1].blocks);
         const isIn = ({ level, block }) => this.#seen[level].inView[block];
         const there = children.filter((child) => this.#resident.has(keyOf(child)));
-        if (children.every((child) => !isIn(child) || there.includes(child))) {
+        if (isDamaged || children.every((child) => !isIn(child) || there.includes(child))) {
           there.forEach(draw);
           return;
         }
       }
+      if (isDamaged) return;
       const { count, blockSize } = file.levels[one.level];
       const first = resident.place * rows * ROW;
       const size = Math.min(blockSize, count - one.block * blockSize);
@@ -322,7 +371,7 @@ export class Detail {
       found.push([first, first + size]);
       this.drawn += size;
     };
-    for (const one of this.#top) if (this.#resident.has(keyOf(one))) draw({ ...one, level: top });
+    if (this.#resident.has(keyOf(this.#top))) draw(this.#top);
     this.#asked = places;
     return found;
   }

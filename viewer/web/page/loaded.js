@@ -2,8 +2,8 @@
 import sorterText from 'text:./sorter.js';
 import workerText from 'text:../src/worker.js';
 
-import { decode, open } from '../src/index.js';
-import { Detail } from './detail.js';
+import { SourceError, decode, open } from '../src/index.js';
+import { AGAIN, Detail } from './detail.js';
 import { axesOf } from './pose.js';
 import { Splats } from './renderer.js';
 
@@ -36,13 +36,14 @@ export class Loaded {
   /**
    * @param {{name: string, url?: string, data?: string}} entry what the page says of the scene:
    *   where it is, or the element that holds it; `levels`, if it has levels of detail
-   * @param {(scene: Loaded) => void} changed called when more can be drawn
-   * @param {(error: Error) => void} failed called when a part cannot be had
+   * @param {(scene: Loaded) => void} changed called when more can be drawn, or something is lost
    */
-  constructor(entry, changed, failed) {
+  constructor(entry, changed) {
     this.entry = entry;
     this.changed = changed;
-    this.failed = failed;
+    this.isLoaded = false; // of a scene with levels, as far as all views need it
+    this.failures = []; // of the last try to load it
+    this.trouble = null; // a failure after which it is tried again
     this.splats = null; // until the first block is there
     this.detail = null; // of a scene with levels
     this.share = 0; // of the file that has been read
@@ -60,18 +61,65 @@ export class Loaded {
    * @param {WebGL2RenderingContext} gl
    * @param {AbortSignal} signal
    * @param {() => number} budget most Gaussians of a scene with levels
-   * @throws {Error} of the decoder
    */
   async load(gl, signal, budget) {
-    if (this.entry.url && location.protocol === 'file:') {
+    for (const wait of [...AGAIN, undefined]) {
+      try {
+        await this.#load(gl, signal, budget);
+        this.isLoaded = true;
+      } catch (error) {
+        if (signal.aborted) break;
+        if (error instanceof SourceError && wait !== undefined) {
+          this.trouble = error;
+          this.changed(this);
+          await new Promise((resolve) => setTimeout(resolve, wait));
+          if (!signal.aborted) continue;
+        } else {
+          this.failures.push(error);
+        }
+      }
+      break;
+    }
+    this.trouble = null;
+    this.changed(this);
+  }
+
+  async #load(gl, signal, budget) {
+    const { entry } = this;
+    this.failures = [];
+    if (entry.url && location.protocol === 'file:') {
       throw new Error(
         'pages on disk cannot read files beside them: serve it, or share one .html file',
       );
     }
-    const source = this.entry.url ?? inPage(this.entry.data);
-    if (this.entry.levels) await this.#open(source, gl, signal, budget);
-    else await this.#decode(source, gl, signal);
-    this.changed(this);
+    const source = entry.url ?? (this.data ??= inPage(entry.data));
+    if (entry.levels) {
+      try {
+        await this.#open(source, gl, signal, budget);
+        return;
+      } catch (error) {
+        // Of a damaged level, the scene itself may be sound.
+        if (!error.level || error instanceof SourceError || signal.aborted) throw error;
+        this.failures.push(error);
+      }
+    }
+    await this.#decode(source, gl, signal);
+  }
+
+  /** Why it is not all there, beside what is asked for again. */
+  get errors() {
+    return [...this.failures, ...(this.detail?.errors ?? [])];
+  }
+
+  /** An error in words. */
+  told({ message }) {
+    const { name, url } = this.entry;
+    return `${name}: ${message.replace(`${url}: `, '')}`; // that it is of this file is said once
+  }
+
+  /** What was lost and is asked for again, if anything. */
+  get lost() {
+    return this.trouble ?? this.detail?.lost;
   }
 
   async #open(source, gl, signal, budget) {
@@ -86,21 +134,26 @@ export class Loaded {
       },
       progress: () => this.changed(this),
       put: (first, block) => this.sorter.postMessage({ first, block }, [block.buffer]),
-      sized: (room) => {
-        this.splats = detail.splats ?? null;
+      sized: (room, moves, size) => {
+        this.splats = detail.splats;
         this.room = 3 * room;
-        this.sorter.postMessage({ count: room });
+        this.sorter.postMessage({ count: room, moves, size });
       },
-      failed: this.failed,
     });
+    try {
+      await detail.begin(budget());
+    } catch (error) {
+      file.close();
+      throw error;
+    }
     this.detail = detail;
     signal.addEventListener('abort', () => detail.stop());
-    await detail.begin(budget());
     this.scene = { count, degree, profile, bytes };
     this.share = 1; // what comes later is of the views
   }
 
   async #decode(source, gl, signal) {
+    let splats;
     const scene = await decode(source, {
       signal,
       createWorker: () => worker(workerText),
@@ -109,14 +162,14 @@ export class Loaded {
         this.changed(this);
       },
       onBlock: (found, { first, count, degree }) => {
-        this.splats ??= this.#begin(gl, found);
-        this.splats.load(found, first, first, count, degree);
+        splats ??= this.#begin(gl, found);
+        splats.load(found, first, first, count, degree);
         if (degree === 0) this.#addToSorter(found, first, count);
         this.changed(this);
       },
     });
-    this.splats ??= this.#begin(gl, scene); // of an empty scene no block comes
-    this.splats.complete();
+    splats ??= this.#begin(gl, scene); // of an empty scene no block comes
+    splats.complete();
   }
 
   #begin(gl, scene) {
@@ -128,7 +181,9 @@ export class Loaded {
       profile: scene.profile,
       bytes: scene.bytes,
     };
-    return new Splats(gl, scene);
+    this.splats?.dispose(); // of a try before
+    this.splats = null;
+    return (this.splats = new Splats(gl, scene));
   }
 
   #addToSorter({ count: all, positions }, first, count) {

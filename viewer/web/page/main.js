@@ -1,4 +1,5 @@
 // The page: one scene, or two to compare.
+import { SourceError } from '../src/index.js';
 import { control } from './controls.js';
 import { Loaded } from './loaded.js';
 import { REST, Pace } from './pace.js';
@@ -24,18 +25,11 @@ class Viewer {
     this.pace = new Pace();
     this.shrink = null; // by what the sides of the last picture were divided
     this.isSaving = false;
-    this.failures = [];
+    this.failures = []; // of the device
     this.look = { show: 'a', split: 0.5, degree: 3, background: 'black' };
     this.budget = defaultBudget();
     this.panel = new Panel(this, scenes);
-    this.scenes = scenes.map(
-      (entry) =>
-        new Loaded(
-          entry,
-          () => this.#arrived(),
-          (error) => this.#fail(error, entry.name),
-        ),
-    );
+    this.scenes = scenes.map((entry) => new Loaded(entry, () => this.#arrived()));
     this.choose(0);
     control(this.canvas, this);
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
@@ -53,25 +47,52 @@ class Viewer {
       return;
     }
     this.redraw();
-    const { signal } = this.abort;
-    const tasks = this.scenes.map((scene) =>
-      scene
-        .load(this.renderer.gl, signal, () => this.#share)
-        .catch((error) => {
-          if (!signal.aborted) this.#fail(error, scene.entry.name);
-        }),
-    );
-    signal.addEventListener('abort', () => this.panel.tell('Stopped: what had come is shown.'));
-    await Promise.all(tasks);
-    this.panel.loaded();
-    this.isLoaded = true;
-    this.redraw();
+    this.abort.signal.addEventListener('abort', () => this.#tell());
+    await this.#load();
   }
 
-  #fail(error, name = '') {
-    const text = name ? `${name}: ${error.message}` : error.message;
-    if (!this.failures.includes(text)) this.failures.push(text);
-    this.panel.tell(this.failures.join('\n'), true);
+  /** Load what is not there yet. */
+  async #load() {
+    const { signal } = this.abort;
+    const missing = this.scenes.filter(({ isLoaded }) => !isLoaded);
+    this.isLoaded = missing.length === 0;
+    await Promise.all(
+      missing.map((scene) => scene.load(this.renderer.gl, signal, () => this.#share)),
+    );
+    this.panel.loaded();
+    this.isLoaded = true;
+    this.#arrived();
+  }
+
+  /** Ask once more for what connections have lost. */
+  retry() {
+    for (const { detail } of this.scenes) detail?.retry();
+    if (this.isLoaded) this.#load();
+  }
+
+  #fail(error) {
+    this.failures.push(error);
+    this.#tell();
+  }
+
+  /** What could not be had, and what to say of it. */
+  get #errors() {
+    const ofScenes = this.scenes.flatMap((scene) =>
+      scene.errors.map((error) => ({ text: scene.told(error), error })),
+    );
+    return [...this.failures.map((error) => ({ text: error.message, error })), ...ofScenes];
+  }
+
+  /** Say what is wrong, or that nothing is. */
+  #tell() {
+    const errors = this.#errors;
+    const isStopped = this.abort.signal.aborted;
+    const lost = this.scenes.find((scene) => scene.lost);
+    let text = [...new Set(errors.map((one) => one.text))].join('\n');
+    if (!text && isStopped) text = 'Stopped: what had come is shown.';
+    else if (!text && lost) text = `${lost.told(lost.lost)}: asking again`;
+    const mayRetry = !isStopped && errors.some(({ error }) => error instanceof SourceError);
+    this.panel.tell(text, errors.length > 0, mayRetry);
   }
 
   /** The share of the budget that a scene with levels has. */
@@ -93,6 +114,7 @@ class Viewer {
   #arrived() {
     if (!this.isLoaded) this.panel.progress(this.scenes); // orders come later, too
     this.panel.detailed(this.scenes, this.abort.signal.aborted);
+    this.#tell();
     this.redraw();
   }
 
@@ -207,7 +229,7 @@ class Viewer {
     else if (this.isSaving) this.#download();
     const inOrder = this.shrink === 1 && scenes.every((scene) => scene.isInOrder(pose));
     const state = !inOrder ? 'drawing' : this.#isThere ? 'ready' : 'loading';
-    document.body.dataset.state = this.failures.length && state === 'ready' ? 'error' : state;
+    document.body.dataset.state = state === 'ready' && this.#errors.length ? 'error' : state;
   }
 
   /** Draw in full when the camera rests. */

@@ -48,6 +48,7 @@ export class Panel {
   #listen() {
     const { viewer } = this;
     $('stop').addEventListener('click', () => viewer.abort.abort());
+    $('retry').addEventListener('click', () => viewer.retry());
     $('save').addEventListener('click', () => viewer.save());
     $('views').addEventListener('change', ({ target }) => viewer.choose(Number(target.value)));
     $('degree').addEventListener('change', ({ target }) =>
@@ -104,10 +105,13 @@ export class Panel {
     actions[event.key.toLowerCase()]?.();
   }
 
-  /** Say something, below the picture. */
-  tell(text, isError = false) {
-    $('status').textContent = text;
-    $('status').classList.toggle('error', isError);
+  /** Say something, below the picture; what connections have lost may be asked for again. */
+  tell(text, isError, mayRetry) {
+    // What is written anew is read out anew.
+    if ($('status').textContent !== text) $('status').textContent = text;
+    $('told').hidden = !text;
+    $('told').classList.toggle('error', isError);
+    $('retry').hidden = !mayRetry;
   }
 
   /** Which view is shown. */
@@ -130,9 +134,11 @@ export class Panel {
   progress(scenes) {
     const least = Math.min(...scenes.map(({ share }) => share));
     this.#title(`Loading: ${Math.floor(100 * least)} %`);
+    $('stop').hidden = this.viewer.abort.signal.aborted;
     scenes.forEach(({ share, scene, entry }, k) => {
       const { told, bar } = this.rows[k];
       bar.value = share;
+      bar.hidden = share === 1;
       if (!scene || told.textContent) return;
       const bytes = Object.values(scene.bytes).reduce((sum, size) => sum + size, 0);
       const size = `${number(bytes / 1e6, 2)} MB`;

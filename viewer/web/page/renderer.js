@@ -78,6 +78,7 @@ export class Splats {
     this.projected = [0, 1].map(() => texture(gl, gl.RGBA32UI, ROW, this.rows));
     this.target = targetOf(gl, ...this.projected);
     if (gl.getError() === gl.OUT_OF_MEMORY) {
+      this.dispose();
       throw new DeviceError(`${scene.count} Gaussians: the graphics card has no memory for them`);
     }
     this.drawn = 0;
@@ -95,6 +96,24 @@ export class Splats {
     const span = [from * ROW + shift, Math.min(until * ROW + shift, scene.count)];
     if (degree === 0) this.#loadShapes(scene, span, from, until);
     else this.#loadHarmonics(scene, span, from, until);
+  }
+
+  /** Take from another of the same degree `rows` rows for each `[from, to]`, numbers of Gaussians. */
+  copy(other, moves, rows) {
+    const { gl } = this;
+    for (const [name, texels] of [
+      ['shapes', SHAPE],
+      ['harmonics', this.texels],
+    ]) {
+      if (texels === 0) continue;
+      const source = targetOf(gl, other[name]);
+      gl.bindTexture(gl.TEXTURE_2D, this[name]);
+      for (const [from, to] of moves) {
+        const area = [0, to / ROW, 0, from / ROW, ROW * texels, rows];
+        gl.copyTexSubImage2D(gl.TEXTURE_2D, 0, ...area);
+      }
+      gl.deleteFramebuffer(source);
+    }
   }
 
   #loadShapes(scene, [begin, end], from, until) {

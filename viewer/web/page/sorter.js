@@ -5,7 +5,14 @@ let positions = new Float32Array(0); // x, y, z of each Gaussian
 let known = []; // [first, end] of what is decoded, or is to be drawn
 
 self.onmessage = ({ data }) => {
-  if (data.count !== undefined) positions = new Float32Array(3 * data.count);
+  if (data.count !== undefined) {
+    const before = positions;
+    positions = new Float32Array(3 * data.count);
+    for (const [from, to] of data.moves ?? []) {
+      positions.set(before.subarray(3 * from, 3 * (from + data.size)), 3 * to);
+    }
+    known = [];
+  }
   if (data.block) {
     positions.set(data.block, 3 * data.first);
     known.push([data.first, data.first + data.block.length / 3]);

@@ -4,7 +4,7 @@ import { check } from './errors.js';
 import { COARSE, ONE, POWERS, PRECISION, SLOTS, fixedPoint } from './lattice.js';
 import { Neighbours } from './neighbours.js';
 import { bitLength, clamp, inRange } from './numbers.js';
-import { LANES, checkLastStates, firstStates, wordsOf } from './tables.js';
+import { LANES, Words, checkLastStates, firstStates } from './tables.js';
 import { addBits, axesOf, walkTree } from './tree.js';
 
 const ROOTS = [1 / Math.sqrt(3), 1 / Math.sqrt(2), 1 / Math.sqrt(6)];
@@ -14,13 +14,12 @@ class Stream {
   constructor(content, where) {
     const reader = new Reader(content, where);
     this.where = where;
-    this.words = wordsOf(reader.take(reader.u32()), where);
-    this.at = 0;
+    this.words = new Words(reader.take(reader.u32()), where);
     this.raw = new RawBits(reader.rest(), where);
   }
 
   finish() {
-    check(this.at === this.words.length, this.where, 'words after or past the end');
+    this.words.finish();
     this.raw.finish();
   }
 }
@@ -43,10 +42,7 @@ class Pass {
     let end = starts[table + token + 1];
     while (slot >= end) end = starts[table + ++token + 1];
     const start = starts[table + token];
-    let next = (Math.imul(end - start, state >>> PRECISION) + slot - start) >>> 0;
-    // Words past the end read as 0; `finish` tells that there were not so many.
-    if (next < 65536) next = ((next << 16) | stream.words[stream.at++]) >>> 0;
-    states[lane] = next;
+    states[lane] = stream.words.next(state, PRECISION, end - start, slot - start);
     this.lane = (lane + 1) & (LANES - 1);
     let magnitude = token >> 1;
     if (magnitude >= 16) {

@@ -71,7 +71,7 @@ export class Header {
     if (sections >= 2 ** 24) throw new TooLargeError(`${sections} sections`);
     const table = new Reader(reader.take(20 * sections), 'section table');
     const checksum = crc32c(data.subarray(0, reader.at));
-    check(reader.u32() === checksum, 'header', 'checksum');
+    check(reader.u32() === checksum, 'header', 'wrong checksum');
     if (this.features > 3) throw new UnsupportedError(`features ${this.features}`, 'header');
     check(flags < 8, 'header', `flags ${flags}`);
     this.antialiased = (flags & 4) !== 0;
@@ -140,18 +140,14 @@ export class Header {
   }
 
   /**
-   * Refuse a file of another size, and a scene whose floats take more than `maxBytes`.
+   * Refuse a file of another size.
    *
-   * @param {number | undefined} size of the file; undefined where it is not known
+   * @param {number | undefined} size undefined where it is not known
    */
-  checkSize(size, maxBytes = Math.max(2 ** 30, 1000 * (size ?? 0))) {
-    if (size !== undefined) {
-      check(size >= this.end, 'file', `cut off before byte ${this.end}`);
-      check(size === this.end, 'file', 'bytes after the last section');
-    }
-    const floats = 4 * this.count * (14 + 3 * this.coefficients);
-    if (floats > maxBytes)
-      throw new TooLargeError(`${floats} bytes of floats, at most ${maxBytes}`);
+  checkSize(size) {
+    if (size === undefined) return;
+    check(size >= this.end, 'file', `cut off before byte ${this.end}`);
+    check(size === this.end, 'file', 'bytes after the last section');
   }
 
   /**
@@ -198,7 +194,7 @@ export function checked(entry, bytes) {
   const where = `section ${entry.name} of block ${entry.block}`;
   const content = bytes.subarray(0, entry.size);
   check(content.length === entry.size, where, 'truncated');
-  check(crc32c(content) === entry.checksum, where, 'checksum');
+  check(crc32c(content) === entry.checksum, where, 'wrong checksum');
   const padding = bytes.subarray(entry.size, paddedSize(entry));
   check(
     padding.every((byte) => byte === 0),

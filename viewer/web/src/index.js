@@ -1,12 +1,20 @@
 // Decoder of .egs files (gs_codec), written from FORMAT.md.
 import { checkBox, checkSupport, readComments } from './container.js';
+import { Ending } from './ending.js';
 import { CorruptError } from './errors.js';
 import { Opened, readHeader, runsOf, takeRun } from './opened.js';
 import { createPool } from './pool.js';
-import { Scene } from './scene.js';
+import { Scene, checkFloats } from './scene.js';
 import { openSource } from './source.js';
 
-export * from './errors.js';
+export {
+  CorruptError,
+  EgsError,
+  SourceError,
+  TooLargeError,
+  UnsupportedError,
+  WorkerError,
+} from './errors.js';
 export { open } from './levels.js';
 export { Scene };
 
@@ -26,8 +34,8 @@ export { Scene };
  * @param {number} [options.workers] how many decode at once; 0 is this thread
  * @param {() => Worker} [options.createWorker] a worker that runs `worker.js`, where it cannot be
  *   found beside this module
- * @param {number} [options.maxBytes] most bytes of the file's floats; by default 1 GiB or, where its
- *   size is known, 1000 times the file
+ * @param {number} [options.maxBytes] most bytes of the floats that are decoded; by default 1 GiB or,
+ *   where its size is known, 1000 times the file
  * @param {AbortSignal} [options.signal]
  * @returns {Promise<Scene>}
  * @throws {EgsError} one of its classes; the signal's reason; RangeError of options
@@ -37,17 +45,12 @@ export async function decode(source, options = {}) {
   const { signal } = options;
   signal?.throwIfAborted();
   const input = await openSource(source, options.box !== undefined, signal);
-  const decoding = new Decoding(input, options);
-  const abort = () => decoding.fail(signal.reason);
-  signal?.addEventListener('abort', abort);
-  if (signal?.aborted) abort();
+  const ending = new Ending(signal);
+  const decoding = new Decoding(input, options, ending);
   try {
-    return await Promise.race([decoding.run(), decoding.failed]);
-  } catch (error) {
-    decoding.fail(error);
-    throw decoding.failure;
+    return await ending.before(decoding.run());
   } finally {
-    signal?.removeEventListener('abort', abort);
+    ending.release();
     decoding.close();
     input.close();
   }
@@ -68,21 +71,12 @@ function checkOptions({ shDegree, box, maxBytes }) {
 }
 
 class Decoding {
-  constructor(input, options) {
+  constructor(input, options, ending) {
     this.input = input;
     this.options = options;
+    this.ending = ending; // nothing is told after it
     this.blocks = new Map(); // by number: where a block begins, and what of it waits
     this.pending = [];
-    this.failure = null; // what went wrong first; nothing is told after it
-    this.failed = new Promise((_, reject) => (this.reject = reject));
-    this.failed.catch(() => {}); // it is waited for, or has come too late to matter
-  }
-
-  /** End with an error, whatever is waited for. */
-  fail(error) {
-    if (this.failure) return;
-    this.failure = error;
-    this.reject(error);
   }
 
   close() {
@@ -93,7 +87,7 @@ class Decoding {
     const { input, options } = this;
     const header = (this.header = await readHeader(input));
     checkSupport(header);
-    header.checkSize(input.size, options.maxBytes);
+    header.checkSize(input.size);
     this.degree = Math.min(options.shDegree ?? 3, header.degree);
     const opened = new Opened(header);
     let comments = [];
@@ -120,16 +114,16 @@ class Decoding {
     const { input, options, header } = this;
     for (const run of runsOf(entries, input.atOnce)) {
       const data = await input.read(run.begin, run.end);
-      if (this.failure) throw this.failure;
+      this.ending.signal.throwIfAborted();
       takeRun(run, data, take);
       options.onProgress?.(run.end, header.end);
-      if (this.failure) throw this.failure;
+      this.ending.signal.throwIfAborted();
     }
   }
 
   /** Learn from the first sections which blocks there are and what they have. */
   #begin(opened) {
-    const { header, options, degree } = this;
+    const { input, header, options, degree } = this;
     opened.begin(degree);
     this.boxes = opened.boxes;
     this.parts = opened.parts;
@@ -139,6 +133,7 @@ class Decoding {
       this.blocks.set(block, { first, sections: {}, next: 0 });
       first += header.blockCount(block);
     }
+    checkFloats(first, degree, options.maxBytes ?? Math.max(2 ** 30, 1000 * (input.size ?? 0)));
     this.scene = new Scene(header, first, degree);
     this.pool = createPool([opened.setup], this.blocks.size, options);
     // Values of blocks without sections are constant.
@@ -167,7 +162,7 @@ class Decoding {
       const given = Object.fromEntries(names.map((name) => [name, sections[name]]));
       for (const name of names) delete sections[name];
       const done = this.#decode(block, waiting.next, given);
-      done.catch((error) => this.fail(error));
+      done.catch((error) => this.ending.end(error));
       this.pending.push(done);
     }
   }
@@ -177,7 +172,7 @@ class Decoding {
     const { first } = this.blocks.get(block);
     const count = header.blockCount(block);
     const planes = await this.pool.decode({ file: 0, block, count, part, sections });
-    if (this.failure) throw this.failure;
+    this.ending.signal.throwIfAborted();
     if (part === 0) checkBox(this.boxes[block].centres, planes, count, block);
     scene.put(part, planes, first, count);
     options.onBlock?.(scene, { block, first, count, degree: part });

@@ -1,5 +1,6 @@
 // A file of which chosen blocks, of chosen levels of detail, are read and decoded.
 import { checkBox, checkErrors, checkLevel, checkSupport } from './container.js';
+import { Ending } from './ending.js';
 import { EgsError, check } from './errors.js';
 import { Opened, readHeader, runsOf, takeRun } from './opened.js';
 import { createPool } from './pool.js';
@@ -29,16 +30,9 @@ export async function open(source, options = {}) {
   const { signal } = options;
   signal?.throwIfAborted();
   const input = await openParts(source, signal);
-  const file = new EgsFile(input, options);
-  const abort = () => file.close(signal.reason);
-  signal?.addEventListener('abort', abort);
-  if (signal?.aborted) abort();
-  try {
-    return await Promise.race([file.begin(), file.closed]);
-  } catch (error) {
-    file.close(error);
-    throw file.failure;
-  }
+  const ending = new Ending(signal);
+  const file = new EgsFile(input, options, ending);
+  return ending.before(file.begin());
 }
 
 /** A source, positions in which count from a place in another, and of which the start may be known. */
@@ -85,15 +79,18 @@ export class EgsFile {
   #options;
   #pool;
   #opened = [];
-  #calls = new Set();
+  #ending;
 
-  constructor(input, options) {
+  constructor(input, options, ending) {
     this.#input = input;
     this.#options = options;
+    this.#ending = ending;
     this.fetched = 0;
-    this.failure = null; // why it is closed
-    this.closed = new Promise((_, reject) => this.#calls.add(reject));
-    this.closed.catch(() => {}); // it may be that nobody waits for it
+    ending.signal.addEventListener('abort', () => {
+      ending.release();
+      this.#pool?.close();
+      input.close();
+    });
   }
 
   /** Read `[begin, end)`. */
@@ -107,7 +104,7 @@ export class EgsFile {
   async begin() {
     const header = await readHeader(this);
     checkSupport(header);
-    header.checkSize(this.#input.size, Infinity);
+    header.checkSize(this.#input.size);
     const scene = await this.#describe(header, this, false);
     this.#opened = [scene];
     const found = header.sections.filter(({ name }) => name === 'level');
@@ -131,7 +128,8 @@ export class EgsFile {
     }));
     const all = this.#opened.reduce((sum, opened) => sum + opened.header.blocks, 0);
     const setups = this.#opened.map(({ setup }) => setup);
-    if (!this.failure) this.#pool = createPool(setups, all, this.#options);
+    this.#ending.signal.throwIfAborted();
+    this.#pool = createPool(setups, all, this.#options);
     return this;
   }
 
@@ -164,7 +162,7 @@ export class EgsFile {
       check(entry.size >= 16, 'header', 'truncated');
       const found = await readHeader(input);
       checkLevel(found, level, header);
-      found.checkSize(entry.size, Infinity);
+      found.checkSize(entry.size);
       const opened = await this.#describe(found, input, true);
       return opened;
     });
@@ -205,42 +203,26 @@ export class EgsFile {
    * @throws {EgsError} one of its classes; the signal's reason
    */
   async decode(level, blocks, { shDegree = 3, onBlock, signal } = {}) {
-    if (this.failure) throw this.failure;
+    this.#ending.signal.throwIfAborted();
     signal?.throwIfAborted();
     const opened = this.#opened[level];
     if (!opened || !blocks.every((block) => opened.ofBlock[block])) {
       throw new RangeError(`level ${level}, blocks ${blocks}: not all are there`);
     }
     if (![0, 1, 2, 3].includes(shDegree)) throw new RangeError(`shDegree: ${shDegree}`);
-    const controller = new AbortController();
-    const stop = (reason) => controller.abort(reason);
-    const abort = () => stop(signal.reason);
-    this.#calls.add(stop);
-    signal?.addEventListener('abort', abort);
-    const stopped = new Promise((_, reject) => {
-      controller.signal.addEventListener('abort', () => reject(controller.signal.reason));
-    });
-    stopped.catch(() => {});
+    const ending = new Ending(this.#ending.signal, signal);
     try {
       const decoding = new Chosen(opened, level, blocks, shDegree, onBlock);
-      const run = () => decoding.run(this.#pool, this.#input.atOnce, controller.signal);
-      return await Promise.race([within(level, run), stopped]);
-    } catch (error) {
-      stop(error); // what else is asked for
-      throw controller.signal.reason;
+      const run = () => decoding.run(this.#pool, this.#input.atOnce, ending.signal);
+      return await ending.before(within(level, run));
     } finally {
-      this.#calls.delete(stop);
-      signal?.removeEventListener('abort', abort);
+      ending.release();
     }
   }
 
   /** End all that is under way; what is asked for later fails. */
   close(reason = new EgsError('closed')) {
-    if (this.failure) return;
-    this.failure = reason;
-    for (const stop of this.#calls) stop(reason);
-    this.#pool?.close();
-    this.#input.close();
+    this.#ending.end(reason);
   }
 }
 

@@ -4,7 +4,7 @@ import { RawBits, Reader } from './bytes.js';
 import { check } from './errors.js';
 import { Neighbours } from './neighbours.js';
 import { bitLength, inRange } from './numbers.js';
-import { LANES, checkLastStates, firstStates, frequencies, sentTables, wordsOf } from './tables.js';
+import { LANES, Words, checkLastStates, firstStates, frequencies, sentTables } from './tables.js';
 import { addBits, axesOf, walkTree } from './tree.js';
 
 const BANDS = [
@@ -283,9 +283,8 @@ export class PaperBlock {
   /** Decode the channels of a stream by rANS. */
   #stream(name, sections, planes) {
     const { count, states } = this;
-    const words = wordsOf(sections[name] ?? new Uint8Array(0), name);
+    const words = new Words(sections[name] ?? new Uint8Array(0), name);
     const symbols = new Uint16Array(count);
-    let at = 0;
     for (const channel of this.channels.of(name)) {
       if (channel.depth > 0) {
         const { symbols: table, runs, places, precision } = channel;
@@ -293,15 +292,13 @@ export class PaperBlock {
         for (let i = 0; i < count; i++) {
           const state = states[i % LANES];
           const slot = state & mask;
-          let next = (Math.imul(runs[slot], state >>> precision) + places[slot]) >>> 0;
-          if (next < 65536) next = ((next << 16) | words[at++]) >>> 0;
-          states[i % LANES] = next;
+          states[i % LANES] = words.next(state, precision, runs[slot], places[slot]);
           symbols[i] = table[slot];
         }
       }
       channel.fill(planes.subarray(channel.plane * count, (channel.plane + 1) * count), symbols);
     }
-    check(at === words.length, name, 'words after or past the end');
+    words.finish();
   }
 }
 

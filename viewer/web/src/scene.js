@@ -10,6 +10,12 @@ const ARRAYS = [
   ['rotation', 4],
 ];
 
+/** Refuse so many Gaussians, up to an SH degree, if their floats take more than `maxBytes`. */
+export function checkFloats(count, degree, maxBytes) {
+  const floats = 4 * count * (14 + 3 * ((degree + 1) ** 2 - 1));
+  if (floats > maxBytes) throw new TooLargeError(`${floats} bytes of floats, at most ${maxBytes}`);
+}
+
 /**
  * Gaussians, as the INRIA trainer's PLY has them: planar, one value of each Gaussian after another.
  *

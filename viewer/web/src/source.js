@@ -17,8 +17,8 @@ export async function openSource(source, ranged, signal) {
   if (source instanceof ReadableStream) return new StreamSource(source);
   if (source instanceof Blob) return new StreamSource(source.stream(), source.size);
   if (typeof source === 'string' || source instanceof URL) {
-    if (ranged) return new RangeSource(source, (response) => ofResponse(response, source), signal);
-    return ofResponse(await request(source, { signal }), source);
+    if (ranged) return new RangeSource(source, (response) => answered(response, source), signal);
+    return answered(await request(source, { signal }), source);
   }
   throw new TypeError('expected an ArrayBuffer, a view of one, a Blob, Response, stream or URL');
 }
@@ -31,18 +31,52 @@ export async function openSource(source, ranged, signal) {
 export async function openParts(source, signal) {
   if (source instanceof Blob) return new BlobSource(source);
   if (typeof source === 'string' || source instanceof URL) {
-    const kept = (response) => new KeptSource(ofResponse(response, source));
+    const kept = (response) => new KeptSource(answered(response, source));
     return new RangeSource(source, kept, signal);
   }
   const opened = await openSource(source, false, signal);
   return opened instanceof StreamSource ? new KeptSource(opened) : opened;
 }
 
-async function request(url, options) {
+/** Milliseconds in which a server sends nothing after which it is not waited for any longer. */
+const SILENCE = 20_000;
+
+/** How much has come from servers, by their host: browsers let requests for one wait for others. */
+const heard = new Map();
+
+const hostOf = (url) => new URL(url, globalThis.location?.href).host;
+
+/** Wait for what a server sends, while it sends anything. */
+async function heardFrom(host, coming) {
+  let timer;
+  const silence = new Promise((_, reject) => {
+    const listen = () => {
+      const before = heard.get(host);
+      const look = () => (heard.get(host) === before ? reject(new Error(text)) : listen());
+      timer = setTimeout(look, SILENCE);
+    };
+    const text = `nothing has come for ${SILENCE / 1000} seconds`;
+    listen();
+  });
   try {
-    return await fetch(url, options);
+    const found = await Promise.race([coming, silence]);
+    heard.set(host, (heard.get(host) ?? 0) + 1);
+    return found;
+  } finally {
+    clearTimeout(timer);
+  }
+}
+
+async function request(url, { headers, signal } = {}) {
+  const controller = new AbortController();
+  const abort = () => controller.abort(signal.reason);
+  signal?.addEventListener('abort', abort, { once: true });
+  if (signal?.aborted) abort();
+  try {
+    return await heardFrom(hostOf(url), fetch(url, { headers, signal: controller.signal }));
   } catch (error) {
-    if (options.signal?.aborted) throw error;
+    if (signal?.aborted) throw error;
+    controller.abort();
     throw new SourceError(`${url}: ${error.message}`);
   }
 }
@@ -52,8 +86,11 @@ function release(response) {
   response.body?.cancel().catch(() => {});
 }
 
-/** What a response has, which is of the file from byte `begin` on. */
-function ofResponse(response, url, begin = 0) {
+/** What a response to a request has, which is of the file from byte `begin` on. */
+const answered = (response, url, begin) => ofResponse(response, url, begin, hostOf(url));
+
+/** What a response has; `host` is that of a server which is not waited for for ever. */
+function ofResponse(response, url, begin = 0, host = undefined) {
   if (!response.ok) {
     release(response);
     throw new SourceError(`${url}: ${response.status} ${response.statusText}`);
@@ -64,7 +101,7 @@ function ofResponse(response, url, begin = 0) {
   const coded = type === 'cors' || headers.has('Content-Encoding');
   const length = headers.get('Content-Length') ?? '';
   const size = coded || !/^\d+$/.test(length) ? undefined : Number(length);
-  return new StreamSource(response.body, size, begin);
+  return new StreamSource(response.body, size, begin, host);
 }
 
 /** Most bytes of neighbouring sections that are read at once: a request for each takes long. */
@@ -156,8 +193,9 @@ class KeptSource {
 
 /** Reads forward only. */
 class StreamSource {
-  constructor(stream, size, begin = 0) {
+  constructor(stream, size, begin = 0, host = undefined) {
     this.size = size;
+    this.host = host;
     this.atOnce = 0; // Sections are decoded as they come.
     this.reader = stream.getReader();
     this.chunk = new Uint8Array(0);
@@ -169,7 +207,8 @@ class StreamSource {
     this.at += this.chunk.length;
     let found;
     try {
-      found = await this.reader.read();
+      const coming = this.reader.read();
+      found = await (this.host === undefined ? coming : heardFrom(this.host, coming));
     } catch (error) {
       if (error?.name === 'AbortError') throw error;
       throw new SourceError(`connection lost at byte ${this.at}: ${error?.message ?? error}`);
@@ -217,7 +256,7 @@ class RangeSource {
   }
 
   async read(begin, end, signal = this.signal) {
-    if (this.whole) return this.whole.read(begin, end);
+    if (this.whole) return this.#ofWhole(begin, end);
     const headers = { Range: `bytes=${begin}-${end - 1}` };
     const response = await request(this.url, { headers, signal });
     if (response.status === 416) {
@@ -225,14 +264,20 @@ class RangeSource {
       throw cutOff(end);
     }
     if (response.status !== 206) {
-      if (this.whole) release(response);
-      else this.whole = this.ofAll(response);
+      if (this.whole) {
+        release(response);
+      } else if (signal !== this.signal && response.ok) {
+        release(response); // it would end with what asked for it
+        return this.read(begin, end);
+      } else {
+        this.whole = this.ofAll(response);
+      }
       this.size = this.whole.size;
-      return this.whole.read(begin, end);
+      return this.#ofWhole(begin, end);
     }
     const total = /\/(\d+)$/.exec(response.headers.get('Content-Range') ?? '');
     if (total) this.size = Number(total[1]);
-    const part = ofResponse(response, this.url, begin);
+    const part = answered(response, this.url, begin);
     try {
       const bytes = await part.read(begin, end);
       if (await part.endsAt(end)) return bytes;
@@ -240,6 +285,20 @@ class RangeSource {
       part.close();
     }
     throw new SourceError(`${this.url}: more bytes than were asked for`);
+  }
+
+  /** Read of all that the server sends; it is asked again after its connection was lost. */
+  async #ofWhole(begin, end) {
+    const { whole } = this;
+    try {
+      return await whole.read(begin, end);
+    } catch (error) {
+      if (error instanceof SourceError && this.whole === whole) {
+        whole.close();
+        this.whole = null;
+      }
+      throw error;
+    }
   }
 
   async endsAt() {

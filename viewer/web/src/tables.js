@@ -105,8 +105,28 @@ export function checkLastStates(states) {
   );
 }
 
+/** The words of a section, which states of lanes take one after another. */
+export class Words {
+  constructor(bytes, where) {
+    this.words = wordsOf(bytes, where);
+    this.where = where;
+    this.at = 0;
+  }
+
+  /** The state after one that is of a symbol of `share` slots, at place `place` of these. */
+  next(state, precision, share, place) {
+    const next = (Math.imul(share, state >>> precision) + place) >>> 0;
+    // Words past the end read as 0; `finish` tells that there were not so many.
+    return next < LEAST_STATE ? ((next << 16) | this.words[this.at++]) >>> 0 : next;
+  }
+
+  finish() {
+    check(this.at === this.words.length, this.where, 'words after or past the end');
+  }
+}
+
 /** Words of a section as u16, wherever they begin. */
-export function wordsOf(bytes, where) {
+function wordsOf(bytes, where) {
   check(bytes.length % 2 === 0, where, 'half a word');
   if (bytes.byteOffset % 2 === 0) {
     return new Uint16Array(bytes.buffer, bytes.byteOffset, bytes.length / 2);

@@ -1,0 +1,51 @@
+// What pages in TypeScript may write, and what they may not; test_web_types.py has it checked.
+import { CorruptError, decode, EgsError, open } from '../../viewer/web/src/index.js';
+import type { DecodeOptions, EgsFile, Scene, View } from '../../viewer/web/src/index.js';
+import { toPly } from '../../viewer/web/src/ply.js';
+
+const options: DecodeOptions = {
+  shDegree: 1,
+  box: [
+    [0, 0, 0],
+    [1, 1, 1],
+  ],
+  onBlock: (scene, { first, count }) => scene.positions.subarray(first, first + count),
+  createWorker: () => new Worker('worker.js'),
+};
+const scene: Scene = await decode('scene.egs', options);
+const opacity: Float32Array = scene.property('opacity');
+const ply: Uint8Array = toPly(scene);
+
+const view: View = {
+  width: 900,
+  height: 600,
+  fx: 700,
+  fy: 700,
+  cx: 450,
+  cy: 300,
+  rotation: [
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+  ],
+  position: [0, 0, -5],
+};
+const file: EgsFile = await open(new Uint8Array(9), { workers: 0 });
+const chosen = file.select(view, { budget: 2e6, tolerance: 1 });
+const parts = await Promise.all(chosen.map((blocks, level) => file.decode(level, blocks)));
+const errors: Float64Array | undefined = file.levels[parts.length - 1].errors;
+file.close();
+
+export function whereOf(error: unknown): string {
+  return error instanceof CorruptError || error instanceof EgsError ? error.where : '';
+}
+
+// @ts-expect-error a number is no source
+decode(7);
+// @ts-expect-error there is no such degree
+decode('scene.egs', { shDegree: 4 });
+// @ts-expect-error arrays are not to be replaced
+scene.positions = new Float32Array(3);
+// @ts-expect-error there may be none
+errors.length;
+export { opacity, ply };

@@ -1,0 +1,3 @@
+import type { Scene } from './index.js';
+
+export function toPly(scene: Scene): Uint8Array;

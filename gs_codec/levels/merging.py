@@ -11,16 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.morton import encode_morton
-from gs_codec.edit.pairs import (
-    OPAQUE,
-    Blobs,
-    areas_of,
-    axes_of,
-    blobs_of,
-    logits,
-    lone_errors,
-    merge_moments,
-)
+from gs_codec.edit.moments import axes_of, logits
+from gs_codec.edit.pairs import OPAQUE, Blobs, areas_of, blobs_of, lone_errors, merge_moments
 from gs_codec.edit.reduction import cheapest, colours_of, contrast
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel

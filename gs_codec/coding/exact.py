@@ -17,6 +17,14 @@ _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 
 _INVERSE_LN2 = 1.4426950408889634
 
+#: 2 to the power of 0/16, 1/16, ...: of roots and products, which are the same everywhere.
+_ROOTS = np.ones(16)
+_ROOTS[8] = math.sqrt(2.0)
+for _power in (4, 2, 1):
+    _ROOTS[_power] = math.sqrt(_ROOTS[2 * _power])
+for _power in range(1, 16):
+    _ROOTS[_power] = _ROOTS[_power & -_power] * _ROOTS[_power & (_power - 1)]
+
 #: Beyond these, exponentials are 0 and infinite.
 _LOWEST, _HIGHEST = -708.0, 709.0
 
@@ -24,25 +32,29 @@ _ONE, _FRACTION, _WIDTH = 1023, (1 << 52) - 1, 52
 
 _ROOT_2 = 1.4142135623730951
 
-#: Of powers in Taylor's series, the highest first.
-_EXP = tuple(1 / math.factorial(k) for k in range(13, -1, -1))
+#: Factors of series, the highest power first.
+_EVEN = tuple(1 / math.factorial(k) for k in range(6, -1, -2))
+_ODD = tuple(1 / math.factorial(k) for k in range(7, 0, -2))
 _ARTANH = tuple(2 / k for k in range(21, 0, -2))
 
 
 @inlined
 def exact_exp(x):
     """Exponential of a float64."""
-    whole = np.floor(x * _INVERSE_LN2 + 0.5)
-    r = (x - whole * _LN2_HIGH) - whole * _LN2_LOW
-    # |r| is at most 0.35.
-    value = 0.0
-    for factor in _EXP:
-        value = value * r + factor
+    steps = np.floor(x * (16 * _INVERSE_LN2) + 0.5)
+    r = (x - steps * (_LN2_HIGH / 16)) - steps * (_LN2_LOW / 16)
+    # |r| is at most 0.022.
+    square, even, odd = r * r, 0.0, 0.0
+    for k in range(len(_EVEN)):
+        even = even * square + _EVEN[k]
+        odd = odd * square + _ODD[k]
+    whole = np.int64(steps)
+    value = (even + r * odd) * _ROOTS[whole & 15]
     if x < _LOWEST:
         return 0.0
     if x > _HIGHEST:
         return np.inf
-    return value * np.int64((np.int64(whole) + _ONE) << _WIDTH).view(np.float64)
+    return value * np.int64(((whole >> 4) + _ONE) << _WIDTH).view(np.float64)
 
 
 @inlined

@@ -126,7 +126,7 @@ def _set_quaternion(x, y, quaternion):
     y_y, z_z = 1.0 - x[0] + y[1] - z[2], 1.0 - x[0] - y[1] + z[2]
     w_x, w_y, w_z = y[2] - z[1], z[0] - x[2], x[1] - y[0]
     x_y, y_z, z_x = x[1] + y[0], y[2] + z[1], z[0] + x[2]
-    most = max(max(w_w, x_x), max(y_y, z_z))
+    most = max(w_w, x_x, y_y, z_z)
     if most == w_w:
         found = (w_w, w_x, w_y, w_z)
     elif most == x_x:

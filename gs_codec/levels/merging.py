@@ -158,18 +158,6 @@ class Clusters:
         """Sums of ``values (M, ...)`` of the members of each cluster."""
         return np.add.reduceat(values, self.starts, axis=0)
 
-    def spread(self) -> NDArray[np.float64]:
-        """Root mean square distance of members from their cluster's mean, by mass, ``(C,)``."""
-        mass = self.blobs.mass
-        whole = self._sum(mass)
-        means = self._sum(mass[:, None] * self.blobs.means) / whole[:, None]
-        apart = self.blobs.means - means[self.of]
-        return np.sqrt(self._sum(mass * (apart * apart).sum(axis=1)) / whole)
-
-    def weight(self) -> NDArray[np.float64]:
-        """Mass of each cluster, ``(C,)``."""
-        return self._sum(self.blobs.mass)
-
     def merged(self, footprint: float = 0.0) -> Scene:
         """The Gaussian that stands for each cluster.
 

@@ -21,9 +21,11 @@ from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.frame import make_frame
 from gs_codec.scene import Scene
 
-#: Mean squared error of covered pixels that a block may have: 32.5 dB, as views of 35 dB have finer
-#: blocks, too. Chosen on bonsai, flowers and the showroom (RESULTS.md, "Levels of detail").
-_WANTED = 10.0**-3.25
+#: Mean squared error of covered pixels that a block may have: 35 dB. Of scenes that are not
+#: antialiased, views of which are further from the scene the larger pixels are, 32.5 dB: at a pixel
+#: they have finer blocks, too. Chosen on bonsai, flowers and the showroom (RESULTS.md, "Levels of
+#: detail").
+_ALIKE, _MIXED = 10.0**-3.5, 10.0**-3.25
 
 #: Pixels that opacities and clusters are made for, as a share of the error of their block: what
 #: rasterisers widen splats by makes many small ones hide more than one of their mass.
@@ -34,6 +36,9 @@ _RUNS, _RUN, _SIDE = 4, 1024, 128
 
 #: Octaves from the distance of neighbours down and up to which pixels are tried.
 _LEAST, _MOST = -5, 8
+
+#: Least error, as a share of the wanted one: its logarithm is finite.
+_NONE = 1e-9
 
 #: Errors are rounded up to whole numbers of these parts of an octave: so they do not depend on the
 #: last bits of what is drawn.
@@ -94,13 +99,14 @@ def error_of(group: Scene, antialiased: bool) -> float:
     apart = float(np.mean([run.apart for run in runs]))
     if not 0 < apart < np.inf:
         return 0.0
+    wanted = _ALIKE if antialiased else _MIXED
     with np.errstate(all="ignore"):
         exact = [run.merged(0.0) for run in runs]
-        pixel = _where_alike(lambda size: _mean(runs, exact, size, True), apart)
+        pixel = _where_alike(lambda size: _mean(runs, exact, size, True) / wanted, apart)
         if not antialiased:
             plain = [run.merged(FOOTPRINT * pixel) for run in runs]
             # The block's share of a picture falls with the square of the distance.
-            pixel *= math.sqrt(max(1.0, _mean(runs, plain, pixel, False) / _WANTED))
+            pixel *= math.sqrt(max(1.0, _mean(runs, plain, pixel, False) / wanted))
     return float(np.float32(2.0 ** (math.ceil(_PARTS * math.log2(pixel)) / _PARTS)))
 
 
@@ -123,13 +129,13 @@ def _mean(runs: list[_Run], others: list[Scene], pixel: float, antialiased: bool
 
 
 def _where_alike(error: Callable[[float], float], apart: float) -> float:
-    """The size of pixels at which the error is the wanted one, by octaves and between them."""
-    octave, found = 0, max(error(apart), 1e-12)
-    step = 1 if found > _WANTED else -1
+    """The size of pixels at which an error is 1, by octaves of `apart` and between them."""
+    octave, found = 0, max(error(apart), _NONE)
+    step = 1 if found > 1 else -1
     while _LEAST < octave < _MOST:
         before, octave = found, octave + step
-        found = max(error(apart * 2.0**octave), 1e-12)
-        if (found > _WANTED) != (step > 0):
-            part = math.log(before / _WANTED) / math.log(before / found)
+        found = max(error(apart * 2.0**octave), _NONE)
+        if (found > 1) != (step > 0):
+            part = math.log(before) / math.log(before / found)
             return apart * 2.0 ** (octave - step + step * part)
     return apart * 2.0**octave

@@ -17,6 +17,7 @@ from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import decode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
+from gs_codec.levels.errors import merged_to_quarter
 from gs_codec.scene import GROUPS, Scene
 
 ROOT = Path(__file__).parents[1]
@@ -42,6 +43,25 @@ def floats(scene: Scene) -> bytes:
     return b"".join(getattr(scene, group).tobytes() for group in GROUPS)
 
 
+def digest_of_levels() -> str:
+    """Digest of the floats of merged Gaussians, of any shape and of balls."""
+    scene = random_scene(160, 1, seed=91)
+    scene.log_scale[:, ::3] = scene.log_scale[0, ::3]
+    merged = merged_to_quarter(scene, 0.1)
+    return hashlib.sha256(floats(merged) + floats(merged_to_quarter(merged, 0.0))).hexdigest()
+
+
+def run_alone(call: str, environment: dict[str, str]) -> str:
+    """What a process of its own makes of a function of this module."""
+    environment = os.environ | environment | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
+    script = f"import json, test_determinism as t; print(json.dumps(t.{call}))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
 def test_threads_and_runs_do_not_matter():
     expected = digests(1)
     for threads in (1, 2, 3, None):
@@ -52,14 +72,19 @@ def test_threads_and_runs_do_not_matter():
 def test_processes_do_not_matter(blas_threads):
     """With another seed of hashes each, and as many threads of other libraries."""
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-    environment = os.environ | dict.fromkeys(names, blas_threads)
-    environment |= {"PYTHONHASHSEED": blas_threads, "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
-    script = "import json, test_determinism as t; print(json.dumps(t.digests(2)))"
-    done = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == digests(1)
+    environment = dict.fromkeys(names, blas_threads) | {"PYTHONHASHSEED": blas_threads}
+    assert run_alone("digests(2)", environment) == digests(1)
+
+
+def test_processors_do_not_matter_to_levels():
+    """Nor compilers: kernels run as Python, numpy and BLAS as on the oldest processor."""
+    features = np.show_config(mode="dicts")["SIMD Extensions"]["found"]  # type: ignore[index]
+    environment = {
+        "NPY_DISABLE_CPU_FEATURES": " ".join(features),
+        "OPENBLAS_CORETYPE": "Prescott",
+        "NUMBA_DISABLE_JIT": "1",
+    }
+    assert run_alone("digest_of_levels()", environment) == digest_of_levels()
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

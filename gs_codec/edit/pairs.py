@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.formats.packed_values import sigmoid, unit_quaternions
+from gs_codec.coding.exact import exact_exp
+from gs_codec.edit.moments import axes_of, covariances_of, logits
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import inlined, kernel
 from gs_codec.runtime.threads import run_all
@@ -23,9 +24,6 @@ from gs_codec.scene import Scene
 
 #: Opacity up to which the rasteriser draws; a merged Gaussian has at most this.
 OPAQUE = 0.99
-
-#: Log-scales are cut to this, so that products of variances stay in the range of floats.
-_LARGEST = 80.0
 
 #: Least mass and area: nothing is divided by 0.
 _TINY = 1e-300
@@ -55,14 +53,7 @@ class Blobs(NamedTuple):
 
 def blobs_of(scene: Scene) -> Blobs:
     """Moments and masses of a scene's Gaussians, whose attributes are finite."""
-    from scipy.spatial.transform import Rotation
-
-    scales = np.exp(np.clip(scene.log_scale.astype(np.float64), -_LARGEST, _LARGEST))
-    turns = Rotation.from_quat(unit_quaternions(scene.rot)[[1, 2, 3, 0]].T).as_matrix()
-    x, y, z = (turns[:, axis].T * scales for axis in range(3))
-    pairs = ((x, x), (y, y), (z, z), (x, y), (y, z), (z, x))
-    covariances = np.stack([(a * b).sum(axis=0) for a, b in pairs], axis=1)
-    opacity = sigmoid(scene.opacity[0].astype(np.float64))
+    covariances, opacity = covariances_of(scene)
     mass = np.maximum(opacity * areas_of(covariances), _TINY)
     return Blobs(np.ascontiguousarray(scene.positions.T, np.float64), covariances, opacity, mass)
 
@@ -118,23 +109,6 @@ def merge_moments(
     covariances, of_pair = np.empty((len(first), 6)), np.empty((2, len(first)))
     _merge_all(blobs.means, blobs.covariances, blobs.mass, first, second, covariances, of_pair)
     return covariances, of_pair
-
-
-def axes_of(
-    covariances: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Log-scales ``(3, N)`` and quaternions ``(4, N)`` of ``covariances (N, 6)``."""
-    from scipy.spatial.transform import Rotation
-
-    variances, turns = np.linalg.eigh(covariances[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]])
-    turns[:, :, 0] *= np.sign(np.linalg.det(turns))[:, None]
-    log_scale = (0.5 * np.log(np.maximum(variances, _TINY))).T.astype(np.float32)
-    return log_scale, Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]].T.astype(np.float32)
-
-
-def logits(opacity: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Logits of opacities below 1."""
-    return np.log(np.maximum(opacity, _TINY) / (1 - opacity)).astype(np.float32)
 
 
 def lone_errors(blobs: Blobs, colours: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -221,7 +195,7 @@ def _product(first, second, apart, axis, share):
         return 0.0
     x, y = share * apart[axis], share * apart[(axis + 1) % 3]
     q = (x * x * c - 2.0 * x * y * b + y * y * a) / sharp
-    return 2.0 * np.sqrt(area / sharp * other_area) * np.exp(-0.5 * q)
+    return 2.0 * np.sqrt(area / sharp * other_area) * exact_exp(-0.5 * q)
 
 
 @kernel

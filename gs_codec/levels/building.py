@@ -8,21 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gs_codec.edit.pairs import blobs_of
 from gs_codec.egs.header import FANOUT
-from gs_codec.levels.merging import Clusters, merge_group, spacing
+from gs_codec.levels.errors import FOOTPRINT, error_of, merged_to_quarter
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, join_scenes
-
-#: Error of a block, in spreads of its clusters: where it is a pixel, views of bonsai and of part of
-#: a tiled room lose less than 35 dB (RESULTS.md, "Levels of detail").
-ERROR = 2.0
-
-#: The pixel that clusters and opacities are made for, as a share of the distance of neighbours:
-#: what rasterisers widen splats by makes many small ones hide more than one of their mass. If it is
-#: smaller, images drawn with compensation are better; if larger, those from afar without it.
-FOOTPRINT = 0.16
 
 
 @dataclass(frozen=True)
@@ -58,18 +48,14 @@ def coarser(
     def work(start: int) -> tuple[Scene, float]:
         group = level.scene.between(start, min(start + size, level.scene.count))
         below = level.errors[start // block_size :][:FANOUT]
-        merged, spread = coarsen(group, antialiased)
-        return merged, max(ERROR * spread, float(below.max()))
+        return coarsen(group, antialiased, float(below.max()))
 
     found = run_all(work, range(0, level.scene.count, size), advance=advance)
     scenes, errors = zip(*found, strict=True)
     return Level(join_scenes(scenes), np.array(errors, np.float32))
 
 
-def coarsen(group: Scene, antialiased: bool) -> tuple[Scene, float]:
-    """A quarter of a group's Gaussians, and their spread: root mean square, by mass."""
-    number = -(-group.count // FANOUT)
-    footprint = 0.0 if antialiased else FOOTPRINT * spacing(blobs_of(group))
-    clusters = Clusters(group, merge_group(group, number, footprint), number)
-    spread = np.sqrt(np.average(clusters.spread() ** 2, weights=clusters.weight()))
-    return clusters.merged(footprint), float(spread)
+def coarsen(group: Scene, antialiased: bool, least: float = 0.0) -> tuple[Scene, float]:
+    """A quarter of a group's Gaussians, and their error: no less than that of what they are."""
+    error = max(error_of(group, antialiased), least)
+    return merged_to_quarter(group, 0.0 if antialiased else FOOTPRINT * error), error

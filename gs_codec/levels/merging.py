@@ -11,16 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.morton import encode_morton
-from gs_codec.edit.pairs import (
-    OPAQUE,
-    Blobs,
-    areas_of,
-    axes_of,
-    blobs_of,
-    logits,
-    lone_errors,
-    merge_moments,
-)
+from gs_codec.edit.moments import axes_of, logits
+from gs_codec.edit.pairs import OPAQUE, Blobs, areas_of, blobs_of, lone_errors, merge_moments
 from gs_codec.edit.reduction import cheapest, colours_of, contrast
 from gs_codec.runtime.arrays import empty
 from gs_codec.runtime.kernels import kernel
@@ -165,18 +157,6 @@ class Clusters:
     def _sum(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sums of ``values (M, ...)`` of the members of each cluster."""
         return np.add.reduceat(values, self.starts, axis=0)
-
-    def spread(self) -> NDArray[np.float64]:
-        """Root mean square distance of members from their cluster's mean, by mass, ``(C,)``."""
-        mass = self.blobs.mass
-        whole = self._sum(mass)
-        means = self._sum(mass[:, None] * self.blobs.means) / whole[:, None]
-        apart = self.blobs.means - means[self.of]
-        return np.sqrt(self._sum(mass * (apart * apart).sum(axis=1)) / whole)
-
-    def weight(self) -> NDArray[np.float64]:
-        """Mass of each cluster, ``(C,)``."""
-        return self._sum(self.blobs.mass)
 
     def merged(self, footprint: float = 0.0) -> Scene:
         """The Gaussian that stands for each cluster.

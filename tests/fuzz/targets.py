@@ -35,6 +35,7 @@ from gs_codec.formats.sog_files import parse_meta, read_pixels
 from gs_codec.levels.encoding import add_levels
 from gs_codec.preparation.adam import AdamState, new_state
 from gs_codec.preparation.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from gs_codec.rendering.camera import Camera
 from gs_codec.rendering.cameras import read_cameras
 from gs_codec.rendering.images import read_image
 from gs_codec.scene import GROUPS, Scene
@@ -45,6 +46,8 @@ _MOST = 1 << 22
 
 #: Gaussians of the streams to start from.
 _COUNT = 60
+
+_VIEW = Camera("seen", 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(3), np.array([0.0, 0.0, -4.0]))
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,10 @@ def _decode(data: bytes) -> None:
         part = Part((-0.5, -0.5, -0.5, 0.5, 0.5, 0.5))
     if data[0] & 4:
         part = replace(part, sh_degree=0)
+    if data[0] & 16:
+        part = Part(level=1)
+    if data[0] & 32:
+        part = Part(view=_VIEW)
     inspect_bytes(bytes(stream))
     scene, _ = decode_part(bytes(stream), part, 1, _MOST)
     for group in GROUPS if data[0] & 1 else ():
@@ -133,7 +140,16 @@ def _streams() -> list[bytes]:
                 scene = replace(scene, extra=extra, comments=("a comment",))
             streams.append(encode_scene(scene, Config(profile, extra="keep", block_size=1024))[0])
     streams.append(encode_by(random_scene(_COUNT, 2), Config("m"), made_up_guide()))
-    return [bytes([first]) + stream for stream in streams for first in (9, 11, 13)]
+    found = [bytes([first]) + stream for stream in streams for first in (9, 11, 13)]
+    return found + [bytes([first]) + _levels() for first in (9, 25, 41)]
+
+
+def _levels() -> bytes:
+    """A stream with a coarser level, in blocks of fewer Gaussians than may be asked for."""
+    config = Config("m", lod=True)
+    object.__setattr__(config, "block_size", 16)
+    parts = encode_parts(random_scene(_COUNT, 1, seed=4), config)
+    return b"".join(add_levels(*parts, config)[0])
 
 
 def _browser_streams() -> list[bytes]:

@@ -1,0 +1,73 @@
+"""Exponentials and logarithms of the same last bit on every machine.
+
+Those of numpy and of C libraries are chosen by the processor. These are of additions,
+multiplications and divisions alone, which are rounded alike everywhere, and exact to about 1e-15.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gs_codec.runtime.kernels import inlined
+
+#: ln 2 in two parts: whole multiples of the first are exact.
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+
+_INVERSE_LN2 = 1.4426950408889634
+
+#: 2 to the power of 0/16, 1/16, ...: of roots and products, which are the same everywhere.
+_ROOTS = np.ones(16)
+_ROOTS[8] = math.sqrt(2.0)
+for _power in (4, 2, 1):
+    _ROOTS[_power] = math.sqrt(_ROOTS[2 * _power])
+for _power in range(1, 16):
+    _ROOTS[_power] = _ROOTS[_power & -_power] * _ROOTS[_power & (_power - 1)]
+
+#: Beyond these, exponentials are 0 and infinite.
+_LOWEST, _HIGHEST = -708.0, 709.0
+
+_ONE, _FRACTION, _WIDTH = 1023, (1 << 52) - 1, 52
+
+_ROOT_2 = 1.4142135623730951
+
+#: Factors of series, the highest power first.
+_EVEN = tuple(1 / math.factorial(k) for k in range(6, -1, -2))
+_ODD = tuple(1 / math.factorial(k) for k in range(7, 0, -2))
+_ARTANH = tuple(2 / k for k in range(21, 0, -2))
+
+
+@inlined
+def exact_exp(x):
+    """Exponential of a float64."""
+    steps = np.floor(x * (16 * _INVERSE_LN2) + 0.5)
+    r = (x - steps * (_LN2_HIGH / 16)) - steps * (_LN2_LOW / 16)
+    # |r| is at most 0.022.
+    square, even, odd = r * r, 0.0, 0.0
+    for k in range(len(_EVEN)):
+        even = even * square + _EVEN[k]
+        odd = odd * square + _ODD[k]
+    whole = np.int64(steps)
+    value = (even + r * odd) * _ROOTS[whole & 15]
+    if x < _LOWEST:
+        return 0.0
+    if x > _HIGHEST:
+        return np.inf
+    return value * np.int64(((whole >> 4) + _ONE) << _WIDTH).view(np.float64)
+
+
+@inlined
+def exact_log(x):
+    """Natural logarithm of a float64 that is finite, normal and above 0."""
+    bits = np.float64(x).view(np.int64)
+    exponent = (bits >> _WIDTH) - _ONE
+    m = np.int64((bits & _FRACTION) | (_ONE << _WIDTH)).view(np.float64)
+    if m > _ROOT_2:
+        m, exponent = 0.5 * m, exponent + 1
+    # 2 artanh f; |f| is at most 0.18.
+    f = (m - 1.0) / (m + 1.0)
+    square, value = f * f, 0.0
+    for factor in _ARTANH:
+        value = value * square + factor
+    return exponent * _LN2_HIGH + (f * value + exponent * _LN2_LOW)

@@ -1,0 +1,141 @@
+"""The error of a block: how large pixels have to be for what was merged to be hardly seen.
+
+Runs of its Gaussians are merged and drawn from three sides, beside the run itself: with larger and
+larger pixels, with opacity compensation, until they are alike. What drawing without compensation
+changes beyond that does not fade with distance; it takes less of a picture, as the block does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gs_codec.edit.pairs import blobs_of
+from gs_codec.egs.header import FANOUT
+from gs_codec.levels.merging import Clusters, merge_group, spacing
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.frame import make_frame
+from gs_codec.scene import Scene
+
+#: Mean squared error of covered pixels that a block may have: 35 dB. Of scenes that are not
+#: antialiased, views of which are further from the scene the larger pixels are, 32.5 dB: at a pixel
+#: they have finer blocks, too. Chosen on bonsai, flowers and the showroom (RESULTS.md, "Levels of
+#: detail").
+_ALIKE, _MIXED = 10.0**-3.5, 10.0**-3.25
+
+#: Pixels that opacities and clusters are made for, as a share of the error of their block: what
+#: rasterisers widen splats by makes many small ones hide more than one of their mass.
+FOOTPRINT = 0.7
+
+#: Runs of a group that are looked at, at most, Gaussians of each, and the side of pictures.
+_RUNS, _RUN, _SIDE = 4, 1024, 128
+
+#: Octaves from the distance of neighbours down and up to which pixels are tried.
+_LEAST, _MOST = -5, 8
+
+#: Least error, as a share of the wanted one: its logarithm is finite.
+_NONE = 1e-9
+
+#: Errors are rounded up to whole numbers of these parts of an octave: so they do not depend on the
+#: last bits of what is drawn.
+_PARTS = 4
+
+#: How far away pictures are drawn from, in sizes of a run: nearly parallel.
+_FAR = 50.0
+
+_SIDES = tuple(np.roll(np.eye(3), axis, axis=0) for axis in range(3))
+
+
+class _Run(NamedTuple):
+    """Some Gaussians side by side, and how far apart they are."""
+
+    scene: Scene
+    apart: float
+
+    def merged(self, footprint: float) -> Scene:
+        """A quarter of them."""
+        return merged_to_quarter(self.scene, footprint)
+
+    def difference(self, other: Scene, pixel: float, antialiased: bool) -> NDArray[np.float64]:
+        """Sum of squared differences to what stands for them, and of covered pixels' channels."""
+        sums = np.zeros(2)
+        for camera in self._cameras(pixel):
+            before, left = _picture(self.scene, camera, antialiased)
+            after, _ = _picture(other, camera, antialiased)
+            sums += np.sum((before - after) ** 2, dtype=np.float64), 3 * np.sum(1 - left)
+        return sums
+
+    def _cameras(self, pixel: float) -> list[Camera]:
+        low, high = self.scene.positions.min(axis=1), self.scene.positions.max(axis=1)
+        middle, size = 0.5 * (np.float64(low) + high), float(np.max(np.float64(high) - low))
+        away = _FAR * size + 1
+        side = min(_SIDE, math.ceil(size / pixel)) or 1
+        focal, half = away / pixel, side / 2
+        return [
+            Camera("run", side, side, focal, focal, half, half, turn, middle - away * turn[2])
+            for turn in _SIDES
+        ]
+
+
+def _picture(scene: Scene, camera: Camera, antialiased: bool) -> tuple[NDArray, NDArray]:
+    """Colour ``(H, W, 3)`` up to 1, and transmittance of all pixels."""
+    colour, (left, _, _) = make_frame(scene, camera, antialiased).draw_rows((0.0, 0.0, 0.0))
+    return np.fmin(colour, 1), np.abs(left, dtype=np.float64)
+
+
+def merged_to_quarter(group: Scene, footprint: float) -> Scene:
+    """A quarter of a group's Gaussians, for pixels of this size; see `Clusters.merged`."""
+    number = -(-group.count // FANOUT)
+    return Clusters(group, merge_group(group, number, footprint), number).merged(footprint)
+
+
+def error_of(group: Scene, antialiased: bool) -> float:
+    """Size in scene units of pixels so large that a quarter of a group looks like all of it."""
+    runs = _runs(group)
+    apart = float(np.mean([run.apart for run in runs]))
+    if not 0 < apart < np.inf:
+        return 0.0
+    wanted = _ALIKE if antialiased else _MIXED
+    with np.errstate(all="ignore"):
+        exact = [run.merged(0.0) for run in runs]
+        pixel = _where_alike(lambda size: _mean(runs, exact, size, True) / wanted, apart)
+        if not antialiased:
+            plain = [run.merged(FOOTPRINT * pixel) for run in runs]
+            # The block's share of a picture falls with the square of the distance.
+            pixel *= math.sqrt(max(1.0, _mean(runs, plain, pixel, False) / wanted))
+    return float(np.float32(2.0 ** (math.ceil(_PARTS * math.log2(pixel)) / _PARTS)))
+
+
+def _runs(group: Scene) -> list[_Run]:
+    """Some runs of a group, evenly spread; all of it if it is small."""
+    number = min(_RUNS, -(-group.count // _RUN))
+    size = min(_RUN, group.count)
+    starts = [(group.count - size) * (2 * k + 1) // (2 * number) for k in range(number)]
+    scenes = [group.between(start, start + size) for start in starts]
+    return [_Run(scene, spacing(blobs_of(scene))) for scene in scenes]
+
+
+def _mean(runs: list[_Run], others: list[Scene], pixel: float, antialiased: bool) -> float:
+    """Mean squared error of covered pixels."""
+    found = [
+        run.difference(other, pixel, antialiased) for run, other in zip(runs, others, strict=True)
+    ]
+    squares, covered = np.sum(found, axis=0).tolist()
+    return squares / covered if covered > 0 else 0.0
+
+
+def _where_alike(error: Callable[[float], float], apart: float) -> float:
+    """The size of pixels at which an error is 1, by octaves of `apart` and between them."""
+    octave, found = 0, max(error(apart), _NONE)
+    step = 1 if found > 1 else -1
+    while _LEAST < octave < _MOST:
+        before, octave = found, octave + step
+        found = max(error(apart * 2.0**octave), _NONE)
+        if (found > 1) != (step > 0):
+            part = math.log(before) / math.log(before / found)
+            return apart * 2.0 ** (octave - step + step * part)
+    return apart * 2.0**octave

@@ -31,6 +31,10 @@ _ALIKE, _MIXED = 10.0**-3.5, 10.0**-3.25
 #: rasterisers widen splats by makes many small ones hide more than one of their mass.
 FOOTPRINT = 0.7
 
+#: Clusters are for pixels of at most this, in distances of neighbours: for larger ones, what is
+#: far apart would be one, and from near a fog before all else.
+_TOGETHER = 2.0
+
 #: Runs of a group that are looked at, at most, Gaussians of each, and the side of pictures.
 _RUNS, _RUN, _SIDE = 4, 1024, 128
 
@@ -90,7 +94,8 @@ def _picture(scene: Scene, camera: Camera, antialiased: bool) -> tuple[NDArray, 
 def merged_to_quarter(group: Scene, footprint: float) -> Scene:
     """A quarter of a group's Gaussians, for pixels of this size; see `Clusters.merged`."""
     number = -(-group.count // FANOUT)
-    return Clusters(group, merge_group(group, number, footprint), number).merged(footprint)
+    together = min(footprint, _TOGETHER * spacing(blobs_of(group)))
+    return Clusters(group, merge_group(group, number, together), number).merged(footprint)
 
 
 def error_of(group: Scene, antialiased: bool) -> float:

@@ -1,0 +1,67 @@
+"""The picture of levels of detail: each from near, and what small pictures take of them.
+
+    python samples/levels_picture.py gs_codec/bench/levels.jpg
+
+Needs matplotlib (extra ``test``).
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from gs_codec.codecs import decode_part, encode_parts
+from gs_codec.codecs.part import Part
+from gs_codec.config import Config
+from gs_codec.levels.encoding import add_levels
+from gs_codec.metrics.images import compare_images
+from gs_codec.rendering.camera import Camera
+from gs_codec.rendering.renderer import render
+from gs_codec.scene import Scene
+from samples.generate import generate
+from samples.picture import view
+
+_COUNT, _LEVELS, _TIMES = 400_000, (0, 1, 2), (2, 4, 8)
+
+
+def main(target: str) -> None:
+    """Draw the scene and its levels."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    scene, near = generate(_COUNT, 2, 1), view()
+    config = Config("m", block_size=1024, lod=True)
+    data = b"".join(add_levels(*encode_parts(scene, config), config)[0])
+    figure, axes = plt.subplots(2, len(_LEVELS), figsize=(13.5, 7.4), dpi=60)
+    for axis, level in zip(axes[0], _LEVELS, strict=True):
+        coarser = decode_part(data, Part(level=level))[0]
+        name = f"level {level}" if level else "the scene"
+        _show(axis, _drawn(coarser, near), f"{name}: {coarser.count:,} splats")
+    for axis, times in zip(axes[1], _TIMES, strict=True):
+        small = near.resized(near.width // times, near.height // times)
+        chosen = decode_part(data, Part(view=small))[0]
+        before, after = _drawn(scene, small), _drawn(chosen, small)
+        psnr = compare_images(before, after).psnr
+        size = f"{small.width} x {small.height} pixels"
+        _show(axis, after, f"{size}: {chosen.count:,} splats, {psnr:.1f} dB")
+    figure.tight_layout(pad=0.4)
+    figure.savefig(target)
+
+
+def _drawn(scene: Scene, camera: Camera) -> np.ndarray:
+    return np.clip(render(scene, camera, device="cpu").colour, 0, 1)
+
+
+def _show(axis, image: np.ndarray, title: str) -> None:
+    axis.imshow(image, interpolation="nearest")
+    axis.set_title(title, fontsize=15)
+    axis.axis("off")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -39,7 +39,7 @@ def check_levels(config: Config, rate: object = None, max_memory: int | None = N
     if config.lod and rate is not None:
         raise InvalidInput("lod: not with a target, which levels would exceed by a third")
     if config.lod and max_memory is not None:
-        raise InvalidInput("lod: not with max-memory, levels are made in memory")
+        raise InvalidInput("lod: with max-memory only if dask is given, too")
 
 
 def add_levels(

@@ -701,7 +701,7 @@ def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
 
 def test_the_version_and_help(here, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
-    assert here("--version")[1].startswith("gs-viewer 0.")
+    assert here("--version")[1].startswith(f"gs-viewer {gs_codec.__version__}")
     shown = here("--help")[1]
     assert "--screenshot" in shown
     assert "--pruned" in shown

@@ -67,6 +67,7 @@ def test_wheel_holds_the_packages_and_their_documents_alone(wheel):
     expected |= {
         path.relative_to(ROOT).as_posix()
         for pattern in (
+            "gs_codec/bench/*.jpg",
             "gs_codec/bench/*.jsonl",
             "gs_codec/bench/*.png",
             "viewer/*.png",

@@ -295,6 +295,10 @@ ROUNDED_FORMATS = ("spz", "sog")
 EXACT_FORMATS = ("glb", "gltf", "usd", "usda", "usdc", "usdz")
 FORMATS = (EGS, *ROUNDED_FORMATS, "compressed.ply", "splat", *EXACT_FORMATS)
 
+#: The name of a SOG scene whose files are not in a zip, and of one as streamed SOG, which is made
+#: with coarser levels.
+UNBUNDLED, STREAMED = "meta.json", "lod-meta.json"
+
 
 @dataclass(frozen=True)
 class Config:

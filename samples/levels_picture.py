@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import matplotlib as mpl
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -20,11 +19,8 @@ from gs_codec.codecs.part import Part
 from gs_codec.config import Config
 from gs_codec.levels.encoding import add_levels
 from gs_codec.metrics.images import compare_images
-from gs_codec.rendering.camera import Camera
-from gs_codec.rendering.renderer import render
-from gs_codec.scene import Scene
 from samples.generate import generate
-from samples.picture import view
+from samples.picture import drawn, show, view
 
 _COUNT, _LEVELS, _TIMES = 400_000, (0, 1, 2), (2, 4, 8)
 
@@ -41,26 +37,16 @@ def main(target: str) -> None:
     for axis, level in zip(axes[0], _LEVELS, strict=True):
         coarser = decode_part(data, Part(level=level))[0]
         name = f"level {level}" if level else "the scene"
-        _show(axis, _drawn(coarser, near), f"{name}: {coarser.count:,} splats")
+        show(axis, drawn(coarser, near), f"{name}: {coarser.count:,} splats", "nearest")
     for axis, times in zip(axes[1], _TIMES, strict=True):
         small = near.resized(near.width // times, near.height // times)
         chosen = decode_part(data, Part(view=small))[0]
-        before, after = _drawn(scene, small), _drawn(chosen, small)
+        before, after = drawn(scene, small), drawn(chosen, small)
         psnr = compare_images(before, after).psnr
         size = f"{small.width} x {small.height} pixels"
-        _show(axis, after, f"{size}: {chosen.count:,} splats, {psnr:.1f} dB")
+        show(axis, after, f"{size}: {chosen.count:,} splats, {psnr:.1f} dB", "nearest")
     figure.tight_layout(pad=0.4)
     figure.savefig(target)
-
-
-def _drawn(scene: Scene, camera: Camera) -> np.ndarray:
-    return np.clip(render(scene, camera, device="cpu").colour, 0, 1)
-
-
-def _show(axis, image: np.ndarray, title: str) -> None:
-    axis.imshow(image, interpolation="nearest")
-    axis.set_title(title, fontsize=15)
-    axis.axis("off")
 
 
 if __name__ == "__main__":

@@ -73,15 +73,25 @@ def main(target: str) -> None:
     figure = plt.figure(figsize=(18, 4.0), dpi=80)
     for place, (title, image) in enumerate(panels.items()):
         axis = figure.add_axes((0.25 * place, 0.0, 0.247, 0.92))
-        axis.imshow(np.clip(image, 0, 1))
-        axis.set_title(title, fontsize=15)
-        axis.axis("off")
+        show(axis, np.clip(image, 0, 1), title)
     _draw_bits(figure.add_axes((0.805, 0.16, 0.19, 0.56)), scene, before)
     figure.savefig(target)
 
 
+def show(axis, image: NDArray, title: str, interpolation: str | None = None) -> None:
+    """Show an image below its title."""
+    axis.imshow(image, interpolation=interpolation)
+    axis.set_title(title, fontsize=15)
+    axis.axis("off")
+
+
+def drawn(scene: Scene, camera: Camera) -> NDArray:
+    """What a camera sees of a scene, 0-1."""
+    return np.clip(render(scene, camera, device="cpu").colour, 0, 1)
+
+
 def _draw(scene: Scene) -> NDArray:
-    return np.clip(render(scene, view(), device="cpu").colour, 0, 1)
+    return drawn(scene, view())
 
 
 def _draw_bits(axis, scene: Scene, before: NDArray) -> None:

@@ -17,7 +17,7 @@ from scenes import encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import decode_scene
 from gs_codec.config import ADAPTIVE_PROFILES, PROFILE_CHOICES, Config
-from gs_codec.levels.errors import merged_to_quarter
+from gs_codec.levels.errors import Run
 from gs_codec.scene import GROUPS, Scene
 
 ROOT = Path(__file__).parents[1]
@@ -47,8 +47,8 @@ def digest_of_levels() -> str:
     """Digest of the floats of merged Gaussians, of any shape and of balls."""
     scene = random_scene(160, 1, seed=91)
     scene.log_scale[:, ::3] = scene.log_scale[0, ::3]
-    merged = merged_to_quarter(scene, 0.1)
-    return hashlib.sha256(floats(merged) + floats(merged_to_quarter(merged, 0.0))).hexdigest()
+    merged = Run(scene).merged(0.1)
+    return hashlib.sha256(floats(merged) + floats(Run(merged).merged(0.0))).hexdigest()
 
 
 def run_alone(call: str, environment: dict[str, str]) -> str:

@@ -16,7 +16,7 @@ from scenes import random_scene
 from test_web_page import SIZE, Job, decibels, drawn, in_browser, open_pages, seen, serving
 
 from gs_codec.coding.morton import spatial_order
-from gs_codec.config import Config
+from gs_codec.config import STREAMED, Config
 from gs_codec.errors import GsCodecError, InvalidInput, MissingTool
 from gs_codec.files.coding import encode_file
 from gs_codec.files.conversion import convert_file
@@ -25,7 +25,6 @@ from gs_codec.files.scenes import read_scene
 from gs_codec.formats.coordinates import CONVENTION, state_system, turn_axes
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import open_scene, overview_of
-from gs_codec.formats.streamed_sog import LOD_META
 from gs_codec.levels.streaming import stream_levels
 from gs_codec.preparation.steps import Plan, Steps
 from gs_codec.rendering.auto_cameras import auto_cameras
@@ -42,7 +41,7 @@ def streamed(folder: Path, scene: Scene, config: Config = CONFIG) -> dict[str, A
     """Write the files of a scene, in small leaves; its `lod-meta.json`."""
     files, _ = stream_levels(scene, config, LEAF, FILE)
     write_files(folder, files)
-    return json.loads(files[LOD_META])
+    return json.loads(files[STREAMED])
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,7 @@ def counts_of(leaf: dict[str, Any]) -> list[int]:
 
 
 def test_the_tree_is_as_viewers_expect(folder, scene):
-    meta = json.loads((folder / LOD_META).read_text())
+    meta = json.loads((folder / STREAMED).read_text())
     assert (meta["version"], meta["asset"]) == (1, {"generator": "gs_codec"})
     leaves = leaves_of(meta["tree"])
     assert len(leaves) == 6
@@ -97,7 +96,7 @@ def test_the_tree_is_as_viewers_expect(folder, scene):
 
 
 def test_each_gaussian_of_a_file_is_in_one_leaf_and_in_its_box(folder):
-    meta = json.loads((folder / LOD_META).read_text())
+    meta = json.loads((folder / STREAMED).read_text())
     assert meta["filenames"] == [
         *(f"0_{k}/meta.json" for k in range(3)),
         "1_0/meta.json",
@@ -121,7 +120,7 @@ def test_each_gaussian_of_a_file_is_in_one_leaf_and_in_its_box(folder):
 
 
 def test_the_finest_level_is_the_scene(folder, scene):
-    back = read_scene(folder / LOD_META)
+    back = read_scene(folder / STREAMED)
     assert back.count == scene.count
     ordered = scene.take(spatial_order(scene.positions))
     np.testing.assert_allclose(back.positions, ordered.positions, atol=0.02)
@@ -167,7 +166,7 @@ def test_equal_gaussians_are_no_matter(tmp_path):
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_do_not_matter(threads, scene, folder):
     files, _ = stream_levels(scene, replace(CONFIG, threads=threads), LEAF, FILE)
-    assert list(files)[-1] == LOD_META
+    assert list(files)[-1] == STREAMED
     for name, data in files.items():
         assert (folder / name).read_bytes() == data, name
 
@@ -179,7 +178,7 @@ def test_the_antialias_flag_and_the_coordinates_of_sog_hold_for_all_levels(tmp_p
     write_files(tmp_path, files)
     for name in ("0_0", "1_0", "2_0"):
         assert json.loads(files[f"{name}/meta.json"])["model"] == "antialiased"
-    assert read_scene(tmp_path / LOD_META).antialiased
+    assert read_scene(tmp_path / STREAMED).antialiased
     plain, _ = stream_levels(given, CONFIG, LEAF, FILE)
     assert plain == files
     assert [line for line in lost if "comments" in line]
@@ -199,7 +198,7 @@ def test_profiles_choose_how_fine_all_levels_are(scene):
 def test_a_conversion_counts_all_files_of_all_levels(tmp_path):
     write_ply(tmp_path / "scene.ply", random_scene(300, 1))
     (tmp_path / "out").mkdir()
-    done = convert_file(tmp_path / "scene.ply", tmp_path / "out" / LOD_META)
+    done = convert_file(tmp_path / "scene.ply", tmp_path / "out" / STREAMED)
     files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
     assert len(files) == 9
     assert done.file_bytes == sum(path.stat().st_size for path in files)
@@ -207,27 +206,27 @@ def test_a_conversion_counts_all_files_of_all_levels(tmp_path):
 
 
 def test_other_commands_read_the_finest_level(folder, scene):
-    with open_scene(folder / LOD_META) as file:
+    with open_scene(folder / STREAMED) as file:
         assert file.format == "streamed sog"
         assert file.stated_bytes() == scene.float_bytes
-    told = overview_of(folder / LOD_META)
+    told = overview_of(folder / STREAMED)
     assert (told.format, told.count, told.sh_degree) == ("streamed sog", scene.count, 2)
     assert told.file_bytes == sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
 
 
 def test_an_environment_is_part_of_the_scene(copy, scene):
     shutil.copytree(copy / "2_0", copy / "env")
-    meta = json.loads((copy / LOD_META).read_text())
-    (copy / LOD_META).write_text(json.dumps(meta | {"environment": "env/meta.json"}))
-    assert read_scene(copy / LOD_META).count == scene.count + meta["counts"][2]
+    meta = json.loads((copy / STREAMED).read_text())
+    (copy / STREAMED).write_text(json.dumps(meta | {"environment": "env/meta.json"}))
+    assert read_scene(copy / STREAMED).count == scene.count + meta["counts"][2]
 
 
 def test_what_is_not_whole_has_no_meta(tmp_path):
     write_ply(tmp_path / "scene.ply", random_scene(300, 1))
     (tmp_path / "0_0").write_text("in the way")
     with pytest.raises(InvalidInput, match="0_0"):
-        convert_file(tmp_path / "scene.ply", tmp_path / LOD_META)
-    assert not (tmp_path / LOD_META).exists()
+        convert_file(tmp_path / "scene.ply", tmp_path / STREAMED)
+    assert not (tmp_path / STREAMED).exists()
 
 
 REFUSED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
@@ -254,12 +253,12 @@ REFUSED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
         "block_size",
     ),
     "name": (
-        lambda source, target: convert_file(source, target.with_name(f"a-{LOD_META}")),
+        lambda source, target: convert_file(source, target.with_name(f"a-{STREAMED}")),
         "expected the name lod-meta.json",
     ),
     "existing": (
         lambda source, target: convert_file(
-            source, source.parent / "there" / LOD_META, overwrite=False
+            source, source.parent / "there" / STREAMED, overwrite=False
         ),
         "exists",
     ),
@@ -270,11 +269,11 @@ REFUSED: dict[str, tuple[Callable[[Path, Path], object], str]] = {
 def test_what_it_does_not_go_with_is_refused(case, tmp_path):
     write_ply(tmp_path / "scene.ply", random_scene(30, 1))
     (tmp_path / "there").mkdir()
-    (tmp_path / "there" / LOD_META).write_text("{}")
+    (tmp_path / "there" / STREAMED).write_text("{}")
     act, said = REFUSED[case]
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(InvalidInput, match=said):
-        act(tmp_path / "scene.ply", tmp_path / LOD_META)
+        act(tmp_path / "scene.ply", tmp_path / STREAMED)
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -286,7 +285,7 @@ def test_no_gaussians_and_nan_are_refused():
     with pytest.raises(InvalidInput, match="not finite"):
         stream_levels(scene, CONFIG)
     files, _ = stream_levels(scene, replace(CONFIG, nonfinite="drop"))
-    assert json.loads(files[LOD_META])["counts"] == [29]
+    assert json.loads(files[STREAMED])["counts"] == [29]
 
 
 # What is not sound
@@ -317,14 +316,14 @@ DAMAGED: dict[str, Callable[[dict[str, Any]], Any]] = {
     "root": with_file("/etc/passwd"),
     "another host": with_file("https://host/meta.json"),
     "the same twice": with_file("0_1/meta.json"),
-    "itself": with_file(LOD_META),
+    "itself": with_file(STREAMED),
     "environment": changed(environment=["env"]),
 }
 
 
 @pytest.mark.parametrize("case", DAMAGED)
 def test_a_damaged_meta_is_refused(case, copy):
-    path = copy / LOD_META
+    path = copy / STREAMED
     path.write_text(json.dumps(DAMAGED[case](json.loads(path.read_text()))))
     with pytest.raises(GsCodecError, match=r"copy"):
         read_scene(path)
@@ -332,15 +331,15 @@ def test_a_damaged_meta_is_refused(case, copy):
 
 @pytest.mark.parametrize("text", ["{", "{}", '{"tree":' + '{"children":[' * 50_000])
 def test_other_json_is_refused(text, tmp_path):
-    (tmp_path / LOD_META).write_text(text)
+    (tmp_path / STREAMED).write_text(text)
     with pytest.raises(InvalidInput, match=r"lod-meta\.json"):
-        read_scene(tmp_path / LOD_META)
+        read_scene(tmp_path / STREAMED)
 
 
 def test_more_floats_than_allowed_are_refused(folder, scene):
     with pytest.raises(InvalidInput, match="max-bytes"):
-        read_scene(folder / LOD_META, max_bytes=scene.float_bytes - 1)
-    assert read_scene(folder / LOD_META, max_bytes=scene.float_bytes).count == scene.count
+        read_scene(folder / STREAMED, max_bytes=scene.float_bytes - 1)
+    assert read_scene(folder / STREAMED, max_bytes=scene.float_bytes).count == scene.count
 
 
 # Other programs
@@ -349,10 +348,10 @@ def test_more_floats_than_allowed_are_refused(folder, scene):
 def test_splat_transform_reads_the_finest_level(folder):
     program = PROGRAMS["splat-transform"]
     try:
-        [theirs] = program.read([folder / LOD_META])
+        [theirs] = program.read([folder / STREAMED])
     except MissingTool as error:
         pytest.skip(f"splat-transform: not installed ('make peers'), {error}")
-    check(theirs, stored_numbers(folder / LOD_META), "sog", program.exact)
+    check(theirs, stored_numbers(folder / STREAMED), "sog", program.exact)
 
 
 #: Of each leaf: its box, and how many Gaussians each level has; and how many are drawn.
@@ -374,7 +373,7 @@ def test_playcanvas_draws_each_leaf_once_at_the_level_that_it_chooses(tmp_path):
     write_cameras(tmp_path / "cameras.json", [camera])
     asked = {"mixed": "splatBudget=2500", "coarse": "lodRangeMin=1&lodRangeMax=1"}
     with serving(tmp_path) as url:
-        page = f"{url}project/tests/web/playcanvas.html?file={LOD_META}"
+        page = f"{url}project/tests/web/playcanvas.html?file={STREAMED}"
         jobs = [Job(f"{page}&{more}", []) for more in asked.values()]
         for name, job in zip(asked, jobs, strict=True):
             job.shot(str(tmp_path / f"{name}.png"))
@@ -385,7 +384,7 @@ def test_playcanvas_draws_each_leaf_once_at_the_level_that_it_chooses(tmp_path):
         for told in (mixed, coarse)
     ]
     assert levels == [{"0", "1"}, {"1"}]
-    leaves = leaves_of(json.loads(files[LOD_META])["tree"])
+    leaves = leaves_of(json.loads(files[STREAMED])["tree"])
     expected = [[*leaf["bound"]["min"], *leaf["bound"]["max"], *counts_of(leaf)] for leaf in leaves]
     for told in (mixed, coarse):
         np.testing.assert_allclose(told.values[-1][0], expected, rtol=1e-5, atol=1e-5)

@@ -288,7 +288,7 @@ def test_regions_select_what_is_in_them(edited, folder):
 
 def test_a_region_and_the_selection_are_seen(edited):
     light, dark = edited["stroke"]
-    assert light > 100
+    assert light > 200
     assert dark < 50
     assert edited["marked"] > 200
     assert edited["label"] == f"{len(edited['box'])} of 3,000 selected"

@@ -20,9 +20,9 @@ from gs_codec.cli.output import (
     size_text,
 )
 from gs_codec.cli.streams import is_stdout, piped
-from gs_codec.config import Config
+from gs_codec.config import STREAMED, Config
 from gs_codec.edit.actions import KINDS
-from gs_codec.files.suffixes import PLAIN, STREAMED, known_suffix
+from gs_codec.files.suffixes import PLAIN, known_suffix
 from gs_codec.preparation.steps import CAMERAS, Plan
 
 if TYPE_CHECKING:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from gs_codec.codecs.matching import without_order
 from gs_codec.coding.clean import drop_nonfinite
-from gs_codec.config import LOSSLESS, Config
+from gs_codec.config import LOSSLESS, STREAMED, UNBUNDLED, Config
 from gs_codec.edit.actions import Action, check_actions
 from gs_codec.edit.pipeline import edit_scenes
 from gs_codec.errors import InvalidInput
 from gs_codec.files.scenes import check_target, read_scene, turn_scene, write_scene
-from gs_codec.files.suffixes import IN_PARTS, STREAMED, UNBUNDLED
+from gs_codec.files.suffixes import IN_PARTS
 from gs_codec.formats.coordinates import CONVENTION, OWN_SYSTEMS, state_system, system_of, turn_axes
 from gs_codec.formats.registry import open_scene
 from gs_codec.levels.encoding import check_levels

@@ -18,16 +18,15 @@ from gs_codec.codecs.adaptive.costs import gaussian_classes
 from gs_codec.codecs.costs import CodedGaussian, describe_gaussian, gaussian_bits
 from gs_codec.codecs.inspection import Info, describe, inspect_bytes
 from gs_codec.codecs.part import Part
-from gs_codec.config import Config, Extra
+from gs_codec.config import STREAMED, UNBUNDLED, Config, Extra
 from gs_codec.egs.file import DESCRIPTIONS, read_file
 from gs_codec.errors import InvalidInput
-from gs_codec.files.suffixes import PLAIN, STREAMED, UNBUNDLED, WRITTEN, config_for, suffix_of
+from gs_codec.files.suffixes import PLAIN, WRITTEN, config_for, suffix_of
 from gs_codec.formats.checkpoint import write_checkpoint
 from gs_codec.formats.coordinates import CONVENTION, system_of, turn_axes
 from gs_codec.formats.csv_table import write_csv
 from gs_codec.formats.ply import write_ply
 from gs_codec.formats.registry import SceneFile, open_scene
-from gs_codec.formats.sog_files import META
 from gs_codec.formats.usd import require_usd_core
 from gs_codec.guidance.planned import encode_camera_free
 from gs_codec.levels.encoding import add_levels
@@ -98,7 +97,7 @@ def write_parts(path: str | Path, parts: Sequence[bytes | memoryview]) -> None:
     with zipfile.ZipFile(io.BytesIO(b"".join(parts))) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     target = Path(path)
-    last = files.pop(META)
+    last = files.pop(UNBUNDLED)
     write_files(target.parent, files | {target.name: last})
 
 

@@ -5,14 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from gs_codec.config import EGS, FORMATS, Config
+from gs_codec.config import EGS, FORMATS, STREAMED, UNBUNDLED, Config
 from gs_codec.errors import InvalidInput
-
-#: The name of a SOG scene whose files are not in a zip.
-UNBUNDLED = "meta.json"
-
-#: The name of a scene as streamed SOG, which is made with coarser levels.
-STREAMED = "lod-meta.json"
 
 #: Of formats that scenes are encoded to, of those of plain floats, and of all that are written.
 ENCODED = (*(f".{name}" for name in FORMATS), UNBUNDLED)

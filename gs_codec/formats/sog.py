@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.config import UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.limits import check_count
 from gs_codec.formats.packed_values import largest_restored, opacities_of, planes_of
 from gs_codec.formats.sog_files import (
     FIRST_TAG,
-    META,
     PALETTE_COLUMNS,
     Files,
     Meta,
@@ -45,7 +45,7 @@ def _opened(path: Path, data: memoryview) -> Iterator[tuple[Files, Meta, int]]:
     """What reads the files of a scene, its `meta.json`, and the size of all its files."""
     is_zip = data[: len(ZIP)] == ZIP
     with located(path), sog_files(path, is_zip) as read:
-        meta = parse_meta(read(META, _META_BYTES))
+        meta = parse_meta(read(UNBUNDLED, _META_BYTES))
         yield read, meta, len(data) if is_zip else stored_bytes(path, meta.files)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gs_codec.config import UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import images
 from gs_codec.formats.limits import refusing
@@ -25,8 +26,6 @@ _FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 
 _TABLE = 256
 _FLOAT32 = float(np.finfo(np.float32).max)
-
-META = "meta.json"
 
 #: Rows of the palette side by side in its image.
 PALETTE_COLUMNS = 64
@@ -82,7 +81,7 @@ def parse_meta(data: bytes) -> Meta:
     InvalidInput
         If it is not JSON, or not of SOG version 1 or 2.
     """
-    with refusing(META):
+    with refusing(UNBUNDLED):
         meta = json.loads(data, parse_constant=_no_constant)
     version = 1 if not isinstance(meta, dict) else meta.get("version", 1)
     if version not in (1, 2) or isinstance(version, bool | float):
@@ -223,13 +222,13 @@ def _folder_of(names: Iterable[str]) -> str:
     by_base: dict[str, list[str]] = {}
     for name in names:
         by_base.setdefault(name.rpartition("/")[2], []).append(name)
-    if META not in by_base:
+    if UNBUNDLED not in by_base:
         raise InvalidInput("a zip without meta.json, expected a SOG scene")
-    return min(by_base[META], key=len).removesuffix(META)
+    return min(by_base[UNBUNDLED], key=len).removesuffix(UNBUNDLED)
 
 
 def _read_beside(meta: Path, name: str, limit: int) -> bytes:
-    path = meta if name == META else meta.parent / name
+    path = meta if name == UNBUNDLED else meta.parent / name
     with refusing(f"file '{name}'"):
         if not path.is_file() or path.stat().st_size > limit:
             raise InvalidInput(f"file '{name}': no file, or of more than {limit} bytes")

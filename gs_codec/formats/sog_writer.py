@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.coding.morton import spatial_order
+from gs_codec.config import UNBUNDLED
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.attribute_steps import AttributeSteps
 from gs_codec.formats.codebook import choose_colours, choose_levels, make_table
@@ -24,7 +25,7 @@ from gs_codec.formats.packed_values import (
     left_out,
     sigmoid,
 )
-from gs_codec.formats.sog_files import FIRST_TAG, META, PALETTE_COLUMNS
+from gs_codec.formats.sog_files import FIRST_TAG, PALETTE_COLUMNS
 from gs_codec.formats.sog_palette import fit_palette
 from gs_codec.formats.zip_file import write_zip
 from gs_codec.runtime.threads import run_all
@@ -85,7 +86,7 @@ def sog_files_of(
             meta[name] = described | {"files": list(of_group)}
             images |= of_group
     written = run_all(write_webp, images.values())
-    files = {META: json.dumps(meta).encode(), **dict(zip(images, written, strict=True))}
+    files = {UNBUNDLED: json.dumps(meta).encode(), **dict(zip(images, written, strict=True))}
     lost = "centres rounded to 16 bits, other values to 8, SH to rows of a palette"
     return files, (lost, *clipped.sentences(), *left_out(scene))
 

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gs_codec.config import STREAMED
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats import sog
 from gs_codec.formats.limits import check_count, refusing
 from gs_codec.runtime.mapped import located, opened
 from gs_codec.scene import Scene, join_scenes
-
-#: The only name that viewers know it by.
-LOD_META = "lod-meta.json"
 
 _VERSION = 1
 
@@ -90,7 +88,7 @@ def _around(nodes: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
 
 def is_streamed(path: Path) -> bool:
     """Whether a file has the name of a `lod-meta.json`."""
-    return path.name.lower() == LOD_META
+    return path.name.lower() == STREAMED
 
 
 def read_streamed(path: Path, data: memoryview, max_bytes: int | None) -> Scene:
@@ -137,10 +135,10 @@ def _units(path: Path, data: memoryview, finest: bool) -> Iterator[tuple[Path, t
 
 
 def _names(data: memoryview, finest: bool) -> list[str]:
-    with refusing(LOD_META, AttributeError):
+    with refusing(STREAMED, AttributeError):
         meta = json.loads(bytes(data))
         if not isinstance(meta, dict) or meta.get("version", _VERSION) != _VERSION:
-            raise InvalidInput(f"{LOD_META}: expected version {_VERSION} of streamed SOG")
+            raise InvalidInput(f"{STREAMED}: expected version {_VERSION} of streamed SOG")
         wanted = list(meta["filenames"])
         if finest:
             used = {run["file"] for run in _finest_runs(meta["tree"])}
@@ -148,7 +146,7 @@ def _names(data: memoryview, finest: bool) -> list[str]:
         wanted += [meta["environment"]] if meta.get("environment") else []
         wanted = list(_checked(wanted))
     if not wanted or len(set(wanted)) != len(wanted):
-        raise InvalidInput(f"{LOD_META}: no files of the level, or one twice")
+        raise InvalidInput(f"{STREAMED}: no files of the level, or one twice")
     return wanted
 
 
@@ -166,5 +164,5 @@ def _checked(names: Iterable[Any]) -> Iterator[str]:
     for name in names:
         plain = isinstance(name, str) and name.isprintable() and not set(name) & set("\\:")
         if not plain or any(part.strip(".") == "" for part in name.split("/")):
-            raise InvalidInput(f"{LOD_META}: file {name!a:.60}, expected one beside it")
+            raise InvalidInput(f"{STREAMED}: file {name!a:.60}, expected one beside it")
         yield name

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gs_codec.egs.header import FANOUT
-from gs_codec.levels.errors import FOOTPRINT, error_of, merged_to_quarter
+from gs_codec.levels.errors import FOOTPRINT, Run, error_of
 from gs_codec.report import Progress, step_counter
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, join_scenes
@@ -58,4 +58,4 @@ def coarser(
 def coarsen(group: Scene, antialiased: bool, least: float = 0.0) -> tuple[Scene, float]:
     """A quarter of a group's Gaussians, and their error: no less than that of what they are."""
     error = max(error_of(group, antialiased), least)
-    return merged_to_quarter(group, 0.0 if antialiased else FOOTPRINT * error), error
+    return Run(group).merged(0.0 if antialiased else FOOTPRINT * error), error

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,9 @@ from gs_codec.scene import Scene
 #: detail").
 _ALIKE, _MIXED = 10.0**-3.5, 10.0**-3.25
 
-#: Pixels that opacities and clusters are made for, as a share of the error of their block: what
-#: rasterisers widen splats by makes many small ones hide more than one of their mass.
+#: Pixels that opacities are made for, and clusters up to `_TOGETHER`, as a share of the error of
+#: their block: what rasterisers widen splats by makes many small ones hide more than one of their
+#: mass.
 FOOTPRINT = 0.7
 
 #: Clusters are for pixels of at most this, in distances of neighbours: for larger ones, what is
@@ -54,15 +56,23 @@ _FAR = 50.0
 _SIDES = tuple(np.roll(np.eye(3), axis, axis=0) for axis in range(3))
 
 
-class _Run(NamedTuple):
-    """Some Gaussians side by side, and how far apart they are."""
+@dataclass(frozen=True)
+class Run:
+    """Some Gaussians side by side."""
 
     scene: Scene
-    apart: float
+
+    @cached_property
+    def apart(self) -> float:
+        """How far apart they are; see `spacing`."""
+        return spacing(blobs_of(self.scene))
 
     def merged(self, footprint: float) -> Scene:
-        """A quarter of them."""
-        return merged_to_quarter(self.scene, footprint)
+        """A quarter of them, for pixels of this size; see `Clusters.merged`."""
+        number = -(-self.scene.count // FANOUT)
+        together = min(footprint, _TOGETHER * self.apart) if footprint else 0.0
+        into = merge_group(self.scene, number, together)
+        return Clusters(self.scene, into, number).merged(footprint)
 
     def difference(self, other: Scene, pixel: float, antialiased: bool) -> NDArray[np.float64]:
         """Sum of squared differences to what stands for them, and of covered pixels' channels."""
@@ -91,13 +101,6 @@ def _picture(scene: Scene, camera: Camera, antialiased: bool) -> tuple[NDArray, 
     return np.fmin(colour, 1), np.abs(left, dtype=np.float64)
 
 
-def merged_to_quarter(group: Scene, footprint: float) -> Scene:
-    """A quarter of a group's Gaussians, for pixels of this size; see `Clusters.merged`."""
-    number = -(-group.count // FANOUT)
-    together = min(footprint, _TOGETHER * spacing(blobs_of(group)))
-    return Clusters(group, merge_group(group, number, together), number).merged(footprint)
-
-
 def error_of(group: Scene, antialiased: bool) -> float:
     """Size in scene units of pixels so large that a quarter of a group looks like all of it."""
     runs = _runs(group)
@@ -115,16 +118,15 @@ def error_of(group: Scene, antialiased: bool) -> float:
     return float(np.float32(2.0 ** (math.ceil(_PARTS * math.log2(pixel)) / _PARTS)))
 
 
-def _runs(group: Scene) -> list[_Run]:
+def _runs(group: Scene) -> list[Run]:
     """Some runs of a group, evenly spread; all of it if it is small."""
     number = min(_RUNS, -(-group.count // _RUN))
     size = min(_RUN, group.count)
     starts = [(group.count - size) * (2 * k + 1) // (2 * number) for k in range(number)]
-    scenes = [group.between(start, start + size) for start in starts]
-    return [_Run(scene, spacing(blobs_of(scene))) for scene in scenes]
+    return [Run(group.between(start, start + size)) for start in starts]
 
 
-def _mean(runs: list[_Run], others: list[Scene], pixel: float, antialiased: bool) -> float:
+def _mean(runs: list[Run], others: list[Scene], pixel: float, antialiased: bool) -> float:
     """Mean squared error of covered pixels."""
     found = [
         run.difference(other, pixel, antialiased) for run, other in zip(runs, others, strict=True)

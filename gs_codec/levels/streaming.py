@@ -12,13 +12,12 @@ from gs_codec.codecs.adaptive.wanted_steps import camera_free_steps, wanted_step
 from gs_codec.coding.clean import clean_scene
 from gs_codec.coding.extent import block_extent
 from gs_codec.coding.morton import spatial_order
-from gs_codec.config import Config
+from gs_codec.config import STREAMED, UNBUNDLED, Config
 from gs_codec.egs.header import FANOUT
 from gs_codec.errors import InvalidInput
 from gs_codec.formats.coordinates import turn_axes
-from gs_codec.formats.sog_files import META
 from gs_codec.formats.sog_writer import numbers, sog_files_of
-from gs_codec.formats.streamed_sog import LOD_META, Leaf, Run, describe_levels
+from gs_codec.formats.streamed_sog import Leaf, Run, describe_levels
 from gs_codec.guidance.calibrate import calibrated
 from gs_codec.levels.building import coarsen
 from gs_codec.levels.encoding import config_of_levels
@@ -63,7 +62,7 @@ def stream_levels(
     with using_threads(config.threads, scene.count):
         scene = turn_axes(clean_scene(scene, config)[0])
         if not scene.count:
-            raise InvalidInput(f"no Gaussians, {LOD_META} has at least one")
+            raise InvalidInput(f"no Gaussians, {STREAMED} has at least one")
         leaves = _leaves(scene.take(spatial_order(scene.positions)), leaf)
         files: dict[str, bytes] = {}
         runs: list[list[Run]] = []
@@ -82,13 +81,13 @@ def stream_levels(
                 own = steps.take(slice(start, stop))
                 contents, lost = sog_files_of(whole.between(start, stop), own, in_order=True)
                 files |= {f"{level}_{number}/{name}": data for name, data in contents.items()}
-                names.append(f"{level}_{number}/{META}")
+                names.append(f"{level}_{number}/{UNBUNDLED}")
                 told += lost
         boxes = run_all(_box, leaves)
     described = [
         Leaf(*box, of_levels) for box, of_levels in zip(boxes, zip(*runs, strict=True), strict=True)
     ]
-    return files | {LOD_META: describe_levels(described, names)}, tuple(dict.fromkeys(told))
+    return files | {STREAMED: describe_levels(described, names)}, tuple(dict.fromkeys(told))
 
 
 def _leaves(scene: Scene, most: int) -> list[list[Scene]]:

@@ -84,7 +84,7 @@ def encode_adaptive(
     progress: Progress | None = None,
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`; camera-free if `steps` are None."""
-    header, arranged = arrange(scene, config, steps, times)
+    header, arranged = _arrange(scene, config, steps, times)
     return _code(
         header, arranged, _blocks(header, arranged, steps is None, times, progress), times, progress
     )
@@ -122,23 +122,21 @@ def _blocks(
         return colour_block(arranged, shape_block(arranged, *span), diffusing).kept()
 
     with times.stage("quantise"):
-        return run_all(code, block_spans(header), advance=advance)
+        return run_all(code, _spans(header), advance=advance)
 
 
 def shape_scene(
     scene: Scene,
     config: Config,
-    steps: StepSizes,
+    steps: StepSizes | None,
     times: StageTimes,
     progress: Progress | None = None,
 ) -> ShapedScene:
-    """Round everything but the colours of a cleaned scene, with finished step sizes."""
-    header, arranged = arrange(scene, config, steps, times)
+    """Round everything but the colours of a cleaned scene; camera-free if `steps` are None."""
+    header, arranged = _arrange(scene, config, steps, times)
     advance = step_counter(progress, "quantise", header.block_count)
     with times.stage("quantise"):
-        blocks = run_all(
-            lambda span: shape_block(arranged, *span), block_spans(header), advance=advance
-        )
+        blocks = run_all(lambda span: shape_block(arranged, *span), _spans(header), advance=advance)
     return ShapedScene(header, arranged, blocks)
 
 
@@ -157,16 +155,14 @@ def encode_shaped(
     return _code(header, arranged, blocks, times, progress)
 
 
-def arrange(
+def _arrange(
     scene: Scene, config: Config, steps: StepSizes | None, times: StageTimes
 ) -> tuple[Header, Arranged]:
-    """The header of a cleaned scene, and the scene in the order of the stream."""
     with times.stage("order"):
         return Header.of(scene, config), arrange_scene(scene, config, steps)
 
 
-def block_spans(header: Header) -> list[tuple[int, int]]:
-    """First and end Gaussian of each block."""
+def _spans(header: Header) -> list[tuple[int, int]]:
     return [header.block_range(block) for block in range(header.block_count)]
 
 

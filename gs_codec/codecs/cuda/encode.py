@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 from gs_codec.codecs.adaptive.arrange import Arranged
-from gs_codec.codecs.adaptive.blocks import ShapedBlock, shape_block
+from gs_codec.codecs.adaptive.blocks import ShapedBlock
 from gs_codec.codecs.adaptive.contexts import Pass, passes
-from gs_codec.codecs.adaptive.encode import arrange, assemble, block_spans, choose_models
+from gs_codec.codecs.adaptive.encode import assemble, choose_models, shape_scene
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST
 from gs_codec.codecs.cuda.lanes import WIDTH
 from gs_codec.codecs.cuda.launch import argument, for_each, unsigned, upload, working_on
@@ -30,7 +30,7 @@ from gs_codec.coding.ycocg import GREEN, LUMA, ORANGE
 from gs_codec.config import SH_STREAMS, Config
 from gs_codec.egs.file import Section, SectionId
 from gs_codec.egs.header import Header
-from gs_codec.report import EncodeReport, Progress, StageTimes, step_counter
+from gs_codec.report import EncodeReport, Progress, StageTimes
 from gs_codec.runtime.threads import run_all
 from gs_codec.scene import Scene, sh_bands
 
@@ -41,16 +41,12 @@ def encode_on_device(
     scene: Scene, config: Config, device: str, times: StageTimes, progress: Progress | None = None
 ) -> tuple[list[bytes | memoryview], EncodeReport]:
     """Encode a scene cleaned by `clean_scene`, of at least one Gaussian, as `encode_adaptive`."""
-    header, arranged = arrange(scene, config, None, times)
-    advance = step_counter(progress, "quantise", header.block_count)
+    shaped = shape_scene(scene, config, None, times, progress)
+    header, arranged = shaped.header, shaped.arranged
     listed = passes(len(scene.f_rest) // 3)
-    with times.stage("quantise"):
-        shaped = run_all(
-            lambda span: shape_block(arranged, *span), block_spans(header), advance=advance
-        )
     with working_on(device) as place:
         with times.stage("quantise"):
-            coder = _Encoder(header, arranged, shaped, place)
+            coder = _Encoder(header, arranged, shaped.blocks, place)
         with times.stage("model"):
             counted = []
             for item, symbols in zip(listed, coder.symbols, strict=True):
@@ -60,7 +56,7 @@ def encode_on_device(
         with times.stage("code"):
             rows = [models.rows(item) for item in listed]
             coded = coder.code(listed, rows, PassTables.pack(tables))
-    extents = run_all(lambda block: block.extent(arranged.lattice.grid), shaped)
+    extents = run_all(lambda block: block.extent(arranged.lattice.grid), shaped.blocks)
     found = models, costs, coded, coder.clamped
     return assemble(header, arranged, extents, *found, times)
 

@@ -1,4 +1,5 @@
 // Where the bytes of a file come from: memory, a stream, or a server.
+import { Ending } from './ending.js';
 import { CorruptError, SourceError } from './errors.js';
 
 /**
@@ -68,15 +69,12 @@ async function heardFrom(host, coming) {
 }
 
 async function request(url, { headers, signal } = {}) {
-  const controller = new AbortController();
-  const abort = () => controller.abort(signal.reason);
-  signal?.addEventListener('abort', abort, { once: true });
-  if (signal?.aborted) abort();
+  const ending = new Ending(signal);
   try {
-    return await heardFrom(hostOf(url), fetch(url, { headers, signal: controller.signal }));
+    return await heardFrom(hostOf(url), fetch(url, { headers, signal: ending.signal }));
   } catch (error) {
     if (signal?.aborted) throw error;
-    controller.abort();
+    ending.end(error);
     throw new SourceError(`${url}: ${error.message}`);
   }
 }

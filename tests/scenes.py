@@ -18,6 +18,7 @@ from gs_codec.coding.clean import clean_scene
 from gs_codec.config import Config
 from gs_codec.guidance.guide import Guidance, steps_adding
 from gs_codec.preparation.reference_views import ReferenceViews
+from gs_codec.rendering import auto_cameras
 from gs_codec.runtime.threads import using_threads
 from gs_codec.scene import ANTIALIASED, GROUPS, SH_COEFFICIENTS, Scene
 
@@ -154,6 +155,13 @@ def encode_by(scene: Scene, config: Config, guide: Guide | None = None) -> bytes
     if guide is not None and scene.count:
         steps = guide(clean_scene(scene, config)[0], config)
     return encode_scene(scene, config, steps=steps)[0]
+
+
+def estimate_few_cameras(patch: pytest.MonkeyPatch) -> None:
+    """Estimated cameras are smaller, and from fewer views, which take the most of the time."""
+    for name in ("WIDTH", "HEIGHT", "SMALL", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):
+        patch.setattr(auto_cameras, name, getattr(auto_cameras, name) // 6)
+    patch.setattr(auto_cameras, "_THUMB", (32, 21))
 
 
 def shared_scene_path(name: str) -> Path:

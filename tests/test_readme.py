@@ -10,6 +10,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from scenes import estimate_few_cameras
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -20,7 +21,6 @@ from gs_codec.bench.suite.tables import headline
 from gs_codec.cli.main import NAMES, app
 from gs_codec.files import sharing
 from gs_codec.formats.ply import write_ply
-from gs_codec.rendering import auto_cameras
 from samples.generate import generate
 
 ROOT = Path(__file__).parents[1]
@@ -40,10 +40,7 @@ def folder(tmp_path, monkeypatch):
     """A folder that holds a scene.ply, as the documents assume."""
     write_ply(tmp_path / "scene.ply", generate(1100, 1, 80))
     monkeypatch.chdir(tmp_path)
-    # Chosen views are smaller, and of fewer, which take the most of the time.
-    for name in ("WIDTH", "HEIGHT", "SMALL", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):
-        monkeypatch.setattr(auto_cameras, name, getattr(auto_cameras, name) // 6)
-    monkeypatch.setattr(auto_cameras, "_THUMB", (32, 21))
+    estimate_few_cameras(monkeypatch)
     # SOG takes minutes where its program is installed.
     monkeypatch.setenv("GS_CODEC_SPLAT_TRANSFORM", "no-such-program")
     # Pictures have no pixels, which tests of reports draw.

@@ -9,9 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from scenes import random_scene
+from scenes import estimate_few_cameras, random_scene
 from typer.testing import CliRunner
 
+import gs_codec
 from gs_codec.bench import apart, beside, measure, sources
 from gs_codec.bench import apart as scaling
 from gs_codec.bench.peers import AbsentPeer
@@ -71,6 +72,7 @@ def stand_in(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(beside, "_ITERATIONS", 5)
     patch.setattr(sources, "_MEASURED", 3)
     patch.setattr(sources, "_ENCODED_BY", 6)
+    estimate_few_cameras(patch)
 
 
 IN_OTHERS = ("ours as spz v4, m", "ours as sog, m", "ours as compressed.ply, m")
@@ -131,7 +133,8 @@ def test_a_scene_says_what_views_it_is_measured_in(suite):
 def test_codecs_stand_beside_each_other(suite):
     guided = [f"{profile}, camera-guided" for profile in ("l", "m", "s")]
     pruned = ["m, 39 % pruned", "m, 58.8 % pruned"]
-    expected = [*PROFILE_CHOICES, *guided, *pruned, "other v1", "exact v2", "third"]
+    expected = [*PROFILE_CHOICES, *guided, "m, estimated cameras", *pruned]
+    expected += ["other v1", "exact v2", "third"]
     expected += [*IN_OTHERS, *(f"{name}, camera-guided" for name in IN_OTHERS)]
     refined = [f"m, {ratio}x refined{how}" for ratio in (10, 5000) for how in ("", ", renders")]
     for scene in ("shot", "plain"):
@@ -150,6 +153,15 @@ def test_codecs_stand_beside_each_other(suite):
             )
         memory = of(suite[0], "memory", scene)
         assert [line["profile"] for line in memory] == list(PROFILE_CHOICES)
+
+
+def test_estimated_cameras_are_those_of_encode(suite, monkeypatch):
+    lines, _, out = suite
+    estimate_few_cameras(monkeypatch)
+    ply = out.parents[1] / "shot" / "point_cloud.ply"
+    data = gs_codec.encode(gs_codec.read(ply), plan=gs_codec.Plan(cameras="auto", views=6))
+    sizes = {line["codec"]: line.get("file_bytes") for line in of(lines, "beside", "shot")}
+    assert sizes["m, estimated cameras"] == len(data) != sizes["m, camera-guided"]
 
 
 def test_pruned_scenes_are_smaller_than_all_of_them(suite):

@@ -28,6 +28,9 @@ from gs_codec.scene import Scene
 #: Follows the profile's name if it is camera-guided.
 GUIDED = ", camera-guided"
 
+#: Follows it if nothing but the scene tells where cameras were.
+ESTIMATED = ", estimated cameras"
+
 #: Follows how many times smaller a file is to be that is refined: to photographs, or to the
 #: scene's own views.
 REFINED, BY_RENDERS = "x refined", "x refined, renders"
@@ -50,7 +53,8 @@ def our_codecs(
 ) -> list[Peer]:
     """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided, and `m` pruned or refined.
 
-    Those in other formats than `.egs` are named by the format first, and stand beside the others'.
+    `m` is guided by estimated cameras as well. Those in other formats than `.egs` are named by the
+    format first, and stand beside the others'.
 
     `pruned` are percentages of Gaussians removed by leave-one-out error, `refined` plans of the
     views to refine to, and how many times smaller.
@@ -60,7 +64,8 @@ def our_codecs(
         adaptive = [config for config in configs if config.profile in ADAPTIVE_PROFILES]
         codecs += [guided(config, plan) for config in adaptive]
         of_m = [config for config in adaptive if config.profile == "m" and config.format == EGS]
-        codecs += [guided(config, plan, percent) for config in of_m for percent in pruned]
+        codecs += [guided(config, replace(plan, cameras="auto"), ESTIMATED) for config in of_m]
+        codecs += [pruned_by(config, plan, percent) for config in of_m for percent in pruned]
         codecs += [refined_to(config, *how) for config in of_m for how in refined]
     return codecs
 
@@ -92,18 +97,24 @@ def _name_of(config: Config) -> str:
     return f"{OURS_AS}{config.format}{version}, {config.profile}"
 
 
-def guided(config: Config, plan: Plan, percent: float = 0.0) -> Peer:
-    """A profile that uses the views of a plan, after so many percent were pruned."""
+def guided(config: Config, plan: Plan, how: str = GUIDED) -> Peer:
+    """A profile that uses the views of a plan."""
 
     def encode(ply: Path) -> bytes:
-        scene, chosen, references = read_ply(ply, config.extra), plan, None
-        if percent:
-            chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
-            scene, report = prepare_scene(scene, chosen)
-            references = report.views.renders
-        return encode_planned(scene, config, chosen, references=references)[0]
+        return encode_planned(read_ply(ply, config.extra), config, plan)[0]
 
-    how = f", {percent:g} % pruned" if percent else GUIDED
+    return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
+
+
+def pruned_by(config: Config, plan: Plan, percent: float) -> Peer:
+    """A profile that uses the views of a plan, after so many percent were pruned by them."""
+    chosen = replace(plan, steps=Steps(prune=percent), views=_PRUNING_VIEWS)
+
+    def encode(ply: Path) -> bytes:
+        scene, report = prepare_scene(read_ply(ply, config.extra), chosen)
+        return encode_planned(scene, config, chosen, references=report.views.renders)[0]
+
+    how = f", {percent:g} % pruned"
     return replace(camera_free(config), name=_name_of(config) + how, encode=encode, once=True)
 
 

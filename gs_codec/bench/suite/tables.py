@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gs_codec.bench.beside import BY_RENDERS, GUIDED, OURS_AS, REFINED, is_ours
+from gs_codec.bench.beside import BY_RENDERS, ESTIMATED, GUIDED, OURS_AS, REFINED, is_ours
 from gs_codec.bench.suite.points import CAMERA_GUIDED, FREE, PAPER
 from gs_codec.bench.suite.results import Line, Results, bd_rate, delta_of, is_exact, psnr_of
 from gs_codec.config import LOSSLESS
@@ -14,6 +14,7 @@ _OURS = ["ours at that PSNR, camera-free", "camera-guided"]
 #: Ours that the README has, by effort, and those of others that it leaves out.
 _SHOWN = (
     "m",
+    f"m{ESTIMATED}",
     *(f"{profile}{GUIDED}" for profile in ("m", "s")),
     *(f"m, 60{how}" for how in (BY_RENDERS, REFINED)),
     f"m, 100{REFINED}",
@@ -139,7 +140,7 @@ def in_order(results: Results, scene: str) -> list[Line]:
             return 5 if codec != LOSSLESS else 4
         if REFINED in codec:
             return 3
-        return 2 if codec.endswith("pruned") else int(codec.endswith(GUIDED))
+        return 2 if codec.endswith("pruned") else int(codec.endswith((GUIDED, ESTIMATED)))
 
     return sorted(results.of("beside", scene), key=kind)
 

@@ -9,7 +9,7 @@ NEW_VENV := $(PYTHON) -m venv --upgrade-deps $(VENV)
 # Without the warnings of setuptools, which that pip shows.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test test-all lint check docs web boundscheck scaling suite fuzz peers clean
+.PHONY: demo test test-all test-ci lint check docs web boundscheck scaling suite fuzz peers clean
 
 demo: $(VENV)/installed
 	@mkdir -p demo
@@ -42,6 +42,11 @@ test: $(VENV)/installed-test
 
 test-all: $(VENV)/installed-all web tests/web/node_modules/.package-lock.json
 	$(PYTEST)
+
+# Without tests that take seconds each, to show more of what others show: on more processes, windows, browsers and
+# real scenes, or for every bit. They are marked `thorough`, and take half of the time of all.
+test-ci: $(VENV)/installed-all web tests/web/node_modules/.package-lock.json
+	$(PYTEST) -m "not thorough"
 
 lint: $(VENV)/installed-test
 	$(BIN)/ruff check .

@@ -43,6 +43,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     rounds = config.getoption("rounds")
     config.addinivalue_line("markers", "rounds(n): `seed` goes from 0 to n times --rounds")
+    config.addinivalue_line("markers", "thorough: takes seconds; for `make test-all`, not for CI")
     # The same examples on every run, on however slow a machine.
     hypothesis.settings.register_profile(
         "same",

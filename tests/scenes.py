@@ -157,6 +157,11 @@ def encode_by(scene: Scene, config: Config, guide: Guide | None = None) -> bytes
     return encode_scene(scene, config, steps=steps)[0]
 
 
+def thorough(value: Any) -> Any:
+    """A value of a parameter for which the test is left to `make test-all`."""
+    return pytest.param(value, marks=pytest.mark.thorough)
+
+
 def estimate_few_cameras(patch: pytest.MonkeyPatch) -> None:
     """Estimated cameras are smaller, and from fewer views, which take the most of the time."""
     for name in ("WIDTH", "HEIGHT", "SMALL", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):

@@ -381,6 +381,7 @@ def test_every_truncation_is_refused(guided):
             inspect_bytes(stream[:size])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_every_flipped_bit_is_refused(guided):
     damaged = bytearray(small(guided))
@@ -391,6 +392,7 @@ def test_every_flipped_bit_is_refused(guided):
         damaged[bit >> 3] ^= 1 << (bit & 7)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_flipped_bits_under_right_checksums_are_survived(guided):
     stream = small(guided)

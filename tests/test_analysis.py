@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import edge_scenes, random_scene
+from scenes import edge_scenes, random_scene, thorough
 from test_cli import Folder, strict_json
 
 from gs_codec.analysis import plots
@@ -449,6 +449,7 @@ def test_constant_attributes_have_no_error_over_the_mean():
 # Whole scenes
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ODD)
 def test_odd_scenes_are_analysed(name):
     analysis = analyse_scene(edge_scenes()[name], name)
@@ -457,6 +458,7 @@ def test_odd_scenes_are_analysed(name):
     assert set(content["bits_per_gaussian"]) == set(PROFILE_CHOICES)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["one", "five of degree 0", "huge range", "zero SH-AC"])
 def test_odd_scenes_are_drawn(name):
     scene = edge_scenes()[name]
@@ -519,7 +521,7 @@ def no_ink(monkeypatch):
     monkeypatch.setattr(plots, "png_of", lambda _: b"\x89PNG")
 
 
-@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("degree", [thorough(0), 1, thorough(3)])
 def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
     write_ply(folder.path / "scene.ply", random_scene(600, degree, seed=17))
     views = ("--cameras", "auto", "--width", "40") if degree == 1 else ()
@@ -577,6 +579,7 @@ def test_command_prints_a_summary(folder):
     assert first == second
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("no_ink")
 def test_command_gives_errors_over_the_mean_and_either_bins(folder):
     write_ply(folder.path / "scene.ply", random_scene(600, 1, seed=23))

@@ -123,6 +123,7 @@ def test_examples_run(example, folder, monkeypatch):
     assert bool(shown) == (example.name == "viewer.draw")
 
 
+@pytest.mark.thorough
 def test_pages_render_without_warnings(tmp_path):
     command = [sys.executable, str(ROOT / "samples" / "api_pages.py"), str(tmp_path / "pages")]
     done = subprocess.run(

@@ -110,6 +110,7 @@ def test_auto_cameras_are_upright(around):
     assert np.abs(rights[:, 0]).max() < 0.2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sign", [1, -1])
 def test_up_is_where_cameras_were_if_the_floor_does_not_say(sign):
     scene = table_upwards(sign)
@@ -121,6 +122,7 @@ def test_up_is_where_cameras_were_if_the_floor_does_not_say(sign):
     assert sign * found.up[0] > 0.9
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 def test_auto_cameras_are_upright_by_the_axis_asked_for(table):
     up = np.array([0.0, 0.6, 0.8])
@@ -169,6 +171,7 @@ def test_where_nothing_tells_up_is_that_of_a_floor_or_of_trainers(normal, share,
     np.testing.assert_allclose(found.up, up, atol=0.05)
 
 
+@pytest.mark.thorough
 def test_the_overview_of_many_gaussians_is_that_of_the_best_judged_in_full(still_life, monkeypatch):
     full = auto_cameras(still_life, 2)
     monkeypatch.setattr(module, "_ROUGH", 1000)
@@ -208,6 +211,7 @@ def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):
     assert inside.mean() > 0.9
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize("degree", [0, 3])
 def test_noise_does_not_tell_where_cameras_were(degree, caplog):
@@ -228,6 +232,7 @@ def test_views_to_work_by_are_many_and_small(table):
     assert found.telling
 
 
+@pytest.mark.thorough
 def test_views_to_work_by_are_larger_where_gaussians_are_many():
     found = guiding_cameras(generate(30_000, 1, 0), 3)
     [size] = {(view.width, view.height) for view in found.cameras}
@@ -238,6 +243,7 @@ def test_views_to_work_by_are_larger_where_gaussians_are_many():
     assert len(found.cameras) == int(np.ceil(12 * (WIDTH / 2 / size[0]) ** 2))
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize(("width", "number"), [(60, 12), (WIDTH, 6), (900, 6)])
 def test_views_to_work_by_have_the_width_asked_for(still_life, width, number):
@@ -305,6 +311,7 @@ def test_auto_cameras_fill_the_image_with_what_is_smaller_than_the_near_plane():
         assert (render(speck, view.resized(120, 80)).alpha > 0.5).mean() > 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 @pytest.mark.parametrize("name", [name for name in edge_scenes() if name != "empty"])
 def test_auto_cameras_see_something_of_edge_scenes(name):

@@ -29,6 +29,7 @@ def left(scene: Scene, plan: Plan, error: float | None = None) -> int:
     return prepare_scene(scene, plan, None, known)[0].count
 
 
+@pytest.mark.thorough
 def test_coarser_steps_leave_fewer_gaussians(seen):
     scene, plan = seen
     counts = [left(scene, plan, error) for error in (0.0, 1e-4, 1e-2)]
@@ -78,6 +79,7 @@ def test_rounds_are_weighed_against_the_one_before(seen):
     assert 0.8 * renders.error(half) < sizes[4][1] <= renders.error(half)
 
 
+@pytest.mark.thorough
 def test_targets_choose_the_number_of_gaussians(seen):
     scene, plan = seen
     counts = []

@@ -127,6 +127,7 @@ def check_whole(place: Place, wanted: dict[str, bytes]) -> None:
     assert list(place.temporary.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_batch_killed_twice_is_resumed(scenes, place):
     source, wanted = scenes
     pattern = f"{source}/**/*.ply"
@@ -186,6 +187,7 @@ def test_scene_whose_process_is_killed_is_tried_again_alone(tmp_path, monkeypatc
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("plan", [None, Plan(Steps(), width=48, views=4)], ids=["plain", "views"])
 def test_scenes_of_one_thread_start_no_other(tmp_path, monkeypatch, plan):
     for seed in range(2):
@@ -348,6 +350,7 @@ for port in map(int, sys.argv[1:]):
 """
 
 
+@pytest.mark.thorough
 def test_local_cluster_talks_to_nobody_else(scenes, place):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     psutil = pytest.importorskip("psutil", reason="comes with the extra 'cluster'")
@@ -372,6 +375,7 @@ def test_local_cluster_talks_to_nobody_else(scenes, place):
         finish(process)
 
 
+@pytest.mark.thorough
 def test_local_cluster_does_the_same(scenes, place, tmp_path):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     source, wanted = scenes

@@ -144,6 +144,7 @@ def test_secrets_of_a_source_are_never_said(server, tmp_path, url, status, said)
     assert done.returncode == status, done.stderr
 
 
+@pytest.mark.thorough
 def test_workers_of_dask_say_none(server, tmp_path):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     host = server.url.removeprefix("http://")

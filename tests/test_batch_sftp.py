@@ -137,6 +137,7 @@ def test_batch_from_server_to_server(server):
     assert list((server.folder / "out").rglob(".*")) == []
 
 
+@pytest.mark.thorough
 def test_one_that_cannot_be_written_is_its_own_error(server):
     (server.folder / "half").mkdir()
     (server.folder / "half/sub").write_text("not a folder")
@@ -158,6 +159,7 @@ def test_one_that_cannot_be_written_is_its_own_error(server):
     ]
 
 
+@pytest.mark.thorough
 def test_server_that_stops_is_an_error_of_each_scene_that_needs_it(server, tmp_path):
     """Its processes for those that are connected stop too."""
     own = Server(tmp_path)
@@ -180,6 +182,7 @@ def test_server_that_stops_is_an_error_of_each_scene_that_needs_it(server, tmp_p
         assert record["error"]["text"].startswith(own.url(tmp_path / "out"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("chain", ["", "simplecache::"])
 @pytest.mark.parametrize("known", ["", "[127.0.0.1]:{port} ssh-ed25519 {other}\n"])
 def test_host_that_is_not_known_is_not_trusted(server, tmp_path, known, chain):
@@ -193,6 +196,7 @@ def test_host_that_is_not_known_is_not_trusted(server, tmp_path, known, chain):
     assert done.stderr == f"gs-codec: error: {url}: Host key is not trusted for host 127.0.0.1\n"
 
 
+@pytest.mark.thorough
 def test_server_that_is_not_there_is_one_line(server, tmp_path):
     with socket.socket() as taken:  # and nobody listens
         taken.bind(("127.0.0.1", 0))

@@ -53,12 +53,14 @@ def test_m_loses_the_same_at_any_contrast(still_life, views, contrast):
     assert LEAST < own_psnr(scene, views, Config("m")) < MOST
 
 
+@pytest.mark.thorough
 def test_m_loses_the_same_of_a_small_capture():
     made = capture("forward", 6000, seed=3, iterations=40, width=120)
     cameras = [camera for camera in made.cameras if camera.split == "test"]
     assert LEAST < own_psnr(made.scene, cameras, Config("m")) < MOST
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "format"), [("bonsai", "egs"), ("mouse", "egs"), ("mouse", "spz")]
 )
@@ -85,6 +87,7 @@ def test_files_are_those_of_the_coarseness_that_the_report_tells(still_life):
     assert "calibrate" in report.seconds
 
 
+@pytest.mark.thorough
 def test_threads_and_other_columns_do_not_matter(still_life):
     found = calibrated(still_life, Config())
     assert with_threads(1, calibrated, still_life, Config()) == found
@@ -113,6 +116,7 @@ def test_few_gaussians_are_not_looked_at():
     assert calibrated(few, Config()) == Config()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", edge_scenes())
 def test_scenes_at_the_limits(name):
     """Nothing is said, and the coarseness stays within two octaves."""
@@ -121,6 +125,7 @@ def test_scenes_at_the_limits(name):
     assert 0.25 <= calibrated(many, Config()).coarseness <= 4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("factor", [1e-38, 1e30])
 @pytest.mark.parametrize("group", ["positions", "f_dc", "log_scale", "rot"])
 def test_extreme_numbers(still_life, group, factor):

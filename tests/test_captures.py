@@ -141,6 +141,7 @@ def test_photographs_show_points_where_they_are() -> None:
     assert (np.einsum("in,in->n", hits.normals, hits.points - camera.position[:, None]) <= 0).all()
 
 
+@pytest.mark.thorough
 def test_seed_decides_everything() -> None:
     first, again = (capture("arc", 200, 3, 10, width=30) for _ in range(2))
     other = capture("arc", 200, 4, 0, width=30)
@@ -151,6 +152,7 @@ def test_seed_decides_everything() -> None:
     assert np.abs(first.cameras[0].position - other.cameras[0].position).max() > 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("style", RIGS)
 def test_gaussians_grow_with_the_distance_of_the_nearest_camera(style: str) -> None:
     made = _small(style)

@@ -47,6 +47,7 @@ def in_child(*arguments: str, cwd: Path, **environment: str) -> subprocess.Compl
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "O_TMPFILE"), reason="files without a name are Linux's")
 @pytest.mark.parametrize("existing", [False, True], ids=["new", "existing"])
 @pytest.mark.parametrize(
@@ -274,6 +275,7 @@ print(fit_range(np.array([1, 3], np.float32), 2).step)
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fail", ["save", "load", "no folder"])
 def test_kernels_work_without_their_cache(tmp_path, fail):
     cache = tmp_path / "cache"

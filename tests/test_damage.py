@@ -52,6 +52,7 @@ def test_every_truncation_is_refused(profile):
             inspect_bytes(stream[:size])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_every_flipped_bit_is_refused(profile):
     stream = sample(profile)
@@ -60,6 +61,7 @@ def test_every_flipped_bit_is_refused(profile):
             decode_scene(bytes(flipped(stream, bit)), threads=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_flipped_bits_under_right_checksums_are_survived(profile, pytestconfig):
     stream = sample(profile)
@@ -133,6 +135,7 @@ def test_extra_properties_count_towards_the_limit(profile):
     assert peak_of(refused) < 1 << 20
 
 
+@pytest.mark.thorough
 def test_a_table_of_many_sections_is_bounded():
     """Sections that are not known, empty, and optional."""
     data = sample("m")

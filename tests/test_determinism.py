@@ -68,6 +68,7 @@ def test_threads_and_runs_do_not_matter():
         assert digests(threads) == expected
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("blas_threads", ["1", "2"])
 def test_processes_do_not_matter(blas_threads):
     """With another seed of hashes each, and as many threads of other libraries."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import antialiased, edge_scenes, random_scene
+from scenes import antialiased, edge_scenes, random_scene, thorough
 
 from gs_codec import encode_distributed
 from gs_codec.codecs.part import Part
@@ -93,7 +93,7 @@ def test_scenes_at_the_limits(tmp_path, name):
     assert in_tasks([path], tmp_path / "tasks.egs", config, 100) == expected
 
 
-@pytest.mark.parametrize("size", [100, 5000, 10**6])
+@pytest.mark.parametrize("size", [thorough(100), 5000, thorough(10**6)])
 @pytest.mark.parametrize("blended", [False, True])
 def test_levels_are_the_same(tmp_path, blended, size):
     scene = antialiased(replace(random_scene(18_000, 1, seed=11), has_normals=True), blended)

@@ -93,6 +93,7 @@ def wanted(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 @pytest.mark.rounds(1)
 def test_whatever_is_killed_the_same_command_goes_on(tmp_path, machines, wanted, seed):
     rng = random.Random(seed)

@@ -431,6 +431,7 @@ def test_a_failed_film_leaves_nothing_and_says_why(tmp_path, ffmpeg, monkeypatch
     assert sorted(os.listdir(tmp_path)) == ["ffmpeg", "out.mp4"]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["frames", "out.mp4"])
 def test_ctrl_c_leaves_nothing(files, tmp_path, name, request):

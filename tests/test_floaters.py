@@ -244,6 +244,7 @@ def test_edges(name):
     assert bool(largest_cluster(scene).any()) == bool(scene.count)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("group", ["positions", "f_dc", "f_rest", "opacity", "log_scale", "rot"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite(group, value):
@@ -336,6 +337,7 @@ def test_the_cluster_with_more_gaussians_stays():
 # Real scenes
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["mouse/point_cloud.ply", "showroom_sh0.ply"])
 def test_real_scenes_keep_nearly_all(name):
     scene = read_ply(shared_scene_path(name))

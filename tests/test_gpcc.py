@@ -89,6 +89,7 @@ def assert_interchangeable(scene, options, **more):
     return data
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", EDGES)
 def test_edge_scenes_are_those_of_the_octree(name, stand_in):
     assert_interchangeable(EDGES[name], {"profile": "paper-m"})

@@ -120,12 +120,14 @@ def check_same(found, scene: Scene) -> None:
         )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*GOLDEN, *EDGES, "blocks", "strong"])
 def test_a_device_decodes_to_the_same_bits(folder, name):
     with np.load(folder / f"{name}.npz") as found:
         check_same(found, decode_scene((folder / f"{name}.egs").read_bytes()))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DAMAGED)
 def test_a_device_refuses_what_the_cpu_refuses(folder, name):
     refused = None
@@ -140,6 +142,7 @@ def test_a_device_refuses_what_the_cpu_refuses(folder, name):
         assert (folder / f"{name}.txt").read_text() == refused
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ENCODED)
 def test_a_device_encodes_to_the_same_bytes(folder, name):
     scene, profile, block_size = ENCODED[name]

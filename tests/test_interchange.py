@@ -235,6 +235,7 @@ def test_edge_scenes_are_written_and_read(name, form, tmp_path):
         assert np.isfinite(getattr(back, group)).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("form", ALL)
 def test_threads_do_not_change_bytes(form):
     scene = random_scene(70_000, 1)
@@ -299,6 +300,7 @@ def loss(scene: Scene, coded: Scene, plan: Plan) -> float:
     return views.error(coded)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("form", ROUNDING)
 def test_colours_make_up_for_what_a_format_rounds(form, seen):
     scene, plan = seen
@@ -335,6 +337,7 @@ def test_sizes_of_fixed_formats_are_met_by_pruning(form, seen):
         encode_by_plan(scene, 1, Config(format=form), plan, {"size": 40})
 
 
+@pytest.mark.thorough
 def test_a_loss_of_a_fixed_format_is_met_by_pruning(seen):
     scene, plan = seen
     config = Config(format="compressed.ply")

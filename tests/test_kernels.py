@@ -106,6 +106,7 @@ def change(value):
 """
 
 
+@pytest.mark.thorough
 def test_kernels_are_compiled_again_when_what_they_use_changes(tmp_path):
     """Of other modules too, which numba does not look at: a decoder would read files wrongly."""
     (tmp_path / "uses.py").write_text(USES)
@@ -137,6 +138,7 @@ def test_kernels_are_compiled_again_when_what_they_use_changes(tmp_path):
     assert change(20, "-", 4) == "17 0\n"
 
 
+@pytest.mark.thorough
 def test_processes_that_start_together_compile_once(tmp_path):
     script = tmp_path / "started.py"
     script.write_text(STARTED)

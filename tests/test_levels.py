@@ -127,6 +127,7 @@ def test_threads_do_not_change_the_bytes():
     assert len(files) == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", edge_scenes())
 def test_extreme_scenes_have_levels(name):
     scene = edge_scenes()[name]

@@ -93,6 +93,7 @@ print(scene.float_bytes, peak_bytes() - before)
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BOMBS)
 def test_memory_of_foreign_formats_is_bounded(name, tmp_path):
     """Peak of a process of its own: libraries take memory that Python does not count."""

@@ -131,6 +131,7 @@ def test_reference_decoder_agrees(name, config):
         np.testing.assert_array_equal(in_order[names.index(column)], row.view(np.uint32))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", REAL_SCENES)
 def test_real_scene_comes_back_and_is_smaller(name):
     path = shared_scene_path(name)
@@ -141,6 +142,7 @@ def test_real_scene_comes_back_and_is_smaller(name):
     assert scene.float_bytes >= (1.5 if name.startswith("bonsai") else 1) * len(data)
 
 
+@pytest.mark.thorough
 def test_bonsai_is_smaller_in_its_order():
     scene = read_ply(shared_scene_path("bonsai/point_cloud.ply"))
     kept = encode_scene(scene, Config("lossless", keep_order=True))[0]
@@ -312,6 +314,7 @@ def test_every_truncation_is_refused(stream):
                 read(stream[:size])
 
 
+@pytest.mark.thorough
 def test_every_flipped_bit_is_refused(stream):
     damaged = bytearray(stream)
     for bit in range(8 * len(stream)):
@@ -330,6 +333,7 @@ def survive(data: bytes) -> None:
             assert "\n" not in str(error)  # noqa: PT017
 
 
+@pytest.mark.thorough
 def test_every_flipped_bit_under_right_checksums_is_survived():
     stream = encode_scene(random_scene(4, 0, 83), KEPT)[0]
     for bit in range(8 * len(stream)):

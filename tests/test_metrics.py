@@ -281,6 +281,7 @@ def test_original_is_matched_with_its_decoded_version(name, config, tmp_path):
         assert compare_files(*pair) == with_egs
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", REAL_SCENES)
 def test_real_scene_is_matched_with_its_encoded_version(name, tmp_path):
     ply, egs = shared_scene_path(name), tmp_path / "scene.egs"

@@ -397,6 +397,7 @@ def refit(
     return optimise(scene, references, iterations, **options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [30, 31])
 def test_refitting_wins_back_most_of_what_was_lost(seed):
     original = garden(seed)
@@ -425,6 +426,7 @@ def test_what_fits_already_stays():
     assert_same_floats(fitted, SCENE)
 
 
+@pytest.mark.thorough
 def test_a_pruned_real_scene_wins_back_most_of_what_it_lost():
     scene = read_ply(shared_scene_path("bonsai/point_cloud.ply"))
     cameras = [camera.resized(100, 66) for camera in real_cameras()[::4]]
@@ -506,6 +508,7 @@ def test_gaussians_that_are_not_numbers_stay():
     assert np.isfinite(fitted.opacity).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sh_degree", range(4))
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_few_gaussians_of_any_degree_are_refitted(count, sh_degree):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from scenes import made_up_sensitivity, random_scene, told
+from scenes import made_up_sensitivity, random_scene, thorough, told
 from test_guide import cameras
 from typer.testing import CliRunner
 
@@ -225,7 +225,7 @@ def seen() -> tuple[Scene, Plan]:
     return generate(1200, 2, 5), Plan(Steps(), cameras(18))
 
 
-@pytest.mark.parametrize("wanted", [0.03, 0.1, 0.5])
+@pytest.mark.parametrize("wanted", [thorough(0.03), 0.1, thorough(0.5)])
 def test_losses_are_met_from_below(seen, wanted):
     scene, plan = seen
     data, report = encode_to_target(
@@ -258,6 +258,7 @@ def test_a_loss_out_of_reach_is_refused(seen):
         encode_to_target(scene, scene, 1, Config("m"), RateTarget(psnr_drop=1e-9), plan)
 
 
+@pytest.mark.thorough
 def test_photographs_tell_what_is_lost(seen, tmp_path):
     scene, plan = seen
     rng = np.random.default_rng(201)
@@ -289,6 +290,7 @@ def crowded() -> tuple[Scene, Plan]:
     return replace(made, opacity=opacity), Plan(Steps(), cameras(9))
 
 
+@pytest.mark.thorough
 def test_pruning_makes_room_for_the_others(crowded):
     scene, plan = crowded
     measured = choose_views(scene, plan).held_out
@@ -303,6 +305,7 @@ def test_pruning_makes_room_for_the_others(crowded):
     assert errors[1] < errors[0]
 
 
+@pytest.mark.thorough
 def test_pruning_makes_files_of_a_quality_smaller(crowded):
     scene, plan = crowded
     measured = choose_views(scene, plan).held_out
@@ -316,6 +319,7 @@ def test_pruning_makes_files_of_a_quality_smaller(crowded):
     assert sizes[1] < 0.97 * sizes[0]
 
 
+@pytest.mark.thorough
 def test_pruning_reaches_what_steps_do_not(crowded):
     scene, plan = crowded
     with pytest.raises(InvalidInput, match="are in reach"):
@@ -333,6 +337,7 @@ def test_pruning_reaches_what_steps_do_not(crowded):
     assert report.rate.encodings >= len(counted) > 20
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("target", [RateTarget(psnr_drop=1e-9), RateTarget(size=99)])
 def test_what_pruning_does_not_reach_either_is_refused(crowded, target):
     scene, plan = crowded

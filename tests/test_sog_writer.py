@@ -154,6 +154,7 @@ def test_the_antialias_flag_is_kept_and_other_properties_are_not(tmp_path):
     assert lost[1:] == ("properties left out: seen", "comments left out: 1 lines")
 
 
+@pytest.mark.thorough
 def test_the_same_scene_gives_the_same_bytes():
     scene = random_scene(20_000, 3)
     steps = steps_of(scene, 0.05)

@@ -364,6 +364,7 @@ SEEN = """[
 ]"""
 
 
+@pytest.mark.thorough
 @in_browser
 def test_playcanvas_draws_each_leaf_once_at_the_level_that_it_chooses(tmp_path):
     scene = generate(6000, 1, 12)

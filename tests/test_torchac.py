@@ -30,8 +30,14 @@ from gs_codec.errors import CorruptStream, InvalidInput, MissingTool, TruncatedS
 from gs_codec.formats.ply import write_ply
 
 HERE = all(importlib.util.find_spec(name) for name in ("torch", "torchac"))
-needs_torchac = pytest.mark.skipif(not HERE, reason="torchac is not installed")
 EDGES = edge_scenes()
+
+
+def needs_torchac(test):
+    """A test of torchac itself, which compiles for half a minute when it is first imported."""
+    return pytest.mark.thorough(
+        pytest.mark.skipif(not HERE, reason="torchac is not installed")(test)
+    )
 
 
 def config(profile="paper-m", **options):

@@ -81,6 +81,7 @@ def _is_near(wanted: str, found: str) -> bool:
     return a == b or math.isclose(a, b, rel_tol=TOLERANCE)
 
 
+@pytest.mark.thorough
 def test_every_command_runs_and_prints_what_is_shown(steps):
     done, files = steps
     assert len(done) >= 12

@@ -254,6 +254,7 @@ def test_layers_of_a_usdz_may_refer_to_one_another(tmp_path):
     assert_same_bits(read_scene(tmp_path / "a.usdz", coordinates=None), expected)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("other", ["c.usda", "../b.usda", "{folder}/b.usda", "b.usdz", "B.USDA"])
 def test_a_usdz_that_refers_to_other_files_is_refused(other, tmp_path):
     (tmp_path / "b.usda").write_text(HEAD + SPLATS)
@@ -342,6 +343,7 @@ BAD = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BAD)
 def test_bad_stages_are_refused_in_one_line(name, tmp_path, monkeypatch):
     monkeypatch.setattr(usd, "_SECONDS", 2)
@@ -354,6 +356,7 @@ def test_bad_stages_are_refused_in_one_line(name, tmp_path, monkeypatch):
     assert str(caught.value).startswith(f"{path}: ")
 
 
+@pytest.mark.thorough
 @pytest.mark.rounds(4)
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 def test_damaged_files_are_refused_in_one_line(suffix, seed, tmp_path):

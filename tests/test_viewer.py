@@ -300,6 +300,7 @@ def test_a_view_chosen_from_the_scene_is_asked_for_by_its_number(seen, files):
         find_views(replace(request, view=99), scene)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("up", UPS)
 def test_viewpoints_are_upright_by_the_axis_asked_for(seen, up):
     scene, views = seen
@@ -448,6 +449,7 @@ def test_the_frame_is_outlined_and_measured_whatever_the_layout(files, monkeypat
     assert (rows[0], rows[-1]) == (20, 79)
 
 
+@pytest.mark.thorough
 def test_pictures_are_of_the_size_asked_for(files):
     for mode in ("side", "wipe", "flip"):
         request = Request(files / "a.ply", files / "b.egs", mode=mode, size=(300, 120))
@@ -671,6 +673,7 @@ def test_without_a_display_it_says_so(files, display, said):
     assert len(result.stderr.splitlines()) == 1
 
 
+@pytest.mark.thorough
 def test_lines_of_the_readmes_draw_pictures(files, tmp_path, monkeypatch):
     monkeypatch.chdir(files)
     for name, copy in {

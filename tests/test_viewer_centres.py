@@ -200,6 +200,7 @@ def test_a_file_that_has_changed_is_refused(files, tmp_path):
         centres(scene, "class", [scene])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("colouring", COLOURINGS)
 def test_screenshots_are_coloured_by_each(files, colouring, monkeypatch):
     # Where one looks from is another matter.

@@ -191,6 +191,7 @@ BY = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BY)
 def test_gaussians_are_matched_as_compare_matches_them(a, files, name):
     other = open_scene(files / name)

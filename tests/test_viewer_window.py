@@ -270,6 +270,7 @@ def rows_in(folder: Path, name: str, pose: list, *corners: tuple[int, int]) -> s
 BOX = (60, 40), (150, 40), (150, 160), (60, 160)
 
 
+@pytest.mark.thorough
 def test_regions_select_what_is_in_them(edited, folder):
     pose = edited["pose"]
     box = rows_in(folder, "a.ply", pose, *BOX)
@@ -286,6 +287,7 @@ def test_regions_select_what_is_in_them(edited, folder):
     assert set(other) == rows_in(folder, "b.egs", pose, *BOX)
 
 
+@pytest.mark.thorough
 def test_a_region_and_the_selection_are_seen(edited):
     light, dark = edited["stroke"]
     assert light > 200
@@ -294,6 +296,7 @@ def test_a_region_and_the_selection_are_seen(edited):
     assert edited["label"] == f"{len(edited['box'])} of 3,000 selected"
 
 
+@pytest.mark.thorough
 def test_edits_are_seen_undone_and_done_again(edited):
     left = 3000 - len(edited["removed"])
     assert edited["counts"] == 3 * [3000, left]
@@ -309,6 +312,7 @@ def test_edits_are_seen_undone_and_done_again(edited):
     assert edited["hidden changed"] > 1000
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "action"),
     [
@@ -323,12 +327,14 @@ def test_scenes_are_saved_as_convert_does(edited, folder, name, action, tmp_path
     assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
+@pytest.mark.thorough
 def test_saving_tells_and_asks(edited):
     assert edited["said"].startswith("filtered.egs is written: 2,174")
     assert edited["unsaved"] == [False, True]
     assert edited["asked"]
 
 
+@pytest.mark.thorough
 def test_edits_that_are_not_saved_are_asked_about(edited):
     assert edited["opened"] == [["a.ply", True], ["b.egs", False]]
     assert edited["kept"]
@@ -341,6 +347,7 @@ def chosen(display, folder) -> dict:
     return drive("drive_chosen.py", display, folder)
 
 
+@pytest.mark.thorough
 def test_without_cameras_the_first_picture_is_upright_and_stays(chosen, folder):
     steps = ["loading ...", "choosing the first view ...", "", "choosing views ...", ""]
     assert chosen["said"] == steps
@@ -354,12 +361,14 @@ def test_without_cameras_the_first_picture_is_upright_and_stays(chosen, folder):
     assert chosen["drawn"] > 10
 
 
+@pytest.mark.thorough
 def test_centres_show_before_it_is_known_where_to_look_from(chosen):
     waits, drawn = chosen["preview"]
     assert waits
     assert drawn > 1
 
 
+@pytest.mark.thorough
 def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(chosen):
     assert chosen["where"][2] == "view 1 of 24: auto_01"
     assert np.abs(np.array(chosen["n"]) - chosen["at_first"]).max() > 0.05
@@ -370,6 +379,7 @@ def test_views_that_were_chosen_are_gone_through_and_home_is_the_first_picture(c
     np.testing.assert_allclose(model[:3, 2], np.array(chosen["at_first"])[0, :3, 2], atol=1e-5)
 
 
+@pytest.mark.thorough
 def test_another_scene_in_its_place_begins_with_its_own_overview(chosen):
     number, where, up = chosen["other"]
     assert (number, up) == (0, "cameras")
@@ -381,10 +391,12 @@ def keyed(display, folder) -> dict:
     return drive("drive_keys.py", display, folder)
 
 
+@pytest.mark.thorough
 def test_the_window_lives_through_many_sizes_and_keys(keyed):
     assert (keyed["resized"], keyed["pressed"]) == (20, 136)
 
 
+@pytest.mark.thorough
 def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):
     path = keyed["path"]
     assert path["enabled"] == [[True, False, False, False, True], [True] * 5]
@@ -399,6 +411,7 @@ def test_poses_are_kept_flown_along_saved_and_opened(keyed, folder):
     assert text.startswith("nothing.json: no such file")
 
 
+@pytest.mark.thorough
 def test_keys_are_for_the_dialog_alone(keyed):
     still = keyed["first"][1:]
     for end in ("Escape", "Return"):
@@ -406,6 +419,7 @@ def test_keys_are_for_the_dialog_alone(keyed):
         assert keyed[end] == [False, *still]
 
 
+@pytest.mark.thorough
 def test_names_are_typed_and_enter_saves(keyed, folder):
     still = keyed["first"][1:]
     assert keyed["typed quiet mnn"] == [[True, *still], "quiet mnn"]
@@ -417,6 +431,7 @@ def test_names_are_typed_and_enter_saves(keyed, folder):
     assert not (folder / "q.png").exists()
 
 
+@pytest.mark.thorough
 def test_without_a_dialog_escape_closes(keyed):
     assert keyed["closes"]
 
@@ -426,6 +441,7 @@ def picked(display, folder) -> dict:
     return drive("drive_pick.py", display, folder)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("click", ["first", "again", "wiped"])
 def test_a_click_picks_the_gaussian_that_the_pixel_shows(picked, click):
     found, expected = picked[click]
@@ -433,6 +449,7 @@ def test_a_click_picks_the_gaussian_that_the_pixel_shows(picked, click):
     assert found["weight"] > 0.01
 
 
+@pytest.mark.thorough
 def test_what_is_picked_is_told_and_marked_in_both_panes_until_escape(picked):
     assert picked["tab"] == "Pick"
     assert picked["text"].startswith("Gaussian of B\nrow, from 0")
@@ -446,6 +463,7 @@ def test_what_is_picked_is_told_and_marked_in_both_panes_until_escape(picked):
     assert picked["closes"]
 
 
+@pytest.mark.thorough
 def test_centres_are_coloured_by_bits_on_the_scale_that_is_chosen(picked):
     found = picked["colours"]
     for colouring in ("bits", "block"):
@@ -465,6 +483,7 @@ def used(display, folder) -> dict:
     return drive("drive_panel.py", display, folder)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("key", "axis", "way"),
     [("w", 2, 1), ("s", 2, -1), ("a", 0, -1), ("d", 0, 1), ("q", 1, 1), ("e", 1, -1)],
@@ -478,6 +497,7 @@ def test_keys_fly_along_the_axes_of_the_camera_while_held(used, key, axis, way):
     assert used["flights"]["stops"]
 
 
+@pytest.mark.thorough
 def test_while_looking_around_the_camera_stays_where_it_is(used):
     before, flying, after = used["looks"]
     assert flying
@@ -485,15 +505,18 @@ def test_while_looking_around_the_camera_stays_where_it_is(used):
     assert np.abs(np.subtract(after["rotation"], before["rotation"])).max() > 0.05
 
 
+@pytest.mark.thorough
 def test_a_double_click_brings_what_is_there_to_the_middle(used):
     np.testing.assert_allclose(used["focuses"]["was"], used["focuses"]["at"], atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_all_of_the_scene_is_framed_and_the_panel_says_that_one_has_moved(used):
     assert used["focuses"]["framed"] > 0.9
     assert used["focuses"]["where"] == "moved away from view 0 of 2: view0 (R goes back)"
 
 
+@pytest.mark.thorough
 def test_the_slider_sets_the_field_of_view(used):
     before, after, where = used["angles"]
     assert before == pytest.approx(2 * np.degrees(np.arctan(0.5 / 0.7697777)), abs=1e-3)
@@ -501,6 +524,7 @@ def test_the_slider_sets_the_field_of_view(used):
     assert where.startswith("moved away from view 0")
 
 
+@pytest.mark.thorough
 def test_the_chart_of_views_is_that_of_compare_and_leads_to_them(used, folder):
     charts = used["charts"]
     scenes = folder / "a.ply", folder / "b.egs"
@@ -511,6 +535,7 @@ def test_the_chart_of_views_is_that_of_compare_and_leads_to_them(used, folder):
     assert charts["first"] == 0
 
 
+@pytest.mark.thorough
 def test_a_range_is_dragged_in_a_histogram(used):
     found = used["charts"]["histogram"]
     assert found["name"] == "opacity"
@@ -518,10 +543,12 @@ def test_a_range_is_dragged_in_a_histogram(used):
     assert 0 < found["chosen"][0] < found["chosen"][1] < 1
 
 
+@pytest.mark.thorough
 def test_views_are_listed_by_quality_and_visited_by_a_click(used):
     assert used["listed"] == {"order": ["view0", "view1", "overview"], "went": "view1"}
 
 
+@pytest.mark.thorough
 def test_cameras_photographs_reports_and_recent_files_are_opened(used):
     assert used["opens"] == {
         "where": "view 0 of 1: view1",
@@ -537,6 +564,7 @@ def plugged(display, folder) -> dict:
     return drive("drive_plugin.py", display, folder)
 
 
+@pytest.mark.thorough
 def test_the_plugin_names_what_it_shows_and_detaches(plugged):
     cameras, error = "cameras.json: cameras", "b.egs: error against a.ply"
     assert plugged["named"] == [
@@ -553,6 +581,7 @@ def test_the_plugin_names_what_it_shows_and_detaches(plugged):
     assert plugged["count"] == 3000
 
 
+@pytest.mark.thorough
 def test_the_plugin_shows_legends_and_photographs_beside(plugged, folder):
     opened, pruned, compared, *_, photograph = plugged["notes"]
     assert opened == 0
@@ -563,6 +592,7 @@ def test_the_plugin_shows_legends_and_photographs_beside(plugged, folder):
     assert plugged["ended"]  # nothing is left open
 
 
+@pytest.mark.thorough
 def test_the_plugin_tells_what_is_not_possible(plugged, folder):
     suffixes = ".png, .jpg, .jpeg, .webp, .tif, .tiff, .bmp"
     assert plugged["refused"] == {
@@ -594,6 +624,7 @@ def rated(display, folder) -> dict:
     return drive("drive_rate.py", display, folder)
 
 
+@pytest.mark.thorough
 def test_an_encoding_becomes_b_with_the_numbers_of_the_commands(rated, folder):
     assert rated["empty"] == {"names": ["a.ply"], "lines": [], "told": ""}
     encoded, first = folder / "saved.egs", rated["m"]
@@ -621,6 +652,7 @@ def test_an_encoding_becomes_b_with_the_numbers_of_the_commands(rated, folder):
     assert encoded.read_bytes() == gs_codec.encode(gs_codec.read(folder / "a.ply"))
 
 
+@pytest.mark.thorough
 def test_a_target_is_met_that_the_slider_chose(rated):
     shown, bits = rated["sized"], rated["bits"]
     assert 20 < bits < 80
@@ -630,6 +662,7 @@ def test_a_target_is_met_that_the_slider_chose(rated):
     assert f"  {rated['quality']}" in shown["told"].splitlines()
 
 
+@pytest.mark.thorough
 def test_panes_are_drawn_while_it_encodes_and_cancel_leaves_what_was_there(rated):
     assert rated["doing"].startswith("encoding: ")
     assert rated["meanwhile"] == [2, True]
@@ -638,12 +671,14 @@ def test_panes_are_drawn_while_it_encodes_and_cancel_leaves_what_was_there(rated
     assert rated["files"] == ["1.egs", "2.egs"]
 
 
+@pytest.mark.thorough
 def test_an_unreachable_target_tells_what_is_in_reach(rated):
     title, text = rated["refused"]
     assert title == "Not possible"
     assert re.search(r"target 1,000 bytes: [\d,]+ to [\d,]+ bytes are in reach$", text)
 
 
+@pytest.mark.thorough
 def test_any_two_tries_are_compared_from_where_one_is(rated):
     both, bits = rated["both"], f"{rated['bits']:.4g}"
     assert both["names"] == ["#1 m", f"#2 s {bits} bits"]
@@ -653,6 +688,7 @@ def test_any_two_tries_are_compared_from_where_one_is(rated):
     assert rated["back"]["names"] == rated["sized"]["names"]
 
 
+@pytest.mark.thorough
 def test_files_of_tries_go_with_the_window(rated):
     assert rated["closes"]
     assert rated["left"] == [True, False]

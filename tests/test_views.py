@@ -309,6 +309,7 @@ def test_views_are_written_once_each(pair, tmp_path):
 # The real scene
 
 
+@pytest.mark.thorough
 def test_held_out_views_of_a_real_scene_have_the_known_psnr():
     path = shared_scene_path("bonsai/point_cloud.ply")
     result = gs_codec.compare(

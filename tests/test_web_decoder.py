@@ -115,6 +115,7 @@ def test_cases_of_lattices():
         assert_same(found, data)
 
 
+@pytest.mark.thorough
 def test_real_scenes():
     cases = [("tiny_sh3.ply", "l"), ("tiny_sh3.ply", "paper-m"), ("flowers_sh2.ply", "m")]
     files = [
@@ -127,6 +128,7 @@ def test_real_scenes():
         assert_same(found, data)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
 def test_every_kind_of_source_gives_the_same(profile):
     data = blocks(profile)

@@ -228,6 +228,7 @@ def test_the_first_picture_comes_before_a_tenth_of_the_file(site, tmp_path):
     assert decibels(seen(tmp_path / "first.png"), drawn(site.scene, site.cameras[0])) > 20
 
 
+@pytest.mark.thorough
 def test_what_stalls_is_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
     """Requests for blocks of the scene itself are never answered; those of past views are ended."""
     begins, far = first_block(), choose_part(city(), Part(view=site.cameras[0])).blocks
@@ -251,6 +252,7 @@ def test_what_stalls_is_drawn_coarser_and_the_rest_is_sharp(site, tmp_path):
     assert decibels(seen(tmp_path / "far.png"), drawn(site.scene, site.cameras[0])) > 35
 
 
+@pytest.mark.thorough
 def test_what_a_connection_lost_is_asked_for_again(site, tmp_path):
     """First all blocks of the scene itself, but not for ever."""
     begins = first_block()
@@ -272,6 +274,7 @@ STATUS = "document.getElementById('status').textContent"
 MAY_RETRY = "!document.getElementById('retry').hidden"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", ["first", "blocks", "whole"])
 def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_path, which):
     """In the first bytes, in blocks of the scene itself, in a scene without levels."""
@@ -344,6 +347,7 @@ BUDGET = """((value) => {
 })"""
 
 
+@pytest.mark.thorough
 def test_what_fits_into_another_budget_is_kept(site, tmp_path):
     """In other places, when there are less of them; it is not asked for again."""
     job = Job("", [("drawn",), ("key", "n")])
@@ -359,6 +363,7 @@ def test_what_fits_into_another_budget_is_kept(site, tmp_path):
         assert decibels(seen(tmp_path / f"{k}.png"), seen(tmp_path / "before.png")) > 50
 
 
+@pytest.mark.thorough
 def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
     """15 blocks of 511 Gaussians, each of which takes a row of 1,024."""
     shown = ("value", "Number(document.getElementById('budget').value)")
@@ -426,6 +431,7 @@ def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
     assert max(asked.ranges.count(each) for each in asked.ranges[1:]) <= len(jobs)
 
 
+@pytest.mark.thorough
 def test_without_ranges_and_in_one_file_it_is_the_same(site, tmp_path):
     """Of a server that sends all; of a page that holds the scene; beside one without levels."""
     plain = tmp_path / "plain.egs"

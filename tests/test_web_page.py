@@ -235,6 +235,7 @@ def test_two_scenes_are_compared(files, pages, tmp_path):
     assert np.ptp(ours) > 0.3
 
 
+@pytest.mark.thorough
 @in_browser
 def test_a_folder_is_shown_by_any_server(files, tmp_path):
     site = tmp_path / "site"
@@ -296,6 +297,7 @@ class serving:  # noqa: N801
         self.server.server_close()
 
 
+@pytest.mark.thorough
 @in_browser
 def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
     site = tmp_path / "site"
@@ -313,6 +315,7 @@ def test_a_download_is_stopped_and_what_has_come_stays(files, tmp_path):
     assert np.ptp(seen(tmp_path / "part.png")) > 0.3
 
 
+@pytest.mark.thorough
 @in_browser
 def test_files_that_cannot_be_shown_say_why_and_the_other_is(files, tmp_path):
     """Damaged, of a later version, or no file at all."""
@@ -410,6 +413,7 @@ SLOW = """(() => {
 })()"""
 
 
+@pytest.mark.thorough
 @in_browser
 def test_slow_devices_draw_drafts_during_a_move_but_save_and_compare_in_full(
     files, pages, tmp_path
@@ -438,6 +442,7 @@ def test_slow_devices_draw_drafts_during_a_move_but_save_and_compare_in_full(
     assert found[1].values[-1] == WIDTH
 
 
+@pytest.mark.thorough
 @in_browser
 def test_what_reaches_into_the_picture_from_outside_is_drawn(files, tmp_path):
     """From so near that most centres are outside, or behind the camera."""
@@ -480,6 +485,7 @@ def test_nothing_of_elsewhere_runs_and_names_are_text(files, tmp_path):
     assert found[1].values[2] == "TypeError"
 
 
+@pytest.mark.thorough
 @in_browser
 def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_path):
     cells = """Object.fromEntries([...document.querySelectorAll('#sizes tbody tr')].map(
@@ -537,6 +543,7 @@ def test_scenes_of_all_kinds(files, tmp_path, kind):
         assert decibels(page, ours) > 45
 
 
+@pytest.mark.thorough
 @in_browser
 @pytest.mark.parametrize(("program", "least"), [("playcanvas", 28), ("spark", 28)])
 def test_other_programs_draw_scenes_by_an_adapter(files, tmp_path, program, least):
@@ -555,6 +562,7 @@ def test_a_browser_without_webgl_says_so(pages):
     assert (told.state, told.status) == ("error", "this browser has no WebGL 2")
 
 
+@pytest.mark.thorough
 @in_browser
 def test_it_fits_a_telephone(pages, tmp_path):
     job = Job(pages["two"].as_uri(), [("drawn",)], size=(360, 640))

@@ -183,8 +183,10 @@ def _arguments(argv: Sequence[str] | None) -> tuple[argparse.ArgumentParser, arg
         "--gaussians", type=int, metavar="N", help="how many (50000; a capture starts with 12000)"
     )
     parser.add_argument("--sh-degree", type=int, metavar="0-3", help="3 by default")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--cameras", type=Path, metavar="JSON", help="write an orbit here as well")
+    parser.add_argument("--seed", type=int, default=0, help="0 by default")
+    parser.add_argument(
+        "--cameras", type=Path, metavar="JSON", help="write 24 cameras on a circle here"
+    )
     parser.add_argument(
         "--capture",
         choices=list(RIGS),

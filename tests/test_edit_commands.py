@@ -110,7 +110,7 @@ def test_gaussians_with_nan_go_before_they_are_refused(folder):
     ("typed", "said"),
     [
         ("convert scene.ply o.ply --cameras cameras.json", "--cameras needs one of --remove-flo"),
-        ("convert scene.ply o.ply --remove-floaters --cameras auto", "'auto' tells --remove-float"),
+        ("convert scene.ply o.ply --remove-floaters --cameras auto", "'auto' has no effect on --r"),
         ("convert scene.ply o.ply --scale 2 --views 3", "--views needs one of --remove-floaters"),
         ("convert scene.ply o.ply --keep 50% --width 9", "--width has no effect without --cameras"),
         ("convert scene.ply o.spz --max-memory 1GB", "--max-memory has no effect on o.spz"),

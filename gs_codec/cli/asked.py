@@ -270,7 +270,8 @@ def action_plan(asked: Asked) -> Plan | None:
     """
     guided = [action for action in asked.actions if KINDS[action.name].guided]
     if asked["cameras"] == "auto" and {action.name for action in guided} == {"remove-floaters"}:
-        asked.refuse(["cameras"], "'auto' tells --remove-floaters nothing, expected given ones")
+        why = "'auto' has no effect on --remove-floaters, which needs cameras of a file"
+        asked.refuse(["cameras"], why)
     if asked["cameras"] is None or not guided:
         known = ", ".join(f"--{name}" for name, kind in KINDS.items() if kind.guided)
         why = "has no effect without --cameras" if guided else f"needs one of {known}"

@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 
 from gs_codec.cli.asked import Asked, takes
 from gs_codec.cli.output import print_status, print_table, print_text, progress_bar
-from gs_codec.config import PROFILE_CHOICES, Config
+from gs_codec.config import PROFILE_CHOICES, PROFILES_SHOWN, Config
 from gs_codec.errors import InvalidInput
 from gs_codec.preparation.presets import PRESETS
 from gs_codec.preparation.steps import CAMERAS
@@ -163,7 +163,13 @@ def measure(
     asked: Asked,
     profile: Annotated[
         list[str] | None,
-        typer.Option("--profile", "-p", help="May be repeated.", show_default="all profiles"),
+        typer.Option(
+            "--profile",
+            "-p",
+            metavar="NAME",
+            help=f"One of {PROFILES_SHOWN}. May be repeated.",
+            show_default="all profiles",
+        ),
     ] = None,
     tile: Annotated[
         int | None, typer.Option(help="Tile each scene, jittered, to this many Gaussians.", min=1)

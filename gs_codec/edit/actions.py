@@ -184,10 +184,10 @@ KINDS: Mapping[str, Kind] = {
         "N", _whole(1, 1 << 40), local=False, guided=True,
     ),
     "keep": Kind(
-        "Leave this share of the Gaussians, likewise.",
+        "Leave this share: the least seen are dropped, neighbours merged into one.",
         "PERCENT", _share, local=False, guided=True,
     ),
-    "sort": Kind("Order of the Gaussians.", "morton", _order, "change"),
+    "sort": Kind("Sort the Gaussians along a Morton curve.", "morton", _order, "change"),
 }  # fmt: skip
 
 

@@ -36,7 +36,8 @@ def find_device() -> Literal["gpu", "cpu"]:
         raise NoDisplay(
             f"display {shown}: cannot be opened"
             if shown
-            else "no display: DISPLAY is not set; pictures and films need none"
+            else "no display: DISPLAY is not set; "
+            "--screenshot, --turntable, --flythrough and --web need none"
         )
     types = _vulkan_devices()
     if not types:

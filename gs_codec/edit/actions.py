@@ -184,7 +184,7 @@ KINDS: Mapping[str, Kind] = {
         "N", _whole(1, 1 << 40), local=False, guided=True,
     ),
     "keep": Kind(
-        "Leave this share: the least seen are dropped, neighbours merged into one.",
+        "Leave this share of the Gaussians: drops the least seen, merges neighbours into one.",
         "PERCENT", _share, local=False, guided=True,
     ),
     "sort": Kind("Sort the Gaussians along a Morton curve.", "morton", _order, "change"),

@@ -188,7 +188,7 @@ def guiding_views(
     """
     known = references or _split(scene, plan, progress)
     if known.origin == "anywhere":
-        log.warning("cameras 'auto': the scene does not tell where they were, encoded without")
+        log.warning("cameras 'auto': the scene does not show where they were, encoded camera-free")
         return None
     if isinstance(known, ReferenceViews):
         own = plan.steps.refine or known.source is scene

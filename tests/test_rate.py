@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -425,14 +426,26 @@ def test_ratio_counts_from_the_floats_of_what_comes_compressed(scene, tmp_path, 
         assert 0.98 * limit <= ratio * out.stat().st_size <= limit
 
 
-@pytest.mark.parametrize("options", [["--target-ratio", "999"], ["--target-size", "1kB"]])
-def test_command_line_refuses_what_is_out_of_reach(scene, tmp_path, options):
+@pytest.mark.parametrize(
+    ("options", "wanted", "unit"),
+    [
+        (["--target-ratio", "999"], "999", "times smaller"),
+        (["--target-size", "1kB"], "1,000", "bytes"),
+        (["--target-bpg", "0.5"], "0.5", "bits per Gaussian"),
+    ],
+)
+def test_command_line_refuses_what_is_out_of_reach(scene, tmp_path, options, wanted, unit):
     source, out = tmp_path / "scene.ply", tmp_path / "out.egs"
     write_ply(source, scene)
     result = CliRunner().invoke(app, ["encode", str(source), str(out), *options])
     assert isinstance(result.exception, InvalidInput)
-    assert str(result.exception).startswith(f"{source}: target ")
-    assert str(result.exception).endswith("bytes are in reach")
+    message = str(result.exception)
+    assert message.startswith(f"{source}: target {wanted} {unit}: ")
+    assert message.endswith(f" {unit} are in reach")
+    ends = re.search(r": ([\d.,]+) to ([\d.,]+) ", message)
+    low, high = (float(end.replace(",", "")) for end in ends.groups())
+    assert not low <= float(wanted.replace(",", "")) <= high
+    assert low < high
     assert not out.exists()
 
 

@@ -190,8 +190,22 @@ def _meet_size(trials: Trials, limit: int, start: float) -> None:
         least, most = (trials.size(end) for end in (COARSEST, FINEST))
         if most > limit:
             kind = _TooLarge if least > limit else _OutOfReach
-            raise kind(f"target {limit:,} bytes: {least:,} to {most:,} bytes are in reach")
+            raise kind(_beyond(trials.asked.target, limit, least, most))
     trials.at_end = found is None
+
+
+def _beyond(target: RateTarget, limit: int, least: int, most: int) -> str:
+    """That a size of so many bytes is out of reach, in the words of the target."""
+    if target.ratio is not None:
+        wanted, unit = f"{target.ratio:g}", "times smaller"
+        ends = [f"{target.ratio * limit / size:.4g}" for size in (most, least)]
+    elif target.bits is not None:
+        wanted, unit = f"{target.bits:g}", "bits per Gaussian"
+        ends = [f"{target.bits * size / limit:.4g}" for size in (least, most)]
+    else:
+        wanted, unit = f"{limit:,}", "bytes"
+        ends = [f"{size:,}" for size in (least, most)]
+    return f"target {wanted} {unit}: {ends[0]} to {ends[1]} {unit} are in reach"
 
 
 def _meet_drop(trials: Trials, limit: float, seen: Seen) -> None:

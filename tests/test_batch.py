@@ -263,7 +263,7 @@ def test_folder_that_cannot_be_read_is_said(folder, caplog):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("missing", "out"), "missing: no scenes there"),
+        (("missing", "out"), "missing: no such file or folder"),
         (("in/**/*.splat", "out"), "no scenes there"),
         (("in", "out", "--jobs", "0"), "jobs 0: expected 1 to 1024"),
         (("in", "out", "--on-error", "panic"), "on_error 'panic': expected 'continue' or 'stop'"),
@@ -740,15 +740,24 @@ def test_urls_are_told_from_paths():
     assert not is_url("a/b")
 
 
-def test_missing_backend_is_named_with_the_line_that_installs_it(monkeypatch):
+@pytest.mark.parametrize(
+    ("url", "text", "line"),
+    [
+        ("s3://b/a", "Install s3fs to access S3", ""),
+        ("sftp://h/a", 'requires "paramiko"', "; pip install 'gs-codec[cluster]'"),
+    ],
+    ids=["s3", "sftp"],
+)
+def test_missing_backend_is_named_with_what_installs_it(monkeypatch, url, text, line):
     fsspec = pytest.importorskip("fsspec", reason="the extra 'cluster' is not installed")
 
     def missing(*arguments: Any, **options: Any) -> None:
-        raise ImportError("Install s3fs to access S3")
+        raise ImportError(text)
 
     monkeypatch.setattr(fsspec.core, "url_to_fs", missing)
-    with pytest.raises(MissingTool, match=r"s3://b/a: Install s3fs .* pip install 'gs-codec\[clu"):
-        storage_of("s3://b/a")
+    with pytest.raises(MissingTool) as caught:
+        storage_of(url)
+    assert str(caught.value) == f"{url}: {text}{line}"
 
 
 def test_memory_of_a_process_is_refused():

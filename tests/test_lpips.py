@@ -160,7 +160,8 @@ def test_package_that_cannot_be_imported_is_named(folder, monkeypatch, code, why
 
 
 @pytest.mark.parametrize(
-    ("name", "why"), [("none.pth", "No such file or directory"), (".", "Is a directory")]
+    ("name", "why"),
+    [("none.pth", "No such file or directory"), (".", "a directory, expected a file")],
 )
 def test_file_that_cannot_be_read_is_refused(folder, name, why):
     result = compare("--lpips", name)

@@ -84,13 +84,18 @@ class LocalStorage:
         if os.path.isdir(self.path):
             root, found = self.path, matching_paths(glob.escape(self.path) + "/**/*")
             paths = [path for path in found if path.lower().endswith(suffixes)]
-        elif os.path.lexists(self.path) or not glob.has_magic(self.path):
-            root = os.path.dirname(self.path)
-            paths = [self.path] if os.path.lexists(self.path) else []
+        elif self.is_missing():
+            return []
+        elif os.path.lexists(self.path):
+            root, paths = os.path.dirname(self.path), [self.path]
         else:
             root, paths = fixed_part(self.path), matching_paths(self.path)
         files = _each_once(root, [path for path in set(paths) if not os.path.isdir(path)])
         return [(os.path.relpath(path, root), Location(path)) for path in sorted(files)]
+
+    def is_missing(self) -> bool:
+        """Whether it is neither there nor a glob."""
+        return not (os.path.lexists(self.path) or glob.has_magic(self.path))
 
     def location(self, name: str) -> Location:
         """The file with a name, which may contain folders, below it."""

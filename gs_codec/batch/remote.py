@@ -50,7 +50,9 @@ _FILLED = 0.9
 #: Longest error text to show: a server may have written it.
 _MOST = 1000
 
+#: The extra, and the protocols that it brings; fsspec names the packages of all others.
 _INSTALL = "pip install 'gs-codec[cluster]'"
+_INSTALLED = (*_READ_ONLY, "ssh", "sftp")
 
 
 class RemoteStorage:
@@ -87,7 +89,8 @@ class RemoteStorage:
             return fsspec.core.url_to_fs(self._base, **options)
         except ImportError as error:
             text = redacted(one_line(error), self._base)
-            raise MissingTool(f"{self._name}: {text}; {_INSTALL}") from error
+            known = any(name in _INSTALLED for name in self._protocols)
+            raise MissingTool(f"{self._name}: {text}{f'; {_INSTALL}' * known}") from error
         except Exception as error:
             raise InvalidInput(f"{self._name}: {_cause(error, self._base)}") from error
 

@@ -151,7 +151,9 @@ def find_tasks(
     """
     found = sources.find(options.sources)
     if not found:
-        raise InvalidInput(f"{without_secrets(source)}: no scenes there")
+        missing = isinstance(sources, LocalStorage) and sources.is_missing()
+        text = "no such file or folder" if missing else "no scenes there"
+        raise InvalidInput(f"{without_secrets(source)}: {text}")
     tasks, taken, pixels = [], dict[str, str](), options.pixels()
     for name, location in found:
         target = targets.location(f"{os.path.splitext(name)[0]}.{options.format}")

@@ -90,7 +90,7 @@ def command(
         plan = plan_of(asked, config)
     check_actions(asked.actions, plan, asked["max_memory"] is not None, plain is None)
     if plain is None and (plan is not None or rate is not None):
-        asked.refuse(["max_memory"], "not with views, preparation, or a target to meet")
+        asked.refuse(["max_memory"], "does not go with views, preparation, or a target to meet")
     from gs_codec.batch.redaction import redact_process
     from gs_codec.batch.run import Batch, run_batch
     from gs_codec.batch.scenes import Options

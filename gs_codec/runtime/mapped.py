@@ -25,6 +25,8 @@ def opened(path: str | Path) -> Iterator[memoryview]:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except ValueError:
         raise InvalidInput(f"{path}: empty file") from None
+    except IsADirectoryError:
+        raise InvalidInput(f"{path}: a directory, expected a file") from None
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror}") from error
     current().watch(mapped)

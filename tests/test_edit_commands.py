@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import random_scene
+from scenes import random_scene, thorough
 from test_ply import assert_same_bits
 
 from gs_codec.codecs import memory as rooms
@@ -251,7 +251,9 @@ def test_shells_complete_commands_and_options(typed, completed):
     assert done.stdout.split() == completed
 
 
-@pytest.mark.parametrize("cameras", [[], ["--cameras", "cameras.json"], ["--cameras", "auto"]])
+@pytest.mark.parametrize(
+    "cameras", [[], ["--cameras", "cameras.json"], thorough(["--cameras", "auto"])]
+)
 @pytest.mark.parametrize("action", [["--gaussians", "600"], ["--keep", "40%"]])
 def test_scenes_are_decimated(folder, action, cameras):
     quick = ["--views", "2", "--width", "40"] * bool(cameras)

@@ -11,13 +11,13 @@ from reference_channels import model_frequencies
 from reference_decoder import decode, read_file
 from reference_lattice import read_lattice
 from reference_tools import frequencies
-from scenes import edge_scenes, encode_by, made_up_guide, random_scene
+from scenes import edge_scenes, encode_by, made_up_guide, random_scene, thorough
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs.models import Component, MixtureModel
 from gs_codec.codecs.inspection import inspect_bytes
 from gs_codec.coding.frequency_table import normalise
-from gs_codec.config import ADAPTIVE_PROFILES, DEPTH_GROUPS, Config
+from gs_codec.config import DEPTH_GROUPS, Config
 from gs_codec.egs import file
 from gs_codec.formats.ply import read_ply
 from gs_codec.scene import other_comments
@@ -212,7 +212,7 @@ LATTICE_CASES = {
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
-@pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
+@pytest.mark.parametrize("profile", [thorough("l"), "m", thorough("s")])
 @pytest.mark.parametrize("case", LATTICE_CASES)
 def test_reference_decoder_gives_the_same_bits_of_lattices(case, profile, guided):
     make, arguments = LATTICE_CASES[case]

@@ -29,12 +29,11 @@ _STEP = re.compile(
 )
 
 
-@pytest.fixture(scope="module")
-def steps(tmp_path_factory):
-    """Commands and code of the tutorial in order, with what they print and what is shown."""
+def type_all(folder: Path) -> tuple[list[tuple[str, str, str]], set[str]]:
+    """Commands and code of the tutorial in order, with what is printed and shown; all files."""
     done = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("tutorial"))
+        patch.chdir(folder)
         for step in _STEP.finditer(TUTORIAL):
             if step["shown"] is not None:
                 what, printed, _ = done[-1]
@@ -82,8 +81,8 @@ def _is_near(wanted: str, found: str) -> bool:
 
 
 @pytest.mark.thorough
-def test_every_command_runs_and_prints_what_is_shown(steps):
-    done, files = steps
+def test_every_command_runs_and_prints_what_is_shown(tmp_path):
+    done, files = type_all(tmp_path)
     assert len(done) >= 12
     for what, printed, shown in done:
         lines = iter(printed.splitlines())
@@ -92,8 +91,5 @@ def test_every_command_runs_and_prints_what_is_shown(steps):
                 assert any(_agrees(line, found) for found in lines), (what, line, printed)
     for name in ("decoded.ply", "error.png", "pruned.png", "report", "analysis", "views"):
         assert name in files
-
-
-def test_every_file_it_names_is_made(steps):
     named = set(re.findall(r"^    gs-codec (?:encode|decode) \S+ (\S+)", TUTORIAL, re.MULTILINE))
-    assert named <= steps[1]
+    assert named <= files

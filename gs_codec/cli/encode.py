@@ -128,7 +128,7 @@ def _print_report(target: Path, report: EncodeReport) -> None:
 
 def _print_rate(rate: RateReport) -> None:
     """What a target led to."""
-    text = f"{rate.encodings} encodings"
+    text = f"{rate.encodings} encoding{'s' * (rate.encodings != 1)}"
     if rate.coarseness != 1:
         text = f"steps {rate.coarseness:.3f} times the profile's, after {text}"
     if rate.pruned or rate.target.allow_prune:

@@ -89,6 +89,16 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+#: Packages of extras, by the examples that need them.
+NEEDED = {
+    "gs_codec.decode_distributed": "distributed",
+    "gs_codec.decode_tensors": "torch",
+    "gs_codec.encode_distributed": "distributed",
+    "gs_codec.encode_tensors": "torch",
+    "gs_codec.from_tensors": "torch",
+}
+
+
 def examples() -> list[doctest.DocTest]:
     finder = doctest.DocTestFinder(exclude_empty=True)
     found = [
@@ -104,8 +114,8 @@ def examples() -> list[doctest.DocTest]:
 def test_examples_run(example, folder, monkeypatch):
     from open3d.visualization import O3DVisualizer
 
-    if example.name in ("gs_codec.decode_tensors", "gs_codec.from_tensors"):
-        pytest.importorskip("torch", reason="torch is not installed")
+    if package := NEEDED.get(example.name):
+        pytest.importorskip(package, reason=f"{package} is not installed")
     monkeypatch.chdir(folder)
     shown = []
     monkeypatch.setattr("viewer.plugin.find_device", lambda: None)
@@ -125,6 +135,7 @@ def test_examples_run(example, folder, monkeypatch):
 
 @pytest.mark.thorough
 def test_pages_render_without_warnings(tmp_path):
+    pytest.importorskip("torch", reason="torch, whose types some names have, is not installed")
     command = [sys.executable, str(ROOT / "samples" / "api_pages.py"), str(tmp_path / "pages")]
     done = subprocess.run(
         command,

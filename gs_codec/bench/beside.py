@@ -53,8 +53,7 @@ def our_codecs(
 ) -> list[Peer]:
     """Our profiles; with a plan's views, `l`, `m`, `s` camera-guided, and `m` pruned or refined.
 
-    `m` is guided by estimated cameras as well. Those in other formats than `.egs` are named by the
-    format first, and stand beside the others'.
+    Those in other formats than `.egs` are named by the format first, and stand beside the others'.
 
     `pruned` are percentages of Gaussians removed by leave-one-out error, `refined` plans of the
     views to refine to, and how many times smaller.
@@ -64,7 +63,6 @@ def our_codecs(
         adaptive = [config for config in configs if config.profile in ADAPTIVE_PROFILES]
         codecs += [guided(config, plan) for config in adaptive]
         of_m = [config for config in adaptive if config.profile == "m" and config.format == EGS]
-        codecs += [guided(config, replace(plan, cameras="auto"), ESTIMATED) for config in of_m]
         codecs += [pruned_by(config, plan, percent) for config in of_m for percent in pruned]
         codecs += [refined_to(config, *how) for config in of_m for how in refined]
     return codecs

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gs_codec.bench.apart import measure_scaling
-from gs_codec.bench.beside import measure_beside, our_codecs
+from gs_codec.bench.beside import ESTIMATED, guided, measure_beside, our_codecs
 from gs_codec.bench.device import measure_device
 from gs_codec.bench.geometry import measure_geometry
 from gs_codec.bench.host import machine
@@ -139,6 +139,9 @@ def _codecs(measured: MeasuredScene, options: Options, _: Sequence[dict[str, Any
         PRUNED if "pruned" not in options.skip else (),
         [*product(measured.refining, REFINED)] if "refined" not in options.skip else (),
     )
+    if "guided" not in options.skip:
+        plan = replace(measured.plan, cameras="auto")
+        ours.append(guided(options.config("m"), plan, ESTIMATED))
     others = find_peers("error", options.threads) if "peers" not in options.skip else []
     # Those that take minutes are for `bench peers`.
     quick = [x for x in others if isinstance(x, AbsentPeer) or not x.once]

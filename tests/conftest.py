@@ -24,13 +24,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 #: Examples of a property.
 EXAMPLES = 25
 
-#: Files that take longest come first, so that no worker ends long after the others. The first three
-#: compile different kernels.
+#: Files that take longest come first, so that no worker ends long after the others. Those that wait
+#: for windows and browsers leave processors to the others.
 FIRST = (
-    "test_optimise.py", "test_viewer_window.py", "test_batch_processes.py", "test_rate.py",
-    "test_damage.py", "test_web_page.py", "test_tutorial.py", "test_analysis.py", "test_readme.py",
-    "test_bench.py", "test_auto_cameras.py", "test_interchange.py", "test_calibrate.py",
-    "test_usd.py", "test_lossless.py",
+    "test_viewer_window.py", "test_web_page.py", "test_rate.py", "test_distributed.py",
+    "test_readme.py", "test_tutorial.py", "test_optimise.py", "test_batch_processes.py",
+    "test_damage.py", "test_analysis.py", "test_web_detail.py", "test_cli.py", "test_format.py",
+    "test_interchange.py", "test_calibrate.py", "test_auto_cameras.py", "test_suite.py",
+    "test_usd.py", "test_torchac.py", "test_lossless.py", "test_storage.py", "test_levels.py",
 )  # fmt: skip
 
 

@@ -157,11 +157,13 @@ def open_gltf(path: Path, data: memoryview) -> GltfFile:
 
 def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
     """The JSON and the buffer of a `.glb`."""
-    if len(data) < _HEADER.size + _CHUNK.size:
+    least = _HEADER.size + _CHUNK.size
+    if len(data) < least:
         raise InvalidInput(f"glTF: {len(data)} bytes, expected a header and a chunk")
     _, version, length = _HEADER.unpack_from(data)
-    if version != 2 or length > len(data):
-        raise InvalidInput(f"glTF: version {version}, {length} bytes of {len(data)}, expected 2")
+    if version != 2 or not least <= length <= len(data):
+        told = f"version {version}, {length} bytes of {len(data)}"
+        raise InvalidInput(f"glTF: {told}, expected version 2 and {least} or more")
     parts, offset = [], _HEADER.size
     for kind in (b"JSON", b"BIN\0"):
         if offset + _CHUNK.size > length:

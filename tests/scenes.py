@@ -157,9 +157,9 @@ def encode_by(scene: Scene, config: Config, guide: Guide | None = None) -> bytes
     return encode_scene(scene, config, steps=steps)[0]
 
 
-def thorough(value: Any) -> Any:
-    """A value of a parameter for which the test is left to `make test-all`."""
-    return pytest.param(value, marks=pytest.mark.thorough)
+def thorough(*values: Any) -> Any:
+    """Values of parameters for which the test is left to `make test-all`."""
+    return pytest.param(*values, marks=pytest.mark.thorough)
 
 
 def estimate_few_cameras(patch: pytest.MonkeyPatch) -> None:

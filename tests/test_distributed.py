@@ -76,7 +76,9 @@ def saved(path: Path, scene: Scene) -> Path:
 
 
 @pytest.mark.parametrize("size", [700, 3000, 10**6])
-@pytest.mark.parametrize(("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), (9000, 2)])
+@pytest.mark.parametrize(
+    ("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), thorough(9000, 2)]
+)
 def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
     path = saved(tmp_path / "a.ply", random_scene(count, degree, seed=3))
     config = Config("m", block_size=BLOCK)
@@ -94,7 +96,7 @@ def test_scenes_at_the_limits(tmp_path, name):
 
 
 @pytest.mark.parametrize("size", [thorough(100), 5000, thorough(10**6)])
-@pytest.mark.parametrize("blended", [False, True])
+@pytest.mark.parametrize("blended", [False, thorough(True)])
 def test_levels_are_the_same(tmp_path, blended, size):
     scene = antialiased(replace(random_scene(18_000, 1, seed=11), has_normals=True), blended)
     path = saved(tmp_path / "a.ply", scene)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from scenes import random_scene
+from scenes import random_scene, thorough
 from test_web_decoder import GOLDEN, digest
 
 from gs_codec.cli.main import main
@@ -515,7 +515,7 @@ def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_pat
 
 
 @in_browser
-@pytest.mark.parametrize("kind", ["turned", "antialiased", "paper", "empty"])
+@pytest.mark.parametrize("kind", ["turned", thorough("antialiased"), thorough("paper"), "empty"])
 def test_scenes_of_all_kinds(files, tmp_path, kind):
     """In the file's own coordinates, with opacity compensation, of other profiles, of nothing."""
     scene, config = files.a, Config("l", block_size=1024)

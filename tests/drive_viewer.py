@@ -216,10 +216,10 @@ def drags(driver: Driver) -> dict:
     """The cameras after the same drags and back, in events as many as not, however panes are."""
     viewer, found = driver.viewer, {}
     cases = [
-        ("side", 1, "", (1, 20)),
+        ("side", 1, "", (1, 5, 50)),
         ("side", 1, "ctrl", (1, 20)),
         ("side", 3, "", (1, 20)),
-        ("wipe", 1, "", (1, 20)),
+        ("wipe", 1, "", (1, 50)),
         ("wipe", 1, "ctrl", (1, 20)),
     ]
     for mode, button, key, numbers in cases:

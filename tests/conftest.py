@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import shutil
 import signal
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
 import hypothesis
 import pytest
-from scenes import random_scene
+from scenes import estimate_few_cameras, random_scene
 
 from gs_codec.cli import output
 from gs_codec.config import Config
@@ -45,6 +46,7 @@ def pytest_configure(config: pytest.Config) -> None:
     rounds = config.getoption("rounds")
     config.addinivalue_line("markers", "rounds(n): `seed` goes from 0 to n times --rounds")
     config.addinivalue_line("markers", "thorough: takes seconds; for `make test-all`, not for CI")
+    config.addinivalue_line("markers", "one_in(n): all but one case in n are thorough")
     # The same examples on every run, on however slow a machine.
     hypothesis.settings.register_profile(
         "same",
@@ -58,9 +60,24 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("same")
 
 
+@pytest.hookimpl(tryfirst=True)  # before any are left out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(item.path.name, len(FIRST)))
+    numbers: Counter[tuple[Path, str]] = Counter()
+    for item in items:
+        for mark in item.iter_markers("one_in"):
+            if item.get_closest_marker("thorough"):
+                continue
+            (n,), test = mark.args, (item.path, item.originalname)
+            # By the sum of its digits to base n: every row of a table begins with another.
+            number, digits = numbers[test], 0
+            while number:
+                number, digit = divmod(number, n)
+                digits += digit
+            if digits % n:
+                item.add_marker("thorough")
+            numbers[test] += 1
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -74,6 +91,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def _no_progress_by_the_clock(monkeypatch):
     """However slow the machine is, or kernels to compile: stderr has the same lines."""
     monkeypatch.setattr(output, "SECONDS_A_LINE", math.inf)
+
+
+@pytest.fixture
+def few_cameras(monkeypatch):
+    """See `estimate_few_cameras`."""
+    estimate_few_cameras(monkeypatch)
 
 
 class Trio(NamedTuple):

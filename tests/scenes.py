@@ -167,6 +167,8 @@ def estimate_few_cameras(patch: pytest.MonkeyPatch) -> None:
     for name in ("WIDTH", "HEIGHT", "SMALL", "_FOCAL", "_OVERVIEWS", "_LEAST_TRIED"):
         patch.setattr(auto_cameras, name, getattr(auto_cameras, name) // 6)
     patch.setattr(auto_cameras, "_THUMB", (32, 21))
+    for name in ("_TRIED", "_MANY"):
+        patch.setattr(auto_cameras, name, 1)
 
 
 def shared_scene_path(name: str) -> Path:

@@ -153,6 +153,7 @@ def test_edge_scene_is_on_its_lattices(name, profile):
     assert_on_lattices(Shaped.of(EDGES[name], profile), data, 1.5001)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", EDGES)
 def test_guided_edge_scene_is_on_its_lattices(name):
     guide = made_up_guide(seed=30)
@@ -170,6 +171,7 @@ def test_round_gaussians_have_no_rotation():
     assert not decode_scene(data).rot[1:].any()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 @pytest.mark.parametrize("sh_degree", range(4))
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)

@@ -521,6 +521,7 @@ def no_ink(monkeypatch):
     monkeypatch.setattr(plots, "png_of", lambda _: b"\x89PNG")
 
 
+@pytest.mark.usefixtures("few_cameras")
 @pytest.mark.parametrize("degree", [thorough(0), 1, thorough(3)])
 def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
     write_ply(folder.path / "scene.ply", random_scene(600, degree, seed=17))

@@ -150,6 +150,7 @@ def test_batch_killed_twice_is_resumed(scenes, place):
     check_whole(place, wanted)
 
 
+@pytest.mark.thorough
 def test_interrupt_ends_all_at_once_and_can_be_resumed(scenes, place):
     source = scenes[0] / "deep/er"
     process = place.start(source, "--jobs", "2", WORK="stuck_in_fsync", HOLD="3")
@@ -292,6 +293,7 @@ def cluster(tmp_path, place):
         process.wait()
 
 
+@pytest.mark.thorough
 def test_cluster_does_the_same_though_a_worker_is_killed(scenes, place, cluster):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     source, wanted = scenes

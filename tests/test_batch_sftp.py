@@ -116,6 +116,7 @@ def records(folder: Path) -> list[dict]:
     return [json.loads(line) for line in (folder / "report.jsonl").read_text().splitlines()]
 
 
+@pytest.mark.thorough
 def test_batch_from_server_to_server(server):
     source, target = server.url(server.folder / "in"), server.url(server.folder / "out")
     arguments = (f"{source}/**/*.ply", target, "--jobs", "2", "--resume")

@@ -169,6 +169,7 @@ def test_gaussians_grow_with_the_distance_of_the_nearest_camera(style: str) -> N
     assert 0.5 < slope < 2
 
 
+@pytest.mark.thorough
 def test_training_fits_held_out_views_and_every_attribute() -> None:
     before, after = _small("arc", iterations=0), _small("arc")
     assert _psnr(after) > _psnr(before) + 3

@@ -728,6 +728,7 @@ main()
 """
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("command", "place"),
     [
@@ -796,6 +797,7 @@ def test_progress_on_a_terminal_ends_in_a_clean_line(folder):
     assert "\x1b[?25h" in shown, "the cursor must be visible again"
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     "command",
     [

@@ -40,6 +40,7 @@ def assert_within_half_steps(original: Scene, data: bytes) -> Scene:
     return decoded
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("name", EDGES)
 def test_edge_scene_is_within_half_steps(name, profile):

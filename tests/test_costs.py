@@ -157,6 +157,7 @@ def test_what_is_richer_takes_more():
     assert bits[plain].mean() < 0.7 * bits[~plain].mean()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 @pytest.mark.parametrize("name", edge_scenes())
 def test_edge_scenes_have_bits(profile, name):

@@ -175,6 +175,7 @@ def refused(command: str, capsys: pytest.CaptureFixture, monkeypatch: pytest.Mon
     return error
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", WRITING)
 def test_a_full_disk_is_one_line(folder, small_disk, name, capsys, monkeypatch):
     monkeypatch.chdir(folder)

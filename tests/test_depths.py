@@ -90,6 +90,7 @@ def test_means_move_and_all_else_stays():
     assert as_deep(steps, some, known, {}).sh_ratios == pytest.approx(steps.sh_ratios)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 @pytest.mark.parametrize("group", ["geometry", *STREAMS])
 def test_a_bit_more_halves_the_steps_of_one_group(scene, group, guided):

@@ -88,6 +88,7 @@ def test_processors_do_not_matter_to_levels():
     assert run_alone("digest_of_levels()", environment) == digest_of_levels()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("name", golden_scenes())
 def test_golden_files_are_written_and_read_by_any_threads(name, threads):

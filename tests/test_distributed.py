@@ -75,9 +75,10 @@ def saved(path: Path, scene: Scene) -> Path:
     return path
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("size", [700, 3000, 10**6])
 @pytest.mark.parametrize(
-    ("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), thorough(9000, 2)]
+    ("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), (9000, 2)]
 )
 def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
     path = saved(tmp_path / "a.ply", random_scene(count, degree, seed=3))
@@ -86,6 +87,7 @@ def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
     assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", sorted(edge_scenes()))
 def test_scenes_at_the_limits(tmp_path, name):
     scene = edge_scenes()[name]
@@ -106,6 +108,7 @@ def test_levels_are_the_same(tmp_path, blended, size):
     assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("bad", [0.0, 0.1, 1.0])
 def test_what_is_cleaned_is_cleaned_in_every_task(tmp_path, bad):
     rng = np.random.default_rng(1)
@@ -154,6 +157,7 @@ def test_cuts_are_where_the_sorted_whole_has_them(tmp_path, seed):
     assert np.array_equal(cuts, np.stack(expected, axis=1))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("degree", [None, 1])
 @pytest.mark.parametrize("box", [None, (-1.0, -1.0, -1.0, 0.5, 0.5, 0.5)])
 @pytest.mark.parametrize("profile", ["m", "lossless"])
@@ -189,6 +193,7 @@ def test_damaged_file_is_refused_by_a_task(tmp_path):
     assert not (tmp_path / "b.ply").exists()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.rounds(3)
 def test_a_run_goes_on_where_one_before_it_ended(tmp_path, seed):
     path = saved(tmp_path / "a.ply", random_scene(7000, 1, seed=6))
@@ -305,6 +310,7 @@ def test_dask_that_is_not_installed_is_named(folder):
     assert err == "gs-codec: error: --dask: needs distributed; pip install 'gs-codec[cluster]'\n"
 
 
+@pytest.mark.thorough
 def test_workers_of_a_cluster_give_the_same_files(folder):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     folder.run("encode", "scene.ply", "whole.egs")

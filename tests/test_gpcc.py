@@ -273,6 +273,7 @@ FAILURES = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("failure", FAILURES)
 def test_a_failure_is_one_clear_error(failure, stand_in, monkeypatch):
     """While encoding, and decoding what an honest run has made."""

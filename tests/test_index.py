@@ -81,6 +81,7 @@ def test_reach_is_little_larger_than_the_ellipsoids():
         assert (half <= 1.25 * reached).all()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", edge_scenes())
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 def test_edge_scenes_have_an_index(profile, name):

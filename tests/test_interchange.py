@@ -213,6 +213,7 @@ def test_packed_ply_holds_values_to_half_of_its_steps(count, degree, tmp_path):
 # All formats
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("form", ALL)
 @pytest.mark.parametrize("name", EDGES)
 def test_edge_scenes_are_written_and_read(name, form, tmp_path):
@@ -323,6 +324,7 @@ def test_sizes_of_an_spz_are_met_from_below(seen):
         assert report.rate.steps == {}
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("form", ["compressed.ply", "splat", "glb"])
 def test_sizes_of_fixed_formats_are_met_by_pruning(form, seen):
     scene, plan = seen

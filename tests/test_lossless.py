@@ -117,6 +117,7 @@ def test_order_of_the_input_does_not_matter(name):
     assert encode_scene(scene, LOSSLESS)[0] == encode_scene(shuffled, LOSSLESS)[0]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("config", [LOSSLESS, KEPT], ids=["sorted", "kept"])
 @pytest.mark.parametrize("name", SCENES)
 def test_reference_decoder_agrees(name, config):
@@ -342,6 +343,7 @@ def test_every_flipped_bit_under_right_checksums_is_survived():
         survive(with_checksums(damaged))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("seed", range(100))
 def test_random_changes_under_right_checksums_are_survived(seed):
     rng = np.random.default_rng(seed)

@@ -267,6 +267,7 @@ def assert_matched(comparison: Comparison, egs) -> None:
         assert error_of(comparison, name, unit).max <= half_step(egs, group), name
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("config", CONFIGS)
 @pytest.mark.parametrize("name", SCENES)
 def test_original_is_matched_with_its_decoded_version(name, config, tmp_path):

@@ -71,6 +71,7 @@ def test_every_gaussian_is_in_the_leaf_around_it(name, depth):
         assert np.all((origin <= places[held]) & (places[held] <= origin + size))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("depth", [1, 7, 16])
 @pytest.mark.parametrize("name", SCENES)
 def test_leaves_are_the_cells_of_our_codes_and_have_their_mean_colour(name, depth):

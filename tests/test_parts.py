@@ -26,6 +26,7 @@ def large(profile: str) -> bytes:
     return encode_scene(random_scene(6000, 3, seed=40), Config(profile, block_size=BLOCK))[0]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_lower_degree_is_the_whole_without_its_bands(profile, degree):
@@ -57,6 +58,7 @@ BOXES = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("degree", [None, 1])
 @pytest.mark.parametrize("box", BOXES)
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)

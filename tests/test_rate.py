@@ -151,6 +151,7 @@ def test_search_looks_beside_where_a_measure_is_rough(monkeypatch):
 # Sizes
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 @pytest.mark.parametrize(
     "target", [RateTarget(bits=120), RateTarget(bits=200), RateTarget(ratio=12)]

@@ -150,6 +150,7 @@ def assert_identical(first, second) -> None:
 # Images against the reference
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("sh_degree", range(4))
 @pytest.mark.parametrize("seed", [1, 2])

@@ -38,6 +38,7 @@ def small_slabs(monkeypatch):
     monkeypatch.setattr(slabs, "_SLAB", 1)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(("count", "degree"), [(0, 3), (1, 1), (5000, 3), (5000, 0)])
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_slabs_are_the_whole(profile, count, degree, tmp_path):

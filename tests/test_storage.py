@@ -36,6 +36,7 @@ def everything_on_disk(monkeypatch):
     monkeypatch.setattr(storage, "_SEGMENT", 5000)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.usefixtures("everything_on_disk")
 @pytest.mark.parametrize(
     ("count", "degree"), [(0, 3), (1, 2), (5, 0), (3000, 0), (3000, 1), (3000, 2), (3000, 3)]
@@ -51,6 +52,7 @@ def test_bytes_are_the_same_on_disk(profile, count, degree):
     assert replace(report, seconds={}) == replace(expected, seconds={})
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.usefixtures("everything_on_disk")
 @pytest.mark.parametrize("name", edge_scenes())
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
@@ -92,6 +94,7 @@ def test_files_are_the_same_while_pages_are_given_back_all_the_time(profile, tmp
     assert slabs.verify_file(within, max_memory=1).count == 4000
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_path, monkeypatch):
     """What Python and numpy hold: mapped files are not of it."""
@@ -116,6 +119,7 @@ def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_pat
     assert within < 0.6 * whole
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 def test_decoding_holds_some_slabs(profile, tmp_path, monkeypatch):
     monkeypatch.setattr(slabs, "_SLAB", 1)

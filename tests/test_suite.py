@@ -70,6 +70,7 @@ def stand_in(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(run, "SIZES", (150, 300))
     patch.setattr(run, "REFINED", (10.0, 5000.0))
     patch.setattr(beside, "_ITERATIONS", 5)
+    patch.setattr(beside, "_compile", lambda *_: None)
     patch.setattr(sources, "_MEASURED", 3)
     patch.setattr(sources, "_ENCODED_BY", 6)
     estimate_few_cameras(patch)

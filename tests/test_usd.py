@@ -56,6 +56,7 @@ def written(path: Path, data: bytes) -> Path:
 # Writing
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize(("count", "degree"), [(0, 3), (1, 0), (200, 1), (200, 2), (200, 3)])
 def test_what_is_written_is_read(count, degree, suffix, tmp_path):

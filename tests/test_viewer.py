@@ -273,6 +273,7 @@ def seen(files):
     return scene, choose_views(scene, count=5)
 
 
+@pytest.mark.usefixtures("few_cameras")
 def test_without_cameras_the_first_viewpoint_is_the_first_estimated_camera(seen, files):
     scene, views = seen
     expected = gs_codec.render(scene.cloud, "auto").cameras
@@ -288,6 +289,7 @@ def test_without_cameras_the_first_viewpoint_is_the_first_estimated_camera(seen,
     assert names == ["overview", "auto_01", "auto_02", "auto_03", "auto_04"]
 
 
+@pytest.mark.usefixtures("few_cameras")
 def test_a_view_chosen_from_the_scene_is_asked_for_by_its_number(seen, files):
     scene, _ = seen
     request = Request(files / "a.ply", cameras="auto", view=3)
@@ -356,6 +358,7 @@ def test_cameras_of_a_file_say_what_is_up(files):
 # Pictures
 
 
+@pytest.mark.usefixtures("few_cameras")
 @pytest.mark.parametrize(("width", "height"), [(200, 100), (80, 100), (100, 300)])
 def test_pictures_show_all_that_their_camera_sees(files, width, height):
     camera = gs_codec.render(gs_codec.read(files / "a.ply"), "auto").cameras[0]

@@ -327,6 +327,7 @@ ACTIONS = (
 )
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("suffix", [".ply", ".egs", ".spz", ".csv"])
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
 def test_what_is_saved_is_what_convert_writes(file, scene, action, suffix, tmp_path):

@@ -61,6 +61,7 @@ def files(tries: Tries, *done: Try) -> bool:
     return {path.name for path in tries.folder.iterdir()} == {each.path.name for each in done}
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("asked", "options"),
     [
@@ -100,6 +101,7 @@ def test_its_numbers_are_those_of_the_commands(tries, folder, tmp_path):
         assert told["between"] == found.between.as_dict()
 
 
+@pytest.mark.usefixtures("few_cameras")
 def test_without_cameras_views_are_estimated_once(folder, tmp_path, monkeypatch):
     asked: list[tuple] = []
 

@@ -100,6 +100,7 @@ def test_no_view_without_levels_has_any_but_level_0():
     assert whole["decoded"] == [digest(decode_scene(data))]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_every_level_has_the_floats_of_python(profile):
     data = sample(300, 2, profile)
@@ -216,6 +217,7 @@ def test_every_truncation_is_refused():
         assert found.get("error") == "CorruptError", found
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("given", "error", "text"),
     [

@@ -132,7 +132,9 @@ def _split_each(
 
 @kernel
 def _split(vectors, weights, order, starts, stops, middles, gains):
-    size = int((stops - starts).max())
+    size = 0
+    for cell in range(len(starts)):
+        size = max(size, stops[cell] - starts[cell])
     side, upper = np.empty(size, np.uint8), np.empty(size, order.dtype)
     depth = vectors.shape[1]
     whole, halves = np.empty(depth + 1), np.empty((2, depth + 1))
@@ -156,7 +158,8 @@ def _split(vectors, weights, order, starts, stops, middles, gains):
             else:
                 members[low] = members[j]
                 low += 1
-        members[low:] = upper[:high]
+        for j in range(high):
+            members[low + j] = upper[j]
         middles[cell] = start + low
 
 

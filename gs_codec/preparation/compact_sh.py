@@ -145,9 +145,13 @@ def _compact(positions, before, weights, centres, penalty, smallest, after, star
         if not finite:
             unsolved += 1
         elif any_ac and count == 0:
-            after[i, :, 1:] = 0.0
+            for channel in range(3):
+                for k in range(1, size):
+                    after[i, channel, k] = 0.0
         elif any_ac and _sparsify(rows[:count], seen, shared, penalty, smallest[i], solution):
-            after[i] = solution
+            for channel in range(3):
+                for k in range(size):
+                    after[i, channel, k] = solution[channel, k]
         else:
             unsolved += any_ac
     return unseen, unsolved
@@ -238,13 +242,15 @@ def _darken(rows, targets, solution):
     """
     size = len(solution[0])
     lit, colour, highest = np.zeros(3, np.bool_), np.empty((size, 3)), np.full(3, -np.inf)
-    for channel in range(3):
-        lit[channel] = targets[:, channel].max() > -0.5
+    for j in range(len(rows)):
+        for channel in range(3):
+            lit[channel] |= targets[j, channel] > -0.5
     for k in range(size):
         colour[k, 0], colour[k, 1], colour[k, 2] = red_green_blue(
             solution[0, k], solution[1, k], solution[2, k]
         )
-        mean = (colour[k] * lit).sum() / max(lit.sum(), 1)
+        mean = colour[k, 0] * lit[0] + colour[k, 1] * lit[1] + colour[k, 2] * lit[2]
+        mean /= max(lit[0] + lit[1] + lit[2], 1)
         for channel in range(3):
             if k > 0 and not lit[channel]:
                 colour[k, channel] = mean

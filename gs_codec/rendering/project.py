@@ -160,7 +160,8 @@ def _fill_colours(positions, f_dc, f_rest, position, gaussians, fields):
             dz = positions[2, i] - position[2]
             distance = math.sqrt(dx * dx + dy * dy + dz * dz)
             sh_basis(dx / distance, dy / distance, dz / distance, coefficients, basis)
-            bases[:, j] = basis
+            for k in range(coefficients):
+                bases[k, j] = basis[k]
         for channel in range(3):
             colour = colours[channel]
             for j in range(len(block)):
@@ -184,7 +185,11 @@ def _keep_finite(fields, tiles, gaussians, count):
         if not finite & (abs(field[BLUE]) < np.inf):
             continue
         if kept < j:
-            fields[kept], tiles[kept], gaussians[kept] = field, tiles[j], gaussians[j]
+            gaussians[kept] = gaussians[j]
+            for k in range(DEPTH + 1):
+                fields[kept, k] = field[k]
+            for k in range(4):
+                tiles[kept, k] = tiles[j, k]
         for channel in range(RED, BLUE + 1):
             fields[kept, channel] = max(0.0, field[channel])
         kept += 1

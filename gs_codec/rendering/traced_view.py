@@ -207,7 +207,8 @@ def _trace(fields, splats, starts, tiles, columns, width, height, left_of, ends,
                             weights[at + np.uint64(x)] = row_weights[begin + np.uint64(x)]
                         used += last_column - first_column + 1
             ends[pair] = used_rows
-        left_of[tile] = np.abs(light)
+        for pixel in range(PIXELS):
+            left_of[tile, pixel] = abs(light[pixel])
     return rows, weights, used
 
 

@@ -40,13 +40,11 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-r
 test: $(VENV)/installed-test
 	$(PYTEST)
 
-test-all: $(VENV)/installed-all web tests/web/node_modules/.package-lock.json
-	$(PYTEST)
-
-# Without tests that take seconds each, to show more of what others show: on more processes, windows, browsers and
-# real scenes, or for every bit. They are marked `thorough`, and take half of the time of all.
-test-ci: $(VENV)/installed-all web tests/web/node_modules/.package-lock.json
-	$(PYTEST) -m "not thorough"
+# `test-ci` is without tests that take seconds each, to show more of what others show: on more processes, windows,
+# browsers and real scenes, for every bit, or for all cases of large tables. They are marked `thorough`, or `one_in`.
+test-ci: CHOSEN := -m "not thorough"
+test-all test-ci: $(VENV)/installed-all web tests/web/node_modules/.package-lock.json
+	$(PYTEST) $(CHOSEN)
 
 lint: $(VENV)/installed-test
 	$(BIN)/ruff check .

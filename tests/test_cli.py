@@ -764,10 +764,16 @@ def test_file_too_large_for_the_disk_leaves_nothing(folder, command):
     assert "File too large" in err
 
 
-def test_module_is_the_command(folder):
-    status, out, err = python("-m", "gs_codec", "decode", "missing.egs", "out.ply", cwd=folder.path)
-    assert (status, out) == (2, "")
-    assert err == "gs-codec: error: missing.egs: No such file or directory\n"
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ("decode missing.egs out.ply", "missing.egs: No such file or directory"),
+        ("convert scene.ply", "Missing argument: expected IN OUT"),
+    ],
+)
+def test_module_is_the_command(folder, arguments, error):
+    status, out, err = python("-m", "gs_codec", *arguments.split(), cwd=folder.path)
+    assert (status, out, err) == (2, "", f"gs-codec: error: {error}\n")
 
 
 def test_warnings_are_lines_on_stderr(folder):

@@ -77,9 +77,7 @@ def saved(path: Path, scene: Scene) -> Path:
 
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("size", [700, 3000, 10**6])
-@pytest.mark.parametrize(
-    ("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), (9000, 2)]
-)
+@pytest.mark.parametrize(("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), (9000, 2)])
 def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
     path = saved(tmp_path / "a.ply", random_scene(count, degree, seed=3))
     config = Config("m", block_size=BLOCK)
@@ -291,7 +289,7 @@ def test_what_needs_the_whole_scene_is_refused(tmp_path, config, match):
         (["decode", "scene.egs", "-"], "-: a pipe, expected a file with --dask"),
         (["decode", "scene.egs", "b.ply", "--max-bytes", "9"], "--max-bytes has no effect"),
         (["decode", "scene.egs", "decoded.ply"], "decoded.ply: exists"),
-        (["decode", "scene.egs", "b.ply", "--level", "1"], "dask: not with a level or a view"),
+        (["decode", "scene.egs", "b.ply", "--level", "1"], "--level is not there with --dask"),
     ],
 )
 def test_command_refuses_what_has_no_effect(folder, arguments, expected):

@@ -11,7 +11,7 @@ from reference_channels import model_frequencies
 from reference_decoder import decode, read_file
 from reference_lattice import read_lattice
 from reference_tools import frequencies
-from scenes import edge_scenes, encode_by, made_up_guide, random_scene, thorough
+from scenes import edge_scenes, encode_by, made_up_guide, random_scene
 
 from gs_codec.codecs import decode_scene, encode_scene
 from gs_codec.codecs.entropygs.models import Component, MixtureModel

@@ -668,9 +668,16 @@ def test_errors_are_one_line(arguments, said, here, monkeypatch):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of X11")
-@pytest.mark.parametrize(("display", "said"), [("", "DISPLAY is not set"), (":9999", ":9999")])
-def test_without_a_display_it_says_so(files, display, said):
-    result = viewer(files / "a.ply", DISPLAY=display)
+@pytest.mark.parametrize(
+    ("name", "display", "said"),
+    [
+        ("a.ply", "", "DISPLAY is not set"),
+        ("a.ply", ":9999", ":9999"),
+        ("none.ply", "", "none.ply: No such file"),
+    ],
+)
+def test_without_a_display_it_says_so(files, name, display, said):
+    result = viewer(files / name, DISPLAY=display)
     assert result.returncode == 2
     assert said in result.stderr
     assert len(result.stderr.splitlines()) == 1

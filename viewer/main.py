@@ -250,6 +250,8 @@ def command(
         if missing:
             print_status(f"gs-viewer: without a photograph: {missing}")
         return
+    for source in filter(None, (request.a, request.b)):
+        source.stat()  # a scene that is not there is told rather than a display
     from viewer.window.device import find_device
 
     device = find_device()

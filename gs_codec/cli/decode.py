@@ -63,6 +63,7 @@ def command(
     part = Part(box, sh_degree, level, camera, budget, tolerance)
     if asked["dask"] is not None:
         asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
+        asked.refuse(["level", "view"], "is not there with --dask, which decodes whole scenes")
         check_no_pipes("--dask", source, target)
         from gs_codec.distributed.decoding import decode_distributed
 

@@ -172,11 +172,8 @@ def _sum_planes(planes, weights, shifts, sums, first, last):
                     number, only = number + 1, k
             if number == 1 and abs(weights[row, only]) == 1.0 and shifts[row] == 0.0:
                 plane = planes[only, start:stop]
-                if weights[row, only] > 0.0:
-                    to[:] = plane
-                else:
-                    for i in range(len(to)):
-                        to[i] = -plane[i]
+                for i in range(len(to)):
+                    to[i] = plane[i] if weights[row, only] > 0.0 else -plane[i]
                 continue
             wide[:] = shifts[row]
             for k in range(len(planes)):

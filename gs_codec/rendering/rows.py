@@ -238,7 +238,8 @@ def draw_rows(fields, splats, starts, first, end, columns, background, colour, l
         reached[tile] = draw_tile(
             fields, splats, start, stop, x0, y0, height, LEAST_LEFT, light, ends[tile]
         )
-        left[tile] = np.abs(light[:PIXELS])
+        for pixel in range(PIXELS):
+            left[tile, pixel] = abs(light[pixel])
         put_tile(light, x0, x1, y0, y1, background, colour)
 
 
@@ -267,7 +268,8 @@ def take_back_rows(
     for tile in range(first, end):
         x0, x1, y0, y1 = tile_bounds(tile, columns, width, height)
         light[:] = _ZERO
-        light[:PIXELS] = left[tile]
+        for pixel in range(PIXELS):
+            light[pixel] = left[tile, pixel]
         for y in range(y0, y1):
             for x in range(x0, x1):
                 pixel = (y - y0) * TILE + x - x0

@@ -24,7 +24,11 @@ _compiling: set[str] = set()
 
 
 def kernel(function: Callable) -> Any:
-    """Compile a kernel. No fastmath: results must not depend on the machine."""
+    """Compile a kernel. No fastmath: results must not depend on the machine.
+
+    Arrays are copied into slices in loops: for an assignment, numba would compile the text of an
+    error as well, which takes seconds.
+    """
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
     if compiled is function:  # numba is disabled (NUMBA_DISABLE_JIT)
         return compiled

@@ -145,6 +145,7 @@ def assert_in_cells(shaped: Shaped, decoded: Scene, data: bytes) -> None:
             assert np.all(error <= 0.5 * grid.step * 2.0**width + rounding)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 @pytest.mark.parametrize("name", EDGES)
 def test_edge_scene_is_on_its_lattices(name, profile):

@@ -187,6 +187,7 @@ def test_a_full_disk_is_one_line(folder, small_disk, name, capsys, monkeypatch):
     assert sorted(path.name for path in small_disk.iterdir()) == before
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", WRITING)
 def test_a_folder_that_is_a_file_is_one_line(folder, name, capsys, monkeypatch):
     monkeypatch.chdir(folder)
@@ -195,6 +196,7 @@ def test_a_folder_that_is_a_file_is_one_line(folder, name, capsys, monkeypatch):
     assert "taken" in line
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", WRITING)
 def test_a_folder_without_permission_is_one_line(folder, name, capsys, monkeypatch):
     monkeypatch.chdir(folder)

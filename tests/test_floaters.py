@@ -232,6 +232,7 @@ def test_progress_counts_views():
 # Edges
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", edge_scenes())
 def test_edges(name):
     scene = edge_scenes()[name]

@@ -269,6 +269,7 @@ def dot_near(image: np.ndarray, u: float, v: float) -> tuple[float, float]:
     return left + (x * part).sum() / part.sum(), top + (y * part).sum() / part.sum()
 
 
+@pytest.mark.one_in(3)
 @needs_opencv
 @each_model
 @pytest.mark.parametrize("scale", [1.0, 0.5])

@@ -628,6 +628,7 @@ def test_work_on_a_header_is_linear_in_its_properties(kind, monkeypatch):
     assert counts[2] - counts[1] < 2.1 * (counts[1] - counts[0])
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", BAD_FILES)
 @pytest.mark.parametrize("extra", ["error", "keep", "drop"])
 def test_bad_file_is_refused_in_one_line(name, extra, tmp_path):

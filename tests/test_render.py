@@ -329,6 +329,7 @@ def camera_edges() -> dict[str, Edge]:
 EDGES = distance_edges() | shape_edges() | value_edges() | camera_edges()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
 @pytest.mark.parametrize("name", EDGES)
 def test_edges_match_the_reference(name, antialiased):
@@ -339,6 +340,7 @@ def test_edges_match_the_reference(name, antialiased):
     assert_same_sums(result, expected)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", {**distance_edges(), **shape_edges(), **value_edges()})
 def test_edges_amid_a_crowd_match_the_reference(name):
     edge, _, camera = EDGES[name]

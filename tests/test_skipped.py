@@ -42,6 +42,7 @@ def band_rows(*bands):
     return [15 * colour + k for colour in range(3) for band in bands for k in spans[band]]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 @pytest.mark.parametrize(
     ("degree", "line"),
@@ -65,6 +66,7 @@ def test_nothing_is_told_of_a_scene_that_needs_everything(profile):
     assert skipped(random_scene(0, 3), profile) == []
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", PAPERS)
 @pytest.mark.parametrize(
     ("group", "rows", "line"),

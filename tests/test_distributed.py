@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scenes import antialiased, edge_scenes, random_scene, thorough
 
-from gs_codec import encode_distributed
+from gs_codec import decode_distributed, encode_distributed
 from gs_codec.codecs.part import Part
 from gs_codec.config import Config
 from gs_codec.distributed.decoding import decode_with
@@ -269,6 +269,11 @@ def test_what_needs_the_whole_scene_is_refused(tmp_path, config, match):
     path = saved(tmp_path / "a.ply", random_scene(10))
     with pytest.raises(InvalidInput, match=match):
         encode_distributed(path, tmp_path / "a.egs", config)
+
+
+def test_levels_are_decoded_by_one_process(tmp_path):
+    with pytest.raises(InvalidInput, match="dask: not with a level or a view"):
+        decode_distributed(tmp_path / "a.egs", tmp_path / "b.ply", Part(level=1))
 
 
 @pytest.mark.parametrize(

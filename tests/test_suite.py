@@ -156,9 +156,9 @@ def test_codecs_stand_beside_each_other(suite):
         assert [line["profile"] for line in memory] == list(PROFILE_CHOICES)
 
 
-def test_estimated_cameras_are_those_of_encode(suite, monkeypatch):
+@pytest.mark.usefixtures("few_cameras")
+def test_estimated_cameras_are_those_of_encode(suite):
     lines, _, out = suite
-    estimate_few_cameras(monkeypatch)
     ply = out.parents[1] / "shot" / "point_cloud.ply"
     data = gs_codec.encode(gs_codec.read(ply), plan=gs_codec.Plan(cameras="auto", views=6))
     sizes = {line["codec"]: line.get("file_bytes") for line in of(lines, "beside", "shot")}

@@ -94,8 +94,8 @@ def main() -> None:
         if not hasattr(error, "format_message"):
             raise
         if message := " ".join(error.format_message().split()):  # none: help was shown
-            if getattr(getattr(error, "param", None), "nargs", 1) == -1:
-                # Or it is what follows that is missing.
+            # Or it is what follows a list that is missing.
+            if message.startswith("Missing argument") and error.param.nargs == -1:  # type: ignore[attr-defined]
                 parameters = error.ctx.command.params  # type: ignore[attr-defined]
                 names = (p.metavar for p in parameters if p.param_type_name == "argument")
                 message = f"Missing argument: expected {' '.join(names)}"

@@ -138,7 +138,7 @@ def test_make_targets_exist(name):
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 @pytest.mark.parametrize(("target", "wanted"), [("test", False), ("test-all", True)])
 def test_what_few_tests_need_is_installed_where_that_is_asked(tmp_path, target, wanted):
-    command = ["make", "--dry-run", f"VENV={tmp_path}", target]
+    command = ["make", "--dry-run", "--no-print-directory", f"VENV={tmp_path}", target]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     lines = done.stdout.splitlines()
     for what in ("torch", "cluster", "system-packages all", "openssh-server"):
@@ -154,7 +154,7 @@ def test_ci_runs_all_but_thorough_tests(tmp_path):
     assert re.search("^make .*test-ci", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
     of_all, of_ci = (
         subprocess.run(
-            ["make", "--dry-run", f"VENV={tmp_path}", target],
+            ["make", "--dry-run", "--no-print-directory", f"VENV={tmp_path}", target],
             cwd=ROOT, capture_output=True, text=True, check=True,
         ).stdout.rstrip()
         for target in ("test-all", "test-ci")

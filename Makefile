@@ -114,7 +114,7 @@ peers: $(VENV)/installed-test
 # Every index of every kernel checked; kernels so compiled are kept apart from the others.
 boundscheck: $(VENV)/installed-test
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/boundscheck \
-	    $(PYTEST) --ignore tests/test_viewer_window.py $(TESTS)
+	    $(PYTEST) --ignore tests/test_viewer_window.py --ignore tests/test_viewer_more.py $(TESTS)
 
 $(VENV)/installed: pyproject.toml .ci/system-packages
 	@echo "Installing gs-codec into $(VENV): a gigabyte, the most of it Open3D, scipy and numba; minutes the first time"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import signal
+import subprocess
 from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
@@ -25,14 +27,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 #: Examples of a property.
 EXAMPLES = 25
 
-#: Files that take longest come first, so that no worker ends long after the others. Those that wait
-#: for windows and browsers leave processors to the others.
+#: Files that take longest come first, so that no worker ends long after the others; of these, those
+#: whose kernels no other needs, as one that compiles a module's kernels lets others wait for them.
+#: Those that wait for windows and browsers leave processors to the others.
 FIRST = (
-    "test_viewer_window.py", "test_web_page.py", "test_rate.py", "test_distributed.py",
-    "test_readme.py", "test_tutorial.py", "test_optimise.py", "test_batch_processes.py",
-    "test_damage.py", "test_analysis.py", "test_web_detail.py", "test_cli.py", "test_format.py",
-    "test_interchange.py", "test_calibrate.py", "test_auto_cameras.py", "test_suite.py",
-    "test_usd.py", "test_torchac.py", "test_lossless.py", "test_storage.py", "test_levels.py",
+    "test_viewer_more.py", "test_viewer_window.py", "test_optimise.py", "test_interchange.py",
+    "test_web_page.py", "test_rate.py", "test_tutorial.py", "test_readme.py", "test_distributed.py",
+    "test_batch_processes.py", "test_damage.py", "test_analysis.py", "test_cli.py",
+    "test_web_decoder.py", "test_web_detail.py", "test_web_levels.py", "test_levels.py",
+    "test_gpcc.py", "test_format.py", "test_suite.py", "test_calibrate.py", "test_auto_cameras.py",
+    "test_usd.py", "test_torchac.py", "test_lossless.py", "test_storage.py",
 )  # fmt: skip
 
 
@@ -97,6 +101,23 @@ def _no_progress_by_the_clock(monkeypatch):
 def few_cameras(monkeypatch):
     """See `estimate_few_cameras`."""
     estimate_few_cameras(monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def display():
+    """A display, and no other."""
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
+        pass_fds=[write],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        number = pipe.readline().strip()
+    yield f":{number}"
+    server.terminate()
+    server.wait()
 
 
 class Trio(NamedTuple):

@@ -1,6 +1,6 @@
 """Opens a window without cameras, and prints what it shows before and after views are chosen.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a process of its own, on a display of its own.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Selects, edits and saves in a real window of the viewer; prints what came of it as JSON.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a process of its own, on a display of its own.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Uses what is around the panes by mouse and keys, flies and focuses; prints what came of it.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a process of its own, on a display of its own.
 """
 
 from __future__ import annotations

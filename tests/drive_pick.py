@@ -1,6 +1,6 @@
 """Picks Gaussians in the viewer's window with a mouse, and colours centres; prints what came of it.
 
-Run by test_viewer_window.py, in a process of its own, on a display of its own.
+Run by test_viewer_more.py, in a process of its own, on a display of its own.
 """
 
 from __future__ import annotations

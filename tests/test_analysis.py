@@ -353,6 +353,7 @@ def measured():
     return scene, cameras, found, steps
 
 
+@pytest.mark.thorough
 def test_more_error_is_worse_to_look_at(measured):
     _, _, found, steps = measured
     names = {"positions", "SH-DC", "SH-AC", "opacity", "scaling", "rotation"}
@@ -561,6 +562,7 @@ def test_command_writes_a_report_that_needs_nothing_else(folder, degree):
     assert ("SH degree 0: there are no SH-AC" in text) == (degree == 0)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("no_ink")
 def test_command_prints_a_summary(folder):
     encoded, _ = encode_scene(random_scene(1500, 0, seed=18), Config("m"))

@@ -89,7 +89,7 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-#: Packages of extras, by the examples that need them.
+#: Packages of extras, by the examples that need them; those of clusters start some.
 NEEDED = {
     "gs_codec.decode_distributed": "distributed",
     "gs_codec.decode_tensors": "torch",
@@ -99,18 +99,22 @@ NEEDED = {
 }
 
 
-def examples() -> list[doctest.DocTest]:
+def examples() -> list:
     finder = doctest.DocTestFinder(exclude_empty=True)
-    found = [
-        test
+    found = {
+        test.name: test
         for module, name in NAMES
         for test in finder.find(object_of(module, name), f"{module}.{name}", globs={})
         if test.examples
+    }
+    clusters = {name for name, package in NEEDED.items() if package == "distributed"}
+    return [
+        pytest.param(found[name], id=name, marks=[pytest.mark.thorough] * (name in clusters))
+        for name in sorted(found)
     ]
-    return sorted(found, key=lambda test: test.name)
 
 
-@pytest.mark.parametrize("example", examples(), ids=lambda test: test.name)
+@pytest.mark.parametrize("example", examples())
 def test_examples_run(example, folder, monkeypatch):
     from open3d.visualization import O3DVisualizer
 

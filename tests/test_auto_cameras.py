@@ -40,6 +40,7 @@ def few_tried(monkeypatch):
     monkeypatch.setattr(module, "_LEAST_TRIED", 24)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 def test_auto_cameras_are_the_same_every_time(still_life):
     first, second = auto_cameras(still_life, 6), auto_cameras(still_life, 6)
@@ -188,6 +189,7 @@ def test_the_overview_of_many_gaussians_is_that_of_the_best_judged_in_full(still
         np.testing.assert_array_equal(a.position, b.position)
 
 
+@pytest.mark.thorough
 def test_the_overview_shows_all_of_a_thing_with_nothing_around():
     rng = np.random.default_rng(95)
     tower = replace(
@@ -203,6 +205,7 @@ def test_the_overview_shows_all_of_a_thing_with_nothing_around():
     assert np.ptp(view.fy * y / z) > 0.6 * view.height
 
 
+@pytest.mark.thorough
 def test_the_first_auto_camera_shows_all_of_what_is_detailed(table):
     [view] = auto_cameras(table, 1)
     x, y, z = view.rotation @ (table.positions[:, :2500] - view.position[:, None])
@@ -265,6 +268,7 @@ def test_cameras_that_see_most_are_those_of_a_greedy_choice():
     assert sorted(module._see_most(weights, views, 99)) == sorted(views)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 def test_evidence_of_cameras_is_gathered_once(table, monkeypatch):
     gathered = []
@@ -278,6 +282,7 @@ def test_evidence_of_cameras_is_gathered_once(table, monkeypatch):
     assert len(gathered) == 1
 
 
+@pytest.mark.thorough
 def test_auto_cameras_go_around_an_object():
     rng = np.random.default_rng(93)
     normal = rng.standard_normal((3, 5000))
@@ -297,6 +302,7 @@ def test_auto_cameras_go_around_an_object():
     assert np.linalg.norm(directions.mean(axis=0)) < 0.6  # not all from one side
 
 
+@pytest.mark.thorough
 def test_auto_cameras_fill_the_image_with_what_is_smaller_than_the_near_plane():
     rng = np.random.default_rng(99)
     normal = rng.standard_normal((3, 3000))
@@ -326,6 +332,7 @@ def test_nothing_cannot_be_looked_at():
         auto_cameras(random_scene(0))
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 def test_auto_cameras_skip_what_is_not_finite(still_life):
     positions = still_life.positions.copy()

@@ -37,6 +37,7 @@ def test_coarser_steps_leave_fewer_gaussians(seen):
     assert left(scene, plan) == left(scene, plan, ADAPTIVE_PROFILES["m"].error)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(
     "steps", [{"prune": 0}, {"prune": 10}, {"prune_importance": 10}, {"prune_max_psnr_drop": 0.0}]
 )

@@ -207,6 +207,7 @@ main()
 """
 
 
+@pytest.mark.thorough
 def test_full_disk_is_an_error_of_the_scene_that_has_no_room(scenes, tmp_path):
     source = tmp_path / "in"
     source.mkdir()
@@ -309,6 +310,7 @@ def test_cluster_does_the_same_though_a_worker_is_killed(scenes, place, cluster)
     assert len(place.records()) == len(wanted) + len(BROKEN)
 
 
+@pytest.mark.thorough
 def test_scheduler_that_is_not_there_is_one_line(scenes, place):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     environment = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}

@@ -167,6 +167,7 @@ def test_a_process_of_its_own_is_measured(tmp_path):
         run_apart(["encode", "scene.ply", str(tmp_path / "none" / "scene.egs")])
 
 
+@pytest.mark.thorough
 def test_options_of_the_paper_are_those_of_encoding(tmp_path):
     scene = random_scene(300, 1, seed=71)
     write_ply(tmp_path / "scene.ply", scene)

@@ -42,6 +42,7 @@ def views():
     return [as_camera(camera) for camera in orbit_cameras(24, 200, 133)[::3]]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("contrast", [0.2, 1.0])
 def test_m_loses_the_same_at_any_contrast(still_life, views, contrast):
     """Steps of colours follow from nothing else, so those of faint colours would be too fine."""
@@ -70,6 +71,7 @@ def test_m_loses_the_same_of_real_scenes(name, format):  # noqa: A002
     assert LEAST < own_psnr(scene, cameras[::4], Config("m", format=format)) < MOST
 
 
+@pytest.mark.thorough
 def test_profiles_change_by_the_same_factor_and_coarseness_multiplies_it(still_life):
     found = calibrated(still_life, Config("m")).coarseness
     assert found != 1
@@ -142,6 +144,7 @@ def test_scenes_that_views_do_not_show_stay_as_they_are(still_life):
     assert calibrated(fog, Config()) == Config()
 
 
+@pytest.mark.thorough
 def test_values_that_are_not_finite_are_refused_or_dropped_as_ever(still_life):
     broken = replace(still_life, f_rest=still_life.f_rest.copy(), opacity=still_life.opacity.copy())
     broken.f_rest[4, ::7] = np.nan

@@ -745,6 +745,7 @@ def damaged(good: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ["json", "cameras.bin", "images.bin", "cameras.txt", "images.txt"])
 def test_damage_is_refused_or_gives_valid_cameras_seed4(name, tmp_path):
     rng = np.random.default_rng(4)

@@ -184,7 +184,7 @@ def test_a_checkpoint_of_gsplat_is_read(tmp_path, caplog):
     assert_trained(read_scene(tmp_path / "plain.zip"), splats)
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.thorough
 @needs_torch
 @pytest.mark.parametrize("prefix", ["_model.gauss_params.", "_model.", "_model.module.gauss."])
 def test_a_checkpoint_of_splatfacto_is_read(prefix, tmp_path):

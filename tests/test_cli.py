@@ -753,6 +753,7 @@ main()
 """
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of file size")
 @pytest.mark.parametrize("command", ["encode scene.ply out.egs", "decode scene.egs out.ply"])
 def test_file_too_large_for_the_disk_leaves_nothing(folder, command):
@@ -776,6 +777,7 @@ def test_module_is_the_command(folder, arguments, error):
     assert (status, out, err) == (2, "", f"gs-codec: error: {error}\n")
 
 
+@pytest.mark.thorough
 def test_warnings_are_lines_on_stderr(folder):
     with open("scene.ply", "ab") as file:
         file.write(b"more")
@@ -834,6 +836,7 @@ finally:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the system lists no threads")
 def test_numpy_starts_no_threads_either(folder):
     folder.monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
@@ -867,6 +870,7 @@ def test_commands_tell_their_progress_in_a_pipe(folder, command, json):
         assert strict_json(out)["count"] == 1500
 
 
+@pytest.mark.thorough
 def test_a_batch_tells_the_progress_of_its_scenes_in_a_pipe(folder):
     folder.monkeypatch.setattr(output, "SECONDS_A_LINE", 0)
     status, _, err = folder.run("batch", "scene.ply", "out")
@@ -891,6 +895,7 @@ for line in {commands}:
 """
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("run", "loaded", "absent"),
     [

@@ -58,6 +58,7 @@ def test_blocks_and_degrees_are_within_half_steps(profile, sh_degree):
     assert assert_within_half_steps(scene, data).sh_degree == sh_degree
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("name", REAL_SCENES)
 def test_real_scene_is_within_half_steps(name):
     scene = read_ply(shared_scene_path(name))
@@ -68,6 +69,7 @@ def test_real_scene_is_within_half_steps(name):
     assert report.rectified / f_rest_values < 0.005
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("models", "overhead"), [("parametric", 0.015), ("best", 0.0015)])
 def test_bonsai_is_ten_times_smaller_and_close_to_its_entropy(models, overhead):
     path = shared_scene_path("bonsai/point_cloud.ply")

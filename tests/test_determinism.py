@@ -62,6 +62,7 @@ def run_alone(call: str, environment: dict[str, str]) -> str:
     return json.loads(done.stdout)
 
 
+@pytest.mark.thorough
 def test_threads_and_runs_do_not_matter():
     expected = digests(1)
     for threads in (1, 2, 3, None):
@@ -77,6 +78,7 @@ def test_processes_do_not_matter(blas_threads):
     assert run_alone("digests(2)", environment) == digests(1)
 
 
+@pytest.mark.thorough
 def test_processors_do_not_matter_to_levels():
     """Nor compilers: kernels run as Python, numpy and BLAS as on the oldest processor."""
     features = np.show_config(mode="dicts")["SIMD Extensions"]["found"]  # type: ignore[index]

@@ -106,7 +106,7 @@ def test_levels_are_the_same(tmp_path, blended, size):
     assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.thorough
 @pytest.mark.parametrize("bad", [0.0, 0.1, 1.0])
 def test_what_is_cleaned_is_cleaned_in_every_task(tmp_path, bad):
     rng = np.random.default_rng(1)
@@ -191,7 +191,7 @@ def test_damaged_file_is_refused_by_a_task(tmp_path):
     assert not (tmp_path / "b.ply").exists()
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.thorough
 @pytest.mark.rounds(3)
 def test_a_run_goes_on_where_one_before_it_ended(tmp_path, seed):
     path = saved(tmp_path / "a.ply", random_scene(7000, 1, seed=6))

@@ -220,6 +220,7 @@ def test_batches_edit_and_convert(folder):
     ).read_bytes()
 
 
+@pytest.mark.thorough
 def test_batches_resume_by_what_actions_read(folder):
     def matrix(scale: float) -> None:
         rows = (scale * np.eye(3, 4)).tolist()

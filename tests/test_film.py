@@ -200,6 +200,7 @@ def test_scenes_that_show_nothing_have_a_path():
     assert np.isfinite([pose.position for pose in poses]).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared scenes are absent")
 @pytest.mark.parametrize("name", ["bonsai", "mouse"])
 def test_real_scenes_look_from_around_as_their_cameras_do(name):

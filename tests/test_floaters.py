@@ -279,6 +279,7 @@ def test_nothing_to_remove_gives_the_scene():
     assert keep_largest_cluster(thing) is thing
 
 
+@pytest.mark.thorough
 def test_threads_make_no_difference():
     scene = join_scenes([sparse_and_dense(2), sparse_and_dense(3)])
     for function in (find_floaters, largest_cluster):
@@ -309,6 +310,7 @@ def cluster_by_hand(scene: Scene) -> np.ndarray:
     return best
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_the_largest_cluster_by_brute_force(seed):
     scene = sparse_and_dense(seed)

@@ -247,6 +247,7 @@ def test_lattice_cases_have_classes_shifts_and_shared_tables():
     assert any(len({id(table) for table in tables}) < len(tables) for tables in lattice.tables)
 
 
+@pytest.mark.thorough
 def test_tiny_scene():
     if not TINY.exists():
         pytest.skip(f"{TINY} is not here")

@@ -95,6 +95,7 @@ def test_edge_scenes_are_those_of_the_octree(name, stand_in):
     assert_interchangeable(EDGES[name], {"profile": "paper-m"})
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", PROFILES)
 def test_blocks_are_those_of_the_octree(profile, stand_in):
     data = assert_interchangeable(duplicated(2500, seed=90), {"profile": profile})

@@ -91,6 +91,7 @@ def test_profiles_are_in_order(scene, plan):
     assert shown == sorted(shown, reverse=True)
 
 
+@pytest.mark.thorough
 def test_threads_do_not_change_the_bytes(scene, plan):
     streams = set()
     for threads in (1, 2, 5):
@@ -120,6 +121,7 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
     assert coloured.f_rest[:, ::2].any()
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("count", "compacted"), [(30, True), (4, False)])
 def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
     found = guide(scene, draw_reference_views(scene, cameras(count), (0.0, 0.0, 0.0)))
@@ -130,6 +132,7 @@ def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
     assert (new_zeros == 0) == (not compacted)
 
 
+@pytest.mark.thorough
 def test_what_pruning_has_lost_lets_compaction_lose_too(scene, plan):
     whole = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     pruned = scene.take(np.arange(scene.count) % 3 > 0)
@@ -145,6 +148,7 @@ def test_one_view_is_not_enough_to_compact_by(scene, plan):
     np.testing.assert_array_equal(compact.f_rest, scene.f_rest)
 
 
+@pytest.mark.thorough
 def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
     whole = draw_reference_views(scene, plan.cameras, (0.0, 0.0, 0.0))
     pruned = scene.take(np.arange(scene.count) % 3 > 0)
@@ -159,6 +163,7 @@ def test_what_pruning_has_lost_coarsens_the_steps(scene, plan):
     assert opacity_bytes(whole) < opacity_bytes(own)
 
 
+@pytest.mark.thorough
 def test_carried_properties_follow_their_gaussians(scene, plan):
     extra = {"x0": scene.positions[0].copy(), "label": np.arange(scene.count, dtype="<i4")}
     carrying = replace(scene, extra=extra, comments=("made by a test",))
@@ -180,6 +185,7 @@ def test_only_profiles_that_ask_are_guided(scene, plan):
         assert "views" not in report.seconds
 
 
+@pytest.mark.thorough
 def test_what_the_encoder_changes_is_told_with_views_too(scene, plan):
     broken = replace(scene, opacity=scene.opacity.copy(), rot=scene.rot.copy())
     broken.opacity[0, :3] = np.nan
@@ -191,6 +197,7 @@ def test_what_the_encoder_changes_is_told_with_views_too(scene, plan):
     ]  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_files_api_and_command_line_agree(scene, plan, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_ply("scene.ply", scene)
@@ -207,6 +214,7 @@ def test_files_api_and_command_line_agree(scene, plan, tmp_path, monkeypatch):
     assert stream != encode_scene(scene, Config("m"))[0]
 
 
+@pytest.mark.thorough
 def test_pruned_and_encoded_by_the_same_views(scene, plan, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_ply("scene.ply", scene)

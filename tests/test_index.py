@@ -69,6 +69,7 @@ def test_boxes_hold_the_decoded_gaussians(profile):
         assert (points.max(axis=(0, 1)) <= extent[9:]).all()
 
 
+@pytest.mark.thorough
 def test_reach_is_little_larger_than_the_ellipsoids():
     scene = random_scene(400, 0, seed=313)
     for k in range(scene.count):

@@ -32,6 +32,7 @@ except IndexError:
 """
 
 
+@pytest.mark.thorough
 def test_bounds_are_checked_where_that_is_asked(tmp_path):
     script = tmp_path / "beyond.py"
     script.write_text(BEYOND)
@@ -66,6 +67,7 @@ print(squares(np.arange(4)), numba.njit(lambda a, b: a @ b)(np.eye(2), np.ones(2
 """
 
 
+@pytest.mark.thorough
 def test_cached_kernels_start_without_the_compiler(tmp_path):
     script = tmp_path / "started.py"
     script.write_text(STARTED)

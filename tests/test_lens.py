@@ -221,6 +221,7 @@ def test_size_of_a_lens_is_checked(sides, tmp_path):
         read_cameras(write_model(tmp_path, ".bin", cameras=[intrinsics]))
 
 
+@pytest.mark.thorough
 def test_random_lenses_give_cameras_or_are_refused_seed8():
     rng = np.random.default_rng(8)
     given = refused = 0

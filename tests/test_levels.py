@@ -67,6 +67,7 @@ def camera(place: tuple[float, ...], focal: float = 100.0, name: str = "seen") -
 FAR, NEAR, AWAY = camera((9.0, 1.0, -4.0)), camera((1.5, 0.2, -1.0)), camera((0.1, 0.0, -300.0))
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("count", COUNTS)
 def test_levels_have_a_quarter_rounded_up_until_one_block_is_left(count):
     data = encoded(random_scene(count, 0, seed=331))
@@ -82,6 +83,7 @@ def test_levels_have_a_quarter_rounded_up_until_one_block_is_left(count):
     assert file.data[10:12] == (b"\1\0" if expected else b"\0\0")
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", ADAPTIVE_PROFILES)
 def test_reference_decoder_agrees(profile):
     data = sample(300, 2, profile)
@@ -121,6 +123,7 @@ def test_levels_come_before_the_blocks_the_coarsest_first():
     assert all(entry.position % 4 == 0 for entry in file.table.values())
 
 
+@pytest.mark.thorough
 def test_threads_do_not_change_the_bytes():
     scene = random_scene(6000, 1, seed=332)
     files = {with_threads(n, encoded, scene, "m", 500) for n in (1, 2, 3)}
@@ -173,6 +176,7 @@ def test_levels_look_like_the_scene_from_afar():
         assert quality.psnr > 35
 
 
+@pytest.mark.thorough
 def test_errors_do_not_fall_from_level_to_level():
     found = reference_decoder.decode(encoded(random_scene(600, 0, seed=335)))["levels"]
     assert len(found) == 4
@@ -182,6 +186,7 @@ def test_errors_do_not_fall_from_level_to_level():
             assert error >= max(finer["errors"][4 * block : 4 * block + 4])
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_selection_is_that_of_the_format(seed):
     rng = np.random.default_rng(seed)
@@ -247,6 +252,7 @@ def test_a_view_of_nothing_is_empty():
     assert decode_part(sample(), Part(view=behind))[0].count == 0
 
 
+@pytest.mark.thorough
 def test_sh_degree_goes_with_views_and_levels():
     data = sample(300, 2)
     assert decode_part(data, Part(sh_degree=1, level=2))[0].sh_degree == 1
@@ -372,6 +378,7 @@ NO_LEVELS = (
 )
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("change", NO_LEVELS)
 def test_levels_that_are_no_levels_of_the_file_are_refused(change, tmp_path):
     damaged = in_level(sample(), change)
@@ -405,6 +412,7 @@ def test_sections_of_levels_elsewhere_are_refused():
         decode_scene(with_section(paper, SectionId.LEVEL, lambda _: b"", 1))
 
 
+@pytest.mark.thorough
 def test_damage_in_a_level_is_found_when_it_is_read(tmp_path):
     data, rng = sample(), np.random.default_rng(336)
     position, size, _ = read_file(data).table[SectionId.LEVEL, 1]
@@ -458,6 +466,7 @@ def test_a_view_reads_only_its_bytes(folder):
     assert level.bytes_read < 0.5 * level.file_bytes
 
 
+@pytest.mark.thorough
 def test_reports_have_levels(folder):
     info, report = inspect_bytes((folder / "a.egs").read_bytes()), verify_file(folder / "a.egs")
     assert [(one.level, one.count, one.blocks) for one in info.levels] == [

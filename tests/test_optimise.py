@@ -161,6 +161,7 @@ def assert_differences(scene: Scene, camera: Camera, antialiased=False, seed=0):
     return found
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
 @pytest.mark.parametrize("sh_degree", range(4))
 def test_gradients_are_those_of_central_differences(sh_degree, antialiased):

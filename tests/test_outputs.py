@@ -149,6 +149,7 @@ def test_named_pipe_is_read_as_a_file(folder, trio):
     assert Path("out.egs").read_bytes() == trio.egs.read_bytes()
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("given", [b"", b"no scene"])
 def test_errors_say_what_came_through_a_pipe(folder, given):
     done = piped("encode", "-", "-", given=given)
@@ -157,6 +158,7 @@ def test_errors_say_what_came_through_a_pipe(folder, given):
     assert done.stderr.startswith(b"gs-codec: error: -: ")
 
 
+@pytest.mark.thorough
 def test_warnings_say_what_goes_to_stdout(folder, trio):
     done = piped("encode", "-", "-", "--format", "splat", given=trio.ply.read_bytes())
     assert done.returncode == 0

@@ -220,6 +220,7 @@ def beside_lines(tmp_path_factory) -> tuple[list[dict], str]:
     return [json.loads(line) for line in result.stdout.splitlines()], result.stderr
 
 
+@pytest.mark.thorough
 def test_every_codec_has_a_line(beside_lines):
     lines, table = beside_lines
     assert [line["kind"] for line in lines] == ["machine"] + ["beside"] * 8

@@ -217,6 +217,7 @@ def test_its_page_is_what_it_measured(reproduced):
     assert len(tables) == 5
 
 
+@pytest.mark.thorough
 def test_it_goes_on_from_its_checkpoint(reproduced):
     folder, _ = reproduced
     before = lines_of(folder)

@@ -187,6 +187,7 @@ def test_sizes_out_of_reach_are_refused_with_those_in_reach(scene):
         to_target(scene, Config("m"), RateTarget(size=10))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     "target", [RateTarget(size=10**9), RateTarget(ratio=1e-9), RateTarget(bits=1e5)], ids=str
 )
@@ -239,6 +240,7 @@ def test_losses_are_met_from_below(seen, wanted):
     assert report.rate.psnr_drop == pytest.approx(loss, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_size_by_views_is_met(seen):
     scene, plan = seen
     data, report = encode_to_target(scene, scene, 1, Config("m"), RateTarget(bits=60), plan)
@@ -246,6 +248,7 @@ def test_a_size_by_views_is_met(seen):
     assert report.rate.predicted_bytes == pytest.approx(len(data), rel=0.3)
 
 
+@pytest.mark.thorough
 def test_a_loss_that_no_steps_cause_is_that_of_the_coarsest(seen):
     scene, plan = seen
     _, report = encode_to_target(scene, scene, 1, Config("m"), RateTarget(psnr_drop=60), plan)

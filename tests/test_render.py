@@ -170,6 +170,7 @@ def test_sparse_images_match_the_reference(seed):
     assert expected.alpha.max() > 0.9
 
 
+@pytest.mark.thorough
 def test_thousands_of_gaussians_in_one_block_match_the_reference():
     camera = turned(4, 16, 16)
     scene = crowd(camera, 4000, 0, seed=4, pixels=0.5)
@@ -487,6 +488,7 @@ def test_threads_do_not_change_a_bit(seed):
     assert one.accumulations.pixels.any()
 
 
+@pytest.mark.thorough
 def test_scene_and_camera_are_only_read():
     camera = turned(28)
     scene = crowd(camera, 100, 2, seed=28)
@@ -662,6 +664,7 @@ def test_real_views_look_like_their_photographs(bonsai, view):
     assert psnr > 25
 
 
+@pytest.mark.thorough
 def test_a_real_scene_matches_the_reference(bonsai):
     camera = real_cameras()[5].resized(50, 33)
     sample = np.random.default_rng(32).permutation(bonsai.count)[:6000]

@@ -51,6 +51,7 @@ def test_sh_degree_leaves_the_other_attributes_alone(scene: Scene) -> None:
         np.testing.assert_array_equal(getattr(plain, group), getattr(scene, group), group)
 
 
+@pytest.mark.thorough
 def test_another_process_writes_the_same_bytes(tmp_path: Path) -> None:
     here, there = tmp_path / "here.ply", tmp_path / "there.ply"
     write_ply(here, generate(300, 1, seed=9))
@@ -198,6 +199,7 @@ def test_orbit_cameras_refuses_bad_arguments(bad: dict) -> None:
         orbit_cameras(**bad)
 
 
+@pytest.mark.thorough
 def test_the_loop_of_a_trainer_makes_up_for_coding(tmp_path, capsys) -> None:
     pytest.importorskip("torch")
     from samples import trainer

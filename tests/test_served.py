@@ -110,6 +110,7 @@ def test_addresses_differ():
     assert len({urlsplit(page.url).path for page in pages}) == 2
 
 
+@pytest.mark.thorough
 @built
 @in_browser
 def test_a_browser_shows_it(scene):

@@ -162,6 +162,7 @@ def test_the_same_scene_gives_the_same_bytes():
     assert one == two
 
 
+@pytest.mark.thorough
 def test_steps_make_a_file_smaller_and_bound_its_errors(tmp_path):
     scene = random_scene(20_000, 1)
     ordered = scene.take(spatial_order(scene.positions))

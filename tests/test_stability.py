@@ -28,6 +28,7 @@ LARGE = (2000, 1_000_000)
 CASES = dict(stress_scenes(COUNT, COPIES))
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_errors_are_within_bounds_or_a_refusal_says_why(profile, pytestconfig):
     size = LARGE if pytestconfig.getoption("rounds") > 1 else (COUNT, COPIES)

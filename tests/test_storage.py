@@ -94,7 +94,7 @@ def test_files_are_the_same_while_pages_are_given_back_all_the_time(profile, tmp
     assert slabs.verify_file(within, max_memory=1).count == 4000
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_path, monkeypatch):
     """What Python and numpy hold: mapped files are not of it."""

@@ -163,6 +163,7 @@ def test_equal_gaussians_are_no_matter(tmp_path):
     assert np.isfinite([*meta["tree"]["bound"]["min"], *meta["tree"]["bound"]["max"]]).all()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_do_not_matter(threads, scene, folder):
     files, _ = stream_levels(scene, replace(CONFIG, threads=threads), LEAF, FILE)
@@ -171,6 +172,7 @@ def test_threads_do_not_matter(threads, scene, folder):
         assert (folder / name).read_bytes() == data, name
 
 
+@pytest.mark.thorough
 def test_the_antialias_flag_and_the_coordinates_of_sog_hold_for_all_levels(tmp_path, scene):
     given = replace(scene, comments=(ANTIALIASED, "by hand"))
     turned = turn_axes(state_system(given, CONVENTION), "RUB")
@@ -184,6 +186,7 @@ def test_the_antialias_flag_and_the_coordinates_of_sog_hold_for_all_levels(tmp_p
     assert [line for line in lost if "comments" in line]
 
 
+@pytest.mark.thorough
 def test_profiles_choose_how_fine_all_levels_are(scene):
     sizes = [
         sum(map(len, stream_levels(scene, Config(profile, format="sog"), LEAF, FILE)[0].values()))

@@ -102,6 +102,7 @@ def of(lines: list[dict], kind: str, scene: str | None = None) -> list[dict]:
     return [x for x in lines if x["kind"] == kind and scene in (None, x.get("scene"))]
 
 
+@pytest.mark.thorough
 def test_every_kind_of_line_is_there_and_says_its_scene(suite):
     lines, _, _ = suite
     common = {"scene", "memory", "beside", "point", "geometry"}
@@ -110,6 +111,7 @@ def test_every_kind_of_line_is_there_and_says_its_scene(suite):
     assert [line["kind"] for line in lines if "scene" not in line] == ["machine"]
 
 
+@pytest.mark.thorough
 def test_the_run_can_be_told_from_its_first_line(suite):
     lines, _, out = suite
     machine = lines[0]
@@ -119,6 +121,7 @@ def test_the_run_can_be_told_from_its_first_line(suite):
     assert f"--out {out} --repeats 1 --width {WIDTH} --threads 2" in machine["command"]
 
 
+@pytest.mark.thorough
 def test_a_scene_says_what_views_it_is_measured_in(suite):
     [shot], [plain] = (of(suite[0], "scene", name) for name in ("shot", "plain"))
     assert (shot["gaussians"], shot["sh_degree"], shot["photographs"]) == (300, 1, True)
@@ -131,6 +134,7 @@ def test_a_scene_says_what_views_it_is_measured_in(suite):
     assert plain["ply_bytes"] > 400 * 4 * 23
 
 
+@pytest.mark.thorough
 def test_codecs_stand_beside_each_other(suite):
     guided = [f"{profile}, camera-guided" for profile in ("l", "m", "s")]
     pruned = ["m, 39 % pruned", "m, 58.8 % pruned"]
@@ -156,6 +160,7 @@ def test_codecs_stand_beside_each_other(suite):
         assert [line["profile"] for line in memory] == list(PROFILE_CHOICES)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_cameras")
 def test_estimated_cameras_are_those_of_encode(suite):
     lines, _, out = suite
@@ -165,12 +170,14 @@ def test_estimated_cameras_are_those_of_encode(suite):
     assert sizes["m, estimated cameras"] == len(data) != sizes["m, camera-guided"]
 
 
+@pytest.mark.thorough
 def test_pruned_scenes_are_smaller_than_all_of_them(suite):
     for scene in ("shot", "plain"):
         bits = {line["codec"]: line.get("file_bytes") for line in of(suite[0], "beside", scene)}
         assert bits["m, 58.8 % pruned"] < bits["m, 39 % pruned"] < bits["m, camera-guided"]
 
 
+@pytest.mark.thorough
 def test_profiles_that_were_measured_are_points_as_they_are(suite):
     for scene in ("shot", "plain"):
         measured = {line["codec"]: line for line in of(suite[0], "beside", scene)}
@@ -183,6 +190,7 @@ def test_profiles_that_were_measured_are_points_as_they_are(suite):
             assert measured[line["point"] + guided].items() <= (line | same).items()
 
 
+@pytest.mark.thorough
 def test_curves_reach_each_other_or_end(suite):
     for scene in ("shot", "plain"):
         curves: dict[str, dict[str, float]] = {}
@@ -204,6 +212,7 @@ def test_curves_reach_each_other_or_end(suite):
             )
 
 
+@pytest.mark.thorough
 def test_what_a_device_would_do_is_absent_without_one(suite):
     found = of(suite[0], "device")
     if any("absent" not in line for line in found):
@@ -218,6 +227,7 @@ def test_what_a_device_would_do_is_absent_without_one(suite):
         assert escaped(line["absent"]) in report
 
 
+@pytest.mark.thorough
 def test_costs_grow_over_the_largest_scene_tiled(suite):
     found = of(suite[0], "scaling")
     expected = {(profile, size) for profile in ("m", "paper-m") for size in (150, 300)}
@@ -228,6 +238,7 @@ def test_costs_grow_over_the_largest_scene_tiled(suite):
         assert line["encode"] == {"seconds": 0.5, "cpu_seconds": 0.25, "peak_bytes": 100_000_000}
 
 
+@pytest.mark.thorough
 def test_positions_are_measured_beside_open3ds_octree(suite):
     for scene, count in (("shot", 300), ("plain", 400)):
         ours, theirs = of(suite[0], "geometry", scene)
@@ -243,6 +254,7 @@ def test_positions_are_measured_beside_open3ds_octree(suite):
         assert 10 < theirs["nodes"] <= 1 + 10 * count
 
 
+@pytest.mark.thorough
 def test_progress_and_absent_codecs_are_told(suite):
     _, said, out = suite
     assert re.search(r"^ *\d+:\d\d shot: codecs beside each other$", said, re.MULTILINE)
@@ -252,6 +264,7 @@ def test_progress_and_absent_codecs_are_told(suite):
     assert said.splitlines()[-1] == f"report: {out / 'report.md'}"
 
 
+@pytest.mark.thorough
 def test_the_report_is_written(suite):
     _, _, out = suite
     page = (out / "report.md").read_text()

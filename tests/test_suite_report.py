@@ -156,6 +156,7 @@ def test_page_says(written: Path, text: str) -> None:
     assert text in (written / "report.md").read_text()
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_lines_of_one_kind_will_do(kind: str, tmp_path: Path) -> None:
     others = [line for line in lines_of_all() if line.get("scene") != "sample"]
@@ -163,6 +164,7 @@ def test_lines_of_one_kind_will_do(kind: str, tmp_path: Path) -> None:
     assert (tmp_path / "report.md").read_text().startswith("# Benchmarks")
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("kind", "start"), [("beside", "\n"), ("scene", "| codec"), ("point", "| codec")]
 )
@@ -184,6 +186,7 @@ def test_lines_survive_json(tmp_path: Path) -> None:
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("name", ["<b>&\"'", "../../up | `x` [a](b)", "$x_{$\n\t\x00", "森" * 60])
 def test_names_are_but_text(name: str, tmp_path: Path) -> None:
     lines = [beside(name, False, codec) for codec in CODECS[:2]]
@@ -198,6 +201,7 @@ def test_names_are_but_text(name: str, tmp_path: Path) -> None:
     assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
 
 
+@pytest.mark.thorough
 def test_two_scenes_of_one_file_name_keep_their_pictures(tmp_path: Path) -> None:
     write_report([beside(name, False, CODECS[0]) for name in ("a b", "a-b")], tmp_path)
     pictures = [path.name for path in tmp_path.glob("*.png")]
@@ -206,6 +210,7 @@ def test_two_scenes_of_one_file_name_keep_their_pictures(tmp_path: Path) -> None
     assert sorted(shown) == sorted(pictures)
 
 
+@pytest.mark.thorough
 def test_equal_views_have_no_psnr(tmp_path: Path) -> None:
     codecs = [*CODECS[:2], ("exact", 1300.0, None, 0.0, 0.2, 0.1)]
     write_report([beside("bonsai", True, codec) for codec in codecs], tmp_path)

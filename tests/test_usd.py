@@ -139,6 +139,7 @@ def test_an_openusd_without_gaussians_is_said(monkeypatch):
         pack_usd(random_scene(2, 0), ".usd")
 
 
+@pytest.mark.thorough
 def test_other_processes_write_the_same_bytes(tmp_path):
     code = (
         "import sys; from scenes import random_scene; from gs_codec.formats.usd import pack_usd\n"
@@ -153,6 +154,7 @@ def test_other_processes_write_the_same_bytes(tmp_path):
 # Reading
 
 
+@pytest.mark.thorough
 def test_a_stage_of_text_is_read(tmp_path):
     scene = read(tmp_path, HEAD + SPLATS)
     assert (scene.count, scene.sh_degree, scene.coordinates) == (2, 1, "RUB")
@@ -166,6 +168,7 @@ def test_a_stage_of_text_is_read(tmp_path):
     assert stated_bytes(tmp_path / "a.usda") == scene.float_bytes
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("suffix", [".usdz", ".sog", ".usd", ""])
 def test_formats_are_recognised_by_content(suffix, tmp_path):
     kind = ".usdz" if suffix in (".usdz", ".sog") else ".usdc"
@@ -173,6 +176,7 @@ def test_formats_are_recognised_by_content(suffix, tmp_path):
     assert read_scene(path).count == 3
 
 
+@pytest.mark.thorough
 def test_halves_are_read_where_there_are_no_floats(tmp_path):
     halves = SPLATS.replace("point3f[] positions", "point3h[] positionsh")
     halves = halves.replace("quatf[] orientations", "quath[] orientationsh")
@@ -204,6 +208,7 @@ def test_what_a_stage_leaves_out_is_as_the_schema_says(tmp_path):
     assert scene.opacity[0, 0] > 17
 
 
+@pytest.mark.thorough
 def test_longer_attributes_are_cut_off(tmp_path):
     longer = SPLATS.replace("[0.5, 0.25]", "[0.5, 0.25, 0.125]")
     assert_same_bits(read(tmp_path, HEAD + longer), read(tmp_path, HEAD + SPLATS))
@@ -239,6 +244,7 @@ def test_prims_are_where_the_stage_puts_them(tmp_path):
     assert_same_bits(scene.between(2, 4), plain)
 
 
+@pytest.mark.thorough
 def test_a_stage_whose_z_is_up_is_converted(tmp_path):
     scene = read(tmp_path, HEAD.replace('"Y"', '"Z"') + SPLATS)
     assert scene.coordinates == "RFU"

@@ -273,6 +273,7 @@ def seen(files):
     return scene, choose_views(scene, count=5)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_cameras")
 def test_without_cameras_the_first_viewpoint_is_the_first_estimated_camera(seen, files):
     scene, views = seen
@@ -358,6 +359,7 @@ def test_cameras_of_a_file_say_what_is_up(files):
 # Pictures
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.usefixtures("few_cameras")
 @pytest.mark.parametrize(("width", "height"), [(200, 100), (80, 100), (100, 300)])
 def test_pictures_show_all_that_their_camera_sees(files, width, height):
@@ -667,6 +669,7 @@ def test_errors_are_one_line(arguments, said, here, monkeypatch):
     assert len(err.splitlines()) == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of X11")
 @pytest.mark.parametrize(
     ("name", "display", "said"),

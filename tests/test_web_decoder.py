@@ -97,12 +97,14 @@ def test_golden_files():
             assert_same(found, path.read_bytes())
 
 
+@pytest.mark.thorough
 def test_cases_of_the_paper_profiles():
     files = [encoded(case)[0] for case in CASES]
     for data, found in zip(files, run(*({"bytes": data} for data in files)), strict=True):
         assert_same(found, data)
 
 
+@pytest.mark.thorough
 def test_cases_of_lattices():
     files = [
         encode_by(make(*arguments), lattice_config(profile), guide)
@@ -167,6 +169,7 @@ def test_blocks_are_told_as_they_are_complete():
     assert [part[:2] for part in found["blocks"][:5]] == [[k, 0] for k in range(5)]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
 def test_a_lower_degree_is_that_of_the_scene_and_fetches_less(profile):
     data = blocks(profile)
@@ -179,6 +182,7 @@ def test_a_lower_degree_is_that_of_the_scene_and_fetches_less(profile):
     assert ends == sorted(set(ends))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
 def test_a_box_gives_the_blocks_that_meet_it_and_fetches_no_others(profile):
     data = blocks(profile)
@@ -230,6 +234,7 @@ def test_what_is_not_possible_is_told():
 WHOLE = [[-1e9] * 3, [1e9] * 3]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("answer", "error", "text"),
     [
@@ -249,6 +254,7 @@ def test_servers_that_answer_wrongly_to_ranges(answer, error, text):
     assert text in found["message"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_signal_ends_what_waits(workers):
     data = blocks()
@@ -261,6 +267,7 @@ def test_a_signal_ends_what_waits(workers):
         assert (found.get("error"), found["alive"]) == (expected, 0), (job, found)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("workers", [0, 2])
 def test_errors_end_what_waits(workers):
     """Of a damaged block, while nothing more comes; of the caller's functions."""
@@ -283,6 +290,7 @@ def test_workers_that_cannot_be_had(kind, source):
     assert (found.get("error"), found["alive"]) == ("WorkerError", 0), found
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     "options",
     [
@@ -311,6 +319,7 @@ def test_sizes_of_headers_that_are_not_possible():
             )
 
 
+@pytest.mark.thorough
 def test_a_long_comment_of_spaces_takes_no_time_to_search():
     data = with_section(blocks(), SectionId.COMMENTS, lambda _: b"a" + b" " * 1000000 + b"b")
     (found,) = run({"bytes": data})

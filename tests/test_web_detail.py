@@ -171,6 +171,7 @@ def first_block() -> int:
     return read_file(city()).table[SectionId.GEOMETRY, 0].position
 
 
+@pytest.mark.thorough
 def test_it_is_sharp_wherever_one_goes_and_nothing_else_is_fetched(site, tmp_path):
     assert (site.folder / "site" / "city.egs").read_bytes() == city()
     job = Job("", [], panel=True)
@@ -309,6 +310,7 @@ def test_servers_that_fall_silent_are_asked_again_and_then_by_hand(site, tmp_pat
     assert decibels(seen(tmp_path / "near.png"), drawn(site.scene, site.cameras[1])) > 35
 
 
+@pytest.mark.thorough
 def test_fast_there_and_back_ends_in_the_same_picture(site, tmp_path):
     with serving(site.folder / "site") as (url, _):
         job = Job(url, [])
@@ -396,6 +398,7 @@ def test_the_budget_is_held_and_may_be_changed(site, tmp_path):
     assert decibels(seen(tmp_path / "more.png"), drawn(site.scene, site.cameras[2])) > 35
 
 
+@pytest.mark.thorough
 def test_damaged_levels_are_told_and_the_others_are_drawn(site, tmp_path):
     """All blocks of a level, that of the coarsest; without a header, the scene is drawn whole."""
     data = city()

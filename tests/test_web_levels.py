@@ -140,6 +140,7 @@ def test_chosen_blocks_are_told_and_no_others_are_fetched():
     assert 0 < found["fetched"] - found["begun"] <= needed
 
 
+@pytest.mark.thorough
 def test_a_first_view_takes_a_tenth_of_a_file():
     data = city()
     top = len(levels_of(read_file(data)))
@@ -159,6 +160,7 @@ BAD_LEVELS = [
 ]
 
 
+@pytest.mark.thorough
 def test_levels_that_are_none_of_the_file_are_refused():
     damaged = [in_level(sample(), change) for change in BAD_LEVELS]
     damaged += [in_level(sample(), change, 3) for change in BAD_LEVELS]
@@ -184,6 +186,7 @@ def test_sections_of_levels_elsewhere_are_refused():
         assert found.get("error") == "CorruptError", found
 
 
+@pytest.mark.thorough
 def test_damage_in_a_level_is_found_where_it_is_read():
     """Never another scene; in what is not read, nothing is found."""
     data, rng = sample(), np.random.default_rng(336)
@@ -205,6 +208,7 @@ def test_damage_in_a_level_is_found_where_it_is_read():
     assert whole["decoded"] == other["decoded"]
 
 
+@pytest.mark.thorough
 def test_every_truncation_is_refused():
     data = sample(40, 0)
     chosen = [[0, [0, 1, 2, 3, 4]], [1, [0, 1]]]

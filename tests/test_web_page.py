@@ -208,6 +208,7 @@ def test_views_are_those_of_our_rasteriser(files, pages, tmp_path):
     assert decibels(seen(tmp_path / "white.png"), ours) > 45
 
 
+@pytest.mark.thorough
 @in_browser
 def test_two_scenes_are_compared(files, pages, tmp_path):
     job = Job(pages["two"].as_uri(), [])
@@ -514,6 +515,7 @@ def test_sizes_are_those_of_inspect_and_pictures_are_saved(files, pages, tmp_pat
         )
 
 
+@pytest.mark.one_in(2)
 @in_browser
 @pytest.mark.parametrize("kind", ["turned", thorough("antialiased"), thorough("paper"), "empty"])
 def test_scenes_of_all_kinds(files, tmp_path, kind):
@@ -555,6 +557,7 @@ def test_other_programs_draw_scenes_by_an_adapter(files, tmp_path, program, leas
     assert decibels(seen(tmp_path / "a.png"), ours) > least
 
 
+@pytest.mark.thorough
 @in_browser
 def test_a_browser_without_webgl_says_so(pages):
     none = "HTMLCanvasElement.prototype.getContext = () => null"

@@ -30,6 +30,7 @@ console.log(JSON.stringify({
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not COMPILER.is_file(), reason="needs npm ci in tests/web")
 def test_examples_are_checked():
     options = "--noEmit --strict --target es2022 --module esnext --moduleResolution bundler"

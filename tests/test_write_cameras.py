@@ -159,6 +159,7 @@ def test_python_refuses_existing_files_when_told(tmp_path):
 # The command
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_cameras")
 def test_render_writes_cameras(folder):
     result = folder.run("render", "scene.ply", "--cameras", "auto", "--out", "auto.JSON")

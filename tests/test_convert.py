@@ -10,7 +10,7 @@ from pathlib import Path
 import foreign
 import numpy as np
 import pytest
-from scenes import random_scene
+from scenes import random_scene, thorough
 from test_ply import assert_same_bits
 from test_similarity import assert_seen_alike
 from typer.testing import CliRunner
@@ -105,8 +105,7 @@ def test_converting_to_ply_is_decoding(ply, tmp_path):
     assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "c.ply").read_bytes()
 
 
-@pytest.mark.one_in(3)
-@pytest.mark.parametrize("count", [0, 1, 70_000])
+@pytest.mark.parametrize("count", [0, 1, thorough(70_000)])
 def test_a_table_has_every_float_exactly(count, tmp_path):
     scene = random_scene(count, int(count < 2))
     kept = {"label,x": np.arange(count, dtype="<i4") - 1, "w": np.linspace(0, 1, count)}

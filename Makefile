@@ -43,8 +43,13 @@ test: $(VENV)/installed-test
 # `test-ci` is without tests that take seconds each, to show more of what others show: on more processes, windows,
 # browsers and real scenes, for every bit, or for all cases of large tables. They are marked `thorough`, or `one_in`.
 test-ci: CHOSEN := -m "not thorough"
-test-all test-ci: $(VENV)/installed-all web tests/web/node_modules/.package-lock.json
+test-all test-ci: $(VENV)/compiled web tests/web/node_modules/.package-lock.json
 	$(PYTEST) $(CHOSEN)
+
+# What tests import is compiled once, before every worker would. If that fails, tests say why.
+$(VENV)/compiled: $(VENV)/installed-all
+	@$(BIN)/python -m pytest --collect-only --quiet >/dev/null || true
+	@touch $@
 
 lint: $(VENV)/installed-test
 	$(BIN)/ruff check .

@@ -92,6 +92,7 @@ def test_targets_choose_the_number_of_gaussians(seen):
     assert scene.count > counts[0] > counts[1]
 
 
+@pytest.mark.thorough
 def test_profiles_choose_the_number_of_gaussians(seen):
     scene, plan = seen
     counts = [encode_by_plan(scene, 1, Config(p), plan)[1].count for p in ("l", "s")]

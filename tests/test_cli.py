@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from crc32c import crc32c
-from scenes import random_scene
+from scenes import random_scene, thorough
 
 from gs_codec import __version__
 from gs_codec.cli import main as cli
@@ -895,7 +895,6 @@ for line in {commands}:
 """
 
 
-@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("run", "loaded", "absent"),
     [
@@ -918,7 +917,7 @@ for line in {commands}:
             {"open3d", "torch", "torchac", "matplotlib"}
             | {"scipy.linalg", "rich", "gs_codec.cli.batch", "gs_codec.cli.bench"},
         ),
-        (
+        thorough(
             RUN_ALL.format(
                 commands=["compare scene.ply scene.egs --cameras auto --width 40 --device cpu"]
             ),

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scenes import antialiased as compensated
 from scenes import random_scene
-from test_optimise import CAMERAS, SCENE, garden, noise, psnr, refit, views
+from test_gradients import noise
+from test_optimise import CAMERAS, SCENE, garden, psnr, refit, views
 from test_render import TEAL, crowd, turned
 from typer.testing import CliRunner
 

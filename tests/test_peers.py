@@ -235,6 +235,7 @@ def test_every_codec_has_a_line(beside_lines):
         assert f"\n{line['codec']}{' *' if line['own_process'] else ''}" in table.replace(":", "")
 
 
+@pytest.mark.thorough
 def test_what_is_bit_exact_looks_the_same(beside_lines):
     lines, table = beside_lines
     assert lines[4]["codec"] == "pcodec, columns"

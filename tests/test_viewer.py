@@ -290,6 +290,7 @@ def test_without_cameras_the_first_viewpoint_is_the_first_estimated_camera(seen,
     assert names == ["overview", "auto_01", "auto_02", "auto_03", "auto_04"]
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_cameras")
 def test_a_view_chosen_from_the_scene_is_asked_for_by_its_number(seen, files):
     scene, _ = seen

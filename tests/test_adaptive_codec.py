@@ -267,6 +267,7 @@ def test_a_guide_that_sees_nothing_gives_finite_scenes():
     assert_on_lattices(Shaped.of(scene, "s", guide), data, 0.5001)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("guided", [False, True], ids=["blind", "guided"])
 def test_bytes_and_floats_do_not_depend_on_threads(guided):
     scene = random_scene(5000, 3, seed=36)
@@ -413,6 +414,7 @@ def damageable(seed: int) -> bytes:
     return encode_by(scene, Config("lms"[seed % 3], block_size=BLOCK), guide)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("seed", range(60))
 def test_random_changes_under_right_checksums_are_survived(seed):
     rng = np.random.default_rng(seed)

@@ -433,6 +433,7 @@ def test_the_scale_decides_the_order(measured):
         assert found.as_dict()["most_sensitive_first"][0] == ranks[scale]
 
 
+@pytest.mark.thorough
 def test_constant_attributes_have_no_error_over_the_mean():
     scene = random_scene(200, 1, seed=22)
     scene = replace(scene, f_rest=scene.f_rest * np.float32(0), opacity=scene.opacity * 0 + 1)

@@ -227,6 +227,7 @@ def test_noise_does_not_tell_where_cameras_were(degree, caplog):
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_tried")
 def test_views_to_work_by_are_many_and_small(table):
     found = guiding_cameras(table, 5)

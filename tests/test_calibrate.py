@@ -80,6 +80,7 @@ def test_profiles_change_by_the_same_factor_and_coarseness_multiplies_it(still_l
     assert calibrated(still_life, Config("m", coarseness=1 / 64)).coarseness == 1 / 64
 
 
+@pytest.mark.thorough
 def test_files_are_those_of_the_coarseness_that_the_report_tells(still_life):
     parts, report = encode_camera_free(still_life, Config("l"))
     assert report.coarseness == calibrated(still_life, Config("l")).coarseness

@@ -120,6 +120,7 @@ def test_what_a_checkpoint_cannot_hold_is_said(tmp_path, caplog):
     assert report.lost[0] in caplog.text
 
 
+@pytest.mark.one_in(4)
 @needs_torch
 @pytest.mark.parametrize("mapped", [False, True])
 @pytest.mark.parametrize("degree", range(4))

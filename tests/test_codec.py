@@ -49,6 +49,7 @@ def test_edge_scene_is_within_half_steps(name, profile):
     assert report.file_bytes == len(data)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("sh_degree", range(4))
 @pytest.mark.parametrize("profile", PROFILES)
 def test_blocks_and_degrees_are_within_half_steps(profile, sh_degree):
@@ -144,6 +145,7 @@ def test_duplicates_keep_their_own_attributes():
     assert_within_half_steps(scene, encode_scene(scene, Config("paper-m"))[0])
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("group", GROUPS)
 def test_nonfinite_values_are_refused_or_dropped(group, value):

@@ -83,6 +83,7 @@ def test_symbols_of_sh_are_of_the_gaussian_whose_levels_they_are():
         ]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_streams_of_gaussians_add_up_to_those_of_the_file(profile):
     config = Config(profile)

@@ -64,6 +64,7 @@ def area(matrix: np.ndarray) -> float:
 # Moments
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("sh_degree", range(4))
 def test_a_merge_keeps_mass_mean_and_covariance(seed, sh_degree):

@@ -75,7 +75,7 @@ def saved(path: Path, scene: Scene) -> Path:
     return path
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize("size", [700, 3000, 10**6])
 @pytest.mark.parametrize(("count", "degree"), [(1, 3), (1024, 0), (1025, 1), (7000, 3), (9000, 2)])
 def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
@@ -85,7 +85,7 @@ def test_tasks_of_any_size_give_the_same_file(tmp_path, count, degree, size):
     assert in_tasks([path], tmp_path / "tasks.egs", config, size) == expected
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("name", sorted(edge_scenes()))
 def test_scenes_at_the_limits(tmp_path, name):
     scene = edge_scenes()[name]

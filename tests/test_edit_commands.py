@@ -152,6 +152,7 @@ def piped(*arguments: str, data: bytes = b"") -> bytes:
     return subprocess.run(command, input=data, capture_output=True, check=True).stdout
 
 
+@pytest.mark.thorough
 def test_scenes_go_through_pipes(folder):
     data = piped("convert", "-", "-", TURN, data=(folder.path / "scene.ply").read_bytes())
     (folder.path / "turned.ply").write_bytes(data)

@@ -294,6 +294,7 @@ def test_frames_are_those_of_screenshots_and_the_same_again(files, tmp_path, her
         assert np.mean(np.abs(frame - shot) > 2) < 0.01
 
 
+@pytest.mark.thorough
 def test_a_turntable_without_cameras_begins_with_the_first_picture(files, tmp_path, here):
     asked = files / "a.ply", "--width", "90", "--height", "64"
     assert here(*asked, "--turntable", tmp_path / "frames", "--frames", "4")[0] == 0

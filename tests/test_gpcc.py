@@ -303,6 +303,7 @@ def test_a_failure_leaves_no_file(stand_in, tmp_path, monkeypatch):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.ply", "stand in", "temporary"]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("failure", "limits", "message"),
     [

@@ -121,7 +121,7 @@ def test_coarse_steps_leave_few_coefficients(scene, plan):
     assert coloured.f_rest[:, ::2].any()
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.thorough
 @pytest.mark.parametrize(("count", "compacted"), [(30, True), (4, False)])
 def test_compaction_must_hold_in_views_it_does_not_see(scene, count, compacted):
     found = guide(scene, draw_reference_views(scene, cameras(count), (0.0, 0.0, 0.0)))

@@ -213,7 +213,7 @@ def test_packed_ply_holds_values_to_half_of_its_steps(count, degree, tmp_path):
 # All formats
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize("form", ALL)
 @pytest.mark.parametrize("name", EDGES)
 def test_edge_scenes_are_written_and_read(name, form, tmp_path):
@@ -315,6 +315,7 @@ def test_colours_make_up_for_what_a_format_rounds(form, seen):
     assert after < 0.7 * before
 
 
+@pytest.mark.thorough
 def test_sizes_of_an_spz_are_met_from_below(seen):
     scene, plan = seen
     size = int(0.8 * len(encode_scene(scene, Config(format="spz"))[0]))
@@ -384,6 +385,7 @@ def refused(*arguments: object) -> str:
     return str(result.exception)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("form", ALL)
 def test_the_suffix_says_the_format(form, ply, tmp_path):
     for command in ("encode", "convert"):

@@ -93,6 +93,7 @@ def assert_same_bits(first: Scene, second: Scene) -> None:
     assert first.sh_degree == second.sh_degree
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", SCENES)
 def test_every_bit_and_the_order_come_back(name):
     data, report = encode_scene(SCENES[name], KEPT)
@@ -100,6 +101,7 @@ def test_every_bit_and_the_order_come_back(name):
     assert_same_bits(decode_scene(data), SCENES[name])
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", SCENES)
 def test_every_bit_comes_back_in_the_order_of_the_stream(name):
     scene = SCENES[name]
@@ -110,6 +112,7 @@ def test_every_bit_comes_back_in_the_order_of_the_stream(name):
     assert_same_bits(decode_scene(data), decoded)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", SCENES)
 def test_order_of_the_input_does_not_matter(name):
     scene = SCENES[name]

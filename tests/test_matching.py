@@ -30,7 +30,7 @@ def decoded(tmp_path_factory):
     return folder
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(("first", "again"), [*product(PROFILE_CHOICES, repeat=2)])
 def test_a_decoded_scene_is_matched_with_its_own_encoding(decoded, tmp_path, first, again):
     source, target = decoded / f"{first}.ply", tmp_path / "again.egs"

@@ -90,6 +90,7 @@ def needed(data: bytes, box: Sequence[float]) -> int:
     return total
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("box", BOXES)
 @pytest.mark.parametrize("profile", PROFILE_CHOICES)
 def test_box_reads_no_more_than_it_needs(profile, box):

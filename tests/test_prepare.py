@@ -175,6 +175,7 @@ def test_refinement_fits_as_many_views_as_memory_holds(scene, monkeypatch, megab
     assert len(views.targets.cameras) == number
 
 
+@pytest.mark.thorough
 def test_refinement_keeps_every_eighth_of_unmarked_cameras_out(scene, caplog, tmp_path):
     unmarked = [camera(f"{i}", 0.1 * i) for i in range(10)]
     views = choose_views(scene, Plan(Steps(refine=1), unmarked))

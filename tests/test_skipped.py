@@ -87,6 +87,7 @@ def test_constant_channels_are_told(profile, group, rows, line):
     assert [text for text in lines if "constant" in text] == [line]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("profile", [*LATTICES, *PAPERS])
 @pytest.mark.parametrize(
     ("bands", "named"),

@@ -225,6 +225,7 @@ def counted_shares(scene: Scene) -> dict[str, int]:
     return {name: found[name] for name in SHARES}
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", SCENES)
 def test_shares_are_counted(name):
     scene = SCENES[name]

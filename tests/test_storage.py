@@ -119,7 +119,7 @@ def test_encoding_on_disk_takes_little_memory_for_each_gaussian(profile, tmp_pat
     assert within < 0.6 * whole
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["m", "paper-m", "lossless"])
 def test_decoding_holds_some_slabs(profile, tmp_path, monkeypatch):
     monkeypatch.setattr(slabs, "_SLAB", 1)

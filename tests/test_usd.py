@@ -252,6 +252,7 @@ def test_a_stage_whose_z_is_up_is_converted(tmp_path):
     np.testing.assert_array_equal(back.positions.T, [[1, -3, 2], [4, -6, 5]])
 
 
+@pytest.mark.thorough
 def test_layers_of_a_usdz_may_refer_to_one_another(tmp_path):
     top = HEAD + 'def Xform "Top" (\n    references = @./parts/b.usda@</A>\n)\n{\n}\n'
     expected = read(tmp_path, HEAD + SPLATS)

@@ -283,6 +283,7 @@ def test_errors_end_what_waits(workers):
     assert found[0]["where"] == "opacity"
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("kind", ["missing", "refused"])
 @pytest.mark.parametrize("source", [{}, {"as": "stream", "chunk": 2000}])
 def test_workers_that_cannot_be_had(kind, source):
@@ -326,6 +327,7 @@ def test_a_long_comment_of_spaces_takes_no_time_to_search():
     assert_same(found, data)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("seed", range(4))
 def test_tables_of_many_rare_symbols(seed):
     """Almost all of which take slots from the frequent ones, equal ones among these."""
@@ -355,6 +357,7 @@ def test_errors_of_workers_are_as_here():
     assert {error for error, _ in found} == {"CorruptError"}
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("profile", ["m", "paper-m"])
 def test_every_truncation_is_refused(profile):
     data = sample(profile)

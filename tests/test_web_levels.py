@@ -175,6 +175,7 @@ def test_levels_that_are_none_of_the_file_are_refused():
         assert found.get("hash") == digest(decode_scene(sample()))
 
 
+@pytest.mark.thorough
 def test_sections_of_levels_elsewhere_are_refused():
     missing = [with_section(sample(), SectionId.LEVEL, lambda _: None, k) for k in (1, 3)]
     surplus = [with_section(sample(), SectionId.LEVEL, lambda _: b"", k) for k in (0, 4)]

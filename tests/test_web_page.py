@@ -610,6 +610,7 @@ def test_two_files_of_one_name_are_kept_apart(files, tmp_path):
         assert (tmp_path / "site" / name).read_bytes() == source.read_bytes()
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_cameras")
 def test_cameras_are_estimated_without_a_file(files, tmp_path):
     share([files.folder / "a.egs"], tmp_path / "page.html")

@@ -93,6 +93,7 @@ def test_wheel_says_what_it_is(wheel):
     assert "# gs_codec" in metadata
 
 
+@pytest.mark.thorough
 def test_unpacked_wheel_runs_elsewhere(unpacked, tmp_path):
     code = "import gs_codec, viewer; print(gs_codec.__file__, viewer.__file__, sep='\\n')"
     places = run("-c", code, cwd=tmp_path, path=unpacked).splitlines()
@@ -104,6 +105,7 @@ def test_unpacked_wheel_runs_elsewhere(unpacked, tmp_path):
     assert run("-c", code, cwd=tmp_path, path=unpacked) == version
 
 
+@pytest.mark.thorough
 def test_the_viewer_has_a_second_name_and_is_loaded_once(unpacked, tmp_path):
     code = (
         "import sys, gs_codec\n"

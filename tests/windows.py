@@ -75,7 +75,7 @@ def drive(script: str, display: str, folder: Path) -> dict:
 
 
 def check_drags(drags: list[list]) -> None:
-    """See `Driver.drags`."""
+    """What `Driver.drags` found: all end where one event would, and back where they began."""
     (before,), *ends = drags
     there, back = np.array(ends).transpose(1, 0, 2, 3, 4)  # of drags, panes: matrices
     moved = np.abs(there[0, 0] - before[0]).max()

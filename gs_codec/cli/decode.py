@@ -59,12 +59,13 @@ def command(
     from gs_codec.codecs.part import Part
     from gs_codec.files.coding import decode_file
 
-    camera = None if view is None else _camera_of(view)
-    part = Part(box, sh_degree, level, camera, budget, tolerance)
     if asked["dask"] is not None:
         asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
         asked.refuse(["level", "view"], "is not there with --dask, which decodes whole scenes")
         check_no_pipes("--dask", source, target)
+    camera = None if view is None else _camera_of(view)
+    part = Part(box, sh_degree, level, camera, budget, tolerance)
+    if asked["dask"] is not None:
         from gs_codec.distributed.decoding import decode_distributed
 
         with progress_bar() as progress:

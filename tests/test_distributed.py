@@ -295,7 +295,7 @@ def test_levels_are_decoded_by_one_process(tmp_path):
         (["decode", "scene.egs", "b.ply", "--max-bytes", "9"], "--max-bytes has no effect"),
         (["decode", "scene.egs", "decoded.ply"], "decoded.ply: exists"),
         (["decode", "scene.egs", "b.ply", "--level", "1"], "--level is not there with --dask"),
-        (["decode", "scene.egs", "b.ply", "--view", "gone.json"], "--view is not there with --dask"),
+        (["decode", "scene.egs", "b.ply", "--view", "none"], "--view is not there with --dask"),
     ],
 )
 def test_command_refuses_what_has_no_effect(folder, arguments, expected):

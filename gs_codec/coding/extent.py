@@ -134,18 +134,13 @@ def _extend(positions, log_scale, rot, corners):
         norm = ww + xx + yy + zz
         for axis in range(3):
             if axis == 0:
-                first = _along(ww + xx - yy - zz, norm, size[0])
-                second = _along(2.0 * (x * y - w * z), norm, size[1])
-                third = _along(2.0 * (x * z + w * y), norm, size[2])
+                a, b, c = ww + xx - yy - zz, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
             elif axis == 1:
-                first = _along(2.0 * (x * y + w * z), norm, size[0])
-                second = _along(ww - xx + yy - zz, norm, size[1])
-                third = _along(2.0 * (y * z - w * x), norm, size[2])
+                a, b, c = 2.0 * (x * y + w * z), ww - xx + yy - zz, 2.0 * (y * z - w * x)
             else:
-                first = _along(2.0 * (x * z - w * y), norm, size[0])
-                second = _along(2.0 * (y * z + w * x), norm, size[1])
-                third = _along(ww - xx - yy + zz, norm, size[2])
-            half = _SIGMAS * np.sqrt(first + second + third)
+                a, b, c = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), ww - xx - yy + zz
+            first, second = _along(a, norm, size[0]), _along(b, norm, size[1])
+            half = _SIGMAS * np.sqrt(first + second + _along(c, norm, size[2]))
             corners[axis] = min(corners[axis], positions[axis, i] - half)
             corners[3 + axis] = max(corners[3 + axis], positions[axis, i] + half)
 

@@ -59,6 +59,12 @@ class SentModel:
 
 
 @kernel
+def _decide(state, data, contexts, context, bit):
+    """`code_bit`, compiled once for all places of `_walk`."""
+    return code_bit(state, data, contexts, context, bit)
+
+
+@kernel
 def _walk(weights, mantissa, state, data, contexts, encoding):
     """Code the weights of one table; False if a length leaves 0..MAX_EXPONENT."""
     before = 0
@@ -68,16 +74,16 @@ def _walk(weights, mantissa, state, data, contexts, encoding):
         weight = weights[symbol]
         length = bit_length(weight) if encoding else 0
         kind = 3 * large + (2 if before == 0 else changed)
-        if code_bit(state, data, contexts, _SAME + kind, length == before):
+        if _decide(state, data, contexts, _SAME + kind, length == before):
             length = before
             changed = 0
         else:
-            shrinks = code_bit(state, data, contexts, _SIGN + kind, length < before)
+            shrinks = _decide(state, data, contexts, _SIGN + kind, length < before)
             size = abs(length - before)
             known = 1
             while known < _STEPS:
                 context = _SIZE + _STEPS * large + known - 1
-                if not code_bit(state, data, contexts, context, size > known):
+                if not _decide(state, data, contexts, context, size > known):
                     break
                 known += 1
             length = before - known if shrinks else before + known
@@ -93,8 +99,8 @@ def _walk(weights, mantissa, state, data, contexts, encoding):
             rank = length - 2 - shift
             bit = 0
             if rank < mantissa:
-                given = (weight >> shift) & 1
-                bit = 1 if code_bit(state, data, contexts, _MANTISSA + rank, given) else 0
+                given = (weight >> shift) & 1 == 1
+                bit = 1 if _decide(state, data, contexts, _MANTISSA + rank, given) else 0
             value = 2 * value + bit
         weights[symbol] = value
     return True

@@ -97,7 +97,7 @@ def _project(
     columns = (width + TILE - 1) // TILE
     rows = (height + TILE - 1) // TILE
     axes = np.empty((3, 2))
-    seen = 0
+    seen = np.int64(0)
     for i in range(start, stop):
         dx = positions[0, i] - position[0]
         dy = positions[1, i] - position[1]

@@ -26,8 +26,9 @@ _compiling: set[str] = set()
 def kernel(function: Callable) -> Any:
     """Compile a kernel. No fastmath: results must not depend on the machine.
 
-    Arrays are copied into slices in loops: for an assignment, numba would compile the text of an
-    error as well, which takes seconds.
+    To compile takes seconds, so arrays are copied into slices in loops, where an assignment would
+    compile the text of an error as well; and what begins at a constant and goes to other kernels
+    begins at ``np.int64(0)``, as these would be compiled for the constant, too.
     """
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
     if compiled is function:  # numba is disabled (NUMBA_DISABLE_JIT)

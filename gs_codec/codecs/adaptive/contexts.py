@@ -173,7 +173,7 @@ def _log2(value):
     return exponent + 2.0 * z * series * 1.4426950408889634
 
 
-@inlined
+@kernel
 def _cost(groups, first, second):
     """Bits of two histograms under one table, with the table; of one, if it is twice the same."""
     total, bits = np.int64(0), _TABLE_BITS
@@ -199,7 +199,7 @@ def _merge(groups, begins):
         gains[i] = costs[i] + costs[i + 1] - _cost(groups, i, i + 1)
     left = count
     while left > 1:
-        best = 0
+        best = np.int64(0)
         for i in range(1, count):
             if gains[i] > gains[best]:
                 best = i

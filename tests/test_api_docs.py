@@ -15,6 +15,7 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
+from scenes import thorough
 
 import gs_codec
 import viewer
@@ -89,7 +90,7 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-#: Packages of extras, by the examples that need them; those of clusters start some.
+#: Packages of extras, by the examples that need them; those of `distributed` start clusters.
 NEEDED = {
     "gs_codec.decode_distributed": "distributed",
     "gs_codec.decode_tensors": "torch",
@@ -101,20 +102,19 @@ NEEDED = {
 
 def examples() -> list:
     finder = doctest.DocTestFinder(exclude_empty=True)
-    found = {
-        test.name: test
+    found = [
+        test
         for module, name in NAMES
         for test in finder.find(object_of(module, name), f"{module}.{name}", globs={})
         if test.examples
-    }
-    clusters = {name for name, package in NEEDED.items() if package == "distributed"}
+    ]
     return [
-        pytest.param(found[name], id=name, marks=[pytest.mark.thorough] * (name in clusters))
-        for name in sorted(found)
+        thorough(test) if NEEDED.get(test.name) == "distributed" else test
+        for test in sorted(found, key=lambda test: test.name)
     ]
 
 
-@pytest.mark.parametrize("example", examples())
+@pytest.mark.parametrize("example", examples(), ids=lambda test: test.name)
 def test_examples_run(example, folder, monkeypatch):
     from open3d.visualization import O3DVisualizer
 

@@ -63,9 +63,7 @@ def command(
         asked.refuse(["max_bytes", "tmc3"], "has no effect with --dask")
         asked.refuse(["level", "view"], "is not there with --dask, which decodes whole scenes")
         check_no_pipes("--dask", source, target)
-    camera = None if view is None else _camera_of(view)
-    part = Part(box, sh_degree, level, camera, budget, tolerance)
-    if asked["dask"] is not None:
+        part = Part(box, sh_degree, budget=budget, tolerance=tolerance)
         from gs_codec.distributed.decoding import decode_distributed
 
         with progress_bar() as progress:
@@ -75,6 +73,8 @@ def command(
             )  # fmt: skip
         _tell(source, target, target, asked, report)
         return
+    camera = None if view is None else _camera_of(view)
+    part = Part(box, sh_degree, level, camera, budget, tolerance)
     with piped([source], target, ".ply") as ([file], out):
         with progress_bar() as progress:
             report = decode_file(

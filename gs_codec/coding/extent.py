@@ -139,8 +139,8 @@ def _extend(positions, log_scale, rot, corners):
                 a, b, c = 2.0 * (x * y + w * z), ww - xx + yy - zz, 2.0 * (y * z - w * x)
             else:
                 a, b, c = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), ww - xx - yy + zz
-            first, second = _along(a, norm, size[0]), _along(b, norm, size[1])
-            half = _SIGMAS * np.sqrt(first + second + _along(c, norm, size[2]))
+            squared = _along(a, norm, size[0]) + _along(b, norm, size[1]) + _along(c, norm, size[2])
+            half = _SIGMAS * np.sqrt(squared)
             corners[axis] = min(corners[axis], positions[axis, i] - half)
             corners[3 + axis] = max(corners[3 + axis], positions[axis, i] + half)
 

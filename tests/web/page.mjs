@@ -93,7 +93,12 @@ for (const { url, size, steps, before, panel } of JSON.parse(readFileSync(0, 'ut
     if (panel) await page.click('summary');
     for (const [name, ...given] of steps)
       told.values.push((await STEPS[name](page, ...given)) ?? null);
-    told.state = await page.evaluate('document.body.dataset.state');
+    // What comes late, as the last order or a request that was ended, is drawn once more.
+    const ended = await page.waitForFunction(() => {
+      const { state } = document.body.dataset;
+      return state !== 'drawing' && { state };
+    });
+    told.state = (await ended.jsonValue()).state;
     told.status = await page.textContent('#status');
   } catch (error) {
     told.failure = error.message;

@@ -21,7 +21,7 @@ from gs_codec.egs.file import EgsFile
 from gs_codec.runtime.kernels import kernel
 from gs_codec.runtime.threads import run_all
 
-_LOW_BITS = "low-bits"
+_LOW_BITS, _FAR = "low-bits", "far"
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class BlockCosts:
         alone: what is in ``geometry`` places several Gaussians together.
     steps : dict of str to ndarray, shape (k, n), float64
         Step sizes by stream, in the attribute's own domain: sides of a cell along x, y and z
-        (``geometry``), logit, log-scale (the longest, and the differences of the next two), sine
+        (``geometry``; 0 if the centre is exact), logit, log-scale (the longest, and the differences of the next two), sine
         of half an angle (roll and two tilts), SH (Y, Co and Cg alike).
     """
 
@@ -63,7 +63,8 @@ def block_costs(blocks: Blocks, number: int) -> BlockCosts:
     """
     found = blocks.read(number)
     coded, shifts = _coded_again(blocks, found)
-    bits = {_LOW_BITS: found.low_bits.astype(np.float64)}
+    far = np.arange(len(found.shifts)) >= len(found.shifts) - found.far.shape[1]
+    bits = {_LOW_BITS: found.low_bits.astype(np.float64), _FAR: far.astype(np.float64)}
     for item, rows, symbols in zip(blocks.passes, blocks.rows, coded, strict=True):
         values, contexts, owners = symbols
         costs = np.zeros((len(item.streams), len(found.shifts)))
@@ -133,6 +134,7 @@ def _steps(
         "rotation": TURNS,
     }
     steps = {"geometry": cell_sides(found.dropped, blocks.lattice.grid)}
+    steps["geometry"][:, len(found.shifts) - found.far.shape[1] :] = 0
     for stream, names in groups.items():
         steps[stream] = to_float(units[stream] << np.stack([shifts[name] for name in names]))
     for stream in ("sh-dc", *SH_STREAMS[: len(blocks.bands)]):

@@ -75,7 +75,7 @@ def folder(tmp_path_factory) -> Path:
         (folder / f"{name}.egs").write_bytes((HERE / "golden" / f"{name}.egs").read_bytes())
     for name, scene in EDGES.items():
         few = scene.take(np.arange(min(scene.count, 24)))
-        data = encode_by(few, Config("m"), GUIDES["guided"] if name == "pairs" else None)
+        data = encode_by(few, Config("m"), GUIDES["v1-guided"] if name == "pairs" else None)
         (folder / f"{name}.egs").write_bytes(data)
     (folder / "blocks.egs").write_bytes(sample("s", 70, 3, 33))
     # Sums of SH-AC up to the highest contexts, and many tables.

@@ -39,6 +39,9 @@ _ERROR_BITS = 0.7
 #: Grids with far Gaussians are compared by at most twice this many of them.
 _SAMPLE = 10_000
 
+#: Bits of the mantissa of a float32; a coordinate that is not 0, for its logarithm.
+_MANTISSA, _TINY = 24, np.float32(1e-44)
+
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -111,8 +114,9 @@ def _with_far(
     coarsest: float,
 ) -> tuple[PositionGrid, float] | None:
     """The best grid with far Gaussians; None if one that spans all is better."""
-    # Floats have no finer steps than their last bit.
-    wanted = np.maximum(wanted, np.log2(np.spacing(np.abs(positions).max(axis=0)), dtype=float))
+    # Steps finer than the last bit of a coordinate gain nothing.
+    largest = np.maximum(np.abs(positions).max(axis=0), _TINY)
+    wanted = np.maximum(wanted, np.frexp(largest)[1] - _MANTISSA)
     unit = finest_step(wanted, _FINEST, coarsest)
     octaves = np.maximum(wanted, unit)
 

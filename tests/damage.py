@@ -52,9 +52,10 @@ def with_section(data: bytes, section_id: SectionId, change, block: int = 0) -> 
     changed = {**file.sections, (section_id, block): content}
     sections = [Section(SectionId(i), b, d) for (i, b), d in changed.items() if d is not None]
     found = {section.id for section in sections}
-    features = Feature.GPCC * (SectionId.TOOL in found) | Feature.TORCHAC * (
-        SectionId.CODER in found
-    )
+    needed = {
+        SectionId.TOOL: Feature.GPCC, SectionId.CODER: Feature.TORCHAC, SectionId.FAR: Feature.FAR,
+    }  # fmt: skip
+    features = sum(feature for section, feature in needed.items() if section in found)
     header = replace(file.header, features=Feature(features))
     return write_file(header, in_file_order(sections))
 

@@ -157,8 +157,8 @@ def test_bytes_after_the_end_are_refused(stream):
 
 def test_later_versions_are_refused(stream):
     later = bytearray(stream)
-    later[8:10] = struct.pack("<H", 2)
-    with pytest.raises(UnsupportedVersion, match="version 2"):
+    later[8:10] = struct.pack("<H", 3)
+    with pytest.raises(UnsupportedVersion, match="version 3"):
         decode_scene(bytes(later))
 
 

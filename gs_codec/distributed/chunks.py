@@ -54,8 +54,7 @@ def save_quantised(
 def _packed(blocks: Sequence[Block]) -> Arrays:
     """The arrays of blocks, one after another, and the length of each."""
     columns: dict[str, list[NDArray[Any]]] = {
-        name: [np.frombuffer(getattr(block, name), np.uint8) for block in blocks]
-        for name in _BYTES
+        name: [np.frombuffer(getattr(block, name), np.uint8) for block in blocks] for name in _BYTES
     }
     for k in range(len(blocks[0].passes)):
         for name in _PASS:
@@ -77,7 +76,8 @@ def _unpacked(packed: Arrays, extents: NDArray[np.float32]) -> Iterator[Block]:
     number = (len(names) - len(_BYTES)) // len(_PASS)
     for k, extent in enumerate(extents):
         own = [PassData(*(columns[f"{p} {name}"][k] for name in _PASS)) for p in range(number)]
-        yield Block(*(columns[name][k].tobytes() for name in _BYTES), extent, own, 0)
+        tree, low_bits, far = (columns[name][k].tobytes() for name in _BYTES)
+        yield Block(tree, low_bits, far, extent, own, 0)
 
 
 def save_coded(

@@ -199,10 +199,10 @@ def _lattice(
         largest = (1 << (_STEP_BITS - rules["colour"].limit)) - 1
         units[f"sh{band}"] = round(min(max(units["sh-dc"] * ratio, _FINEST_SH), largest))
     grid, unit = choose_grid(bounds, positions, wanted("position"), may_have_far)
-    slopes, coarsest = steps.coefficients["position"], unit + MAX_SHIFT
-    if bounds is None:
-        slopes, coarsest = np.zeros(5), 0
-    rules["position"] = make_rule(slopes, unit, coarsest, thirds=bounds is not None)
+    rules["position"] = make_rule(np.zeros(5), 0, 0)
+    if bounds is not None:
+        slopes = steps.coefficients["position"]
+        rules["position"] = make_rule(slopes, unit, unit + MAX_SHIFT, thirds=True)
     centres = (_median(opacity), _median(known[2]))
     classes = (
         1 + int(steps.shape_class.max(initial=0)),

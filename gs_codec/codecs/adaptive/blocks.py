@@ -95,6 +95,10 @@ class ShapedBlock:
             turned_quaternions(to_float(self.shape.turns), self.shape.poles),
         )
 
+    def coded_places(self) -> tuple[bytes, bytes, bytes]:
+        """Coded positions: the tree, low bits, and centres of far Gaussians."""
+        return self.tree, self.low_bits, write_far(self.far)
+
     def extent(self, grid: PositionGrid) -> NDArray[np.float32]:
         """Where its decoded Gaussians are."""
         return block_extent(*self.decoded(grid))
@@ -174,5 +178,4 @@ def colour_block(arranged: Arranged, shaped: ShapedBlock, diffusing: bool) -> Bl
         coded = code_bands(by_colour, two_nearest(nearest), shaped.shifts)
         listed += [PassData.of(values, contexts) for values, contexts, _ in coded]
     extent = shaped.extent(arranged.lattice.grid)
-    far = write_far(shaped.far)
-    return Block(shaped.tree, shaped.low_bits, far, extent, listed, clamped)
+    return Block(*shaped.coded_places(), extent, listed, clamped)

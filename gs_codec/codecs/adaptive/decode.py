@@ -126,7 +126,7 @@ class Blocks:
         return DecodedBlock(classes, shape, *of_places, nearest, shifts, colours, levels)
 
     def _read_tree(self, block: int) -> tuple[NDArray, NDArray, NDArray[np.float32]]:
-        """Morton codes ``(n,)`` without low bits, how many these are, and far centres ``(3, f)``."""
+        """Morton codes ``(n,)`` without low bits, how many these are; far centres ``(3, f)``."""
         (start, stop), grid = self.file.header.block_range(block), self.lattice.grid
         far = read_far(self.file, block)
         number = far.shape[1]

@@ -43,7 +43,7 @@ MANTISSA = 3
 _STEP_BITS = 31
 
 #: Bytes of the centre of a far Gaussian.
-_FAR_BYTES = 12
+FAR_BYTES = 12
 
 #: Intercept; factors of opacity and of three scales; limit.
 _RULE = "5iB"
@@ -181,12 +181,21 @@ def read_far(file: EgsFile, block: int) -> NDArray[np.float32]:
     if data is None:
         return np.empty((3, 0), np.float32)
     start, stop = file.header.block_range(block)
-    where, most = f"section 'far' of block {block}", _FAR_BYTES * (stop - start)
-    if len(data) % _FAR_BYTES or not 0 < len(data) <= most:
+    where, most = f"section 'far' of block {block}", FAR_BYTES * (stop - start)
+    if len(data) % FAR_BYTES or not 0 < len(data) <= most:
         raise CorruptStream(
-            f"{where}: {len(data)} bytes, expected a multiple of {_FAR_BYTES} up to {most}"
+            f"{where}: {len(data)} bytes, expected a multiple of {FAR_BYTES} up to {most}"
         )
     found = np.frombuffer(data, "<f4").astype(np.float32).reshape(-1, 3).T
     if not np.isfinite(found).all():
         raise CorruptStream(f"{where}: a centre is not finite")
     return found
+
+
+def far_count(file: EgsFile) -> int:
+    """Number of far Gaussians of a file, by the sizes of sections."""
+    return sum(
+        entry.size // FAR_BYTES
+        for (section, _), entry in file.table.items()
+        if section == SectionId.FAR
+    )

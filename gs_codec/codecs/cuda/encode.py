@@ -23,7 +23,6 @@ from gs_codec.codecs.adaptive.encode import (
     shape_scene,
 )
 from gs_codec.codecs.adaptive.lattice import FRACTION_BITS, LARGEST
-from gs_codec.codecs.adaptive.section import write_far
 from gs_codec.codecs.cuda.lanes import WIDTH
 from gs_codec.codecs.cuda.launch import argument, for_each, unsigned, upload, working_on
 from gs_codec.codecs.cuda.places import surround
@@ -153,9 +152,7 @@ class _Encoder:
         begun = states.cpu().numpy().astype("<u4")
         return [
             [
-                *leading_sections(
-                    number, begun[number].tobytes(), block.tree, block.low_bits, write_far(block.far)
-                ),
+                *leading_sections(number, begun[number].tobytes(), *block.coded_places()),
                 *self._streams(listed, [own[number] for own in words], number),
             ]
             for number, block in enumerate(self.shaped)
